@@ -142,7 +142,7 @@ def _read_run(path: Path, rig: Rig, remarks: list[str]) -> RecordedRun:
             f"{table.header}: {_CV}: the rig has no control volume; add [cv] with its volume_L to the rig, "
             "or remove the column"
         )
-    if reservoir_kPa is None:
+    if reservoir_kPa is None and rig.pump is None:
         remarks.append(
             f"{path.name}: the reservoir's pressure was not recorded; it is unknown from the start"
         )

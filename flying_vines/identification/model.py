@@ -38,8 +38,12 @@ def pressurised(
     reservoir_K: float,
     cv_K: float,
 ) -> Floats:
-    """The state with other gauge pressures and gas temperatures; walls and openings stay as they are."""
+    """The state with other gauge pressures and gas temperatures; walls and openings stay as they are.
+
+    A rig with a pump has no reservoir: the one of the state then is at ambient pressure."""
     _, _, wall_r, _, _, wall_c, _, evp, dvp, vented = state
+    if numbers.pump_stall_kPa > 0.0:
+        reservoir_kPa = 0.0
     ratio_r, ratio_c = reservoir_K / STANDARD_TEMPERATURE_K, cv_K / STANDARD_TEMPERATURE_K
     reservoir_pV = (reservoir_kPa + air.kPa) / numbers.reservoir_per_L
     volume_L, work_J = volume_and_work(numbers.cv, cv_kPa, air.kPa, 0.0)
@@ -119,7 +123,7 @@ def run(
     ambient_K = air.ratio * STANDARD_TEMPERATURE_K
     state: Floats = (1.0, 1.0, ambient_K, 1.0, 1.0, ambient_K, 0.0, 0.0, 0.0, 0.0)
     reservoir_K = cv_K = ambient_K
-    cv_seen = reservoir_seen = SensorMemory(0.0, 0.0)
+    cv_seen = reservoir_seen = SensorMemory(0.0, 0.0, 0.0)
     cv_reads = reservoir_reads = 0.0
     lagging = cv_sensor.time_constant_s > 0.0 or reservoir_sensor.time_constant_s > 0.0
     started = at = 0
@@ -136,8 +140,8 @@ def run(
             # The lag of a sensor stays as it was.
             cv_late = cv_seen.lagged_kPa - cv_seen.true_kPa
             reservoir_late = reservoir_seen.lagged_kPa - reservoir_seen.true_kPa
-            cv_seen = SensorMemory(found.line_kPa, found.line_kPa + cv_late)
-            reservoir_seen = SensorMemory(found.reservoir_kPa, found.reservoir_kPa + reservoir_late)
+            cv_seen = SensorMemory(found.line_kPa, found.line_kPa + cv_late, 0.0)
+            reservoir_seen = SensorMemory(found.reservoir_kPa, found.reservoir_kPa + reservoir_late, 0.0)
             cv_seen, cv_reads = reading(cv_sensor, cv_seen, found.line_kPa, 0.0, 0.0)
             reservoir_seen, reservoir_reads = reading(
                 reservoir_sensor, reservoir_seen, found.reservoir_kPa, 0.0, 0.0

@@ -30,7 +30,7 @@ from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotio
 from flying_vines.physics.rig import ControlVolume, Rig, with_numbers
 
 MAX_STEP_S = 0.05
-QUICK_WALL_S = 0.002
+QUICK_S = 0.002
 _STEP = 0.25
 """Step over the fastest time constant. Fourth-order Runge-Kutta then errs by 1e-5 of the remaining change."""
 
@@ -51,13 +51,17 @@ RIG_NUMBERS = (
     "solenoid.flow_resistance_kPa_s_per_SL",
     "venturi.full_vacuum_kPa",
     "venturi.rated_supply_kPa",
+    "pump.free_flow_SL_per_s",
+    "pump.stall_pressure_kPa",
+    "hose.volume_L",
+    "hose.flow_resistance_kPa_s_per_SL",
 )
 """Keys of the rig file's numbers that a fit may move within their tolerances."""
 
 
 def rig_number_keys(rig: Rig) -> tuple[str, ...]:
     """Keys of the numbers that this rig has."""
-    return tuple(key for key in RIG_NUMBERS if rig.cv is not None or key != "cv.volume_L")
+    return tuple(key for key in RIG_NUMBERS if rig.has(key.partition(".")[0]))
 
 
 def prior_std(rig: Rig, key: str) -> float:
@@ -83,6 +87,8 @@ class Made(NamedTuple):
     cv_sensor: np.void
     reservoir_sensor: np.void
     effects: Effects
+    drift_kPa_per_s: tuple[float, float]
+    """Drift of the readings of control volume and reservoir."""
     longest_s: tuple[float, float]
     """Maximum step with the solenoid shut, and with it open."""
 
@@ -135,6 +141,8 @@ class Simulation:
             made.longest_s,
             out,
         )
+        if any(made.drift_kPa_per_s):
+            out += np.outer(run.time_s - run.time_s[0], made.drift_kPa_per_s)
         readings = ModelReadings(out[:, 0], out[:, 1])
         for cause, x in causes:
             if cause.readings is not None:
@@ -150,7 +158,7 @@ class Simulation:
         own: tuple[tuple[Callable[[Commands, Values], Commands], Values], ...],
     ) -> tuple[Array, Array]:
         """Switching times of a run's valves, and the openings from each time on."""
-        commands = followed(self.runs[index].commands, evp, dvp, solenoid)
+        commands = followed(self.runs[index].commands, evp, dvp, solenoid, self.runs[index].time_s[-1])
         for change, values in own:
             commands = change(commands, values)
         return together(commands)
@@ -178,7 +186,9 @@ class Simulation:
             for law in (Opening(), numbers.solenoid)
         )
         sensors = (_sensor(setup.cv_sensor), _sensor(setup.reservoir_sensor))
-        return Made(record(numbers), *sensors, effects, (shut_s, open_s))
+        cv, reservoir = setup.cv_sensor, setup.reservoir_sensor
+        drift = (cv.gain * cv.drift_kPa_per_min / 60.0, reservoir.gain * reservoir.drift_kPa_per_min / 60.0)
+        return Made(record(numbers), *sensors, effects, drift, (shut_s, open_s))
 
 
 @cache
@@ -188,8 +198,9 @@ def _compiled() -> Callable[..., None]:
 
 
 def _sensor(sensor: Sensor) -> np.void:
-    # Converter steps have no derivative, and the noise hides them.
-    return record(replace(sensor, adc=None).numbers)
+    # Converter steps have no derivative, and the noise hides them. The model does not know the time since the
+    # start of the run: `readings` adds the drift.
+    return record(replace(sensor, adc=None, drift_kPa_per_min=0.0).numbers)
 
 
 def _prepared(run: RecordedRun) -> Prepared:
@@ -241,7 +252,7 @@ def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> f
     if n.has_tubing:
         line = n.line_SL_per_s_kPa
         rates += [
-            (at_the_valves + line) * n.line_kPa_per_SL,
+            _slaved_per_s(1.0 / ((at_the_valves + line) * n.line_kPa_per_SL)),
             n.gamma * ALPHA_KPA * (line + leak) / n.cv.flat_L,
         ]
     elif n.has_cv:
@@ -252,7 +263,14 @@ def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> f
     walls = ((n.reservoir_heat, 1.0 / n.reservoir_per_L), (n.cv_heat, n.cv.flat_L))
     for wall_per_s in (heat_per_s(heat, volume_L) for heat, volume_L in walls):
         if wall_per_s > 0.0:
-            # If heat exchange takes milliseconds, the gas stays near ambient temperature.
-            wall_s = 1.0 / wall_per_s
-            rates.append(_STEP / max(_STEP * wall_s, min(wall_s, QUICK_WALL_S)))
+            rates.append(_slaved_per_s(1.0 / wall_per_s))
     return max(rates)
+
+
+def _slaved_per_s(time_s: float) -> float:
+    """The rate to resolve for a time constant of heat exchange or of a hose.
+
+    If it is some milliseconds, gas stays near ambient temperature, and a hose near the pressure of the
+    control volume: the step then only has to be stable.
+    """
+    return _STEP / max(_STEP * time_s, min(time_s, QUICK_S))

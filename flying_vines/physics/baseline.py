@@ -3,6 +3,7 @@
     Q_e = u_e (P_r − P_cv) / R_evp      into the control volume
     Q_m = u_d P_r / R_dvp               motive air through the Venturi
     Q_o = s (P_cv + P_vac) / R_sol      out of the control volume
+    Q_e = u_e free_flow max(0, 1 − P_cv / stall)      of a pump from ambient, in place of the first
     P_vac = full_vacuum u_d min(1, P_r / rated_supply)
 
     dP_r/dt  = −α (Q_e + Q_m) / V_r
@@ -46,7 +47,12 @@ def flows(rig: Rig, state: BaselineState, inputs: Inputs) -> BaselineFlows:
     """The flow through each valve. Without a control volume the inflation valve opens to atmosphere."""
     reservoir_kPa, cv_kPa = state
     evp, dvp, solenoid = inputs
-    inflation = evp * (reservoir_kPa - cv_kPa) / rig.evp.flow_resistance_kPa_s_per_SL
+    if rig.pump is not None:
+        inflation = (
+            evp * max(0.0, rig.pump.stall_pressure_kPa - cv_kPa) / rig.pump.flow_resistance_kPa_s_per_SL
+        )
+    else:
+        inflation = evp * (reservoir_kPa - cv_kPa) / rig.evp.flow_resistance_kPa_s_per_SL
     motive = dvp * reservoir_kPa / rig.dvp.flow_resistance_kPa_s_per_SL
     if not solenoid or rig.cv is None:
         return BaselineFlows(inflation, motive, 0.0)
@@ -62,7 +68,8 @@ def flows(rig: Rig, state: BaselineState, inputs: Inputs) -> BaselineFlows:
 def derivatives(rig: Rig, state: BaselineState, inputs: Inputs) -> tuple[float, float]:
     """dP_r/dt and dP_cv/dt, kPa/s."""
     inflation, motive, outlet = flows(rig, state, inputs)
-    reservoir = -ALPHA_KPA * (inflation + motive) / rig.reservoir.volume_L
+    drawn = motive if rig.pump is not None else inflation + motive
+    reservoir = -ALPHA_KPA * drawn / rig.reservoir.volume_L
     if rig.cv is None:
         return reservoir, 0.0
     return reservoir, ALPHA_KPA * (inflation - outlet) / rig.cv.volume_L

@@ -97,6 +97,8 @@ class Cause:
     experiment: str
     """A recording of about a minute that shows it best."""
     apply: Callable[..., Setup] | None = None
+    needs: tuple[str, ...] = ()
+    """Tables of the rig file without which the cause has no effect."""
     commands: Callable[[Commands, Values], Commands] | None = None
     """A further change of the valve commands; only used in fits."""
     readings: Callable[[ModelReadings, Values], ModelReadings] | None = None

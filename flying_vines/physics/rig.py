@@ -67,6 +67,31 @@ class Venturi:
 
 
 @dataclass(frozen=True)
+class Pump:
+    """A pump from ambient into the control volume, in place of reservoir and inflation valve.
+
+    The inflation signal u drives it: Q = u · free flow · max(0, 1 − P_cv / stall pressure). The default is a
+    small diaphragm pump.
+    """
+
+    free_flow_SL_per_s: Positive = 0.04
+    stall_pressure_kPa: Positive = 60.0
+
+    @property
+    def flow_resistance_kPa_s_per_SL(self) -> float:
+        """Of the inflation valve with the same flow, from a reservoir at the stall pressure."""
+        return self.stall_pressure_kPa / self.free_flow_SL_per_s
+
+
+@dataclass(frozen=True)
+class Hose:
+    """A vessel between the valves and the control volume. The default is 1 m of 4 mm tube."""
+
+    volume_L: Positive = 0.0126
+    flow_resistance_kPa_s_per_SL: Positive = 6.0
+
+
+@dataclass(frozen=True)
 class Sensors:
     """Standard deviations of the sensor noise."""
 
@@ -76,7 +101,8 @@ class Sensors:
 
 @dataclass(frozen=True)
 class Rig:
-    """A rig. `cv` is None if the reservoir discharges to atmosphere.
+    """A rig. `cv` is None if the reservoir discharges to atmosphere. With a `pump`, reservoir, EVP, DVP and
+    Venturi are not there, and their numbers have no meaning.
 
     `tolerance_percent` has the tolerances of some keys such as `reservoir.volume_L`; `tolerance` has them
     all.
@@ -89,8 +115,14 @@ class Rig:
     solenoid: Solenoid = Solenoid()
     venturi: Venturi = Venturi()
     sensors: Sensors = Sensors()
+    pump: Pump | None = None
+    hose: Hose | None = None
     gas: Gas = _AIR
     tolerance_percent: dict[str, NotNegative] = field(default_factory=dict)
+
+    def has(self, table: str) -> bool:
+        """True if the rig has this part."""
+        return getattr(self, table) is not None and not (self.pump and table in WITHOUT_PUMP)
 
     def tolerance(self, key: str) -> float:
         """Tolerance of the number at `key` in percent; default 1."""
@@ -142,6 +174,12 @@ def rig_from(content: Mapping[str, Any]) -> Rig:
             raise RigError(f"unknown key {key!r} of a rig: the keys are {', '.join(_KEYS)}.")
         if isinstance(value, float) and not math.isfinite(value):
             raise RigError(f"{key} is {value}, which is not a number.")
+    replaced = [table for table in WITHOUT_PUMP if table in content] if "pump" in content else []
+    if replaced:
+        raise RigError(f"a rig with a [pump] has no [{replaced[0]}]: the pump takes its place.")
+
+    if "cv" not in content and ("pump" in content or "hose" in content):
+        raise RigError("a pump or a hose needs a [cv] that it leads to.")
     tolerances = content.get("tolerance_percent", {})
     if isinstance(tolerances, Mapping):
         tolerances = dict(_flat(tolerances))
@@ -160,7 +198,9 @@ def _flat(tables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
             yield prefix + key, value
 
 
+WITHOUT_PUMP = ("reservoir", "evp", "dvp", "venturi")
+"""Tables that a rig with a pump does not have."""
 _TABLES = tuple(field.name for field in fields(Rig))
-_KEYS = tuple(key for key, _ in _flat(asdict(Rig())))
+_KEYS = tuple(key for key, _ in _flat(asdict(Rig(pump=Pump(), hose=Hose()))))
 _MEASURED = tuple(key for key in _KEYS if not key.startswith("gas."))
 """Keys that may have a tolerance."""

@@ -108,6 +108,8 @@ def belief_of(p: PneumaticsConfig, rig: TrueRig, complete: bool | None = None) -
 def _numbers(p: PneumaticsConfig, rig: Rig) -> PneumaticsConfig:
     if rig.cv is None:
         raise RigError("the rig has no [cv], so there is nothing to inflate.")
+    if rig.pump is not None:
+        raise RigError("the rig has a pump, and not the reservoir from which a vine is inflated.")
     return msgspec.structs.replace(
         p,
         reservoir_volume_L=rig.reservoir.volume_L,
@@ -178,8 +180,8 @@ def _air_SL_per_kPa(p: PneumaticsConfig, plant: Plant, top_kPa: float) -> float:
         lost = (1.0 - math.exp(-cools_per_s * rise_s)) / (cools_per_s * rise_s) if cools_per_s else 1.0
         warm_share = (GAMMA - 1.0) / GAMMA * lost * math.exp(-cools_per_s * TOP_SHARE * rise_s)
         volume_L *= 1.0 - warm_share
-    if plant.effects.tubing is not None:
-        volume_L += plant.effects.tubing.volume_L
+    if plant.tubing is not None:
+        volume_L += plant.tubing.volume_L
     return volume_L / ALPHA_KPA
 
 

@@ -301,6 +301,10 @@ def test_a_valve_needs_the_volume_of_its_reservoir(tmp_path: Path) -> None:
     path = copied(tmp_path, "pump_and_chamber.csv")
     pump = propose(path, Answers(), {"cv": 0.1})
     assert pump.missing == () and [question.key for question in pump.questions] == ["setup.source"]
+    write_case([pump], tmp_path / "case")
+    rig = read_case(tmp_path / "case").rig
+    assert rig.pump is not None and 20.0 < rig.pump.stall_pressure_kPa < 120.0
+    assert rig.tolerance("pump.free_flow_SL_per_s") == 80.0
     with_answer(pump.answers, "setup.source", "reservoir")
     assert [question.key for question in propose(path, pump.answers).missing] == ["rig.reservoir.volume_L"]
 

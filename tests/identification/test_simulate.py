@@ -16,7 +16,10 @@ from flying_vines.identification.case import Case, RecordedRun
 from flying_vines.identification.simulate import Simulation
 from flying_vines.physics.baseline import BaselineState, Inputs, step
 from flying_vines.physics.cause import Cause
-from flying_vines.physics.effects import catalogue
+from flying_vines.physics.effects import catalogue, cause_named
+from flying_vines.physics.plant.compiled import replay as plant_replay
+from flying_vines.physics.plant.plant import at_rest
+from flying_vines.physics.plant.setup import perfect
 from flying_vines.physics.rig import ControlVolume, Rig
 
 RIG = Rig(cv=ControlVolume(0.25))
@@ -148,13 +151,39 @@ def test_a_sensor_that_lags_goes_on_lagging_where_a_run_begins_again() -> None:
 def test_a_neutral_cause_does_nothing(cause: Cause) -> None:
     neutral = cause.parameters[0].neutral
     if neutral is None:
-        assert cause.name == "compressible_flow"
+        assert cause.name in ("compressible_flow", "hose")
         return
     simulation = Simulation(case_of(random_run(1)))
     plain = simulation.readings(0, {}, [], STARTS)
-    ours = simulation.readings(0, {}, [(cause, (neutral,))], STARTS)
+    ours = simulation.readings(0, {}, [(cause, (neutral, *cause.seeds()[0][1:]))], STARTS)
     assert ours.cv_kPa == pytest.approx(plain.cv_kPa, abs=1e-9)
     assert ours.reservoir_kPa == pytest.approx(plain.reservoir_kPa, abs=1e-9)
+
+
+def test_a_warming_valve_and_drifting_sensors_are_the_plants() -> None:
+    own = {
+        "evp_heating": {"share": 0.3, "time_constant_s": 3.0},
+        "evp_dead_zone": {"opening": 0.1},
+        "line_delay": {"delay_s": 0.05},
+        "cv_sensor_drift": {"rate_kPa_per_min": 4.0},
+        "reservoir_sensor_drift": {"rate_kPa_per_min": -20.0},
+    }
+    run, made = random_run(5), perfect(RIG)
+    for name, parameters in own.items():
+        made = cause_named(name).put_into(made, parameters)
+    openings = np.repeat(np.column_stack((run.evp_opening, run.dvp_opening, run.solenoid)), 20, axis=0)
+    table = plant_replay(
+        made.plant,
+        openings,
+        at_rest(made.plant, *START_KPA),
+        cv_sensor=made.cv_sensor,
+        reservoir_sensor=made.reservoir_sensor,
+        record_every=20,
+    ).table
+    causes = [(cause_named(name), tuple(parameters.values())) for name, parameters in own.items()]
+    ours = Simulation(case_of(run)).readings(0, {}, causes, STARTS)
+    assert ours.cv_kPa == pytest.approx(table["cv_reading_kPa"], abs=0.005)
+    assert ours.reservoir_kPa == pytest.approx(table["reservoir_reading_kPa"], abs=0.02)
 
 
 def test_without_causes_it_is_the_baseline() -> None:

@@ -35,7 +35,7 @@ def test_the_choked_flow_of_a_nozzle_per_area() -> None:
     def flow_m3_per_s(gamma: float, molar_mass_g_per_mol: float) -> float:
         R = 8.314462618 / (molar_mass_g_per_mol / 1000.0)
         mass = math.sqrt(gamma / (R * 293.15)) * (2 / (gamma + 1)) ** ((gamma + 1) / (2 * (gamma - 1)))
-        return mass / (101325.0 / (R * 293.15))
+        return float(mass / (101325.0 / (R * 293.15)))
 
     for name, gas in GASES.items():
         expected = flow_m3_per_s(*gas) / flow_m3_per_s(*AIR)
@@ -82,6 +82,18 @@ def test_a_wall_gives_a_gas_its_heat_in_joules() -> None:
     gas_J_per_K = state.reservoir_pV_J / 0.289 / 293.15
     expected = (gas_J_per_K * 1.2 + 30.0) * 293.15 / (gas_J_per_K + 30.0)
     assert simulator.conditions.reservoir_K == pytest.approx(expected, abs=1e-3)
+
+
+def test_gas_cools_at_a_wall_with_its_own_heat_capacity() -> None:
+    """T − T_w falls exponentially with m c_v / hA, m c_v = p V / ((γ − 1) T)."""
+    plant = Plant(Rig(gas=Gas("CO2")), Effects(reservoir_wall=Wall(conductance_W_per_K=2.0)))
+    state = at_rest(plant)
+    simulator = Simulator(plant, state._replace(reservoir_pV_J=state.reservoir_pV_J * 1.2))
+    for _ in range(5000):
+        simulator.advance(Inputs(0.0, 0.0, False))
+    gas_J_per_K = state.reservoir_pV_J / 0.289 / 293.15
+    warmer = 0.2 * math.exp(-5.0 * 2.0 / gas_J_per_K)
+    assert simulator.conditions.reservoir_K == pytest.approx(293.15 * (1.0 + warmer), rel=1e-7)
 
 
 def test_matched_valves_pass_what_ohms_law_gives_with_any_gas() -> None:

@@ -152,6 +152,15 @@ def compliant(k: float) -> Ode:
     return ode
 
 
+def warming(share: float, tau: float) -> Ode:
+    base = plain()
+
+    def ode(t: float, y: Any, u_e: float, u_d: float, s: bool) -> list[float]:
+        return [*base(t, y[:2], u_e * (1.0 - share * y[2]), u_d, s), (u_e - y[2]) / tau]
+
+    return ode
+
+
 def lagging(tau: float) -> Ode:
     base = plain()
 
@@ -299,6 +308,7 @@ STANDING: dict[str, tuple[dict[str, float], Ode, list[Row], list[float]]] = {
     "evp_dead_zone": ({"opening": 0.3}, plain(), dead(SCHEDULE, 0.3), []),
     "evp_hysteresis": ({"width": 0.2}, plain(), play(SCHEDULE, 0.2), []),
     "evp_lag": ({"time_constant_s": 0.03}, lagging(0.03), SCHEDULE, [0.0]),
+    "evp_heating": ({"share": 0.3, "time_constant_s": 2.0}, warming(0.3, 2.0), SCHEDULE, [0.0]),
     "line_delay": ({"delay_s": 0.044}, plain(), late(SCHEDULE, 0.044), []),
     "solenoid_slow_close": ({"delay_s": 0.06}, plain(), slow_close(SCHEDULE, 0.06), []),
     "venturi_stall": ({"supply_pressure_kPa": 540.0}, stalling(540.0), SCHEDULE, []),
@@ -336,6 +346,14 @@ def test_a_sensors_error_is_in_the_reading_only(
         assert readings == pytest.approx(expected, abs=1e-12)
 
 
+@pytest.mark.parametrize(("cause", "which"), [("reservoir_sensor_drift", 0), ("cv_sensor_drift", 1)])
+def test_a_sensors_drift_is_a_straight_line(cause: str, which: int) -> None:
+    for ms, true, readings in simulate(setup(RIG, cause, rate_kPa_per_min=6.0)):
+        expected = list(true)
+        expected[which] += ms / 1000.0 * 0.1
+        assert readings == pytest.approx(expected, abs=1e-9)
+
+
 def test_a_sensors_lag_is_its_equation() -> None:
     tau = 0.02
     base = plain()
@@ -355,8 +373,10 @@ def test_a_sensors_lag_is_its_equation() -> None:
 def test_every_cause_of_the_table_is_a_setting() -> None:
     causes = {cause.name for cause in catalogue()}
     sensors = {name for name in causes if "sensor" in name}
-    assert set(STANDING) | sensors == causes | {"none"}
-    assert len(sensors) == 5
+    # tests/physics/test_pump_and_hose.py has the equations of these.
+    elsewhere = {"pump_flow", "pump_stall", "hose"}
+    assert set(STANDING) | sensors | elsewhere == causes | {"none"}
+    assert len(sensors) == 7
 
 
 def test_what_cannot_be_set_up() -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.effects import catalogue, setup
+from flying_vines.physics.gas import Gas
 from flying_vines.physics.plant.ambient import Climb, Recorded, Steady
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
@@ -25,7 +26,7 @@ from flying_vines.physics.plant.valve_response import ValveMotion, dead_zone
 from flying_vines.physics.plant.venturi import Ejector
 from flying_vines.physics.plant.volume import Compliant, Pouch
 from flying_vines.physics.plant.wall import Wall
-from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
+from flying_vines.physics.rig import ControlVolume, Hose, Pump, Reservoir, Rig
 
 np = pytest.importorskip("numpy")
 pytest.importorskip("numba")
@@ -62,6 +63,12 @@ CAUSE_NUMBERS: dict[str, dict[str, float]] = {
     "reservoir_sensor_offset": {"offset_kPa": -12.0},
     "reservoir_sensor_gain": {"gain": 0.97},
     "ambient_drop": {"rate_kPa_per_s": 0.3},
+    "hose": {"flow_resistance_kPa_s_per_SL": 30.0, "volume_L": 0.05},
+    "pump_flow": {"scale": 1.2},
+    "pump_stall": {"scale": 0.8},
+    "evp_heating": {"share": 0.3, "time_constant_s": 2.0},
+    "cv_sensor_drift": {"rate_kPa_per_min": 4.0},
+    "reservoir_sensor_drift": {"rate_kPa_per_min": -20.0},
     "viscous_leak": {"conductance_constant_kPa2_s_per_SL": 7e4},
     "reservoir_viscous_leak": {"conductance_constant_kPa2_s_per_SL": 8e5},
     "orifice_leak": {"sonic_conductance_SL_per_s_kPa": 5e-4},
@@ -120,6 +127,11 @@ PLANTS = {
         ),
     ),
     "one way": Plant(Rig(), dataclasses.replace(LIKELY, evp_law=Iso6358(5e-4, one_way=True))),
+    "pump": Plant(
+        Rig(pump=Pump(), hose=Hose()),
+        Effects(cv_wall=Wall(0.5), evp_motion=ValveMotion(0.01, 0.1, 0.1, 0.03)),
+    ),
+    "helium": Plant(Rig(gas=Gas("He")), LIKELY),
     "thin air": Plant(Rig(), dataclasses.replace(LIKELY, ambient=Steady(70.0, 260.0))),
     "climbing": Plant(Rig(), dataclasses.replace(LIKELY, ambient=Climb(0.5))),
     "weather": Plant(

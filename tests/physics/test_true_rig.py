@@ -21,7 +21,7 @@ from flying_vines.physics.plant.true_rig import (
 )
 from flying_vines.physics.plant.valve_response import ValveMotion
 from flying_vines.physics.plant.volume import Pouch
-from flying_vines.physics.rig import ControlVolume, Reservoir, Rig, RigError, load_rig
+from flying_vines.physics.rig import ControlVolume, Pump, Reservoir, Rig, RigError, load_rig
 
 EVERY_CAUSE = {
     "reservoir_leak": {"flow_resistance_kPa_s_per_SL": 40_000.0},
@@ -45,6 +45,12 @@ EVERY_CAUSE = {
     "reservoir_sensor_offset": {"offset_kPa": -5.0},
     "reservoir_sensor_gain": {"gain": 0.98},
     "ambient_drop": {"rate_kPa_per_s": 0.02},
+    "hose": {"flow_resistance_kPa_s_per_SL": 30.0, "volume_L": 0.05},
+    "pump_flow": {"scale": 1.2},
+    "pump_stall": {"scale": 0.8},
+    "evp_heating": {"share": 0.1, "time_constant_s": 30.0},
+    "cv_sensor_drift": {"rate_kPa_per_min": 1.0},
+    "reservoir_sensor_drift": {"rate_kPa_per_min": -5.0},
     "viscous_leak": {"conductance_constant_kPa2_s_per_SL": 1e5},
     "reservoir_viscous_leak": {"conductance_constant_kPa2_s_per_SL": 1e7},
     "orifice_leak": {"sonic_conductance_SL_per_s_kPa": 1e-5},
@@ -89,7 +95,7 @@ def test_the_table_of_causes_is_the_whole_one() -> None:
 
 @pytest.mark.parametrize("cause", EVERY_CAUSE)
 def test_a_cause_in_a_file_is_the_cause(cause: str, tmp_path: Path) -> None:
-    believed = Rig(cv=ControlVolume(0.25))
+    believed = Rig(cv=ControlVolume(0.25), pump=Pump() if cause.startswith("pump_") else None)
     rig = TrueRig(believed, causes={cause: EVERY_CAUSE[cause]})
     assert rig.setup == setup(believed, cause, **EVERY_CAUSE[cause])
     path = tmp_path / "rig.toml"
@@ -98,9 +104,9 @@ def test_a_cause_in_a_file_is_the_cause(cause: str, tmp_path: Path) -> None:
 
 
 def test_all_causes_at_once() -> None:
-    rig = TrueRig(causes=EVERY_CAUSE)
+    rig = TrueRig(causes={name: own for name, own in EVERY_CAUSE.items() if not name.startswith("pump_")})
     made = rig.setup
-    assert made.plant.effects.evp_motion == ValveMotion(0.02, 0.1, 0.2, 0.05)
+    assert made.plant.effects.evp_motion == ValveMotion(0.02, 0.1, 0.2, 0.05, 0.1, 30.0)
     assert made.plant.rig.evp.flow_resistance_kPa_s_per_SL == pytest.approx(1.2 * 2042.0)
     assert made.plant.rig.cv == ControlVolume(0.2)
     assert (made.cv_sensor.gain, made.cv_sensor.offset_kPa) == (1.02, 0.7)

@@ -29,6 +29,7 @@ from flying_vines.identification.importing.answers import (
 )
 from flying_vines.identification.importing.columns import IGNORED, QUANTITIES, guess_columns
 from flying_vines.identification.importing.layout import ForeignTable, read_foreign
+from flying_vines.identification.importing.pump import PUMP_TOLERANCE_PERCENT, guessed_pump
 from flying_vines.identification.importing.units import parse_unit, psi_instead
 from flying_vines.identification.noise import MIN_KPA, SensorNoise, measured_noise, rounding_step
 from flying_vines.identification.recording import CaseError
@@ -49,8 +50,6 @@ _CASE_COLUMNS = {
 }
 _PRESSURES = {"cv_pressure": "cv", "reservoir_pressure": "reservoir"}
 _VALVES = ("evp_opening", "dvp_opening", "solenoid")
-_PUMP_VOLUME_L = 1000.0
-"""Of the vessel that stands for a pump: its pressure hardly changes."""
 _RESISTANCE_TOLERANCE_PERCENT = 30.0
 """Of an outlet's flow resistance that was estimated from the time in which the pressure falls."""
 _MAX_VALVE_S = 3.0
@@ -272,8 +271,7 @@ def _drives(path: Path, answers: Answers, runs: dict[str, Run], notes: list[str]
             setup.source = setup.source or "pump"
         if setup.source == "pump":
             notes.append(
-                f"{name}: a pump is written as an inflation valve at a {_PUMP_VOLUME_L:g} L reservoir of "
-                "unknown pressure, the nearest that a rig file can say today"
+                f"{name}: free flow and stall pressure of the pump are estimated from how the pressure rises"
             )
         return runs
     if "reservoir_pressure" in has and "cv_pressure" in has:
@@ -376,7 +374,11 @@ def _rig_tables(proposal: Proposal) -> dict[str, Any]:
     if "tolerance_percent" in tables:
         tables["tolerance_percent"] = dict(rig_from(proposal.answers.rig).tolerance_percent)
     if proposal.answers.setup.source == "pump":
-        tables.setdefault("reservoir", {"volume_L": _PUMP_VOLUME_L})
+        guessed = guessed_pump(list(proposal.runs.values()), tables["cv"]["volume_L"])
+        known = tables.get("pump", {})
+        tolerance = {f"pump.{key}": PUMP_TOLERANCE_PERCENT for key in guessed if key not in known}
+        tables["pump"] = {**guessed, **known}
+        tables["tolerance_percent"] = {**tolerance, **tables.get("tolerance_percent", {})}
     sensors = tables.setdefault("sensors", {})
     for pressure, vessel in _PRESSURES.items():
         readings = [run[pressure] for run in proposal.runs.values() if pressure in run]

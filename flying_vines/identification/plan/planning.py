@@ -20,7 +20,7 @@ from flying_vines.identification.search import Progress, silent
 from flying_vines.identification.verdict import NONE
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA
-from flying_vines.physics.effects import catalogue
+from flying_vines.physics.effects import catalogue, causes_of
 from flying_vines.physics.rig import Rig
 from flying_vines.simulation.scenario.kinds import RunKind
 from flying_vines.simulation.scenario.scenario import Scenario
@@ -193,6 +193,8 @@ def plan(
     """
     if air_SL is None:
         air_SL = rig.reservoir.volume_L * (FULL_KPA - SPENT_KPA) / ALPHA_KPA
+    if rig.pump is not None:
+        raise RecordingPlanError("the rig has a pump; a plan needs a reservoir and valves")
     for what, value in (("minutes", minutes), ("air_SL", air_SL), ("most_kPa", most_kPa)):
         if not value > 0.0 or not np.isfinite(value):
             raise RecordingPlanError(f"{what}: {value:g} must be above 0")
@@ -201,7 +203,7 @@ def plan(
             f"most_kPa: {most_kPa:g} must be at most {0.5 * LOW_KPA:g}; some runs fill from {LOW_KPA:g} kPa"
         )
     with threadpool_limits(1):
-        layout = layout_of(rig, catalogue())
+        layout = layout_of(rig, causes_of(rig))
         parts = _all_parts(layout, library(rig, most_kPa), progress)
         budget = RecordingBudget(layout, 60.0 * minutes, air_SL)
         progress("choosing", 0.6)

@@ -23,6 +23,11 @@ def catalogue() -> tuple[Cause, ...]:
     return tuple(import_module(f"{__name__}.{name}").CAUSE for name in modules)
 
 
+def causes_of(rig: Rig) -> tuple[Cause, ...]:
+    """The causes that this rig can have: those whose parts it has."""
+    return tuple(cause for cause in catalogue() if all(map(rig.has, cause.needs)))
+
+
 NONE = Cause(name="none", what="The rig agrees with the baseline.", parameters=(), experiment="")
 
 

@@ -17,11 +17,11 @@ CAUSE = Cause(
     parameters=(
         Parameter(
             "rate_kPa_per_s",
-            low=-1.0,
-            high=2.0,
+            low=-0.25,
+            high=0.25,
             seeds=(0.0,),
             neutral=0.0,
-            source="0.012 kPa per metre: a fast climb of a drone gives 0.2 kPa/s",
+            source="0.012 kPa per metre, at 20 m/s up or down",
         ),
     ),
     experiment="Record the ambient pressure as well; or repeat the run on the ground.",

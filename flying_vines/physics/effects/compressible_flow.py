@@ -39,13 +39,17 @@ CAUSE = Cause(
         Parameter(
             "critical_pressure_ratio",
             low=0.0,
-            high=0.95,
+            high=0.7,
             seeds=(0.3,),
             neutral=None,
             typical=(0.35, 0.12),
-            source="ISO 6358: 0.5 for an orifice, 0.2 to 0.4 with fittings, 0 for long tubes",
+            source=(
+                "ISO 6358: 0.5 for an orifice, 0.2 to 0.4 with fittings, 0 for long "
+                "tubes; an ideal nozzle 0.53"
+            ),
         ),
     ),
     experiment="Discharge the reservoir from full to empty through the open inflation valve.",
     apply=apply,
+    needs=("reservoir",),
 )

@@ -22,9 +22,10 @@ CAUSE = Cause(
             seeds=(1e-5, 1e-3, 1e-2),
             neutral=0.0,
             logarithmic=True,
-            source="from a rigid bottle to a balloon whose volume doubles in 2 kPa",
+            source="from a steel bottle to a rubber balloon whose volume doubles in 2 kPa",
         ),
     ),
     experiment="Inflate in several steps to the highest pressure, each with the same opening and duration.",
     apply=apply,
+    needs=("cv",),
 )

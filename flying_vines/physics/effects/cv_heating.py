@@ -22,12 +22,15 @@ CAUSE = Cause(
     parameters=(
         Parameter(
             "time_constant_s",
-            low=1e-3,
-            high=3000.0,
-            seeds=(0.005, 0.05, 1.0, 30.0),
+            low=0.02,
+            high=600.0,
+            seeds=(0.05, 1.0, 30.0),
             neutral=0.0,
             logarithmic=True,
-            source="volumes of 0.1 to 1 L with natural convection: 0.3 to 10 s",
+            source=(
+                "conduction d²/(π² a) across 2 mm of air: 0.02 s; natural convection: "
+                "0.3 to 10 s in 0.1 to 1 L, minutes in 100 L"
+            ),
         ),
     ),
     experiment=(
@@ -35,4 +38,5 @@ CAUSE = Cause(
         "as the gas cools, the pressure falls to a new level."
     ),
     apply=apply,
+    needs=("cv",),
 )

@@ -22,9 +22,10 @@ CAUSE = Cause(
             seeds=(3e2, 1e4, 1e6),
             neutral=float("inf"),
             logarithmic=True,
-            source="from an open outlet (10) to a weld that keeps its pressure for a week (1e8)",
+            source="from a hole of 5 mm (10) to a weld that keeps its pressure for a week (1e8)",
         ),
     ),
     experiment="Inflate the control volume, shut all valves, and record its pressure for a minute.",
     apply=apply,
+    needs=("cv",),
 )

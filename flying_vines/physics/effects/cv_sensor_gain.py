@@ -18,14 +18,17 @@ CAUSE = Cause(
     parameters=(
         Parameter(
             "gain",
-            low=0.5,
-            high=2.0,
+            low=0.6,
+            high=1.6,
             seeds=(1.0,),
             neutral=1.0,
             logarithmic=True,
-            source="a wrong supply voltage or voltage divider: about 10 %",
+            source=(
+                "3.3 V in place of 5 V on a ratiometric sensor: 0.66, or 1.5; a voltage divider: about 10 %"
+            ),
         ),
     ),
     experiment="Hold a pressure, and compare the reading with a calibrated gauge.",
     apply=apply,
+    needs=("cv",),
 )

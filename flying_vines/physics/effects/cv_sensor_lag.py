@@ -28,4 +28,5 @@ CAUSE = Cause(
     ),
     experiment="Inflate quickly, shut all valves at once, and record every millisecond.",
     apply=apply,
+    needs=("cv",),
 )

@@ -18,13 +18,14 @@ CAUSE = Cause(
     parameters=(
         Parameter(
             "offset_kPa",
-            low=-50.0,
-            high=50.0,
+            low=-20.0,
+            high=20.0,
             seeds=(0.0,),
             neutral=0.0,
-            source="total error band ±3.1 kPa; more with a wrong zero",
+            source="total error band ±3.1 kPa of 207; a zero that was never set: 10 % of the span",
         ),
     ),
     experiment="Vent the control volume, wait, and read its sensor.",
     apply=apply,
+    needs=("cv",),
 )

@@ -21,13 +21,14 @@ CAUSE = Cause(
         Parameter(
             "volume_L",
             low=1e-5,
-            high=5.0,
+            high=2.0,
             seeds=(0.003, 0.03),
             neutral=0.0,
             logarithmic=True,
-            source="from a fitting to a vessel of the wrong size",
+            source="from a fitting (0.01 mL) to 10 m of 16 mm hose (2 L)",
         ),
     ),
     experiment="Weigh the control volume and its tubing full of water; or inflate it through a known flow.",
     apply=apply,
+    needs=("cv",),
 )

@@ -18,10 +18,12 @@ CAUSE = Cause(
         Parameter(
             "opening",
             low=0.0,
-            high=0.9,
+            high=0.8,
             seeds=(0.002, 0.05, 0.2),
             neutral=0.0,
-            source="small proportional valves: 0.25 to 0.45 of full current",
+            source=(
+                "small proportional valves: 0.25 to 0.45 of full current; a pump's motor starts at up to 0.7"
+            ),
         ),
     ),
     experiment="Raise the opening of the inflation valve from 0 to 1 in small steps, a second each.",

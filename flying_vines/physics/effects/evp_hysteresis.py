@@ -20,10 +20,10 @@ CAUSE = Cause(
         Parameter(
             "width",
             low=0.0,
-            high=0.6,
+            high=0.4,
             seeds=(0.003, 0.05, 0.15),
             neutral=0.0,
-            source="manufacturers state about 0.1; more with a worn valve",
+            source="manufacturers state about 0.1, simple valves 0.2; more with a worn valve",
         ),
     ),
     experiment="Raise the opening of the inflation valve in small steps and lower it again the same way.",

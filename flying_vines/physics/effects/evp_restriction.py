@@ -28,7 +28,7 @@ CAUSE = Cause(
         Parameter(
             "scale",
             low=0.1,
-            high=20.0,
+            high=10.0,
             seeds=(1.0,),
             neutral=1.0,
             logarithmic=True,
@@ -37,4 +37,5 @@ CAUSE = Cause(
     ),
     experiment="Open the inflation valve fully into a known volume from the full reservoir.",
     apply=apply,
+    needs=("reservoir",),
 )

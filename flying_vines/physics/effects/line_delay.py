@@ -21,7 +21,7 @@ CAUSE = Cause(
             high=1.0,
             seeds=(0.001, 0.02, 0.08),
             neutral=0.0,
-            source="valve 2 to 5 ms, drivers and buses up to about 100 ms",
+            source=("valve 2 to 5 ms, drivers and buses up to about 100 ms, a computer's loop up to 1 s"),
         ),
     ),
     experiment="Open and shut the inflation valve in pulses of 0.05 to 0.5 s.",

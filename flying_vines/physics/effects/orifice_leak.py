@@ -31,4 +31,5 @@ CAUSE = Cause(
     ),
     experiment="Inflate the control volume to its highest pressure, shut all valves, and let it empty.",
     apply=apply,
+    needs=("cv",),
 )

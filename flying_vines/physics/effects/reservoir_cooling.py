@@ -22,12 +22,15 @@ CAUSE = Cause(
     parameters=(
         Parameter(
             "time_constant_s",
-            low=3e-3,
-            high=3000.0,
+            low=0.05,
+            high=600.0,
             seeds=(0.1, 10.0, 300.0),
             neutral=0.0,
             logarithmic=True,
-            source="a 2 L bottle with natural convection: about 10 s; stuffed with wire: near 0",
+            source=(
+                "stuffed with wire: 0.05 s; a 2 L bottle with natural convection: "
+                "about 10 s; a 50 L cylinder: minutes"
+            ),
         ),
     ),
     experiment=(
@@ -35,4 +38,5 @@ CAUSE = Cause(
         "cooled gas makes the pressure rise again."
     ),
     apply=apply,
+    needs=("reservoir",),
 )

@@ -22,9 +22,10 @@ CAUSE = Cause(
             seeds=(3e3, 3e5),
             neutral=float("inf"),
             logarithmic=True,
-            source="from 1/20 of the inflation valve's resistance (100) to a bottle tight for a month (1e8)",
+            source="from a hole of 2 mm (100) to a bottle tight for a month (1e8)",
         ),
     ),
     experiment="Fill the reservoir, shut all valves, and record its pressure for a minute.",
     apply=apply,
+    needs=("reservoir",),
 )

@@ -18,13 +18,14 @@ CAUSE = Cause(
     parameters=(
         Parameter(
             "offset_kPa",
-            low=-200.0,
-            high=200.0,
+            low=-75.0,
+            high=75.0,
             seeds=(0.0,),
             neutral=0.0,
-            source="total error band ±22.5 kPa; more with a wrong zero",
+            source="total error band ±22.5 kPa of 1500; a zero that was never set: 5 % of the span",
         ),
     ),
     experiment="Empty the reservoir, wait, and read its sensor.",
     apply=apply,
+    needs=("reservoir",),
 )

@@ -27,4 +27,5 @@ CAUSE = Cause(
     ),
     experiment="Fill the reservoir, shut all valves, and record its pressure until it is half empty.",
     apply=apply,
+    needs=("reservoir",),
 )

@@ -17,14 +17,15 @@ CAUSE = Cause(
     parameters=(
         Parameter(
             "scale",
-            low=0.2,
-            high=5.0,
+            low=0.4,
+            high=2.5,
             seeds=(1.0,),
             neutral=1.0,
             logarithmic=True,
-            source="from the next smaller bottle to the next larger",
+            source="from the next smaller vessel of a series (1, 2, 5, 10 L) to the next larger",
         ),
     ),
     experiment="Weigh the reservoir full of water; or discharge it through a known flow.",
     apply=apply,
+    needs=("reservoir",),
 )

@@ -18,10 +18,10 @@ CAUSE = Cause(
         Parameter(
             "delay_s",
             low=0.0,
-            high=1.0,
+            high=0.5,
             seeds=(0.001, 0.02, 0.08),
             neutral=0.0,
-            source="10 to 40 ms with a fly-back diode; more if it sticks",
+            source="10 to 40 ms, with a fly-back diode up to 100 ms; more if it sticks",
         ),
     ),
     experiment="Vent the inflated control volume in pulses of 0.05 to 0.5 s.",

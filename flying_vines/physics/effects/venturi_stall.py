@@ -17,13 +17,14 @@ CAUSE = Cause(
     parameters=(
         Parameter(
             "supply_pressure_kPa",
-            low=10.0,
-            high=900.0,
+            low=30.0,
+            high=700.0,
             seeds=tuple(range(60, 700, 20)),
             neutral=0.0,
-            source="ejectors: the vacuum falls below about 300 kPa of supply",
+            source="ejectors are rated at 300 to 600 kPa; below about 300 kPa the vacuum falls",
         ),
     ),
     experiment="Empty the control volume with the Venturi repeatedly, until the reservoir is empty.",
     apply=apply,
+    needs=("venturi",),
 )

@@ -17,17 +17,15 @@ CAUSE = Cause(
     parameters=(
         Parameter(
             "conductance_constant_kPa2_s_per_SL",
-            low=5e3,
+            low=2e3,
             high=5e10,
             seeds=(1e5, 3e6, 3e8),
             neutral=float("inf"),
             logarithmic=True,
-            source=(
-                "the leaks of cv_leak, 25 to 1e8 kPa·s/SL, times the sum of pressures, 200 kPa near ambient "
-                "and 500 in a chamber at 3 bar"
-            ),
+            source="the leaks of cv_leak (10 to 1e8) times the sum of pressures, 200 to 500 kPa",
         ),
     ),
     experiment="Inflate the control volume to its highest pressure, shut all valves, and let it empty.",
     apply=apply,
+    needs=("cv",),
 )

@@ -33,16 +33,23 @@ class Steady:
         return self.pressure_kPa, self.temperature_K, 0.0
 
 
+LOWEST_KPA, HIGHEST_KPA = 47.0, 109.0
+"""Ambient pressures at 6000 m and 600 m below sea level: no rig gets further."""
+
+
 @dataclass(frozen=True)
 class Climb:
-    """Pressure falls at a constant rate from t = 0 on."""
+    """Pressure falls at a constant rate from t = 0 on, until it reaches the limits of ambient pressure."""
 
     falls_kPa_per_s: float
     pressure_kPa: float = STANDARD_PRESSURE_KPA
     temperature_K: float = STANDARD_TEMPERATURE_K
 
     def at(self, t_s: float) -> tuple[float, float, float]:
-        return self.pressure_kPa - self.falls_kPa_per_s * t_s, self.temperature_K, -self.falls_kPa_per_s
+        kPa = self.pressure_kPa - self.falls_kPa_per_s * t_s
+        if LOWEST_KPA <= kPa <= HIGHEST_KPA:
+            return kPa, self.temperature_K, -self.falls_kPa_per_s
+        return min(max(kPa, LOWEST_KPA), HIGHEST_KPA), self.temperature_K, 0.0
 
 
 @dataclass(frozen=True)

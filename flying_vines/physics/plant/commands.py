@@ -10,6 +10,9 @@ from flying_vines.physics.arrays import Array
 from flying_vines.physics.compiler import compiled
 from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion, backlash, dead_zone
 
+HEATED_PART = 0.02
+"""Parts in which a warming valve is constant, in time constants: an error of 1e-4 of the loss."""
+
 
 class Steps(NamedTuple):
     """Steps of one valve: `value[i]` holds from `time_s[i]` until the next; the first also holds before."""
@@ -44,26 +47,55 @@ def together(commands: Commands) -> tuple[Array, Array]:
 
 
 def followed(
-    commands: Commands, evp: ValveMotion | None, dvp: ValveMotion | None, solenoid: SolenoidTiming | None
+    commands: Commands,
+    evp: ValveMotion | None,
+    dvp: ValveMotion | None,
+    solenoid: SolenoidTiming | None,
+    until_s: float,
 ) -> Commands:
-    """The openings that follow from commands, at exact times: delays, backlash, dead zones. The integrator
-    adds the lags."""
+    """The openings that follow from commands up to a time, at exact times: delays, backlash, dead zones,
+    heating. The integrator adds the lags."""
     return Commands(
-        _moved(commands.evp, evp) if evp else commands.evp,
-        _moved(commands.dvp, dvp) if dvp else commands.dvp,
+        _moved(commands.evp, evp, until_s) if evp else commands.evp,
+        _moved(commands.dvp, dvp, until_s) if dvp else commands.dvp,
         _switched(commands.solenoid, solenoid) if solenoid else commands.solenoid,
     )
 
 
-def _moved(commands: Steps, motion: ValveMotion) -> Steps:
+def _moved(commands: Steps, motion: ValveMotion, until_s: float) -> Steps:
     time_s, value = commands
     if motion.delay_s > 0.0:
         # The valve is shut until the first command arrives.
         time_s = np.concatenate((time_s[:1], time_s + motion.delay_s))
         value = np.concatenate(([0.0], value))
+    driven = value
     if motion.backlash_width > 0.0 or motion.dead_opening > 0.0:
         value = compiled(moved_openings)(value, motion.backlash_width, motion.dead_opening)
+    if motion.heating_share > 0.0:
+        return _heated(time_s, driven, value, motion, until_s)
     return Steps(time_s, value)
+
+
+def _heated(time_s: Array, driven: Array, value: Array, motion: ValveMotion, until_s: float) -> Steps:
+    """Openings of a valve whose coil warms up; `driven` are its commands, before backlash and dead zone.
+
+    The last opening holds until `until_s`. The loss is constant over parts that are short against the
+    heating's time constant.
+    """
+    lasts_s = np.diff(time_s, append=max(until_s, time_s[-1]))
+    counts = np.where(value > 0.0, np.ceil(lasts_s / (HEATED_PART * motion.heating_time_s)), 1.0)
+    counts = np.maximum(counts, 1.0).astype(int)
+    warmth, every = np.empty(len(value)), np.repeat(np.arange(len(value)), counts)
+    left = np.exp(-lasts_s / motion.heating_time_s)
+    warm = 0.0
+    for i in range(len(value)):
+        warmth[i] = warm
+        warm = driven[i] + (warm - driven[i]) * left[i]
+    part_s = (lasts_s / counts)[every]
+    since_s = (np.arange(len(every)) - np.repeat(np.cumsum(counts) - counts, counts)) * part_s
+    middle = np.exp(-(since_s + 0.5 * part_s) / motion.heating_time_s)
+    loss = motion.heating_share * (driven[every] + (warmth[every] - driven[every]) * middle)
+    return Steps(time_s[every] + since_s, value[every] * (1.0 - loss))
 
 
 def moved_openings(commands: Array, backlash_width: float, dead_opening: float) -> Array:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.compiler import compiled, record
 from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
-from flying_vines.physics.plant.ambient import Ambient, Recorded, Steady
+from flying_vines.physics.plant.ambient import HIGHEST_KPA, LOWEST_KPA, Ambient, Climb, Recorded, Steady
 from flying_vines.physics.plant.loops import APART, COLUMNS, Table, run_openings
 from flying_vines.physics.plant.numbers import numbers_of
 from flying_vines.physics.plant.plant import Plant, State, at_rest
@@ -107,14 +107,14 @@ def weather_of(plant: Plant, n_ticks: int, tick_s: float) -> Table:
 
 def weather_at(ambient: Ambient, times_s: NDArray[np.floating[Any]]) -> Table:
     """Ambient air at rising times: kPa absolute, temperature ratio."""
-    corners_s = ambient.time_s if isinstance(ambient, Recorded) else (times_s[0], times_s[-1])
-    kPa, kelvin, _ = np.transpose([ambient.at(corner_s) for corner_s in corners_s])
-    return np.column_stack(
-        [
-            np.interp(times_s, corners_s, kPa),
-            np.interp(times_s, corners_s, kelvin) / STANDARD_TEMPERATURE_K,
-        ]
-    )
+    if isinstance(ambient, Climb):
+        falling = ambient.pressure_kPa - ambient.falls_kPa_per_s * times_s
+        kPa, kelvin = np.clip(falling, LOWEST_KPA, HIGHEST_KPA), np.full(len(times_s), ambient.temperature_K)
+    else:
+        corners_s = ambient.time_s if isinstance(ambient, Recorded) else (times_s[0], times_s[-1])
+        kPa, kelvin, _ = np.transpose([ambient.at(corner_s) for corner_s in corners_s])
+        kPa, kelvin = np.interp(times_s, corners_s, kPa), np.interp(times_s, corners_s, kelvin)
+    return np.column_stack([kPa, kelvin / STANDARD_TEMPERATURE_K])
 
 
 def noise_of(seed: int | None, n_ticks: int) -> Table:

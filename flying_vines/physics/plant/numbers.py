@@ -44,6 +44,8 @@ class PlantNumbers(NamedTuple):
     reservoir_per_L: float
     reservoir_heat: Heat
     reservoir_leak: Leak
+    pump_stall_kPa: float
+    """Gauge pressure at which the pump delivers nothing; 0: no pump. `evp` then has its flow resistance."""
     evp: ValveNumbers
     dvp: ValveNumbers
     venturi: Suction
@@ -68,9 +70,9 @@ class PlantNumbers(NamedTuple):
 def numbers_of(plant: Plant, tick_s: float) -> PlantNumbers:
     """The numbers of a plant."""
     rig, effects = plant.rig, plant.effects
-    gas = rig.gas.properties
+    gas, pump = rig.gas.properties, rig.pump if rig.cv else None
     evp = _valve(
-        effects.evp_law,
+        Ohm(pump.flow_resistance_kPa_s_per_SL) if pump else effects.evp_law,
         rig.evp.flow_resistance_kPa_s_per_SL,
         effects.evp_motion,
         effects.evp_coil,
@@ -85,13 +87,15 @@ def numbers_of(plant: Plant, tick_s: float) -> PlantNumbers:
         tick_s,
         gas,
     )
-    timing, tubing = effects.solenoid_timing, effects.tubing if rig.cv else None
+    timing, tubing = effects.solenoid_timing, plant.tubing if rig.cv else None
     venturi = (effects.ejector or Ejector()).numbers(rig.venturi, gas)
-    reservoir_heat = effects.reservoir_wall.numbers(gas.gamma) if effects.reservoir_wall else Heat()
+    # The reservoir of a rig with a pump stays at ambient pressure and temperature.
+    reservoir_wall = None if pump else effects.reservoir_wall
+    reservoir_heat = reservoir_wall.numbers(gas.gamma) if reservoir_wall else Heat()
     cv_heat = effects.cv_wall.numbers(gas.gamma) if effects.cv_wall and rig.cv else Heat()
     cv = plant.shape.numbers(plant.cv_volume_L, gas.gamma - 1.0 if cv_heat.own_temperature else 0.0)
-    reservoir_leak = leak_of(effects.reservoir_leaks, gas)
-    reservoir_gas = gas.gamma if effects.reservoir_wall else 1.0
+    reservoir_leak = Leak() if pump else leak_of(effects.reservoir_leaks, gas)
+    reservoir_gas = gas.gamma if reservoir_wall else 1.0
     steepest = evp.law.steepest_SL_per_s_kPa + dvp.law.steepest_SL_per_s_kPa
     standing_per_s = max(
         ALPHA_KPA
@@ -110,6 +114,7 @@ def numbers_of(plant: Plant, tick_s: float) -> PlantNumbers:
         reservoir_per_L=1.0 / rig.reservoir.volume_L,
         reservoir_heat=reservoir_heat,
         reservoir_leak=reservoir_leak,
+        pump_stall_kPa=pump.stall_pressure_kPa if pump else 0.0,
         evp=evp,
         dvp=dvp,
         venturi=venturi,

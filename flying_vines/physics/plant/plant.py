@@ -8,6 +8,7 @@ from typing import NamedTuple
 from flying_vines.physics.plant.ambient import Ambient, Steady
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.gas import air_SL
+from flying_vines.physics.plant.tubing import Tubing, hose
 from flying_vines.physics.plant.volume import Compliant, Shape, volume_and_work
 from flying_vines.physics.rig import Rig
 
@@ -26,6 +27,11 @@ class Plant:
     @property
     def ambient(self) -> Ambient:
         return Steady() if self.effects.ambient is None else self.effects.ambient
+
+    @property
+    def tubing(self) -> Tubing | None:
+        """The tube before the control volume: that of the effects, otherwise the rig's hose."""
+        return self.effects.tubing or hose(self.rig)
 
     @property
     def shape(self) -> Shape:
@@ -92,14 +98,17 @@ def at_rest(
 ) -> State:
     """The state with all valves shut, at ambient temperature, with these gauge pressures.
 
-    `pouch_volume_L` is the volume of the actuator's bending pouch at 0 kPa; default: flat.
+    `pouch_volume_L` is the volume of the actuator's bending pouch at 0 kPa; default: flat. A rig with a pump
+    has no reservoir, and `reservoir_kPa` then has no meaning.
     """
-    effects, g = plant.effects, plant.rig.gas.properties.gamma - 1.0
+    g = plant.rig.gas.properties.gamma - 1.0
     ambient_kPa, ambient_K, _ = plant.ambient.at(t_s)
     chamber = plant.shape.numbers(plant.cv_volume_L, g)
     volume_L, work_J = volume_and_work(chamber, cv_kPa, ambient_kPa, pouch_volume_L or 0.0)
+    if plant.rig.pump is not None:
+        reservoir_kPa = 0.0
     reservoir_kPa_abs, cv_kPa_abs = reservoir_kPa + ambient_kPa, cv_kPa + ambient_kPa
-    line_L = effects.tubing.volume_L if effects.tubing else 0.0
+    line_L = plant.tubing.volume_L if plant.tubing else 0.0
     return State(
         air_SL(reservoir_kPa_abs, plant.rig.reservoir.volume_L, ambient_K),
         reservoir_kPa_abs * plant.rig.reservoir.volume_L,

@@ -69,9 +69,13 @@ def rates(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Hel
     ) = _balance(numbers, air, at_s, state, held)  # fmt: skip
     reservoir_pV = reservoir_wall = cv_energy = cv_wall = cv_air = line_air = 0.0
     vented = motive + outlet + leak_r + leak_c + lost
+    drawn = evp
+    if numbers.pump_stall_kPa > 0.0:
+        drawn = 0.0
+        vented -= evp
     if numbers.reservoir_heat.own_temperature:
         reservoir_pV = heat_r - numbers.gamma * ALPHA_KPA * (
-            evp_ratio * evp + motive_ratio * motive + leak_r_ratio * leak_r
+            evp_ratio * drawn + motive_ratio * motive + leak_r_ratio * leak_r
         )
         reservoir_wall = wall_K_per_s(numbers.reservoir_heat, heat_r, state[2], ratio_a)
     if not numbers.has_cv:
@@ -94,7 +98,7 @@ def rates(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Hel
             )
             cv_wall = wall_K_per_s(numbers.cv_heat, heat_c, state[5], ratio_a)
     return (
-        -(evp + motive + leak_r),
+        -(drawn + motive + leak_r),
         reservoir_pV,
         reservoir_wall,
         cv_air,
@@ -158,7 +162,12 @@ def _balance(
         else:
             near, ratio_near = p_c, ratio_c
         if x_e > 0.0:
-            evp = x_e * flow_SL_per_s(numbers.evp.law, p_r, near, ratio_r, ratio_near)
+            if numbers.pump_stall_kPa > 0.0:
+                # From ambient: what the reservoir loses is taken from there, see `rates`.
+                left_kPa = max(0.0, numbers.pump_stall_kPa - (near - ambient))
+                evp = x_e * left_kPa * numbers.evp.law.conductance_SL_per_s_kPa
+            else:
+                evp = x_e * flow_SL_per_s(numbers.evp.law, p_r, near, ratio_r, ratio_near)
         # As in the baseline: no backflow while the Venturi runs, free flow both ways while it is off.
         if held.solenoid_open and (near > ambient - vacuum or held.dvp_target <= 0.0):
             outlet = outlet_SL_per_s(

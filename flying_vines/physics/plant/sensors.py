@@ -1,6 +1,6 @@
-"""Reading of a true pressure: lag, offset, gain, noise, range, converter (ADC), in this order.
+"""Reading of a true pressure: lag, offset and drift, gain, noise, range, converter (ADC), in this order.
 
-dx/dt = (P − x) / τ        reading = gain · (x + offset) + noise, clipped to the range, in ADC steps
+dx/dt = (P − x) / τ     reading = gain · (x + offset + drift · t) + noise, clipped to the range, in ADC steps
 """
 
 from __future__ import annotations
@@ -59,6 +59,7 @@ class Transfer(NamedTuple):
     span_kPa: float
     noise_std_kPa: float
     offset_kPa: float
+    drift_kPa_per_s: float
     gain: float
     time_constant_s: float
     lowest_kPa: float
@@ -83,6 +84,8 @@ class Sensor:
     lowest_share: float | None = None
     highest_share: float | None = None
     adc: Adc | None = None
+    drift_kPa_per_min: float = 0.0
+    """Of the offset, from the first reading on."""
 
     def __post_init__(self) -> None:
         if not (self.span_kPa > 0.0 and self.noise_std_kPa >= 0.0 and self.time_constant_s >= 0.0):
@@ -94,6 +97,7 @@ class Sensor:
             self.span_kPa,
             self.noise_std_kPa,
             self.offset_kPa,
+            self.drift_kPa_per_min / 60.0,
             self.gain,
             self.time_constant_s,
             -inf if self.lowest_share is None else self.lowest_share * self.span_kPa,
@@ -114,15 +118,16 @@ HONEYWELL_15BAR = Sensor(
 
 
 class SensorMemory(NamedTuple):
-    """State of a sensor: true and lagged pressure at the last reading, kPa."""
+    """State of a sensor: true and lagged pressure at the last reading, kPa, and its time since the first."""
 
     true_kPa: float
     lagged_kPa: float
+    elapsed_s: float
 
 
 def rested(true_kPa: float) -> SensorMemory:
     """A settled sensor at this pressure."""
-    return SensorMemory(true_kPa, true_kPa)
+    return SensorMemory(true_kPa, true_kPa, 0.0)
 
 
 def read(
@@ -147,8 +152,10 @@ def reading(
             behind_kPa = tau_s * (true_kPa - seen.true_kPa) / dt_s
             left = exp(-dt_s / tau_s)
             lagged_kPa = true_kPa - behind_kPa + (seen.lagged_kPa - seen.true_kPa + behind_kPa) * left
-    kPa = sensor.gain * (lagged_kPa + sensor.offset_kPa) + sensor.noise_std_kPa * standard_normal
+    elapsed_s = seen.elapsed_s + dt_s
+    offset_kPa = sensor.offset_kPa + sensor.drift_kPa_per_s * elapsed_s
+    kPa = sensor.gain * (lagged_kPa + offset_kPa) + sensor.noise_std_kPa * standard_normal
     kPa = min(sensor.highest_kPa, max(sensor.lowest_kPa, kPa))
     if sensor.has_adc:
         kPa = _pressure_kPa(sensor.adc, _code(sensor.adc, kPa, sensor.span_kPa), sensor.span_kPa)
-    return SensorMemory(true_kPa, lagged_kPa), kPa
+    return SensorMemory(true_kPa, lagged_kPa, elapsed_s), kPa

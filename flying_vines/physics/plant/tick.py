@@ -22,6 +22,7 @@ from flying_vines.physics.plant.valve_response import (
     opening_after,
     opening_midway,
     solenoid_after,
+    warmth_after,
 )
 
 _MAX_STEP = 2.3
@@ -49,6 +50,8 @@ class ValveMemory(NamedTuple):
     passed_on: float
     """Command after the backlash."""
     coil_K: float
+    warmth: float
+    """See `ValveMotion.heating_share`."""
 
 
 class Memory(NamedTuple):
@@ -64,7 +67,7 @@ class Memory(NamedTuple):
 
 def memory_at_rest(solenoid_open: bool, ambient_K: float) -> Memory:
     """Valves shut, backlash closed, coils at ambient temperature."""
-    valve = ValveMemory(0.0, 0.0, ambient_K)
+    valve = ValveMemory(0.0, 0.0, ambient_K, 0.0)
     return Memory(valve, valve, solenoid_open, 0, False, 0)
 
 
@@ -142,14 +145,19 @@ def _follow(valve: ValveNumbers, memory: ValveMemory, command: float, air: Air, 
     """The target of a valve during a tick."""
     coil_K = memory.coil_K
     if valve.stuck_opening >= 0.0:
-        return ValveMemory(valve.stuck_opening, memory.passed_on, coil_K)
+        return ValveMemory(valve.stuck_opening, memory.passed_on, coil_K, memory.warmth)
     if valve.has_coil:
         current = current_A(valve.coil, command, coil_K)
         ambient_K = air.ratio * STANDARD_TEMPERATURE_K
         coil_K = temperature_after_K(valve.coil, coil_K, current, ambient_K, tick_s)
         command = current / valve.coil.full_current_A
+    warmth = midway = 0.0
+    if valve.motion.heating_share > 0.0:
+        warmth = warmth_after(valve.motion, memory.warmth, command, tick_s)
+        midway = 0.5 * (memory.warmth + warmth)
     command = backlash(memory.passed_on, command, valve.motion.backlash_width)
-    return ValveMemory(dead_zone(command, valve.motion.dead_opening), command, coil_K)
+    target = dead_zone(command, valve.motion.dead_opening) * (1.0 - valve.motion.heating_share * midway)
+    return ValveMemory(target, command, coil_K, warmth)
 
 
 def _first_crossing(before: tuple[float, float, float], after: tuple[float, float, float]) -> float:

@@ -32,14 +32,13 @@ from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.likely import likely_effects
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, Sensor
 from flying_vines.physics.plant.setup import Setup, changed, perfect
-from flying_vines.physics.rig import Rig, RigError, Sensors, read_rig, rig_from
+from flying_vines.physics.rig import WITHOUT_PUMP, Rig, RigError, Sensors, read_rig, rig_from
 
 _EFFECTS: dict[str, dict[str, type]] = {
     name: {kind.__name__.lower(): kind for kind in get_args(hint) if kind is not types.NoneType}
     for name, hint in get_type_hints(Effects).items()
 }
 """For each effect: its types, by kind."""
-_NEEDS_CV = ("cv_", "dead_volume", "viscous_leak", "orifice_leak")
 _POSITIVE = ("gain", "scale")
 
 
@@ -134,7 +133,9 @@ def true_rig_text(rig: TrueRig) -> str:
     tables = [
         (name, {key: number for key, number in table.items() if number is not None})
         for name, table in nominal.items()
-        if table and not (name == "gas" and table == default[name])
+        if table
+        and not (name == "gas" and table == default[name])
+        and not (rig.nominal.pump and name in WITHOUT_PUMP)
     ]
     tables += [(f"causes.{name}", dict(parameters)) for name, parameters in rig.causes.items()]
     if rig.none_found:
@@ -157,8 +158,10 @@ def _caused(made: Setup, name: str, parameters: Mapping[str, float]) -> Setup:
     except KeyError:
         names = ", ".join(cause.name for cause in (NONE, *catalogue()))
         raise RigError(f"{where} is not a cause: the causes are {names}.") from None
-    if made.plant.rig.cv is None and name.startswith(_NEEDS_CV):
-        raise RigError(f"{where} needs a control volume, and the rig has no [cv].")
+    for table in cause.needs:
+        if not made.plant.rig.has(table):
+            what = {"cv": "a control volume"}.get(table, f"a {table}")
+            raise RigError(f"{where} needs {what}, and the rig has no [{table}].")
     known = [parameter.name for parameter in cause.parameters]
     for parameter, value in parameters.items():
         if parameter not in known:

@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import pi
 
+from flying_vines.physics.rig import Rig
+
 _VISCOSITY_PA_S = 1.81e-5
 """Viscosity of air at 20 °C."""
 
@@ -23,6 +25,11 @@ class Tubing:
     def __post_init__(self) -> None:
         if not (self.volume_L > 0.0 and self.flow_resistance_kPa_s_per_SL > 0.0):
             raise ValueError("a tube's volume and resistance must be positive")
+
+
+def hose(rig: Rig) -> Tubing | None:
+    """The hose of a rig."""
+    return Tubing(rig.hose.volume_L, rig.hose.flow_resistance_kPa_s_per_SL) if rig.hose else None
 
 
 def tubing_of(length_m: float, bore_mm: float) -> Tubing:

@@ -1,7 +1,7 @@
-"""How a valve follows its command: delay, backlash, dead zone, lag, in this order; and a solenoid's delays.
+"""How a valve follows its command; and a solenoid's delays.
 
-The first three change once a tick of the firmware; delays are whole ticks. The lag dx/dt = (target − x) / τ
-is exact for any step.
+Delay, backlash, dead zone, heating and lag act in this order. The first four change once a tick of the
+firmware; delays are whole ticks. The lag dx/dt = (target − x) / τ is exact for any step.
 """
 
 from __future__ import annotations
@@ -15,15 +15,20 @@ class ValveMotion:
     """Motion of a proportional valve. With the defaults the opening is the command.
 
     `backlash_width` is the full width of the backlash as a share of full command; a command of 0 shuts the
-    valve and resets the backlash. `dead_opening` is the command up to which the valve stays shut.
+    valve and resets the backlash. `dead_opening` is the command up to which the valve stays shut. A driven
+    coil warms up, dw/dt = (u − w) / `heating_time_s`, and the valve loses the share w · `heating_share`.
     """
 
     delay_s: float = 0.0
     backlash_width: float = 0.0
     dead_opening: float = 0.0
     time_constant_s: float = 0.0
+    heating_share: float = 0.0
+    heating_time_s: float = 1.0
 
     def __post_init__(self) -> None:
+        if not (0.0 <= self.heating_share < 1.0 and self.heating_time_s > 0.0):
+            raise ValueError("the share lost by heating must be in 0…1, and its time constant positive")
         if not (self.delay_s >= 0.0 and self.backlash_width >= 0.0 and self.time_constant_s >= 0.0):
             raise ValueError("delay, backlash and lag must not be negative")
         if not 0.0 <= self.dead_opening < 1.0:
@@ -63,6 +68,11 @@ def backlash(held: float, command: float, width: float) -> float:
 def dead_zone(command: float, dead_opening: float) -> float:
     """max(0, (u − u₀) / (1 − u₀)), at most 1: a full command still opens fully."""
     return min(1.0, max(0.0, (command - dead_opening) / (1.0 - dead_opening)))
+
+
+def warmth_after(motion: ValveMotion, warmth: float, command: float, dt_s: float) -> float:
+    """How warm the coil is `dt_s` later, with a constant command; 1 is as warm as full command makes it."""
+    return command + (warmth - command) * exp(-dt_s / motion.heating_time_s)
 
 
 def ticks(delay_s: float, tick_s: float) -> int:

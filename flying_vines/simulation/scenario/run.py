@@ -41,7 +41,8 @@ class ScenarioRun:
     """The recorded run, one element per sample; gauge pressures.
 
     An opening holds until the next sample. `command_kPa` is NaN without regulation. The control volume's
-    pressures are NaN if the rig has none. A real rig cannot measure the true pressures.
+    pressures are NaN if the rig has none, the reservoir's if the rig has a pump. A real rig cannot measure
+    the true pressures.
     """
 
     label: str
@@ -75,6 +76,11 @@ def simulate(rig: Rig | TrueRig, run: RunKind, seed: int = 1, *, index: int = 0)
     command = command_of(run, pattern)
     if believed.cv is None and run.needs_cv:
         raise ScenarioError(f"runs[{index}]: {run.label} needs a control volume, and the rig has no [cv]")
+    if believed.pump is not None and command is not None:
+        raise ScenarioError(
+            f"runs[{index}]: {run.label} needs the regulator of the valves, and the rig has a pump; "
+            'use runs of kind "openings"'
+        )
     controller: _Controller
     if command is None or believed.cv is None:
         valves = valves_of(run, pattern)
@@ -117,6 +123,8 @@ def _recorded(run: RunKind, rig: Rig, columns: Array, faults: str) -> ScenarioRu
     time_s, command, evp, dvp, solenoid, cv, reservoir, true_cv, true_reservoir = columns
     if rig.cv is None:
         cv = true_cv = np.full_like(time_s, np.nan)
+    if rig.pump is not None:
+        reservoir = true_reservoir = np.full_like(time_s, np.nan)
     return ScenarioRun(
         run.label, time_s, command, evp, dvp, solenoid > 0.5, cv, reservoir, true_cv, true_reservoir, faults
     )

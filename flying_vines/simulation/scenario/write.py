@@ -27,8 +27,10 @@ class CaseFolderError(ValueError):
 
 
 def csv_text(run: ScenarioRun) -> str:
-    """A run as CSV. Without a control volume there is no column for its pressure."""
-    names = [name for name in _COLUMNS if name != "cv_pressure_kPa" or not math.isnan(run.cv_pressure_kPa[0])]
+    """A run as CSV. Without a control volume or a reservoir there is no column for its pressure."""
+    names = [
+        name for name in _COLUMNS if "pressure" not in name or not math.isnan(float(getattr(run, name)[0]))
+    ]
     columns = [map(_COLUMNS[name], getattr(run, name).tolist()) for name in names]
     return "\n".join([",".join(names), *map(",".join, zip(*columns, strict=True)), ""])
 

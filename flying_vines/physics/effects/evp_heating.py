@@ -1,0 +1,41 @@
+"""The inflation valve (EVP) loses flow as its coil warms up: its conductance falls by w times a share.
+
+dw/dt = (u − w) / τ, w = 0 at the start of a recording
+"""
+
+from __future__ import annotations
+
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.valve_response import ValveMotion
+
+
+def apply(base: Setup, share: float, time_constant_s: float) -> Setup:
+    return base.with_effects(evp_motion=ValveMotion(heating_share=share, heating_time_s=time_constant_s))
+
+
+CAUSE = Cause(
+    name="evp_heating",
+    what="The inflation valve opens less as its coil warms up.",
+    parameters=(
+        Parameter(
+            "share",
+            low=0.0,
+            high=0.6,
+            seeds=(0.02, 0.2),
+            neutral=0.0,
+            source="copper 0.39 % per K: 20 % less current at 50 K, which is up to twice that of the opening",
+        ),
+        Parameter(
+            "time_constant_s",
+            low=2.0,
+            high=1500.0,
+            seeds=(30.0,),
+            neutral=None,
+            logarithmic=True,
+            source="heat capacity times thermal resistance: 1 J/K · 2 K/W to 40 J/K · 40 K/W",
+        ),
+    ),
+    experiment="Hold the inflation valve open for minutes, from a cold start, into the open outlet.",
+    apply=apply,
+)

@@ -1,0 +1,43 @@
+"""A hose between the valves and the control volume: a volume of its own, and Q = (P_line − P_cv) / R.
+
+The sensor of the control volume is at the valves. A hose of the rig file is replaced.
+"""
+
+from __future__ import annotations
+
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.tubing import Tubing
+
+
+def apply(base: Setup, flow_resistance_kPa_s_per_SL: float, volume_L: float) -> Setup:
+    return base.with_effects(tubing=Tubing(volume_L, flow_resistance_kPa_s_per_SL))
+
+
+CAUSE = Cause(
+    name="hose",
+    what="A hose with a volume and a resistance of its own lies before the control volume.",
+    parameters=(
+        Parameter(
+            "flow_resistance_kPa_s_per_SL",
+            low=3.0,
+            high=1e4,
+            seeds=(30.0, 300.0),
+            neutral=None,
+            logarithmic=True,
+            source="Hagen-Poiseuille, 128 μ l/(π d⁴): 1 m of 4 mm bore (3) hardly shows; 0.6 mm (6000)",
+        ),
+        Parameter(
+            "volume_L",
+            low=3e-3,
+            high=10.0,
+            seeds=(0.02,),
+            neutral=0.0,
+            logarithmic=True,
+            source="25 cm of 4 mm bore, which hardly shows, to a second vessel of 10 L",
+        ),
+    ),
+    experiment="Inflate quickly, shut all valves at once, and record every millisecond.",
+    apply=apply,
+    needs=("cv",),
+)
