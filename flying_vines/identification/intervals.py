@@ -64,7 +64,8 @@ def widening(candidate: Candidate) -> Array:
     by_block = np.concatenate(scores)
     spread = np.einsum("ij,bj,bk,ki->i", covariance, by_block, by_block, covariance)
     few = stats.t.ppf(0.975, max(1, len(by_block) - len(covariance))) ** 2 / ABOVE
-    return np.maximum(1.0, few * spread / np.diag(covariance))
+    wider: Array = np.maximum(1.0, few * spread / np.diag(covariance))
+    return wider
 
 
 def profile(candidate: Candidate, index: int, number: int, wider: Array) -> LikelihoodProfile:

@@ -91,7 +91,8 @@ def in_odd_stretch(time_s: Array) -> Bools:
 def blocks(time_s: Array) -> NDArray[np.intp]:
     """(n,) block numbers of the samples of a run."""
     since = time_s - time_s[0]
-    return (since // min(BLOCK_S, float(since[-1]) / MIN_BLOCKS)).astype(np.intp)
+    block: NDArray[np.intp] = (since // min(BLOCK_S, float(since[-1]) / MIN_BLOCKS)).astype(np.intp)
+    return block
 
 
 def split(problem: FitProblem, unseen: Sequence[Bools]) -> Split:

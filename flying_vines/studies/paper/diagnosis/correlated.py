@@ -15,6 +15,7 @@ from scipy.linalg import solve_triangular
 
 from flying_vines.identification.case import Case
 from flying_vines.identification.fit import Bools, FitPoint, FitProblem
+from flying_vines.identification.noise import independent_noise
 from flying_vines.physics.arrays import Array
 from flying_vines.studies.paper.diagnosis.evidence import Linear, Noise, UnexplainedLevel
 
@@ -38,8 +39,8 @@ class Correlated(FitProblem):
     def __init__(
         self, case: Case, noise: Noise, level: UnexplainedLevel, used: Sequence[Bools] | None = None
     ) -> None:
-        super().__init__(case, (1.0, 1.0), used)
-        self.noise = noise
+        super().__init__(case, independent_noise(1.0, 1.0), used)
+        self.correlated = noise
         self.level = level
         self.after_s = [run.time_s - run.time_s[0] for run in case.runs]
         self.scaled = [self._scaled(index) for index in range(len(case.runs))]

@@ -323,7 +323,7 @@ def _predicted_percent(plain: Correlated, nearest: FitPoint) -> tuple[float, ...
     for index, run in enumerate(runs):
         used = [np.ones(len(other.time_s), dtype=np.bool_) for other in runs]
         used[index] = np.arange(len(run.time_s)) == 0
-        point = type(plain)(plain.case, plain.noise, plain.level, used).fit(nearest).point
+        point = type(plain)(plain.case, plain.correlated, plain.level, used).fit(nearest).point
         error = _errors_kPa(plain, point)[index]
         errors.append(100.0 * _rms(error[1:]) / float(run.reservoir_kPa[0]))
     return tuple(errors)

@@ -137,7 +137,7 @@ def propose(
 ) -> ExperimentProposal:
     """Simulate the experiments with all explanations of `RIVALS`, which `found` must contain."""
     level = found.candidates[0].problem.level
-    rounding = found.candidates[0].problem.noise.rounding
+    rounding = found.candidates[0].problem.correlated.rounding
     noise = Noise(rounding, (level.discrepancy,), (level.length,), (0.0,))
     with threadpool_limits(1):
         outcomes = []

@@ -143,7 +143,7 @@ def _predicted(found: Discharges) -> str:
 
 
 def _unexplained(found: Discharges) -> str:
-    level, rounding = found.named.problem.level, found.named.problem.noise.rounding
+    level, rounding = found.named.problem.level, found.named.problem.correlated.rounding
     wanders_kPa = level.discrepancy * sqrt(2.0 * (1.0 - exp(-WANDERING_S / level.length)))
     return (
         f"No model is complete: this one leaves {found.named.rms_kPa:.1f} kPa rms, where the logger's steps "
