@@ -34,7 +34,7 @@ from flying_vines.identification.verdict import (
     Verdict,
 )
 from flying_vines.physics.cause import Cause
-from flying_vines.physics.effects import catalogue
+from flying_vines.physics.effects import causes_of
 
 INDISTINGUISHABLE = 9.2
 """Maximum score difference (an evidence ratio of 100) of candidates that the data cannot tell apart."""
@@ -55,10 +55,10 @@ def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progre
 
     Args:
         case: the recorded runs and the nominal rig.
-        causes: causes to test; default: the whole catalogue.
+        causes: causes to test; default: those of the catalogue that this rig can have.
         progress: called with the current step, and the share of the work that is done.
     """
-    every = catalogue() if causes is None else causes
+    every = causes_of(case.rig) if causes is None else causes
     # The fits already use all cores: more BLAS threads would only slow the small matrices down.
     with threadpool_limits(1):
         stated = stated_noise(case.rig, [np.stack((run.cv_kPa, run.reservoir_kPa)) for run in case.runs])

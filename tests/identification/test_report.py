@@ -321,7 +321,7 @@ def test_every_parameter_of_the_catalogue_has_a_label_without_its_unit() -> None
         for parameter in cause.parameters:
             label, unit = label_and_unit(parameter.name)
             assert label and "_" not in label and "kPa" not in label
-            assert bool(unit) == parameter.name.endswith(("_kPa", "_s", "_L", "_SL"))
+            assert bool(unit) == parameter.name.endswith(("_kPa", "_s", "_L", "_SL", "_min"))
 
 
 def test_a_folder_that_cannot_be_written_is_one_line(

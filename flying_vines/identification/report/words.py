@@ -11,6 +11,8 @@ from flying_vines.identification.verdict import ParameterEstimate
 _UNITS = {
     "_kPa2_s_per_SL": "kPa²·s/SL",
     "_SL_per_s_kPa": "SL/(s·kPa)",
+    "_kPa_per_min": "kPa/min",
+    "_SL_per_s": "SL/s",
     "_kPa_s_per_SL": "kPa·s/SL",
     "_kPa_per_s": "kPa/s",
     "_per_kPa": "1/kPa",
