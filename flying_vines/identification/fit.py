@@ -231,12 +231,11 @@ class FitProblem:
         return covariance
 
     def begun(self, base: FitPoint, cause: Cause) -> Fit:
-        """The first steps with a further cause: its own parameters from each seed, then those of all."""
+        """The first steps of a fit with a further cause: its own parameters from each seed, then all."""
         starts = [self._well_begun(base.with_cause(cause, values)) for values in cause.seeds()]
         nearest = sorted(starts, key=lambda start: start[0])[:MAX_SEEDS]
         alone = (self.fit(start, FIRST_STEPS, moving=len(cause.parameters)) for _, start in nearest)
-        best = min(alone, key=lambda fit: fit.chi2).point
-        return self.fit(best, THEN_STEPS, moving=sum(map(len, best.values)))
+        return self.fit(min(alone, key=lambda fit: fit.chi2).point, THEN_STEPS)
 
     def fit(self, start: FitPoint, max_steps: int = MAX_STEPS, moving: int | None = None) -> Fit:
         """The local minimum of the cost near `start`.

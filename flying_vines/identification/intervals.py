@@ -54,7 +54,7 @@ def widening(candidate: Candidate) -> Array:
     """(numbers,) factor of `ABOVE` for each free rig number and parameter; 1 if the residuals are noise."""
     problem, fit = candidate.problem, candidate.fit
     covariance = candidate.covariance
-    if candidate.adequate:
+    if candidate.adequate or not len(covariance):
         return np.ones(len(covariance))
     scores = []
     for run, jacobian in zip(problem.case.runs, problem.jacobian(fit).runs, strict=True):

@@ -205,7 +205,21 @@ class Search:
         )
         near = [fit for fit in others[: leaders - 1] if fit.chi2 < reach]
         fits = [first, *mapped(lambda fit: self.problem.fit(fit.point), near), *others[len(near) :]]
+        complete = 1 + len(near)
+        fits[:complete] = mapped(self._off_bounds, fits[:complete])
         return [Candidate(self.problem, fit) for fit in sorted(fits, key=lambda fit: fit.chi2)]
+
+    def _off_bounds(self, fit: Fit) -> Fit:
+        """The fit; if a parameter is on its bound, the better of it and one that adds the causes in reverse.
+
+        A cause that was fitted without the others may have been driven to its bound.
+        """
+        if len(fit.point.causes) < 2 or not Candidate(self.problem, fit).on_bound:
+            return fit
+        again = self.nulls[1].fit
+        for cause in reversed(fit.point.causes):
+            again = self.problem.begun(again.point, cause)
+        return min(fit, self.problem.fit(again.point), key=lambda fit: fit.chi2)
 
     def _reach(self, first: Candidate) -> float:
         """Maximum χ² of an unfinished fit that can still win."""
