@@ -259,7 +259,7 @@ def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> f
         rates.append(n.gamma * ALPHA_KPA * (at_the_valves + leak) / n.cv.flat_L)
     if lagging:
         # The sensor model takes the pressure as linear over a step, so steps must be short.
-        rates.append(4.0 * max(rates))
+        rates.append(8.0 * max(rates))
     walls = ((n.reservoir_heat, 1.0 / n.reservoir_per_L), (n.cv_heat, n.cv.flat_L))
     for wall_per_s in (heat_per_s(heat, volume_L) for heat, volume_L in walls):
         if wall_per_s > 0.0:
