@@ -9,6 +9,7 @@ from math import exp, isfinite, sqrt
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from flying_vines.identification.candidate import CLAIM, Candidate
 from flying_vines.identification.case import Case
 from flying_vines.identification.cores import mapped
 from flying_vines.identification.evidence import evidence
@@ -23,7 +24,7 @@ from flying_vines.identification.held_out import (
 from flying_vines.identification.intervals import LikelihoodProfile, profile, widening
 from flying_vines.identification.noise import Noise, SensorNoise, measured_noise, stated_noise
 from flying_vines.identification.plan import recommend
-from flying_vines.identification.search import CLAIM, Candidate, Progress, Search, SearchResult, silent
+from flying_vines.identification.search import Progress, Search, SearchResult, silent
 from flying_vines.identification.verdict import (
     NONE,
     UNEXPLAINED,

@@ -16,7 +16,7 @@ from math import inf, isfinite, sqrt
 import numpy as np
 from scipy import stats
 
-from flying_vines.identification.search import Candidate
+from flying_vines.identification.candidate import Candidate
 from flying_vines.identification.unseen import blocks
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Parameter

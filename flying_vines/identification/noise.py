@@ -26,6 +26,9 @@ _KEPT_VARIANCE = 0.4377
 """Variance of the smallest 80 % (by size) of a Gaussian, over that of all."""
 _MIN_DIFFERENCES = 100
 _NEIGHBOURS = 17
+_ITERATIONS = 30
+_JUMP = 4.0
+"""A difference farther from the median is a jump, in median absolute deviations."""
 _MAX_CORRELATION = 0.97
 _STEP_QUANTILE = 0.25
 _MANY_EQUAL = 0.5
@@ -114,8 +117,10 @@ def measured_noise(
         first, count = _mean_square([_about_mean(np.diff(r)) for r in residuals])
         # Var Δ = 2 (1 − ρ) σ², Var Δ² = (6 − 8 ρ + 2 ρ²) σ²: their ratio is 3 − ρ.
         if count > _MIN_DIFFERENCES and 3.0 - second / first > 3.0 * SURE / sqrt(count):
-            correlation = min(3.0 - second / first, _MAX_CORRELATION)
-            std = sqrt(first / (2.0 * (1.0 - correlation)))
+            for _ in range(_ITERATIONS):
+                whole = first / _left_about_mean(correlation)
+                correlation = min(3.0 - second / whole, _MAX_CORRELATION)
+            std = sqrt(whole / (2.0 * (1.0 - correlation)))
     std = max(std, stated.step_kPa / sqrt(12.0))
     if correlation == 0.0 and abs(std - stated.std_kPa) < sure * stated.std_kPa:
         return stated
@@ -126,10 +131,20 @@ def _about_mean(differences: Array) -> Array:
     """Differences about their mean over neighbours: a slope of the residuals is an error of the model."""
     if len(differences) < _NEIGHBOURS:
         return differences[:0]
-    mean = np.convolve(differences, np.full(_NEIGHBOURS, 1.0 / _NEIGHBOURS), mode="valid")
+    # A jump of the residuals must not count in all of its neighbours.
+    middle = np.nanmedian(differences)
+    reach = _JUMP * np.nanmedian(np.abs(differences - middle))
+    usual = np.clip(differences, middle - reach, middle + reach)
+    mean = np.convolve(usual, np.full(_NEIGHBOURS, 1.0 / _NEIGHBOURS), mode="valid")
     half = _NEIGHBOURS // 2
     about: Array = differences[half:-half] - mean
     return about
+
+
+def _left_about_mean(correlation: float) -> float:
+    """Share of the differences' variance that is left about their mean over neighbours."""
+    n, rho = _NEIGHBOURS, correlation
+    return 1.0 - 2.0 * rho ** (n // 2) / n + (1.0 - rho**n) / (1.0 - rho) / n**2
 
 
 def _mean_square(differences: Sequence[Array]) -> tuple[float, int]:

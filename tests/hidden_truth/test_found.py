@@ -50,6 +50,31 @@ def test_two_causes_at_once_are_both_found(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+def test_several_effects_are_found_with_their_shares(tmp_path: Path) -> None:
+    truth, verdict = verdict_on("several", 7003, tmp_path)
+    assert {named.cause for named in verdict.named} == {one.name for one in truth.hidden}
+    assert verdict.cause == "cv_leak" and verdict.share > 0.9
+    assert verdict.remainder is None
+    assert verdict.held_out.nrmse_after < 1.2 * verdict.held_out.noise_floor
+    hidden = {one.name: one.value for one in truth.hidden}
+    for named in verdict.named:
+        (estimate,) = named.parameters.values()
+        assert estimate.estimate == pytest.approx(hidden[named.cause], rel=0.01)
+
+
+@pytest.mark.long
+def test_an_effect_of_the_catalogue_is_measured_beside_one_that_nobody_has_named(tmp_path: Path) -> None:
+    """The dead zone imitates a valve whose flow is a power of its command; the late solenoid is there."""
+    truth, verdict = verdict_on("several_outside", 7000, tmp_path)
+    assert verdict.cause == "solenoid_slow_close"
+    (hidden,) = (one for one in truth.hidden if one.name == "solenoid_slow_close")
+    (estimate,) = verdict.parameters.values()
+    assert estimate.low <= hidden.value <= estimate.high
+    assert verdict.remainder is not None and 0.0 < verdict.remainder.share < 0.1
+    assert verdict.held_out.gain[0] > 0.5
+
+
+@pytest.mark.long
 def test_what_the_data_cannot_tell_apart_is_not_told_apart(tmp_path: Path) -> None:
     """Without the Venturi all is homogeneous in pressure: one sensor's gain is the inverse of the other's."""
     truth = draw("hard", 104)

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from flying_vines.identification.candidate import STRUCTURE
 from flying_vines.identification.case import Case, RecordedRun
 from flying_vines.identification.fit import Fit, FitProblem
 from flying_vines.identification.noise import independent_noise
-from flying_vines.identification.residuals import patterns
-from flying_vines.identification.search import STRUCTURE
+from flying_vines.identification.residuals import excess, patterns
 from flying_vines.identification.simulate import Simulation
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.rig import ControlVolume, Rig
@@ -74,6 +74,32 @@ def test_what_depends_on_the_opening_is_seen_to() -> None:
     strongest = [(pattern.channel, pattern.feature) for pattern in found[:3]]
     assert ("control volume", "opening of the inflation valve") in strongest
     assert found[2].log_p > STRUCTURE
+
+
+def test_a_rounding_error_that_stays_is_no_pattern() -> None:
+    """Readings in steps of three standard deviations: on a constant pressure the error is constant."""
+    problem, fit = fitted(3)
+    step_kPa = 3.0 * NOISE_KPA[0]
+    (data,) = problem.data
+    rounded = data.copy()
+    rounded[0] = np.round(rounded[0] / step_kPa) * step_kPa
+    problem.data = [rounded]
+    left = with_left(fit, 0, (rounded[0] - data[0]) / NOISE_KPA[0])
+    assert patterns(problem, left)[0].log_p > STRUCTURE
+    cv, reservoir = problem.noise
+    std_kPa = np.hypot(NOISE_KPA[0], step_kPa / np.sqrt(12.0))
+    problem.noise = cv._replace(std_kPa=float(std_kPa), step_kPa=step_kPa), reservoir
+    problem.noise_kPa = float(std_kPa), NOISE_KPA[1]
+    in_its_noise = replace(left, residuals=(left.residuals[0] * [[NOISE_KPA[0] / std_kPa], [1.0]],))
+    assert patterns(problem, in_its_noise)[0].log_p < STRUCTURE
+
+
+def test_the_excess_of_the_residuals_is_that_of_the_channel() -> None:
+    problem, fit = fitted(4)
+    assert max(excess(patterns(problem, fit))) < 1.5
+    slow = 3.0 * np.sin(np.arange(1500) / 100.0)
+    cv, reservoir = excess(patterns(problem, with_left(fit, 0, slow)))
+    assert cv > 100.0 and reservoir < 1.5
 
 
 def test_without_a_thermometer_there_is_no_such_pattern() -> None:

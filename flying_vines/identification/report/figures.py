@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.cluster.hierarchy import leaves_list, linkage
 from scipy.spatial.distance import squareform
 
+from flying_vines.identification.candidate import CLAIM
 from flying_vines.identification.intervals import ABOVE, LikelihoodProfile
 from flying_vines.identification.report.canvas import (
     AFTER,
@@ -30,7 +31,6 @@ from flying_vines.identification.report.residual_figures import (
 )
 from flying_vines.identification.report.runs import draw_run, parting
 from flying_vines.identification.report.words import label_and_unit, labelled, numbers, share
-from flying_vines.identification.search import CLAIM
 from flying_vines.identification.similarity import Similarity
 from flying_vines.identification.verdict import ParameterEstimate, Tried, Verdict
 from flying_vines.physics.arrays import Array

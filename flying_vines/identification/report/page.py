@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from flying_vines.identification.candidate import CLAIM, STRUCTURE
 from flying_vines.identification.case import Case
 from flying_vines.identification.evidence import Compared
 from flying_vines.identification.intervals import ABOVE
@@ -18,7 +19,6 @@ from flying_vines.identification.report.residual_figures import same, strongest
 from flying_vines.identification.report.templates import TEMPLATES, filled
 from flying_vines.identification.report.words import chance, labelled, signed
 from flying_vines.identification.residuals import CHANNELS, Pattern
-from flying_vines.identification.search import CLAIM, STRUCTURE
 from flying_vines.identification.show import in_words
 from flying_vines.identification.simulate import rig_number_keys
 from flying_vines.identification.unseen import STRETCHES

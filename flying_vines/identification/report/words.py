@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from math import floor, isfinite, log10
 
+from flying_vines.identification.candidate import STRUCTURE
 from flying_vines.identification.residuals import Pattern
-from flying_vines.identification.search import STRUCTURE
 from flying_vines.identification.verdict import ParameterEstimate
 
 _UNITS = {

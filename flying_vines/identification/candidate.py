@@ -1,0 +1,133 @@
+"""A fit with some causes: its score, and whether it explains the data."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from flying_vines.identification.fit import Fit, FitProblem
+from flying_vines.identification.residuals import Pattern, excess, patterns
+from flying_vines.physics.arrays import Array
+from flying_vines.physics.cause import Cause, Parameter
+
+CLAIM = 25.0
+"""Minimum score gain of a cause. By chance, the best of 20 wrong causes gains 20 in 1 of 10,000 cases."""
+STRUCTURE = 6.0
+"""−log₁₀ p: from this value on, a pattern in the residuals is not noise."""
+SURELY = 4.0
+"""A cause surely pays if its parameter is so far from neutral that χ² would rise by this times `CLAIM`."""
+ON_BOUND = 1e-6
+"""A parameter nearer than this share of its range to a bound is on the bound."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A fit with some causes, or with none."""
+
+    problem: FitProblem
+    fit: Fit
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        return self.fit.point.causes
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(cause.name for cause in self.causes)
+
+    def doubtful(self) -> list[int]:
+        """The causes whose parameters may be neutral, by the curvature of χ²; the others surely pay."""
+        found, at = [], len(self.fit.point.deviation)
+        spread = max(self.excess) * np.diag(self.covariance)
+        for index, (cause, values) in enumerate(zip(self.causes, self.fit.point.values, strict=True)):
+            sure = (
+                parameter.distance(value) ** 2 > SURELY * CLAIM * variance
+                for parameter, value, variance in zip(cause.parameters, values, spread[at:], strict=False)
+            )
+            at += len(values)
+            if not any(sure):
+                found.append(index)
+        return found
+
+    def in_units_of(self, problem: FitProblem) -> Candidate:
+        """The same fit, in units of the noise of another problem with the same data."""
+        ratio = np.array(self.problem.noise_kPa)[:, None] / np.array(problem.noise_kPa)[:, None]
+        residuals = tuple(r * ratio for r in self.fit.residuals)
+        chi2 = sum(float(np.vdot(r, r)) for r in residuals)
+        prior = self.fit.cost - self.fit.chi2
+        return Candidate(problem, Fit(self.fit.point, chi2, chi2 + prior, residuals))
+
+    @cached_property
+    def covariance(self) -> Array:
+        """See `FitProblem.covariance`."""
+        return self.problem.covariance(self.fit)
+
+    @property
+    def score(self) -> float:
+        """The score if the residuals of the best fit are noise; see `score_at`."""
+        return self.score_at((1.0, 1.0))
+
+    def score_at(self, excess: tuple[float, float]) -> float:
+        """−2 ln of the evidence, up to a constant.
+
+        χ², plus the penalty of free rig numbers, plus ln(number of readings) for each parameter (BIC).
+
+        Args:
+            excess: of the residuals of control volume and reservoir over noise; divides their χ².
+        """
+        parameters = sum(len(cause.parameters) for cause in self.causes)
+        chi2 = sum(chi2 / over for chi2, over in zip(self.channels, excess, strict=True))
+        return chi2 + self.freedom + parameters * float(np.log(self.problem.readings))
+
+    @cached_property
+    def channels(self) -> tuple[float, float]:
+        """χ² of control volume and reservoir."""
+        cv, reservoir = (sum(float(r[row] @ r[row]) for r in self.fit.residuals) for row in (0, 1))
+        return cv, reservoir
+
+    @property
+    def on_bound(self) -> tuple[str, ...]:
+        """Parameters on a bound of their physical range."""
+        return tuple(parameter.name for parameter in self._bounded())
+
+    @property
+    def possible(self) -> bool:
+        """True if every parameter is inside its physical range."""
+        return all(parameter.typical is not None for parameter in self._bounded())
+
+    def _bounded(self) -> Iterator[Parameter]:
+        point = self.fit.point
+        for cause, values in zip(point.causes, point.values, strict=True):
+            for parameter, value in zip(cause.parameters, values, strict=True):
+                if not ON_BOUND < parameter.share(value) < 1.0 - ON_BOUND:
+                    yield parameter
+
+    @cached_property
+    def freedom(self) -> float:
+        """Penalty of the free rig numbers: −2 ln of prior at the fit times posterior width (Laplace)."""
+        deviation = self.fit.point.deviation
+        if not deviation:
+            return 0.0
+        precision = np.array([self.problem.prior_std(key) ** -2.0 for key in deviation])
+        moved = float(precision @ np.array(list(deviation.values())) ** 2)
+        k = len(deviation)
+        posterior = self.covariance[:k, :k]
+        _, log_posterior = np.linalg.slogdet(posterior)
+        return moved - float(log_posterior + np.log(precision).sum())
+
+    @cached_property
+    def patterns(self) -> list[Pattern]:
+        return patterns(self.problem, self.fit)
+
+    @property
+    def adequate(self) -> bool:
+        """True if the residuals are noise."""
+        return not self.patterns or self.patterns[0].log_p < STRUCTURE
+
+    @cached_property
+    def excess(self) -> tuple[float, float]:
+        """Excess of the residuals over noise, for control volume and reservoir; 1 if they are noise."""
+        return (1.0, 1.0) if self.adequate else excess(self.patterns)
