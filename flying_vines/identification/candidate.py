@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from flying_vines.identification.fit import Fit, FitProblem
+from flying_vines.identification.fit import Fit, FitProblem, chi2_of
 from flying_vines.identification.residuals import Pattern, excess, patterns
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, Parameter
@@ -56,7 +56,7 @@ class Candidate:
         """The same fit, in units of the noise of another problem with the same data."""
         ratio = np.array(self.problem.noise_kPa)[:, None] / np.array(problem.noise_kPa)[:, None]
         residuals = tuple(r * ratio for r in self.fit.residuals)
-        chi2 = sum(float(np.vdot(r, r)) for r in residuals)
+        chi2 = chi2_of(residuals)
         prior = self.fit.cost - self.fit.chi2
         return Candidate(problem, Fit(self.fit.point, chi2, chi2 + prior, residuals))
 

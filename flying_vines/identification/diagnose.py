@@ -165,7 +165,7 @@ def _remainder(chosen: Candidate, null: Candidate) -> Remainder | None:
     if chosen.adequate:
         return None
     noise = sum(
-        np.count_nonzero(w[row]) * (sensor.std_kPa / sensor.slow_std_kPa) ** 2
+        np.count_nonzero(w[row]) * sensor.variance_over_slow
         for w in chosen.problem.weights
         for row, sensor in enumerate(chosen.problem.noise)
     )
@@ -182,9 +182,10 @@ def _noise_remarks(problem: FitProblem) -> list[str]:
         "reservoir_noise_std_kPa": sensors.reservoir_noise_std_kPa,
     }
     return [
-        f"{key} is {value:g} in the rig file; the data give {used.std_kPa:.3g}{_correlated(used)}: used"
+        f"{key} is {value:g} in the rig file; the data give {used.std_kPa:.3g}{_correlated(used)}, "
+        "which is used"
         for (key, value), used in zip(stated.items(), problem.noise, strict=True)
-        if used.std_kPa != value or used.correlation
+        if f"{used.std_kPa:.2g}" != f"{value:.2g}" or used.correlation
     ]
 
 

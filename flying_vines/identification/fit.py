@@ -200,7 +200,14 @@ class FitProblem:
 
     def chi2(self, point: FitPoint) -> float:
         """The sum of squared residuals at a point."""
-        return _chi2(self.residuals(point))
+        return chi2_of(self.residuals(point))
+
+    def at(self, point: FitPoint) -> Fit:
+        """The fit at a point, without a step."""
+        space = _Space(self, point)
+        residuals = self.residuals(point)
+        chi2 = chi2_of(residuals)
+        return Fit(point, chi2, chi2 + space.prior(space.to_search(point)), tuple(residuals))
 
     def moved(self, point: FitPoint) -> dict[str, float]:
         """Fitted values of the free rig numbers, by key."""
@@ -247,7 +254,7 @@ class FitProblem:
         space = _Space(self, start, moving)
         place = space.clipped(space.to_search(start))
         residuals = self.residuals(space.to_model(place))
-        cost = _chi2(residuals) + space.prior(place)
+        cost = chi2_of(residuals) + space.prior(place)
         if not np.isfinite(cost):
             return Fit(start, inf, inf, tuple(residuals))
         damping, shares = 1e-7, np.ones(len(start.initial))
@@ -258,7 +265,7 @@ class FitProblem:
                 there = space.clipped(place + space.shortened(step, shares))
                 point = space.to_model(there)
                 tried = self.residuals(point)
-                lower = _chi2(tried) + space.prior(there)
+                lower = chi2_of(tried) + space.prior(there)
                 if lower <= cost:
                     break
                 damping = max(10.0 * damping, 1e-5)
@@ -271,7 +278,7 @@ class FitProblem:
             damping *= 0.1
             if gained < MIN_GAIN * max(1.0, cost / self.readings):
                 break
-        return Fit(space.to_model(place), _chi2(residuals), cost, tuple(residuals))
+        return Fit(space.to_model(place), chi2_of(residuals), cost, tuple(residuals))
 
     def _well_begun(self, point: FitPoint) -> tuple[float, FitPoint]:
         """Reset each pair of initial pressures to the first readings if that lowers χ²; (χ², point).
@@ -417,7 +424,8 @@ def _derivative(there: Array, here: Array, nudge: float) -> Array:
     return np.where(np.abs(gradient) < MAX_DERIVATIVE, gradient, 0.0)
 
 
-def _chi2(residuals: Sequence[Array]) -> float:
+def chi2_of(residuals: Sequence[Array]) -> float:
+    """The sum of squares; infinite where the simulation has diverged."""
     chi2 = sum(float(np.vdot(r, r)) for r in residuals)
     return chi2 if np.isfinite(chi2) else float("inf")
 

@@ -19,13 +19,13 @@ from flying_vines.identification.cores import mapped
 from flying_vines.identification.fit import Bools, FitPoint, FitProblem
 from flying_vines.identification.intervals import LikelihoodProfile
 from flying_vines.identification.unseen import (
-    STEPS,
     Errors,
     Split,
     errors,
     gain,
     in_odd_stretch,
     nrmse,
+    quick_errors,
     split,
 )
 
@@ -75,7 +75,7 @@ def held_out(problem: FitProblem, predictions: Sequence[Prediction], null: FitPo
     after = before = errors(problem, splits, [prediction.fitted for prediction in predictions])
     if null is not None:
         before = errors(problem, splits, mapped(lambda split: _refitted(split.shown, null), splits))
-    noise = [(sensor.std_kPa / sensor.slow_std_kPa) ** 2 for sensor in problem.noise]
+    noise = [sensor.variance_over_slow for sensor in problem.noise]
     floor = nrmse(problem, Errors(before.count * noise, before.count))
     return HeldOut(
         float(nrmse(problem, before)),
@@ -91,8 +91,7 @@ def unseen_error(problem: FitProblem, predictions: Sequence[Prediction], point: 
     It is only used for the table of candidates that were not chosen.
     """
     splits = [prediction.split for prediction in predictions]
-    fitted = mapped(lambda split: split.shown.fit(point, STEPS).point, splits)
-    return float(nrmse(problem, errors(problem, splits, fitted)))
+    return float(nrmse(problem, quick_errors(problem, splits, point)))
 
 
 def predictions_for(

@@ -47,11 +47,21 @@ class SensorNoise(NamedTuple):
     @property
     def slow_std_kPa(self) -> float:
         """Standard deviation of independent noise with as much error in a mean over many readings."""
-        return self.std_kPa * sqrt((1.0 + self.correlation) / (1.0 - self.correlation))
+        return self.std_kPa / sqrt(self.variance_over_slow)
+
+    @property
+    def variance_over_slow(self) -> float:
+        """Variance of the readings over the square of `slow_std_kPa`; 1 without correlation."""
+        return (1.0 - self.correlation) / (1.0 + self.correlation)
 
 
 Noise = tuple[SensorNoise, SensorNoise]
 """Of control volume and reservoir."""
+
+
+def rounded_noise(std_kPa: float, step_kPa: float) -> SensorNoise:
+    """Noise of this standard deviation, or of the rounding if that is larger."""
+    return SensorNoise(max(std_kPa, step_kPa / sqrt(12.0)), 0.0, step_kPa)
 
 
 def independent_noise(cv_kPa: float, reservoir_kPa: float) -> Noise:
@@ -70,9 +80,7 @@ def stated_noise(rig: Rig, readings: Sequence[Array] = ()) -> Noise:
     steps = [
         rounding_step(np.concatenate([run[row] for run in readings])) if readings else 0.0 for row in (0, 1)
     ]
-    cv, reservoir = (
-        SensorNoise(max(std, step / sqrt(12.0)), 0.0, step) for std, step in zip(stated, steps, strict=True)
-    )
+    cv, reservoir = (rounded_noise(std, step) for std, step in zip(stated, steps, strict=True))
     return cv, reservoir
 
 
@@ -121,10 +129,10 @@ def measured_noise(
                 whole = first / _left_about_mean(correlation)
                 correlation = min(3.0 - second / whole, _MAX_CORRELATION)
             std = sqrt(whole / (2.0 * (1.0 - correlation)))
-    std = max(std, stated.step_kPa / sqrt(12.0))
-    if correlation == 0.0 and abs(std - stated.std_kPa) < sure * stated.std_kPa:
+    found = rounded_noise(std, stated.step_kPa)._replace(correlation=correlation)
+    if correlation == 0.0 and abs(found.std_kPa - stated.std_kPa) < sure * stated.std_kPa:
         return stated
-    return stated._replace(std_kPa=std, correlation=correlation)
+    return found
 
 
 def _about_mean(differences: Array) -> Array:

@@ -16,8 +16,6 @@ from dataclasses import dataclass
 from functools import partial
 from math import inf
 
-import numpy as np
-
 from flying_vines.identification.candidate import CLAIM, Candidate
 from flying_vines.identification.cores import mapped
 from flying_vines.identification.fit import Fit, FitProblem, Tangents
@@ -176,7 +174,8 @@ class Search:
     ) -> SearchResult:
         """Add causes to the leaders, and exchange them, while that pays."""
         chosen = self.null
-        while (better := self._first_that_pays(leaders, chosen)) is not None:
+        better = self._first_that_pays(leaders, chosen)
+        while better is not None:
             chosen, fewer = self._pruned(better)
             tried += fewer
             count = len(chosen.causes) + 1
@@ -186,9 +185,11 @@ class Search:
             firsts = firsts if count == 2 else _distinct([chosen, *leaders])[:BEAM]
             leaders = self._leaders(self.further(firsts))
             tried += leaders
-            if self._first_that_pays(leaders, chosen) is None and count > 2:
+            better = self._first_that_pays(leaders, chosen)
+            if better is None and count > 2:
                 leaders = self._leaders(self.further(self._vacancies(chosen)))
                 tried += leaders
+                better = self._first_that_pays(leaders, chosen)
         several = range(len(chosen.causes)) if len(chosen.causes) > 1 else ()
         without = mapped(partial(self._without, chosen), several)
         return SearchResult(self, [*tried, *without], chosen, tuple(without))
@@ -222,13 +223,9 @@ class Search:
     def _vacancies(self, candidate: Candidate) -> list[Candidate]:
         """The candidate without each of its causes in turn, not refitted: another may take its place."""
 
-        def vacant(index: int) -> Candidate:
-            point = candidate.fit.point.freed(self.keys).without(index)
-            residuals = tuple(self.problem.residuals(point))
-            chi2 = sum(float(np.vdot(r, r)) for r in residuals)
-            return Candidate(self.problem, Fit(point, chi2, chi2, residuals))
-
-        return mapped(vacant, range(len(candidate.causes)))
+        point = candidate.fit.point.freed(self.keys)
+        every = range(len(candidate.causes))
+        return [Candidate(self.problem, self.problem.at(point.without(index))) for index in every]
 
     def _without(self, candidate: Candidate, index: int) -> Candidate:
         """The candidate refitted without one of its causes."""

@@ -70,10 +70,7 @@ class Unseen:
         """The errors of a model with these causes and free numbers."""
         known = self._errors.get(id(point))
         if known is None:
-            found = errors(
-                self._problem, self._splits, [s.shown.fit(point, STEPS).point for s in self._splits]
-            )
-            known = self._errors[id(point)] = (point, found)
+            known = self._errors[id(point)] = (point, quick_errors(self._problem, self._splits, point))
         return known[1]
 
     def gain(self, before: FitPoint, after: FitPoint) -> tuple[float, float]:
@@ -111,6 +108,11 @@ def _beginnings(time_s: Array, start: NDArray[np.intp]) -> Bools:
     stretch = np.repeat(np.arange(len(start)), np.diff(np.append(start, len(time_s))))
     beginnings: Bools = time_s - time_s[start[stretch]] <= shown_s[stretch]
     return beginnings
+
+
+def quick_errors(problem: FitProblem, splits: Sequence[Split], point: FitPoint) -> Errors:
+    """The errors of predictions from the shown data of each split, `STEPS` steps from a fit to all data."""
+    return errors(problem, splits, mapped(lambda split: split.shown.fit(point, STEPS).point, splits))
 
 
 def errors(problem: FitProblem, splits: Sequence[Split], fitted: Sequence[FitPoint]) -> Errors:

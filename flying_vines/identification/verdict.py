@@ -126,7 +126,8 @@ def parameters_json(parameters: Mapping[str, ParameterEstimate]) -> dict[str, di
 
 
 def _named(named: Named) -> dict[str, Any]:
-    return {"cause": named.cause, "parameters": parameters_json(named.parameters), "share": named.share}
+    share = None if named.share is None else round(named.share, 4)
+    return {"cause": named.cause, "parameters": parameters_json(named.parameters), "share": share}
 
 
 def _tried(tried: Tried) -> dict[str, Any]:

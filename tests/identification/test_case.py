@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -275,15 +274,6 @@ def refused_beside(path: Path) -> str:
 def test_a_rig_without_a_control_volume_has_none_to_read(folder: Path) -> None:
     (folder / "rig.toml").write_text("[reservoir]\nvolume_L = 2.0\n")
     assert "cv_pressure_kPa: the rig has no control volume; add [cv]" in complaint(folder, text())
-
-
-def test_many_rows_are_read_quickly(folder: Path) -> None:
-    rows = [f"{0.001 * i:.3f},,{i % 1000 / 1000},0,0,{i % 50 + 0.1},{600 - 0.001 * i}" for i in range(50_000)]
-    (folder / "run.csv").write_text(text(rows))
-    began_s = time.process_time()
-    (run,) = read_case(folder).runs
-    assert len(run.time_s) == 50_000
-    assert time.process_time() - began_s < 5.0
 
 
 def test_what_the_simulation_writes(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import random
-import time
 
 import pytest
 
@@ -121,16 +120,3 @@ def test_the_same_commands_give_the_same_floats() -> None:
         first.advance(command)
         second.advance(command)
     assert first.state == second.state
-
-
-def test_with_all_effects_it_is_ten_times_real_time() -> None:
-    told = switching(2.0, 2)
-    quickest_s = float("inf")
-    for _ in range(3):
-        simulator = Simulator(Plant(Rig(), likely_effects()))
-        began = time.process_time()
-        for command in told:
-            simulator.advance(command)
-        quickest_s = min(quickest_s, time.process_time() - began)
-    print(f"{2.0 / quickest_s:.0f} times real time")
-    assert quickest_s < 0.2

@@ -220,15 +220,6 @@ def test_a_rig_file_that_is_wrong_is_one_line(
     assert err == f"flying-vines: {rig}: causes.evp_dead_zone: a dead zone must be in 0…1.\n"
 
 
-def test_it_is_light_enough_for_real_time() -> None:
-    flight = Flight(SimulatedPhlosar())
-    flight.command(Regulate(20.0, 20.0))
-    began = time.process_time()
-    flight.fly(3.0)
-    # Alone on a core it is three times as fast; what else runs here costs it its caches.
-    assert 3.0 / (time.process_time() - began) > 5.0
-
-
 # The serial port.
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from math import sqrt
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -31,7 +30,7 @@ from flying_vines.identification.importing.columns import IGNORED, QUANTITIES, g
 from flying_vines.identification.importing.layout import ForeignTable, read_foreign
 from flying_vines.identification.importing.pump import PUMP_TOLERANCE_PERCENT, guessed_pump
 from flying_vines.identification.importing.units import parse_unit, psi_instead
-from flying_vines.identification.noise import MIN_KPA, SensorNoise, measured_noise, rounding_step
+from flying_vines.identification.noise import MIN_KPA, measured_noise, rounded_noise, rounding_step
 from flying_vines.identification.recording import CaseError
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA
@@ -398,8 +397,8 @@ def _rig_tables(proposal: Proposal) -> dict[str, Any]:
 
 def _noise_kPa(readings: Sequence[Array]) -> float:
     """Standard deviation of a sensor's noise, at least that of its resolution."""
-    least = SensorNoise(MIN_KPA, 0.0, rounding_step(np.concatenate(readings)))
-    return max(measured_noise(readings, least).std_kPa, least.step_kPa / sqrt(12.0))
+    least = rounded_noise(MIN_KPA, rounding_step(np.concatenate(readings)))
+    return measured_noise(readings, least, may_correlate=False).std_kPa
 
 
 def _fall_s(run: Run) -> float | None:

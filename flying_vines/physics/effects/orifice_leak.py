@@ -15,20 +15,20 @@ def apply(base: Setup, sonic_conductance_SL_per_s_kPa: float) -> Setup:
     )
 
 
+HOLE = Parameter(
+    "sonic_conductance_SL_per_s_kPa",
+    low=1e-9,
+    high=0.03,
+    seeds=(1e-7, 3e-6, 1e-4),
+    neutral=0.0,
+    logarithmic=True,
+    source="1.3e-3 for each mm² of a sharp hole: from 1 µm across to 5 mm",
+)
+
 CAUSE = Cause(
     name="orifice_leak",
     what="The control volume loses air through a hole: the flow chokes.",
-    parameters=(
-        Parameter(
-            "sonic_conductance_SL_per_s_kPa",
-            low=1e-9,
-            high=0.03,
-            seeds=(1e-7, 3e-6, 1e-4),
-            neutral=0.0,
-            logarithmic=True,
-            source="1.3e-3 for each mm² of a sharp hole: from 1 µm across to 5 mm",
-        ),
-    ),
+    parameters=(HOLE,),
     experiment="Inflate the control volume to its highest pressure, shut all valves, and let it empty.",
     apply=apply,
     needs=("cv",),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.cause import Cause
+from flying_vines.physics.effects.orifice_leak import HOLE
 from flying_vines.physics.plant.flow import orifice
 from flying_vines.physics.plant.setup import Setup
 
@@ -18,17 +19,7 @@ def apply(base: Setup, sonic_conductance_SL_per_s_kPa: float) -> Setup:
 CAUSE = Cause(
     name="reservoir_orifice_leak",
     what="The reservoir loses air through a hole: the flow chokes.",
-    parameters=(
-        Parameter(
-            "sonic_conductance_SL_per_s_kPa",
-            low=1e-9,
-            high=0.03,
-            seeds=(1e-7, 3e-6, 1e-4),
-            neutral=0.0,
-            logarithmic=True,
-            source="1.3e-3 for each mm² of a sharp hole: from 1 µm across to 5 mm",
-        ),
-    ),
+    parameters=(HOLE,),
     experiment="Fill the reservoir, shut all valves, and record its pressure until it is half empty.",
     apply=apply,
     needs=("reservoir",),
