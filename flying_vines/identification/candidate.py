@@ -91,19 +91,24 @@ class Candidate:
     @property
     def on_bound(self) -> tuple[str, ...]:
         """Parameters on a bound of their physical range."""
-        return tuple(parameter.name for parameter in self._bounded())
+        return tuple(parameter.name for _, parameter in self._bounded())
+
+    @property
+    def impossible(self) -> list[int]:
+        """The causes with a parameter that is not inside its physical range."""
+        return sorted({index for index, parameter in self._bounded() if parameter.typical is None})
 
     @property
     def possible(self) -> bool:
         """True if every parameter is inside its physical range."""
-        return all(parameter.typical is not None for parameter in self._bounded())
+        return not self.impossible
 
-    def _bounded(self) -> Iterator[Parameter]:
+    def _bounded(self) -> Iterator[tuple[int, Parameter]]:
         point = self.fit.point
-        for cause, values in zip(point.causes, point.values, strict=True):
+        for index, (cause, values) in enumerate(zip(point.causes, point.values, strict=True)):
             for parameter, value in zip(cause.parameters, values, strict=True):
                 if not ON_BOUND < parameter.share(value) < 1.0 - ON_BOUND:
-                    yield parameter
+                    yield index, parameter
 
     @cached_property
     def freedom(self) -> float:

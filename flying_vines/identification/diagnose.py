@@ -43,6 +43,9 @@ _UNKNOWN_CAUSE = 0.02
 """Prior probability of a cause that is not in the catalogue and looks like noise."""
 _MISSED_CAUSE = 0.1
 """Probability that an unexplained remainder is a cause of the catalogue that the search has missed."""
+_LEADS_WITH_REMAINDER = 0.7
+"""Probability that the main cause is right although a small remainder is left: an effect outside the
+catalogue may be imitated. Measured on rigs that have one: docs/diagnose.md."""
 _SCORED = 4
 """Number of best candidates that are tested on unseen data."""
 _HELPS = 0.5
@@ -170,8 +173,10 @@ def _remainder(chosen: Candidate, null: Candidate) -> Remainder | None:
         for row, sensor in enumerate(chosen.problem.noise)
     )
     pattern = chosen.patterns[0]
-    share = max(0.0, chosen.fit.chi2 - noise) / max(1.0, null.fit.chi2 - noise)
-    return Remainder(min(1.0, share), f"{pattern.channel}: {pattern.feature}")
+    share = 1.0
+    if chosen is not null and null.fit.chi2 > noise:
+        share = min(1.0, max(0.0, chosen.fit.chi2 - noise) / (null.fit.chi2 - noise))
+    return Remainder(float(share), f"{pattern.channel}: {pattern.feature}")
 
 
 def _noise_remarks(problem: FitProblem) -> list[str]:
@@ -261,11 +266,11 @@ def _doubts(chosen: Candidate, names: Sequence[str], found: SearchResult) -> dic
 
 def _confidence(chosen: Candidate, main: str, found: SearchResult, left: Remainder | None) -> float:
     """Probability that the true cause is the main cause or one that the data cannot tell apart from it."""
-    worse = _instead(chosen, main, found)
+    worse = {main: 0.0, **_instead(chosen, main, found)}
     worse[NONE] = max(0.0, found.score(found.search.null) - CLAIM - found.score(chosen))
     weight = {name: exp(-0.5 * by) for name, by in worse.items()}
     inside = sum(weight[name] for name, by in worse.items() if name != NONE and by < INDISTINGUISHABLE)
-    known = 1.0 - _UNKNOWN_CAUSE if left is None else 1.0 - sqrt(left.share)
+    known = 1.0 - _UNKNOWN_CAUSE if left is None else _LEADS_WITH_REMAINDER * (1.0 - sqrt(left.share))
     return inside / sum(weight.values()) * known
 
 

@@ -30,6 +30,8 @@ _ITERATIONS = 30
 _JUMP = 4.0
 """A difference farther from the median is a jump, in median absolute deviations."""
 _MAX_CORRELATION = 0.97
+MAX_OVER_RESIDUALS = 1.2
+"""Maximum standard deviation of noise over the size of the residuals, which also hold the model's errors."""
 _STEP_QUANTILE = 0.25
 _MANY_EQUAL = 0.5
 """Readings are rounded if they have fewer levels than this share of their number."""
@@ -129,6 +131,10 @@ def measured_noise(
                 whole = first / _left_about_mean(correlation)
                 correlation = min(3.0 - second / whole, _MAX_CORRELATION)
             std = sqrt(whole / (2.0 * (1.0 - correlation)))
+            # A vibration looks correlated, but its residuals are not as large as that noise would be.
+            largest = MAX_OVER_RESIDUALS * _rms(residuals)
+            if std > largest:
+                std, correlation = largest, max(0.0, 1.0 - whole / (2.0 * largest**2))
     found = rounded_noise(std, stated.step_kPa)._replace(correlation=correlation)
     if correlation == 0.0 and abs(found.std_kPa - stated.std_kPa) < sure * stated.std_kPa:
         return stated
@@ -153,6 +159,11 @@ def _left_about_mean(correlation: float) -> float:
     """Share of the differences' variance that is left about their mean over neighbours."""
     n, rho = _NEIGHBOURS, correlation
     return 1.0 - 2.0 * rho ** (n // 2) / n + (1.0 - rho**n) / (1.0 - rho) / n**2
+
+
+def _rms(residuals: Sequence[Array]) -> float:
+    every = np.concatenate(residuals)
+    return float(np.sqrt(np.nanmean(every**2)))
 
 
 def _mean_square(differences: Sequence[Array]) -> tuple[float, int]:

@@ -260,7 +260,7 @@ def _check_reservoir_absolute(path: Path, run: RecordedRun, rig: Rig) -> None:
         )
         rate_per_s = ALPHA_KPA / rig.reservoir.volume_L * float(np.median(per_R[tail]))
         lost_kPa = -before_kPa * np.expm1(-rate_per_s * (run.time_s[tail[-2]] - run.time_s[tail[1]]))
-        rests = lost_kPa > 30.0 and before_kPa - end_kPa < 0.3 * lost_kPa
+        rests = lost_kPa > 30.0 and before_kPa - end_kPa < 0.2 * lost_kPa
         if rests and begin_kPa - end_kPa > 60.0 and is_ambient(end_kPa):
             raise _absolute(path, _RESERVOIR, f"comes to rest at {end_kPa:.4g} although a valve is open")
 

@@ -163,6 +163,8 @@ class Search:
         tried = [*self.nulls, *(c.in_units_of(self.problem) for c in earlier.tried if c.causes)]
         begun = self.problem.fit(earlier.chosen.fit.point.freed(self.keys))
         chosen = self.settled(Candidate(self.problem, begun))
+        while chosen.impossible:
+            chosen = self._without(chosen, chosen.impossible[0])
         return self._grown([*tried, chosen], [chosen], [chosen], progress)
 
     def _grown(
@@ -214,10 +216,11 @@ class Search:
             fewer = mapped(partial(self._without, candidate), doubtful)
             tried += fewer
             over, claim = candidate.excess, CLAIM if candidate.adequate else CLAIM_LEFT
-            simpler = min(fewer, key=lambda c: c.score_at(over))
-            if simpler.score_at(over) > candidate.score_at(over) + claim:
+            allowed = candidate.score_at(over) + claim
+            as_good = [c for c in fewer if c.possible and c.score_at(over) <= allowed]
+            if not as_good:
                 break
-            candidate = simpler
+            candidate = min(as_good, key=lambda c: c.score_at(over))
         return candidate, tried
 
     def _vacancies(self, candidate: Candidate) -> list[Candidate]:

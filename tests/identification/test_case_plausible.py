@@ -228,6 +228,14 @@ def test_what_is_genuine_is_read_unchanged(
 
 @settings(max_examples=15)
 @given(rig=rigs, seed=seeds, reservoir_kPa=st.floats(20.0, 900.0), seconds=st.floats(2.0, 300.0))
+@example(  # A valve three times as narrow as believed and a large offset: it falls slowly, but it falls.
+    rig=Worn(
+        2.0, 0.05, 2042.0, 3.0, 0.0, 300.0, (0.0, 21.0), (1.0, 1.0), (0.15, 1.2), (0.001, 0.01), 1.0, 60.0
+    ),
+    seed=0,
+    reservoir_kPa=121.0,
+    seconds=97.0,
+)
 def test_discharges_are_read_unchanged(rig: Worn, seed: int, reservoir_kPa: float, seconds: float) -> None:
     rig = replace(rig, cv_L=None)
     run = record(rig, "discharge", seed, reservoir_kPa, seconds)

@@ -56,6 +56,13 @@ def test_a_slope_and_jumps_of_the_residuals_are_no_noise() -> None:
     assert found.std_kPa == pytest.approx(0.15, rel=0.1) and found.correlation == 0.0
 
 
+def test_a_vibration_is_not_taken_for_more_noise_than_the_residuals_have() -> None:
+    time_s = np.arange(2250) / 50.0
+    residuals = [run + 1.4 * np.sin(2.0 * np.pi * 5.0 * time_s) for run in white(6)]
+    found = measured_noise(residuals, STATED)
+    assert found.std_kPa < 1.2 * np.sqrt(1.4**2 / 2.0 + 0.15**2) + 1e-9
+
+
 def test_few_readings_are_believed_less_than_the_rig_file() -> None:
     assert measured_noise([white(4, 3.0)[0][:50]], STATED) == STATED
 
