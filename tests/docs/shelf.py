@@ -14,6 +14,8 @@ from recorded_flight import PROFILE, one_bend
 from docs.commands_said import ROOT
 from flying_vines.config import config
 from flying_vines.gateway.page_token import read_or_make
+from flying_vines.physics.plant.true_rig import load_true_rig
+from flying_vines.simulation.scenario import load_scenario, simulate_scenario, write_case
 
 Maker = Callable[[Path], object]
 
@@ -60,6 +62,17 @@ def _recorded() -> Path:
     return one_bend(Path(mkdtemp(prefix="flights-")))
 
 
+def _case(path: Path) -> None:
+    """Recorded bends of a leaking rig."""
+    path.mkdir(parents=True)
+    scenario = path.parent / "scenario.toml"
+    scenario.write_text(SHORT.replace('"bends"', '"bends"\nname = "run-1"'), encoding="utf-8")
+    rig = path.parent / "leaky.toml"
+    rig.write_text(LEAKY, encoding="utf-8")
+    runs = simulate_scenario(load_true_rig(rig), load_scenario(str(scenario)))
+    write_case(runs, b"[cv]\nvolume_L = 0.1\n", path)
+
+
 def _flight(path: Path) -> None:
     shutil.copytree(_recorded(), path)
 
@@ -80,6 +93,7 @@ SHELF: tuple[tuple[str, Maker], ...] = (
     (r"wrong\.waypoints", _refused),
     (r"(rig|RIG)\.toml", _text("[cv]\nvolume_L = 0.1\n")),
     (r"(leaky|extended)\.toml", _text(LEAKY)),
+    (r"cases/workshop", _case),
     (r"robot\.toml", _copy(ROOT / "flying_vines/studies/design/examples/vine.toml")),
     (
         r"short\.toml",
