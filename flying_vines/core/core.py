@@ -612,15 +612,17 @@ class Core:
     def _tell_waiting(self, t: float) -> None:
         """Send the awaited request as a text, once, if the vehicle could bend the vine.
 
-        During a loss of RC nobody can move the switch, and the text would be wrong if it returns elsewhere.
+        Not while RC or autopilot are lost: nobody can move the switch, and it may return elsewhere.
         """
         waiting = self._waiting
         if waiting is None:
             self._waiting_told = None
         may_bend = self._vehicle.state.armed or self._on_bench
-        if waiting in (None, self._waiting_told) or not may_bend or self._vehicle.rc.problem(t):
+        if waiting in (None, self._waiting_told) or not may_bend:
             return
-        if self._vehicle.switch.position is not None:
+        lost = not {"rc", "autopilot"}.isdisjoint(self._safety.reasons)
+        unread = self._vehicle.switch.position is None and bool(self._vehicle.pilot.fresh_move)
+        if not lost and not unread:
             self._waiting_told = waiting
             self._notice(t, Severity.NOTICE, f"waiting for: {waiting.awaited}")
 

@@ -153,7 +153,7 @@ def test_without_heartbeats_nobody_knows_whether_it_is_armed_and_the_vine_vents(
     assert refused[0].endswith(": no HEARTBEAT: arm state unknown")
     assert flight.phlosar.cv_kPa < 1.0
     without(flight)
-    assert told(lives(flight, 2.0)) == ["Vine: autopilot is back"]
+    assert told(lives(flight, 2.0)) == ["Vine: autopilot is back", WAITING]
 
 
 def test_nothing_that_was_heard_of_the_radio_outlives_a_silent_autopilot() -> None:
