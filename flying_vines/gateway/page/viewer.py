@@ -41,6 +41,8 @@ class _Hello(msgspec.Struct, frozen=True, tag="hello", tag_field="kind"):
     """The present time, on the clock of all other times."""
     version: str
     may_ask: bool
+    flights: bool
+    """`/flights` lists the flights."""
     vine: _Vine
     history: Sequence[Sample]
     happened: Sequence[Happened]
@@ -102,6 +104,7 @@ class Viewer:
             asyncio.get_running_loop().time(),
             self._feed.profile.version,
             self._may_ask,
+            self._may_ask and bool(self._feed.profile.flights),
             _vine(self._feed.profile.config),
             tuple(self._history.samples),
             tuple(self._feed.happened)[-PAST_EVENTS:],

@@ -35,6 +35,7 @@ function take(message) {
 function welcome(hello) {
   vine = hello.vine;
   page.toggle("watching", !hello.may_ask);
+  $("flights").hidden = !hello.flights;
   // After a restart of the gateway process, earlier events are still valid.
   const first = hello.history.length ? hello.history[0][0] : hello.t;
   samples = [...samples.filter(([t]) => t < first), ...hello.history];
