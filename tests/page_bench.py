@@ -67,6 +67,7 @@ class Bench:
 
     page: PageConfig
     feed: Feed = field(init=False)
+    flights: str = ""
     answers: bool = True
     answer: tuple[str, str] = ("accepted", "")
     asked: list[Request] = field(default_factory=list)
@@ -75,7 +76,7 @@ class Bench:
     def __post_init__(self) -> None:
         profile = msgspec.structs.replace(config.default(), page=self.page)
         token = TOKEN if self.page.needs_token else ""
-        self.feed = Feed(GatewayStart(profile, "1.2.3", token), self._take)
+        self.feed = Feed(GatewayStart(profile, "1.2.3", token, self.flights), self._take)
 
     @property
     def url(self) -> str:
@@ -99,8 +100,8 @@ class Bench:
 
 
 @contextlib.asynccontextmanager
-async def served(host: str = "127.0.0.1") -> AsyncIterator[Bench]:
-    bench = Bench(PageConfig(host=host, port=free_port()))
+async def served(host: str = "127.0.0.1", flights: str = "") -> AsyncIterator[Bench]:
+    bench = Bench(PageConfig(host=host, port=free_port()), flights=flights)
     serving = asyncio.create_task(page.serve(bench.feed))
     try:
         async with asyncio.timeout(PATIENCE_S):

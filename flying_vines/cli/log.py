@@ -40,7 +40,7 @@ def add(commands: Any) -> None:
     )
     plot.add_argument("--title", metavar="TEXT", help="of the picture (date and time of the flight)")
     export = _add_action(actions, "export", _export, "write tables for other programs")
-    export.add_argument("--csv", action="store_true", required=True, help="one CSV file per topic")
+    export.add_argument("--csv", action="store_true", help="one CSV file per topic (this is the default)")
     export.add_argument(
         "-o", "--out", type=Path, metavar="DIR", help="new folder (csv in the flight's folder)"
     )

@@ -40,6 +40,7 @@ from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.parts import IsolatedParts
 from flying_vines.core.restarts import Restarts
 from flying_vines.core.safety import LossEnded, ResponseNeeded, Ruling, Safety, SafetyInputs
+from flying_vines.core.waiting import FreshRequest, Waiting, source
 from flying_vines.supply import Belief, CyclesLeft, Features, ReservoirEstimate, TelemetryReader, nominal
 from flying_vines.supply.estimate import AirNeeded
 from flying_vines.supply.physics_checks import PhysicsChecks
@@ -152,6 +153,9 @@ class Core:
         self._low_warned = False
         self._silent_since: float | None = None
         self._motion: Motion | None = None
+        self._fresh_request = FreshRequest()
+        self._waiting_told: Waiting | None = None
+        """The state that the ground station has as a text."""
         self._triggered_at = 0.0
         """When a person or the mission last requested the present motion."""
         self._pneumatics_armed = config.interlocks.armed_at_start and not disarmed
@@ -396,9 +400,10 @@ class Core:
         if ruling.rate_scale < 1.0:
             motion = self._plan(t, intent, ruling.rate_scale)
         if motion.only_deflates and self._motion is None:
-            self._stop_moving(t)
+            self._vent(t, trigger)
         else:
             self._note_trigger(t)
+            self._fresh_request.began(trigger.kind)
             self._motion = motion
             self._drive(t)
         return self._record(t, trigger, ruling)
@@ -437,22 +442,24 @@ class Core:
                 return Ruling("accepted")
             case DisarmPneumatics():
                 self._pneumatics_armed = False
-                self._stop_moving(t)
+                self._vent(t, trigger)
                 self._actions.append(KeepDisarmed(t, True))
                 return Ruling("accepted")
             case VentVine():
                 if trigger.by_person:
                     self._clear_faults(t, trigger.seen_at)
-                self._stop_moving(t)
+                self._vent(t, trigger)
                 return Ruling("accepted")
             case Hold():
-                return self._hold(t)
+                return self._hold(t, trigger)
             case StartBench() if self._vehicle.state.armed:
                 return Ruling("refused", "the vehicle is armed")
             case StartBench():
                 self._bench_until = t + BENCH_S
                 return Ruling("accepted")
             case StopBench():
+                if self._on_bench:
+                    self._vent(t, trigger)
                 self._leave_bench(t, "requested")
                 return Ruling("accepted")
         return None
@@ -462,13 +469,14 @@ class Core:
         start_kPa, limit_kPa = self._setpoint_kPa(t), self._firmware_limit_kPa
         return self._planner.plan(intent, start_kPa, self._bent_kPa, limit_kPa, rate_scale, started_at=t)
 
-    def _hold(self, t: float) -> Ruling:
+    def _hold(self, t: float, trigger: Trigger) -> Ruling:
         if self._motion is None:
             return Ruling("refused", "the vine is vented")
         if self._safety.reasons:
             return Ruling("refused", "; ".join(self._safety.reasons.values()))
         # A hold is a request of its own: the time limit starts again.
         self._note_trigger(t)
+        self._fresh_request.began(trigger.kind)
         self._freeze(t)
         return Ruling("accepted")
 
@@ -494,6 +502,8 @@ class Core:
         is_newer = ruling.verdict != "refused" and ruling.has_effect
         if is_newer:
             self._requested_at = max(self._requested_at, t - trigger.age_s)
+        if ruling.verdict == "refused" and motion is None:
+            self._fresh_request.refused(trigger.kind, ruling.reason)
         decision = Decision(
             t=t,
             trigger=trigger.kind,
@@ -528,6 +538,7 @@ class Core:
         """Send the firmware the command for the time until the next tick."""
         motion = self._motion
         if motion is not None and motion.is_over(t) and motion.final_kPa <= 0.0 and self._near_zero():
+            self._fresh_request.ended(motion.name, self._vehicle.switch.position)
             self._motion = None
         command: fw.HostCommand = fw.VENTING
         if self._motion is not None:
@@ -542,6 +553,16 @@ class Core:
         telemetry = self._firmware.telemetry
         return telemetry is None or telemetry.cv_kPa < 1.0
 
+    def _vent(self, t: float, trigger: Trigger) -> None:
+        """Vent because of a trigger."""
+        moved = self._motion is not None
+        if trigger.kind != "link":
+            by = f"{trigger.intent} by {source(trigger.kind, trigger.what)}"
+            self._fresh_request.withdrawn(by, moved)
+        elif moved:
+            self._fresh_request.stopped(str(trigger.what["event"]))
+        self._stop_moving(t)
+
     def _stop_moving(self, t: float) -> None:
         self._motion = None
         self._to_firmware(self._firmware.command(t, fw.VENTING))
@@ -555,6 +576,8 @@ class Core:
     def _leave_bench(self, t: float, why: str) -> None:
         if self._on_bench:
             self._bench_until = -math.inf
+            if self._motion is not None:
+                self._fresh_request.stopped(f"bench mode is over: {why}")
             self._stop_moving(t)
             self._notice(t, Severity.NOTICE, f"bench mode over, {why}: vented")
 
@@ -574,9 +597,34 @@ class Core:
             self._notice(t, Severity.NOTICE, text)
         if text := self._restarts.tick(t):
             self._notice(t, Severity.WARNING, text)
+        self._tell_waiting(t)
         self._update_cycles_left(t)
         self._warn_of_low_reservoir(t)
         self._report(t)
+
+    @property
+    def _waiting(self) -> Waiting | None:
+        """Who asks for a bend in vain, until a fresh request. None while a motion runs."""
+        if self._motion is not None:
+            return None
+        return self._fresh_request.waiting(self._vehicle.switch.position, self._vehicle.pilot.fresh_move)
+
+    def _tell_waiting(self, t: float) -> None:
+        """Send the awaited request as a text, once, if the vehicle could bend the vine.
+
+        Not while RC or autopilot are lost: nobody can move the switch, and it may return elsewhere.
+        """
+        waiting = self._waiting
+        if waiting is None:
+            self._waiting_told = None
+        may_bend = self._vehicle.state.armed or self._on_bench
+        if waiting in (None, self._waiting_told) or not may_bend:
+            return
+        lost = not {"rc", "autopilot"}.isdisjoint(self._safety.reasons)
+        unread = self._vehicle.switch.position is None and bool(self._vehicle.pilot.fresh_move)
+        if not lost and not unread:
+            self._waiting_told = waiting
+            self._notice(t, Severity.NOTICE, f"waiting for: {waiting.awaited}")
 
     def _note_rc_use(self, t: float) -> None:
         """Note if RC is in use. Only then a loss of RC counts."""
@@ -648,6 +696,8 @@ class Core:
         if hold:
             self._freeze(t)
         else:
+            if moved:
+                self._fresh_request.stopped(change.reason)
             self._stop_moving(t)
         if change.name == "autopilot" and not self._vehicle.state.heartbeat_missing:
             self._vehicle.forget_radio()
@@ -668,7 +718,7 @@ class Core:
             return
         rc_is_off = self._vehicle.rc.problem(t) is not None
         texts = {
-            "rc": f"{'going on without RC' if rc_is_off else 'RC is back'}, waiting for a fresh move",
+            "rc": "going on without RC" if rc_is_off else "RC is back",
             "autopilot": "autopilot is back",
             "serial": "phloSAR is back",
             "telemetry": "phloSAR telemetry is back",
@@ -772,6 +822,7 @@ class Core:
             ambient_kPa=math.nan if ambient_kPa is None else ambient_kPa,
             pneumatics_armed=self._pneumatics_armed,
             bench=self._on_bench,
+            waiting=self._waiting,
         )
 
     @property

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from firmware_link import protocol
+from flying_vines.core.waiting import Waiting
 from flying_vines.supply import CyclesLeft
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
@@ -200,3 +201,5 @@ class Snapshot:
     pneumatics_armed: bool = True
     bench: bool = False
     """Bench mode is on: the vine may bend on the ground."""
+    waiting: Waiting | None = None
+    """Somebody asks for a bend, and nothing moves until a fresh request."""

@@ -59,9 +59,10 @@ class Gateway(Watcher):
         ask: Callable[[Asker, Intent, float | None, float | None], Decision],
         say: Callable[[str], None],
         page_token: str = "",
+        flights: str = "",
     ) -> None:
         version = metadata.version("flying-vines")
-        self._profile = GatewayStart(config, version, page_token)
+        self._profile = GatewayStart(config, version, page_token, flights)
         self._ask = ask
         self._say = say
         self._socket: socket.socket | None = None

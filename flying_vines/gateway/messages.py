@@ -33,6 +33,8 @@ class GatewayStart(_Message, frozen=True, tag="profile"):
     version: str
     page_token: str = ""
     """The token that opens the page from the network."""
+    flights: str = ""
+    """The folder of the flight logs; empty: none are offered for download."""
 
 
 class SnapshotMessage(_Message, frozen=True, tag="snapshot"):

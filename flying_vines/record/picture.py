@@ -163,7 +163,8 @@ def _mark_decisions(
     rows: list[float] = []
     for decision in decisions:
         x = decision["t"] - start
-        color = MARKS[decision["safety"]]
+        unasked = decision["trigger"] in ("failsafe", "link") and decision["safety"] == "accepted"
+        color = ORANGE if unasked else MARKS[decision["safety"]]
         # Each label goes to the lowest row with room for it.
         text = f"{decision['trigger'].replace('_', ' ')}: {decision.get('intent', '?')}"
         if decision["safety"] != "accepted" or decision["trigger"] == "failsafe":

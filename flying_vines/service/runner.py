@@ -62,6 +62,7 @@ async def serve(
         ask=lambda *request: service.ask(*request),
         say=lambda text: service.say(Severity.WARNING, text),
         page_token=remembered.page_token,
+        flights=str(log.folder.parent.resolve()),
     )
     watchers = (log, shown, gateway, *service_manager())
     service = Service(

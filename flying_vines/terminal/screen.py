@@ -11,9 +11,10 @@ import os
 import sys
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import IO, cast
 
-from rich.console import Console, Group
+from rich.console import Console, ConsoleOptions, Group, RenderResult
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
@@ -24,7 +25,13 @@ from flying_vines.vehicle.notice import Notice, Severity
 
 VERDICT_STYLE = {"accepted": "green", "limited": "yellow", "refused": "red"}
 SEVERITY_STYLE = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.NOTICE: "cyan"}
+UNASKED = ("failsafe", "link")
+"""Triggers that nobody asked for: what they do is never shown in the green of an accepted request."""
 BAR_WIDTH = 24
+FRAME = 2
+"""Lines of the panel's frame."""
+BESIDE_BAR = 47
+"""Characters beside a bar: its label, the pressure, and cycles left of three digits."""
 MAX_QUEUED = 64 * 1024
 """Maximum characters queued for a blocked terminal: some seconds of screens. Later ones are dropped."""
 CLOSING_S = 0.5
@@ -55,7 +62,7 @@ def decision_table(decisions: Sequence[Decision]) -> Table:
     for name in ("t, s", "trigger", "what", "intent", "safety", "setpoint, kPa", "why"):
         table.add_column(name, justify="right" if "," in name else "left")
     for d in decisions:
-        style = VERDICT_STYLE[d.safety]
+        style = _verdict_style(d)
         table.add_row(
             f"{d.t:.2f}",
             d.trigger.replace("_", " "),
@@ -68,13 +75,18 @@ def decision_table(decisions: Sequence[Decision]) -> Table:
     return table
 
 
+def _verdict_style(decision: Decision) -> str:
+    unasked = decision.trigger in UNASKED and decision.safety == "accepted"
+    return "yellow" if unasked else VERDICT_STYLE[decision.safety]
+
+
 def event_line(action: Action, began: float) -> Text | None:
     """The line for an action; None if it is not shown."""
     if isinstance(action, Decision):
         line = Text(f"{action.t - began:7.2f}  ")
         line.append(f"{action.trigger.replace('_', ' ')} ", style="bold")
         line.append(f"{describe(action.what)} → {action.intent or '?'}: ".lstrip())
-        line.append(action.safety, style=VERDICT_STYLE[action.safety])
+        line.append(action.safety, style=_verdict_style(action))
         if action.reason:
             line.append(f" ({action.reason})")
         return line
@@ -109,38 +121,76 @@ class LiveView:
         self, s: Snapshot, title: str = "Flying Vines", problems: Mapping[str, str] | None = None
     ) -> Panel:
         """The whole screen. `problems`: a sentence for each link with a problem."""
+        links = [f"{link} link: {why}" for link, why in (problems or {}).items() if why]
+        screen = _Screen(s, links, tuple(self._events), self._max_kPa, self._full_kPa)
+        return Panel(screen, title=f"{title}   {s.t - self._began:6.1f} s")
+
+
+@dataclass(frozen=True)
+class _Screen:
+    """The state, what is wrong, and as many of the latest events as there is room for."""
+
+    s: Snapshot
+    links: Sequence[str]
+    events: Sequence[Text]
+    max_kPa: float
+    full_kPa: float
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        links = [Text(link, style="red") for link in self.links]
+        top = Group(self._state(options.max_width), *_doing(self.s), *links, Text(""))
+        yield top
+        free = options.size.height - FRAME - len(console.render_lines(top, options, pad=False))
+        shown: list[Text] = []
+        for event in reversed(self.events):
+            free -= len(event.wrap(console, options.max_width))
+            if free < 0:
+                break
+            shown.append(event)
+        yield from reversed(shown)
+
+    def _state(self, width: int) -> Table:
+        s = self.s
+        bars = max(6, min(BAR_WIDTH, width - BESIDE_BAR))
         grid = Table.grid(padding=(0, 2))
-        grid.add_column(style="dim", no_wrap=True)
-        grid.add_column(no_wrap=True)
-        grid.add_column(no_wrap=True)
-        altitude = "" if math.isnan(s.altitude_m) else f"{s.altitude_m:.1f} m"
+        grid.add_column(style="dim", no_wrap=True, min_width=len("reservoir"))
+        grid.add_column(overflow="fold")
+        altitude = "" if math.isnan(s.altitude_m) else f"  {s.altitude_m:.1f} m"
         armed = Text("armed", style="bold yellow") if s.armed else Text("disarmed", style="dim")
-        grid.add_row("vehicle", f"{s.vehicle}  {s.mode}  {altitude}", armed)
+        grid.add_row("vehicle", Text.assemble(f"{s.vehicle}  {s.mode}{altitude}  ", armed))
         rc_style = "green" if s.rc == "good" else "red"
         position = "–" if s.switch_position is None else str(s.switch_position)
-        grid.add_row("RC", Text(s.rc, style=rc_style), f"switch {position}")
+        grid.add_row("RC", Text.assemble((s.rc, rc_style), f"  switch {position}"))
         firmware_style = "green" if s.firmware == "ready" else "red"
-        valves = "valves not known"
+        grid.add_row("phloSAR", Text.assemble((s.firmware, firmware_style), (_health(s), "dim")))
+        valves = "not known"
         if s.solenoid is not None:
             solenoid = "open" if s.solenoid else "shut"
             valves = f"EVP {s.evp_opening:4.0%}  DVP {s.dvp_opening:4.0%}  solenoid {solenoid}"
-        grid.add_row(
-            "phloSAR", Text(s.firmware, style=firmware_style).append(_health(s), style="dim"), valves
+        grid.add_row("valves", valves)
+        command, cv, reservoir = (
+            bar(s.command_kPa, self.max_kPa, "yellow", bars),
+            bar(s.cv_kPa, self.max_kPa, "blue", bars),
+            bar(s.reservoir_kPa, self.full_kPa, "cyan", bars),
         )
-        grid.add_row("", "", "")
-        grid.add_row("command", bar(s.command_kPa, self._max_kPa, "yellow"), f"{number(s.command_kPa)} kPa")
-        cv = f"{number(s.cv_kPa)} kPa   bend {number(s.bend_deg, 0)}°"
-        grid.add_row("vine", bar(s.cv_kPa, self._max_kPa, "blue"), cv)
-        reservoir = f"{number(s.reservoir_kPa, 0)} kPa   {_cycles(s)}"
-        grid.add_row("reservoir", bar(s.reservoir_kPa, self._full_kPa, "cyan"), reservoir)
-        state = Text(s.doing, style="bold")
-        if s.safe_state:
-            state = Text("SAFE: " + "; ".join(s.safe_state.values()), style="bold red")
-        grid.add_row("doing", state, "")
-        trouble = [Text(f"{link} link: {why}", style="red") for link, why in (problems or {}).items() if why]
-        return Panel(
-            Group(grid, *trouble, Text(""), *self._events), title=f"{title}   {s.t - self._began:6.1f} s"
-        )
+        grid.add_row("command", command.append(f"  {number(s.command_kPa)} kPa", style="default"))
+        bend = f"  {number(s.cv_kPa)} kPa   bend {number(s.bend_deg, 0)}°"
+        grid.add_row("vine", cv.append(bend, style="default"))
+        left = f"  {number(s.reservoir_kPa, 0)} kPa   {_cycles(s)}"
+        grid.add_row("reservoir", reservoir.append(left, style="default"))
+        return grid
+
+
+def _doing(s: Snapshot) -> list[Text]:
+    """What the vine does, in red if something is wrong, in yellow if a fresh request is awaited."""
+    lines = [Text(f"doing      {s.doing}", style="bold")]
+    if s.safe_state:
+        lines = [Text(f"SAFE: {'; '.join(s.safe_state.values())}", style="bold red")]
+    if s.waiting:
+        if not s.safe_state:
+            lines = [Text(f"doing      {s.doing}: {s.waiting.stopped_by}", style="bold yellow")]
+        lines.append(Text(f"waiting for: {s.waiting.awaited}", style="bold yellow"))
+    return lines
 
 
 def _health(s: Snapshot) -> str:
@@ -159,11 +209,11 @@ def number(value: float, digits: int = 1) -> str:
     return "–" if math.isnan(value) else f"{value:.{digits}f}"
 
 
-def bar(value: float, full: float, style: str) -> Text:
-    """A bar of length `value / full`."""
+def bar(value: float, full: float, style: str, width: int = BAR_WIDTH) -> Text:
+    """A bar of length `value / full`, `width` characters at most."""
     share = 0.0 if math.isnan(value) else min(max(value / full, 0.0), 1.0)
-    filled = round(share * BAR_WIDTH)
-    return Text("█" * filled, style=style).append("░" * (BAR_WIDTH - filled), style="dim")
+    filled = round(share * width)
+    return Text.assemble(("█" * filled, style), ("░" * (width - filled), "dim"))
 
 
 class NonBlockingOutput(io.TextIOBase):

@@ -60,8 +60,7 @@ class LinkLoss:
             return None
         self._reported, self._back_since = "", None
         rc_problem = self._vehicle.rc.problem(t) if rc_lost else None
-        rest = f"RC lost: {rc_problem}" if rc_problem else "waiting for a fresh move"
-        return f"vehicle link is back, {rest}"
+        return "vehicle link is back" + (f", RC lost: {rc_problem}" if rc_problem else "")
 
     def _state(self, t: float, name: str) -> str:
         if self._vehicle.link_closed:

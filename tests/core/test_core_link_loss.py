@@ -16,6 +16,7 @@ from flying_vines.vehicle.notice import Notice
 from flying_vines.vehicle.state import HEARTBEAT_FRESH_S
 
 LOW, HIGH = 1000, 2000
+WAITING = "Vine: waiting for: switch down, then up"
 HEARTBEAT, RC_CHANNELS = 0, 65
 
 
@@ -67,7 +68,7 @@ def test_a_silent_link_is_told_once_and_once_when_it_is_back(for_s: float) -> No
     assert lost(actions)[0] == "rc"
     assert ("autopilot" in lost(actions)) == (for_s > 3.5), "it stays in the log"
     assert flight.phlosar.cv_kPa < 1.0
-    assert told(lives(flight, 10.0)) == ["Vine: vehicle link is back, waiting for a fresh move"]
+    assert told(lives(flight, 10.0)) == ["Vine: vehicle link is back", WAITING]
 
 
 def test_a_link_is_back_with_the_first_heartbeat() -> None:
@@ -78,7 +79,7 @@ def test_a_link_is_back_with_the_first_heartbeat() -> None:
     without(flight, HEARTBEAT)
     assert told(lives(flight, 3.0)) == []
     without(flight)
-    assert told(lives(flight, 2.0)) == ["Vine: vehicle link is back, waiting for a fresh move"]
+    assert told(lives(flight, 2.0)) == ["Vine: vehicle link is back", WAITING]
 
 
 def test_a_silent_link_is_told_again_when_the_vine_does_something_else() -> None:
@@ -96,7 +97,7 @@ def test_a_closed_link_is_told_as_such() -> None:
     flight.feed(LinkChanged(flight.world.now, "vehicle", True, ""))
     assert told(lives(flight, 2.0)) == []
     flight.from_autopilot = lambda frame: frame
-    assert told(lives(flight, 10.0)) == ["Vine: vehicle link is back, waiting for a fresh move"]
+    assert told(lives(flight, 10.0)) == ["Vine: vehicle link is back", WAITING]
 
 
 def test_a_link_that_is_back_without_rc_says_so() -> None:
@@ -106,7 +107,7 @@ def test_a_link_that_is_back_without_rc_says_so() -> None:
     without(flight, RC_CHANNELS)
     assert told(lives(flight, 4.0)) == ["Vine: vehicle link is back, RC lost: no RC_CHANNELS yet"]
     without(flight)
-    assert told(lives(flight, 2.0)) == ["Vine: RC is back, waiting for a fresh move"]
+    assert told(lives(flight, 2.0)) == ["Vine: RC is back", WAITING]
 
 
 def test_rc_that_stops_while_the_autopilot_speaks_is_no_dead_link() -> None:
@@ -152,7 +153,7 @@ def test_without_heartbeats_nobody_knows_whether_it_is_armed_and_the_vine_vents(
     assert refused[0].endswith(": no HEARTBEAT: arm state unknown")
     assert flight.phlosar.cv_kPa < 1.0
     without(flight)
-    assert told(lives(flight, 2.0)) == ["Vine: autopilot is back"]
+    assert told(lives(flight, 2.0)) == ["Vine: autopilot is back", WAITING]
 
 
 def test_nothing_that_was_heard_of_the_radio_outlives_a_silent_autopilot() -> None:

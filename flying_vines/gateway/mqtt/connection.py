@@ -169,7 +169,7 @@ class Connection:
             raise RefusedError(
                 f"it does not let us publish to {self._topics.base}/…: check its access control list"
             )
-        for publication in discovery(self._mqtt, self._topics, self._feed.profile.version):
+        for publication in discovery(self._feed.profile.config, self._topics, self._feed.profile.version):
             await _publish(client, publication)
 
     async def _say_goodbye(self, client: _Client) -> None:

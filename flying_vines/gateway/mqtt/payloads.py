@@ -60,6 +60,15 @@ class AboutPayload(_Payload, frozen=True, kw_only=True):
     rate_Hz: float
 
 
+class WaitingPayload(msgspec.Struct, frozen=True):
+    """Somebody asks for a bend, and nothing moves until a fresh request."""
+
+    stopped_by: str
+    """What vented the vine, or why the bend was refused."""
+    awaited: str
+    """The request that would move it, such as "switch down, then up"."""
+
+
 class StatePayload(_Payload, frozen=True, kw_only=True):
     """The present state."""
 
@@ -83,6 +92,8 @@ class StatePayload(_Payload, frozen=True, kw_only=True):
     """Reasons why the vine may not bend, each with a sentence; empty if it may."""
     pneumatics_armed: bool
     bench: bool
+    waiting: WaitingPayload | None = None
+    """Null while nobody asks for a bend, and while a motion runs."""
 
 
 class CyclesPayload(msgspec.Struct, frozen=True):

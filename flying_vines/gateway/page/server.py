@@ -9,12 +9,22 @@ import logging
 import os
 import socket
 from importlib import resources
+from pathlib import Path
 
 from aiohttp import hdrs
-from aiohttp.web import BaseRequest, RequestHandler, Response, Server, StreamResponse, WebSocketResponse
+from aiohttp.web import (
+    BaseRequest,
+    FileResponse,
+    RequestHandler,
+    Response,
+    Server,
+    StreamResponse,
+    WebSocketResponse,
+)
 
 from flying_vines.gateway.feed import Feed
 from flying_vines.gateway.messages import SnapshotMessage
+from flying_vines.gateway.page import flights
 from flying_vines.gateway.page.access import Access, Refused
 from flying_vines.gateway.page.connections import MAX_VIEWERS, Connections
 from flying_vines.gateway.page.history import History
@@ -158,6 +168,8 @@ class PageServer(Server):
             return _refusal(found)
         if request.path == "/live":
             return await self._show(request, found.may_ask)
+        if request.path == "/flights" or request.path.startswith("/flights/"):
+            return await self._offer(request, found.may_ask)
         if request.path not in self._files:
             return _refusal(Refused(404, "there is no such page"))
         body, kind = self._files[request.path]
@@ -167,6 +179,27 @@ class PageServer(Server):
                 self._access.cookie, found.token, max_age=A_YEAR_S, httponly=True, samesite="Strict"
             )
         return response
+
+    async def _offer(self, request: BaseRequest, may_ask: bool) -> StreamResponse:
+        """The list of flights, or a file of one. A log holds the profile, so this needs the full token."""
+        if not may_ask:
+            return _refusal(Refused(403, "flights are for holders of the full token"))
+        if not self._feed.profile.flights:
+            return _refusal(Refused(404, "this service offers no flights"))
+        folder = Path(self._feed.profile.flights)
+        _, _, flight, name = (*request.path.split("/"), "", "")[:4]
+        try:
+            if request.path == "/flights":
+                page = await asyncio.to_thread(lambda: flights.page_of(flights.listed(folder)))
+                headers = _headers(request.host)
+                return Response(text=page, content_type="text/html", charset="utf-8", headers=headers)
+            path = await asyncio.to_thread(flights.file_of, folder, flight, name)
+        except OSError as error:
+            return _refusal(Refused(404, f"the flights cannot be read: {os.strerror(error.errno or 0)}"))
+        if path is None or request.path != f"/flights/{flight}/{name}":
+            return _refusal(Refused(404, "there is no such flight"))
+        saved_as = f'attachment; filename="{flight}{path.suffix}"'
+        return FileResponse(path, headers={**HEADERS, "Content-Disposition": saved_as})
 
     async def _show(self, request: BaseRequest, may_ask: bool) -> StreamResponse:
         viewing = WebSocketResponse(

@@ -15,6 +15,7 @@ from flying_vines.gateway.messages import Happened, SnapshotMessage
 from flying_vines.gateway.page.history import History, Sample
 from flying_vines.gateway.page.request import MAX_AT_ONCE, MAX_PER_S, PageRequest, read_request
 from flying_vines.gateway.token_bucket import TokenBucket
+from flying_vines.vine.profile import flatten, top_kPa
 
 BEAT_S = 1.0
 """A message is sent at least this often. Without one the browser reports a lost link."""
@@ -27,7 +28,8 @@ PAST_EVENTS = 200
 class _Vine(msgspec.Struct, frozen=True):
     """What the page needs from the profile."""
 
-    profiles: tuple[str, ...]
+    profiles: dict[str, float]
+    """The largest angle of each profile, degrees."""
     curve: tuple[tuple[float, float], ...]
     max_kPa: float
     full_kPa: float
@@ -39,6 +41,8 @@ class _Hello(msgspec.Struct, frozen=True, tag="hello", tag_field="kind"):
     """The present time, on the clock of all other times."""
     version: str
     may_ask: bool
+    flights: bool
+    """`/flights` lists the flights."""
     vine: _Vine
     history: Sequence[Sample]
     happened: Sequence[Happened]
@@ -100,6 +104,7 @@ class Viewer:
             asyncio.get_running_loop().time(),
             self._feed.profile.version,
             self._may_ask,
+            self._may_ask and bool(self._feed.profile.flights),
             _vine(self._feed.profile.config),
             tuple(self._history.samples),
             tuple(self._feed.happened)[-PAST_EVENTS:],
@@ -164,10 +169,13 @@ class Viewer:
 
 
 def _vine(config: Config) -> _Vine:
+    curve, max_kPa = config.vine.bend_curve(), config.limits.max_kPa
+    segments = {name: tuple(flatten(config.profiles, name)) for name in config.profiles}
+    tops_kPa = {name: top_kPa(flat, curve, max_kPa) for name, flat in segments.items()}
     return _Vine(
-        tuple(config.profiles),
+        {name: round(curve.angle_deg(kPa), 1) for name, kPa in tops_kPa.items()},
         config.vine.curve,
-        config.limits.max_kPa,
+        max_kPa,
         config.pneumatics.full_kPa,
         config.interlocks.bench_mode,
     )

@@ -148,6 +148,21 @@ class Pilot:
             return []
         return [self._refused(t, waiting.move, "the autopilot does not confirm RC, move it again")]
 
+    @property
+    def fresh_move(self) -> str:
+        """The moves after which the switch bends the vine again, such as "switch down, then up".
+
+        Empty if the switch is not where it bends the vine, or if its move there waits for a confirmation.
+        """
+        position = self.switch.last_position
+        confirming = self._waiting is not None and self._waits_to_bend(self._waiting)
+        if position is None or confirming or not self._rules.bends(position):
+            return ""
+        others = [other for other in range(len(self._config.switch.positions)) if other != position]
+        straight = [other for other in others if not self._rules.bends(other)] or others
+        nearest = min(straight, key=lambda other: abs(other - position))
+        return "switch down, then up" if nearest < position else "switch up, then down"
+
     def requests(self, t: float, system_id: int, autopilot: Autopilot) -> list[MavlinkMessage]:
         return self.parameters.requests(t, system_id, autopilot)
 

@@ -58,6 +58,11 @@ class SwitchReader:
         self._before_loss: int | None = None
         self.position: int | None = None
 
+    @property
+    def last_position(self) -> int | None:
+        """The position; during a loss, that before it."""
+        return self._before_loss if self.position is None else self.position
+
     def lose(self) -> None:
         if self.position is not None:
             self._before_loss = self.position

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
+from types import SimpleNamespace
 from typing import Any
 
+import jinja2
 import msgspec
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from flying_vines.core.events import Action, Asked, Decision
+from flying_vines.core.waiting import Waiting
 from flying_vines.gateway.messages import Happened, SnapshotMessage, raw
 from flying_vines.gateway.mqtt.home_assistant import discovery
-from flying_vines.gateway.mqtt.payloads import PAYLOADS, EventPayload, LostEvent, NoticeEvent
+from flying_vines.gateway.mqtt.payloads import PAYLOADS, EventPayload, LostEvent, NoticeEvent, RequestPayload
 from flying_vines.gateway.mqtt.teller import RESERVOIR_S, SILENT_S, Events, Now, Publication, Publisher
 from flying_vines.gateway.mqtt.topics import Topics
 from flying_vines.simulation.simulated_world import SimulatedWorld
@@ -225,7 +230,7 @@ def test_whatever_a_core_makes_can_be_told() -> None:
 
 
 def test_home_assistant_is_told_only_where_that_is_wanted() -> None:
-    assert discovery(configured().mqtt, TOPICS, "1.2.3") == []
+    assert discovery(configured(), TOPICS, "1.2.3") == []
 
 
 def test_home_assistant_gets_sensors_and_a_button_only_where_venting_is_allowed() -> None:
@@ -233,8 +238,8 @@ def test_home_assistant_gets_sensors_and_a_button_only_where_venting_is_allowed(
     vehicle.take(1.0, seen(1.0))
     known = {told.topic: read(told) for told in vehicle.due(now(1.0))}
     for commands, pressed in (((), b""), (("bend", "vent"), None)):
-        mqtt = configured(discovery_prefix="homeassistant", commands=commands).mqtt
-        *sensors, button = discovery(mqtt, TOPICS, "1.2.3")
+        wanted = configured(discovery_prefix="homeassistant", commands=commands)
+        *sensors, _, _, button = discovery(wanted, TOPICS, "1.2.3")
         assert all(told.retain for told in (*sensors, button))
         assert button.topic == "homeassistant/button/heron/flying-vines_vent/config"
         assert pressed is None or button.payload == pressed
@@ -243,13 +248,57 @@ def test_home_assistant_gets_sensors_and_a_button_only_where_venting_is_allowed(
             assert vent["command_topic"] == TOPICS.ask
             assert '"command": "vent"' in vent["command_template"]
         configs = [msgspec.json.decode(sensor.payload) for sensor in sensors]
-        assert len({config["unique_id"] for config in configs}) == len(configs) == 5
+        assert len({config["unique_id"] for config in configs}) == len(configs) == 9
         for config in configs:
             assert config["availability_topic"] == TOPICS.status
-            key = config["value_template"].replace(
-                "(value_json.cycles or {}).get('expected')", "value_json.cycles"
-            )
-            assert key.removeprefix("{{ value_json.").removesuffix(" }}") in known[config["state_topic"]]
+            field = re.search(r"value_json\.(\w+)", config["value_template"])
+            assert field is not None and field[1] in known[config["state_topic"]]
+
+
+def rendered(template: str, **known: Any) -> str:
+    """As Home Assistant does."""
+    at = SimpleNamespace(timestamp=lambda: UNIX_S)
+    return jinja2.Environment().from_string(template).render(now=lambda: at, **known)
+
+
+@pytest.mark.parametrize("commands", [(), ("vent",), ("bend",), ("profile",), ("bend", "profile", "vent")])
+def test_home_assistant_bends_only_where_the_profile_allows_it(commands: tuple[str, ...]) -> None:
+    wanted = configured(discovery_prefix="homeassistant", commands=commands)
+    *_, number, select, button = discovery(wanted, TOPICS, "1.2.3")
+    asked = {"bend": (number, 25.0), "profile": (select, "wave"), "vent": (button, None)}
+    for command, (told, value) in asked.items():
+        assert bool(told.payload) is (command in commands)
+        if told.payload:
+            template = msgspec.json.decode(told.payload)["command_template"]
+            request = msgspec.json.decode(rendered(template, value=value), type=RequestPayload)
+            assert (request.command, request.value or request.name) == (command, value)
+
+
+@pytest.mark.parametrize(
+    ("snapshot", "shown"),
+    [
+        ({}, {"problem": "False", "armed": "True", "waiting": "nothing", "profile": "bend-full"}),
+        (
+            {"safe_state": {"rc": "RC lost"}, "armed": False, "doing": "vented"}
+            | {"waiting": Waiting("RC lost", "switch down, then up")},
+            {"problem": "True", "armed": "False", "waiting": "switch down, then up", "profile": "None"},
+        ),
+    ],
+)
+def test_home_assistant_reads_the_state(snapshot: dict[str, Any], shown: dict[str, str]) -> None:
+    vehicle = teller()
+    vehicle.take(1.0, seen(1.0, **snapshot))
+    (state,) = (read(told) for told in vehicle.due(now(1.0)) if told.topic == TOPICS.state)
+    wanted = configured(discovery_prefix="homeassistant", commands=("profile",))
+    templates = {
+        told.topic.split("/")[-2].removeprefix("flying-vines_"): msgspec.json.decode(told.payload)
+        for told in discovery(wanted, TOPICS, "1.2.3")
+        if told.payload
+    }
+    assert {key: rendered(templates[key]["value_template"], value_json=state) for key in shown} == shown
+    for status, available in (("online", "online"), ("silent", "offline"), ("offline", "offline")):
+        template = templates["problem"]["availability_template"]
+        assert rendered(template, value_json={"status": status}) == available
 
 
 def test_a_vehicle_without_a_name_goes_by_its_computer_s() -> None:

@@ -94,7 +94,8 @@ async def test_a_viewer_is_told_what_was_and_what_is(bench: Bench, session: Clie
         hello = await heard(viewing, "hello")
         assert hello["version"] == "1.2.3"
         assert hello["may_ask"]
-        assert hello["vine"]["profiles"] == ["straight", "bend-half", "bend-full", "reach", "wave"]
+        angles = {"straight": 0.0, "bend-half": 30.0, "bend-full": 60.0, "reach": 45.0, "wave": 40.0}
+        assert hello["vine"]["profiles"] == angles
         assert hello["history"] == [[2.0, 3.0, 0.0, 600.0]]
         assert hello["happened"][0]["fields"]["text"] == "Vine: ready"
         assert (await heard(viewing, "snapshot"))["snapshot"]["cv_kPa"] == 3.0

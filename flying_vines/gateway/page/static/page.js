@@ -12,11 +12,12 @@ const DRAW_S = 0.25;
 
 const $ = (id) => document.getElementById(id);
 const page = document.body.classList;
-let vine = { profiles: [], curve: [[0, 0], [1, 0]], max_kPa: 1, full_kPa: 1, bench_mode: false };
+let vine = { profiles: {}, curve: [[0, 0], [1, 0]], max_kPa: 1, full_kPa: 1, bench_mode: false };
 let latest = null;
 let samples = [];
 let drawnAt = 0;
 let told = "";
+let writtenReasons = "";
 let ventTold = "";
 
 // The token is now in a cookie: remove it from the address bar, where others could read it.
@@ -34,6 +35,7 @@ function take(message) {
 function welcome(hello) {
   vine = hello.vine;
   page.toggle("watching", !hello.may_ask);
+  $("flights").hidden = !hello.flights;
   // After a restart of the gateway process, earlier events are still valid.
   const first = hello.history.length ? hello.history[0][0] : hello.t;
   samples = [...samples.filter(([t]) => t < first), ...hello.history];
@@ -46,7 +48,11 @@ function welcome(hello) {
     showAngle();
   }
   $("profiles").replaceChildren(
-    ...vine.profiles.map((name) => button(name, () => request(name, "profile", null, name))),
+    ...Object.entries(vine.profiles).map(([name, degrees]) => {
+      const made = button(name, () => request(name, "profile", null, name));
+      made.append(element("small", "", degrees ? `to ${number(degrees, 0)}°` : "0°"));
+      return made;
+    }),
   );
   showControls();
   showVent();
@@ -57,8 +63,7 @@ function show(s) {
   samples.push([s.t, s.cv_kPa, s.command_kPa, s.reservoir_kPa]);
   while (samples.length && s.t - samples[0][0] > SHOWN_S) samples.shift();
   write("doing", sentence(s.doing));
-  const reasons = Object.values(s.safe_state);
-  writeReasons(reasons);
+  writeReasons(Object.values(s.safe_state), s.waiting);
   write("vehicle", vehicleWords(s));
   write("rc", rcWords(s));
   write("firmware", firmwareWords(s));
@@ -83,20 +88,26 @@ function write(id, text) {
   if ($(id).textContent !== text) $(id).textContent = text;
 }
 
-function writeReasons(reasons) {
-  const bad = reasons.length > 0;
-  const lines = bad ? reasons.map(sentence) : ["Nothing is wrong"];
-  if (lines.length > 2) lines.unshift(`${lines.length} things are wrong:`);
-  if (lines.join("\n") === [...$("reasons").children].map((li) => li.textContent).join("\n")) return;
-  $("reasons").classList.toggle("bad", bad);
-  $("reasons").replaceChildren(...lines.map((line) => element("li", "", line)));
+// Faults in red; in amber what vented the vine and the request that it waits for; else that nothing is wrong.
+function writeReasons(reasons, waiting) {
+  const lines = reasons.map((reason) => ["bad", sentence(reason)]);
+  if (lines.length > 2) lines.unshift(["bad", `${lines.length} things are wrong:`]);
+  if (waiting) {
+    if (!reasons.length) lines.push(["warning", sentence(waiting.stopped_by)]);
+    lines.push(["warning", `Waiting for: ${waiting.awaited}`]);
+  }
+  if (!lines.length) lines.push(["good", "Nothing is wrong"]);
+  $("doing").className = `value ${reasons.length ? "bad" : waiting ? "warning" : ""}`;
+  if (lines.join("\n") === writtenReasons) return;
+  writtenReasons = lines.join("\n");
+  $("reasons").replaceChildren(...lines.map(([style, line]) => element("li", style, line)));
 }
 
 function note(event) {
   const words = eventWords(event);
   if (words === null) return;
   const parts = words.verdict
-    ? [["", words.text], [words.verdict, words.verdict], ["", words.reason]]
+    ? [["", words.text], [words.style, words.verdict], ["", words.reason]]
     : [[words.severity, words.text]];
   addEvent(event.fields.t, parts);
 }

@@ -10,6 +10,9 @@ export const sentence = (text) => text && text[0].toUpperCase() + text.slice(1);
 
 export const plain = (name) => name.replaceAll("_", " ");
 
+// Triggers that nobody asked for: they vent or hold the vine.
+const UNASKED = ["failsafe", "link"];
+
 // A trigger's source as text.
 function source(what) {
   if ("channel" in what) return `ch${what.channel} position ${what.position}`;
@@ -27,7 +30,9 @@ export function eventWords({ what, fields }) {
   if (what === "decision") {
     const request = [plain(fields.trigger), source(fields.what)].filter(Boolean).join(" ");
     const reason = fields.reason ? ` (${fields.reason})` : "";
-    return { text: `${request} → ${fields.intent ?? "?"}: `, verdict: fields.safety, reason };
+    // A failsafe that vents is not the green of an accepted request.
+    const style = UNASKED.includes(fields.trigger) && fields.safety === "accepted" ? "warning" : fields.safety;
+    return { text: `${request} → ${fields.intent ?? "?"}: `, verdict: fields.safety, style, reason };
   }
   if (what === "notice" && !fields.of_decision) {
     const severity = fields.severity <= 3 ? "error" : fields.severity === 4 ? "warning" : "notice";

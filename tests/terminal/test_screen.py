@@ -1,0 +1,59 @@
+"""The live view in small terminals: of a fault and of the latest events nothing is cut."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+from page_bench import snapshot
+from rich.console import Console
+from rich.screen import Screen
+
+from flying_vines.core.events import Decision
+from flying_vines.core.waiting import Waiting
+from flying_vines.terminal.screen import LiveView, event_line
+from flying_vines.vehicle.notice import Notice, Severity
+
+FAULTS = {
+    "firmware_fault": "firmware fault: dead-man timer ran out, over-pressure in the vine, watchdog reset",
+    "rc": "RC lost: the receiver hears no transmitter",
+}
+WAITING = Waiting("vent by the page", "switch down, then up")
+UNASKED = Decision(2.0, "failsafe", {"loss": "rc"}, "vent", "accepted", FAULTS["rc"], 0.0)
+
+
+def lines(width: int, **shown: object) -> list[str]:
+    """The screen's lines without its frame."""
+    view = LiveView(0.0, 25.0, 690.0)
+    for _ in range(14):
+        view.take(UNASKED)
+    view.take(Notice(3.0, Severity.WARNING, "Vine: the latest event"))
+    console = Console(width=width, height=24, file=io.StringIO(), record=True)
+    console.print(Screen(view.render(snapshot(4.0, **shown))))
+    return [line.strip("│ ") for line in console.export_text().splitlines()]
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_a_fault_and_the_latest_event_are_whole(width: int) -> None:
+    shown = lines(width, safe_state=FAULTS, waiting=WAITING, rc="the receiver hears no transmitter")
+    text = " ".join(shown)
+    assert all(fault in text for fault in FAULTS.values())
+    assert f"waiting for: {WAITING.awaited}" in text and "the latest event" in text
+    labels = ("vehicle", "RC", "phloSAR", "valves", "command", "vine", "reservoir")
+    assert [line.split()[0] for line in shown[1:8]] == list(labels)
+    assert "40 cycles left (35…49)" in shown[7]
+    assert any(line.startswith("╰") for line in shown)
+
+
+@pytest.mark.parametrize("width", [60, 80, 120])
+def test_without_a_fault_it_says_what_vented_and_what_it_waits_for(width: int) -> None:
+    text = " ".join(lines(width, waiting=WAITING))
+    assert "vented: vent by the page waiting for: switch down, then up" in " ".join(text.split())
+
+
+@pytest.mark.parametrize(
+    ("trigger", "style"), [("failsafe", "yellow"), ("link", "yellow"), ("page", "green")]
+)
+def test_only_a_request_is_accepted_in_green(trigger: str, style: str) -> None:
+    line = event_line(Decision(2.0, trigger, {}, "vent", "accepted", "", 0.0), 0.0)
+    assert line is not None and style in {str(span.style) for span in line.spans}
