@@ -40,11 +40,12 @@ from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.parts import IsolatedParts
 from flying_vines.core.restarts import Restarts
 from flying_vines.core.safety import LossEnded, ResponseNeeded, Ruling, Safety, SafetyInputs
-from flying_vines.supply import Belief, CyclesLeft, Features, ReservoirEstimate, TelemetryReader, nominal
+from flying_vines.supply import Belief, Features, ReservoirEstimate, TelemetryReader, ToldCycles, nominal
 from flying_vines.supply.estimate import AirNeeded
-from flying_vines.supply.physics_checks import PhysicsChecks
+from flying_vines.supply.physics_checks import AIR_LOSSES, PhysicsChecks
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.component.parameters import Changed
+from flying_vines.vehicle.component.telemetry import VALUE_NAMES
 from flying_vines.vehicle.link_loss import LinkLoss
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.item import MissionItem
@@ -147,7 +148,7 @@ class Core:
         self._features: Features | None = None
         self._reservoir = ReservoirEstimate(self._belief)
         self._checks = PhysicsChecks(self._belief, config.checks)
-        self._cycles: CyclesLeft | None = None
+        self._cycles = ToldCycles(self._reservoir)
         self._cycles_at = -math.inf
         self._low_warned = False
         self._silent_since: float | None = None
@@ -399,6 +400,8 @@ class Core:
             self._stop_moving(t)
         else:
             self._note_trigger(t)
+            if motion.only_deflates:
+                self._note_cut_off(t)
             self._motion = motion
             self._drive(t)
         return self._record(t, trigger, ruling)
@@ -542,7 +545,13 @@ class Core:
         telemetry = self._firmware.telemetry
         return telemetry is None or telemetry.cv_kPa < 1.0
 
+    def _note_cut_off(self, t: float) -> None:
+        """The present motion ends before its time."""
+        if self._motion is not None and not self._motion.is_over(t):
+            self._reservoir.cut_off()
+
     def _stop_moving(self, t: float) -> None:
+        self._note_cut_off(t)
         self._motion = None
         self._to_firmware(self._firmware.command(t, fw.VENTING))
 
@@ -681,21 +690,25 @@ class Core:
     def _update_cycles_left(self, t: float) -> None:
         """Predict the cycles left after every flown cycle, and every `CYCLES_EVERY_S`."""
         reservoir, cycles = self._reservoir, self._cycles
-        flown = cycles is None or cycles.measured_cycles != reservoir.measured_cycles
-        if flown or abs(reservoir.read_at - self._cycles_at) >= CYCLES_EVERY_S:
+        lost = any(name in AIR_LOSSES for name in self._safety.reasons)
+        flown = cycles.left is None or cycles.left.measured_cycles != reservoir.measured_cycles
+        if flown or lost != cycles.lost or abs(reservoir.read_at - self._cycles_at) >= CYCLES_EVERY_S:
             self._cycles_at = reservoir.read_at
-            self._cycles = self._parts.run(t, "cycles left", reservoir.cycles_left, None)
+            event = self._parts.run(t, "cycles left", lambda: cycles.update(t, lost), None)
+            if event is None:
+                cycles.left = None
+            elif event:
+                self._notice(t, Severity.NOTICE, event)
 
     def _warn_of_low_reservoir(self, t: float) -> None:
-        cycles = self._cycles
-        if cycles is None:
+        cycles = self._cycles.left
+        if cycles is None or cycles.lost:
             return
         threshold = self.config.telemetry.low_reservoir_cycles
         if cycles.expected < threshold and not self._low_warned:
             self._low_warned = True
             pressure = self._reservoir.reservoir_kPa
-            left = f"{cycles.expected:.0f} cycles left ({cycles.low:.0f}-{cycles.high:.0f})"
-            self._notice(t, Severity.WARNING, f"bottle low, {pressure:.0f} kPa, {left}")
+            self._notice(t, Severity.WARNING, f"bottle low, {pressure:.0f} kPa, {cycles}")
         elif cycles.expected > 1.5 * threshold + 1:
             self._low_warned = False
 
@@ -724,14 +737,16 @@ class Core:
         telemetry = self._fresh_telemetry(t)
         if telemetry is None:
             return {}
-        cycles = self._cycles
-        return {
-            "RES_KPA": telemetry.reservoir_kPa,
-            "CYC_LEFT": cycles.expected if cycles else math.nan,
-            "CV_KPA": telemetry.cv_kPa,
-            "CMD_KPA": self._commanded_kPa(t),
-            "BEND_DEG": self._planner.curve.angle_deg(self._bent_kPa),
-        }
+        left = self._cycles.left
+        values = (
+            telemetry.reservoir_kPa,
+            left.expected if left else math.nan,
+            left.minutes if left else math.nan,
+            telemetry.cv_kPa,
+            self._commanded_kPa(t),
+            self._planner.curve.angle_deg(self._bent_kPa),
+        )
+        return dict(zip(VALUE_NAMES, values, strict=True))
 
     def _commanded_kPa(self, t: float) -> float:
         return self._motion.setpoint_kPa(t) if self._motion else 0.0
@@ -765,7 +780,7 @@ class Core:
             evp_opening=telemetry.evp_opening if telemetry else math.nan,
             dvp_opening=telemetry.dvp_opening if telemetry else math.nan,
             solenoid=telemetry.solenoid if telemetry else None,
-            cycles=self._cycles,
+            cycles=self._cycles.left,
             doing=self._motion.name if self._motion else self._resting,
             safe_state=self._safety.reasons,
             findings=dict(self._checks.counts),
