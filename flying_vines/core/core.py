@@ -25,6 +25,7 @@ from flying_vines.core.events import (
     FirmwareMessage,
     InternalError,
     KeepDisarmed,
+    KeepLearned,
     KeepParameters,
     LinkChanged,
     Measured,
@@ -42,6 +43,7 @@ from flying_vines.core.restarts import Restarts
 from flying_vines.core.safety import LossEnded, ResponseNeeded, Ruling, Safety, SafetyInputs
 from flying_vines.supply import Belief, Features, ReservoirEstimate, TelemetryReader, ToldCycles, nominal
 from flying_vines.supply.estimate import AirNeeded
+from flying_vines.supply.learned_file import learned_from, text_of
 from flying_vines.supply.physics_checks import AIR_LOSSES, PhysicsChecks
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.component.parameters import Changed
@@ -78,6 +80,9 @@ SPEAK_FIRST_S = 1.5
 
 CYCLES_EVERY_S = 2.0
 """The cycles left are predicted at this interval. A prediction takes milliseconds of the loop."""
+
+KEEP_EVERY_S = 10.0
+"""What was learned of the air is stored at most this often: each time is a write to the disk."""
 
 AIR_UNKNOWN = AirNeeded(math.inf, math.inf)
 """No reservoir has so much: nothing bends after the estimate has failed."""
@@ -121,7 +126,7 @@ class Core:
     `mission` is the vehicle's mission if it is already known; otherwise it is read from the autopilot.
     `belief` holds the rig's identified numbers; without it, those of the configuration are used. `parameters`
     are the stored ones that a pilot has set. `disarmed`: the pneumatics were disarmed when the last core
-    ended. They stay disarmed until a person arms them.
+    ended. They stay disarmed until a person arms them. `learned` is the text of the last `KeepLearned`.
     """
 
     def __init__(
@@ -131,6 +136,7 @@ class Core:
         belief: Belief | None = None,
         parameters: Mapping[str, float] | None = None,
         disarmed: bool = False,
+        learned: str = "",
     ) -> None:
         self._vehicle = Vehicle(profile, mission, parameters)
         self._link_loss = LinkLoss(self._vehicle)
@@ -146,7 +152,10 @@ class Core:
         self._belief = belief or nominal(config.pneumatics)
         self._reader = TelemetryReader(self._belief)
         self._features: Features | None = None
-        self._reservoir = ReservoirEstimate(self._belief)
+        known, self._learned_problem = learned_from(learned, self._belief)
+        self._reservoir = ReservoirEstimate(self._belief, known)
+        self._kept_cycles = self._reservoir.measured_cycles
+        self._kept_at = -math.inf
         self._checks = PhysicsChecks(self._belief, config.checks)
         self._cycles = ToldCycles(self._reservoir)
         self._cycles_at = -math.inf
@@ -585,6 +594,7 @@ class Core:
             self._notice(t, Severity.WARNING, text)
         self._update_cycles_left(t)
         self._warn_of_low_reservoir(t)
+        self._keep_learned(t)
         self._report(t)
 
     def _note_rc_use(self, t: float) -> None:
@@ -699,6 +709,19 @@ class Core:
                 cycles.left = None
             elif event:
                 self._notice(t, Severity.NOTICE, event)
+
+    def _keep_learned(self, t: float) -> None:
+        """Have what was learned stored, after new cycles and not too often."""
+        if self._learned_problem:
+            self._notice(t, Severity.NOTICE, self._learned_problem)
+            self._learned_problem = ""
+        reservoir = self._reservoir
+        if reservoir.measured_cycles == self._kept_cycles or t < self._kept_at + KEEP_EVERY_S:
+            return
+        learned = reservoir.learned
+        if learned is not None:
+            self._kept_cycles, self._kept_at = reservoir.measured_cycles, t
+            self._actions.append(KeepLearned(t, text_of(self._belief, learned)))
 
     def _warn_of_low_reservoir(self, t: float) -> None:
         cycles = self._cycles.left

@@ -69,7 +69,7 @@ def min_supply_kPa(
 
 def fillable(belief: Belief, inflation: ObservedInflation, demand_kPa_s: float) -> bool:
     """True if there was time for this inflation with some supply."""
-    return inflation.reached or _filled(belief, inflation, demand_kPa_s, MAX_KPA)
+    return _filled(belief, inflation, demand_kPa_s, MAX_KPA)
 
 
 def _filled(belief: Belief, inflation: ObservedInflation, demand_kPa_s: float, supply_kPa_abs: float) -> bool:
