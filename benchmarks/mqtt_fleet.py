@@ -138,7 +138,9 @@ def state() -> bytes:
 def reservoir() -> bytes:
     return _timeless(
         ReservoirPayload(
-            unix_s=0.0, reservoir_kPa=612.482, cycles=CyclesPayload(31.24, 27.91, 35.03, 12.0, 18.42)
+            unix_s=0.0,
+            reservoir_kPa=612.482,
+            cycles=CyclesPayload(31.24, 27.91, 35.03, 12.0, 18.42, 15.0, 1.4, 80.2, 65.4, 110.3, False),
         )
     )
 

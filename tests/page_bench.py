@@ -55,7 +55,7 @@ def snapshot(t: float = 0.0, **changed: Any) -> Snapshot:
         "evp_opening": 0.0,
         "dvp_opening": 0.0,
         "solenoid": True,
-        "cycles": CyclesLeft(40.0, 35.0, 49.0, 3.0, 9.0, 80.0),
+        "cycles": CyclesLeft(40.0, 35.0, 49.0, 3.0, 9.0, 80.0, 15.0, 1.2, 95.0, 80.0, 130.0),
         "doing": "vented",
     }
     return Snapshot(**{**well, **changed})

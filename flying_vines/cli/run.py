@@ -45,12 +45,19 @@ def _run(arguments: argparse.Namespace) -> int:
     with file_errors(arguments.config, ParameterFileError, SigningKeyError, PageTokenError):
         signing, clock_problem = kept.read_signing(config)
         remembered = Remembered(
-            kept, kept.read_parameters(config), kept.disarmed, signing, kept.read_page_token(config)
+            kept,
+            kept.read_parameters(config),
+            kept.disarmed,
+            kept.read_learned(),
+            signing,
+            kept.read_page_token(config),
         )
     try:
         numbers = known.belief.pneumatics if known else config.pneumatics
         rig = known.path.read_text(encoding="utf-8") if known else ""
-        began = FlightStart(text, numbers, rig, remembered.parameters, remembered.disarmed)
+        began = FlightStart(
+            text, numbers, rig, remembered.parameters, remembered.disarmed, remembered.learned
+        )
         log = Recorder(arguments.out, began, config.log.least_free_MB)
     except OSError as error:
         fail(f"{arguments.out}: no flight log can be written there: {error.strerror}")

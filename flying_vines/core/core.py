@@ -25,6 +25,7 @@ from flying_vines.core.events import (
     FirmwareMessage,
     InternalError,
     KeepDisarmed,
+    KeepLearned,
     KeepParameters,
     LinkChanged,
     Measured,
@@ -41,11 +42,13 @@ from flying_vines.core.parts import IsolatedParts
 from flying_vines.core.restarts import Restarts
 from flying_vines.core.safety import LossEnded, ResponseNeeded, Ruling, Safety, SafetyInputs
 from flying_vines.core.waiting import FreshRequest, Waiting, source
-from flying_vines.supply import Belief, CyclesLeft, Features, ReservoirEstimate, TelemetryReader, nominal
+from flying_vines.supply import Belief, Features, ReservoirEstimate, TelemetryReader, ToldCycles, nominal
 from flying_vines.supply.estimate import AirNeeded
-from flying_vines.supply.physics_checks import PhysicsChecks
+from flying_vines.supply.learned_file import learned_from, text_of
+from flying_vines.supply.physics_checks import AIR_LOSSES, PhysicsChecks
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.component.parameters import Changed
+from flying_vines.vehicle.component.telemetry import VALUE_NAMES
 from flying_vines.vehicle.link_loss import LinkLoss
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.item import MissionItem
@@ -78,6 +81,9 @@ SPEAK_FIRST_S = 1.5
 
 CYCLES_EVERY_S = 2.0
 """The cycles left are predicted at this interval. A prediction takes milliseconds of the loop."""
+
+KEEP_EVERY_S = 10.0
+"""What was learned of the air is stored at most this often: each time is a write to the disk."""
 
 AIR_UNKNOWN = AirNeeded(math.inf, math.inf)
 """No reservoir has so much: nothing bends after the estimate has failed."""
@@ -121,7 +127,7 @@ class Core:
     `mission` is the vehicle's mission if it is already known; otherwise it is read from the autopilot.
     `belief` holds the rig's identified numbers; without it, those of the configuration are used. `parameters`
     are the stored ones that a pilot has set. `disarmed`: the pneumatics were disarmed when the last core
-    ended. They stay disarmed until a person arms them.
+    ended. They stay disarmed until a person arms them. `learned` is the text of the last `KeepLearned`.
     """
 
     def __init__(
@@ -131,6 +137,7 @@ class Core:
         belief: Belief | None = None,
         parameters: Mapping[str, float] | None = None,
         disarmed: bool = False,
+        learned: str = "",
     ) -> None:
         self._vehicle = Vehicle(profile, mission, parameters)
         self._link_loss = LinkLoss(self._vehicle)
@@ -146,9 +153,12 @@ class Core:
         self._belief = belief or nominal(config.pneumatics)
         self._reader = TelemetryReader(self._belief)
         self._features: Features | None = None
-        self._reservoir = ReservoirEstimate(self._belief)
+        known, self._learned_problem = learned_from(learned, self._belief)
+        self._reservoir = ReservoirEstimate(self._belief, known)
+        self._kept_cycles = self._reservoir.measured_cycles
+        self._kept_at = -math.inf
         self._checks = PhysicsChecks(self._belief, config.checks)
-        self._cycles: CyclesLeft | None = None
+        self._cycles = ToldCycles(self._reservoir)
         self._cycles_at = -math.inf
         self._low_warned = False
         self._silent_since: float | None = None
@@ -404,6 +414,8 @@ class Core:
         else:
             self._note_trigger(t)
             self._fresh_request.began(trigger.kind)
+            if motion.only_deflates:
+                self._note_cut_off(t)
             self._motion = motion
             self._drive(t)
         return self._record(t, trigger, ruling)
@@ -563,7 +575,13 @@ class Core:
             self._fresh_request.stopped(str(trigger.what["event"]))
         self._stop_moving(t)
 
+    def _note_cut_off(self, t: float) -> None:
+        """The present motion ends before its time."""
+        if self._motion is not None and not self._motion.is_over(t):
+            self._reservoir.cut_off()
+
     def _stop_moving(self, t: float) -> None:
+        self._note_cut_off(t)
         self._motion = None
         self._to_firmware(self._firmware.command(t, fw.VENTING))
 
@@ -600,6 +618,7 @@ class Core:
         self._tell_waiting(t)
         self._update_cycles_left(t)
         self._warn_of_low_reservoir(t)
+        self._keep_learned(t)
         self._report(t)
 
     @property
@@ -731,21 +750,38 @@ class Core:
     def _update_cycles_left(self, t: float) -> None:
         """Predict the cycles left after every flown cycle, and every `CYCLES_EVERY_S`."""
         reservoir, cycles = self._reservoir, self._cycles
-        flown = cycles is None or cycles.measured_cycles != reservoir.measured_cycles
-        if flown or abs(reservoir.read_at - self._cycles_at) >= CYCLES_EVERY_S:
+        lost = any(name in AIR_LOSSES for name in self._safety.reasons)
+        flown = cycles.left is None or cycles.left.measured_cycles != reservoir.measured_cycles
+        if flown or lost != cycles.lost or abs(reservoir.read_at - self._cycles_at) >= CYCLES_EVERY_S:
             self._cycles_at = reservoir.read_at
-            self._cycles = self._parts.run(t, "cycles left", reservoir.cycles_left, None)
+            event = self._parts.run(t, "cycles left", lambda: cycles.update(t, lost), None)
+            if event is None:
+                cycles.left = None
+            elif event:
+                self._notice(t, Severity.NOTICE, event)
+
+    def _keep_learned(self, t: float) -> None:
+        """Have what was learned stored, after new cycles and not too often."""
+        if self._learned_problem:
+            self._notice(t, Severity.NOTICE, self._learned_problem)
+            self._learned_problem = ""
+        reservoir = self._reservoir
+        if reservoir.measured_cycles == self._kept_cycles or t < self._kept_at + KEEP_EVERY_S:
+            return
+        learned = reservoir.learned
+        if learned is not None:
+            self._kept_cycles, self._kept_at = reservoir.measured_cycles, t
+            self._actions.append(KeepLearned(t, text_of(self._belief, learned)))
 
     def _warn_of_low_reservoir(self, t: float) -> None:
-        cycles = self._cycles
-        if cycles is None:
+        cycles = self._cycles.left
+        if cycles is None or cycles.lost:
             return
         threshold = self.config.telemetry.low_reservoir_cycles
         if cycles.expected < threshold and not self._low_warned:
             self._low_warned = True
             pressure = self._reservoir.reservoir_kPa
-            left = f"{cycles.expected:.0f} cycles left ({cycles.low:.0f}-{cycles.high:.0f})"
-            self._notice(t, Severity.WARNING, f"bottle low, {pressure:.0f} kPa, {left}")
+            self._notice(t, Severity.WARNING, f"bottle low, {pressure:.0f} kPa, {cycles}")
         elif cycles.expected > 1.5 * threshold + 1:
             self._low_warned = False
 
@@ -774,14 +810,16 @@ class Core:
         telemetry = self._fresh_telemetry(t)
         if telemetry is None:
             return {}
-        cycles = self._cycles
-        return {
-            "RES_KPA": telemetry.reservoir_kPa,
-            "CYC_LEFT": cycles.expected if cycles else math.nan,
-            "CV_KPA": telemetry.cv_kPa,
-            "CMD_KPA": self._commanded_kPa(t),
-            "BEND_DEG": self._planner.curve.angle_deg(self._bent_kPa),
-        }
+        left = self._cycles.left
+        values = (
+            telemetry.reservoir_kPa,
+            left.expected if left else math.nan,
+            left.minutes if left else math.nan,
+            telemetry.cv_kPa,
+            self._commanded_kPa(t),
+            self._planner.curve.angle_deg(self._bent_kPa),
+        )
+        return dict(zip(VALUE_NAMES, values, strict=True))
 
     def _commanded_kPa(self, t: float) -> float:
         return self._motion.setpoint_kPa(t) if self._motion else 0.0
@@ -815,7 +853,7 @@ class Core:
             evp_opening=telemetry.evp_opening if telemetry else math.nan,
             dvp_opening=telemetry.dvp_opening if telemetry else math.nan,
             solenoid=telemetry.solenoid if telemetry else None,
-            cycles=self._cycles,
+            cycles=self._cycles.left,
             doing=self._motion.name if self._motion else self._resting,
             safe_state=self._safety.reasons,
             findings=dict(self._checks.counts),

@@ -156,6 +156,15 @@ class KeepDisarmed:
 
 
 @dataclass(frozen=True, slots=True)
+class KeepLearned:
+    """Store what was learned of the rig's air."""
+
+    t: float
+    text: str
+    """The file's text."""
+
+
+@dataclass(frozen=True, slots=True)
 class InternalError:
     """A part failed with this traceback, for the log."""
 
@@ -164,7 +173,17 @@ class InternalError:
     trace: str
 
 
-Action = ToVehicle | ToFirmware | Decision | Notice | Measured | KeepParameters | KeepDisarmed | InternalError
+Action = (
+    ToVehicle
+    | ToFirmware
+    | Decision
+    | Notice
+    | Measured
+    | KeepParameters
+    | KeepDisarmed
+    | KeepLearned
+    | InternalError
+)
 
 
 @dataclass(frozen=True, slots=True)

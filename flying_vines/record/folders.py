@@ -65,6 +65,8 @@ class FlightStart:
     """Saved parameters that a pilot has set."""
     disarmed: bool = False
     """The pneumatics were disarmed when the last service ended."""
+    learned: str = ""
+    """The text of what the last service learned of the rig's air."""
 
 
 class LogEnded(OSError):
@@ -225,7 +227,18 @@ class Files:
         self._write_about()
         self._mcap = McapFile(self._file, TOPICS, f"flying-vines {version_of('flying-vines')}")
         believed = msgspec.to_builtins(nominal_rig(began.pneumatics))
-        start = Start(t, began.profile, began.rig, began.parameters, began.disarmed, believed, continues)
+        start = Start(
+            *(
+                t,
+                began.profile,
+                began.rig,
+                began.parameters,
+                began.disarmed,
+                began.learned,
+                believed,
+                continues,
+            )
+        )
         self.add(entry_of_state(start))
         self.sync()
 

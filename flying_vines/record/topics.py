@@ -25,6 +25,7 @@ from flying_vines.core.events import (
     FirmwareMessage,
     InternalError,
     KeepDisarmed,
+    KeepLearned,
     KeepParameters,
     LinkChanged,
     Measured,
@@ -65,6 +66,8 @@ class Start:
     """Saved parameters that a pilot has set."""
     disarmed: bool
     """The pneumatics were disarmed when the last service ended."""
+    learned: str
+    """The text of what the last service learned of the rig's air; or empty."""
     believed: dict[str, Any]
     """The configuration's numbers of the rig, as the tables of a rig file."""
     continues: str
@@ -129,7 +132,12 @@ _ANSWERS: dict[type, str] = {
     KeepParameters: "parameters",
     KeepDisarmed: "disarmed",
 }
-_STATES: dict[type, str] = {Start: "start", Snapshot: "snapshot", InternalError: "internal_error"}
+_STATES: dict[type, str] = {
+    Start: "start",
+    Snapshot: "snapshot",
+    InternalError: "internal_error",
+    KeepLearned: "learned",
+}
 """Not fed to the core, and not compared in a replay: a traceback contains line numbers."""
 MAVLINK_IN, MAVLINK_OUT = "mavlink/in", "mavlink/out"
 

@@ -1,4 +1,4 @@
-"""Persistent state: the pilot's parameters, disarmed pneumatics, the signing clock, the page's token.
+"""Persistent state: parameters, disarmed pneumatics, what was learned of the air, signing clock, page token.
 
 All are files of one folder. Their names begin with the profile's, so several rigs can share the folder.
 """
@@ -33,6 +33,8 @@ class PersistentState:
     parameters: Path
     disarming: Path
     """Exists while the pneumatics are disarmed. Its content is not read: an incomplete file is enough."""
+    learned: Path
+    """What was learned of the rig's air."""
     signing_timestamp: Path
     page_token: Path
 
@@ -46,6 +48,7 @@ class PersistentState:
             profile,
             parameters=folder / f"{stem}.parameters.toml",
             disarming=folder / f"{stem}.disarmed",
+            learned=folder / f"{stem}.air.json",
             signing_timestamp=folder / f"{stem}.signing-timestamp",
             page_token=profile.parent / token_file if token_file else folder / f"{stem}.page-token",
         )
@@ -69,6 +72,20 @@ class PersistentState:
         except OSError as error:
             change = "written" if disarmed else "deleted"
             raise PersistentStateError(f"{self.disarming}: cannot be {change}: {error.strerror}") from None
+
+    def read_learned(self) -> str:
+        """The text; empty if there is none. An unreadable one is not worth a refused start."""
+        try:
+            return self.learned.read_text(encoding="utf-8", errors="replace")
+        except OSError:
+            return ""
+
+    def store_learned(self, text: str) -> None:
+        """Raises `PersistentStateError`."""
+        try:
+            on_disk.put(self.learned, text)
+        except OSError as error:
+            raise PersistentStateError(f"{self.learned}: cannot be written: {error.strerror}") from None
 
     def read_page_token(self, config: Config) -> str:
         """The token; a new one if there is none, empty if the page needs none. Raises `PageTokenError`."""

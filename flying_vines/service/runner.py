@@ -39,6 +39,7 @@ class Remembered:
     kept: PersistentState
     parameters: dict[str, float]
     disarmed: bool
+    learned: str
     signing: Signing | None
     page_token: str
 
@@ -71,6 +72,7 @@ async def serve(
         belief,
         remembered.parameters,
         remembered.disarmed,
+        remembered.learned,
         remembered.signing,
         remembered.kept,
     )

@@ -25,6 +25,7 @@ from flying_vines.core.events import (
     Failed,
     FirmwareMessage,
     KeepDisarmed,
+    KeepLearned,
     KeepParameters,
     LinkChanged,
     Said,
@@ -64,8 +65,8 @@ _LINKS = ("flying_vines.vehicle.mavlink.link", "firmware_link.serial_port")
 class Service:
     """A core between two real links. The `watchers` get each event and action after it was carried out.
 
-    `parameters`, `disarmed` and `signing` are the stored state of the last run. `kept` has the files for the
-    next run; without it nothing is stored.
+    `parameters`, `disarmed`, `learned` and `signing` are the stored state of the last run. `kept` has the
+    files for the next run; without it nothing is stored.
     """
 
     def __init__(
@@ -75,11 +76,12 @@ class Service:
         belief: Belief | None = None,
         parameters: Mapping[str, float] | None = None,
         disarmed: bool = False,
+        learned: str = "",
         signing: Signing | None = None,
         kept: PersistentState | None = None,
     ) -> None:
         self.core = CrashSafeCore(
-            Core(config, belief=belief, parameters=parameters, disarmed=disarmed),
+            Core(config, belief=belief, parameters=parameters, disarmed=disarmed, learned=learned),
             lambda error: self.failed("display", error),
         )
         self._failed: set[str] = set()
@@ -364,3 +366,5 @@ class Service:
                 self._store("parameters", partial(parameter_file.write, file, values, self._profile))
             case KeepDisarmed(_, disarmed) if self._persistent is not None:
                 self._store("disarming", partial(self._persistent.store_disarmed, disarmed))
+            case KeepLearned(_, text) if self._persistent is not None:
+                self._store("learned", partial(self._persistent.store_learned, text))

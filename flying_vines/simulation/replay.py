@@ -166,7 +166,14 @@ def _core(log: FlightLog, start: Start, config: Config | None) -> CrashSafeCore:
             path = Path(folder) / "rig.toml"
             path.write_text(start.rig, encoding="utf-8")
             belief = load_calibration(path, config.pneumatics).belief
-    return CrashSafeCore(Core(config, belief=belief, parameters=start.parameters, disarmed=start.disarmed))
+    core = Core(
+        config,
+        belief=belief,
+        parameters=start.parameters,
+        disarmed=start.disarmed,
+        learned=start.learned,
+    )
+    return CrashSafeCore(core)
 
 
 def _answers(t: float, action: Action) -> list[tuple[str, object]]:

@@ -32,11 +32,12 @@ from flying_vines.supply.reservoir import (
     VENTURI,
     WARMTH,
     Bottle,
+    Rates,
     Spent,
     X,
     colder_K,
 )
-from flying_vines.supply.supply import SupplyCost, min_supply_kPa
+from flying_vines.supply.supply import SupplyCost, fillable, min_supply_kPa
 
 READING_SD_KPA = 1.3
 """Standard deviation of one reading: sensor noise and a converter of 10 bits."""
@@ -62,6 +63,10 @@ MEMORY_CYCLES = 15.0
 PRIOR_CYCLES = 0.05
 """Weight of the assumed cycle, in flown cycles."""
 RECENT_INFLATIONS = 10
+MAX_PAUSE_S = 30.0
+"""A longer pause is a wait, not the rhythm of cycles. `CyclesLeft.minutes` says what a wait costs."""
+MAX_MINUTES = 600.0
+"""Longer times are not distinguished."""
 Z90 = 1.645
 
 
@@ -78,6 +83,19 @@ class CyclesLeft:
     """The expected cost of one cycle at the present pressure, in kPa of the reservoir."""
     floor_kPa: float
     """The expected gauge pressure of the reservoir below which cycles are not completed in time."""
+    bend_kPa: float
+    """The swing of the last bend; that of a cycle before the first one."""
+    per_cycle: float
+    """The number of bends like the last one, in the present rhythm, that take the air of one cycle."""
+    minutes: float
+    """Time until the floor without another bend, at the present loss; at most `MAX_MINUTES`."""
+    minutes_low: float
+    minutes_high: float
+    lost: bool = False
+    """A fault that loses air is latched: nothing is left until a person clears it."""
+
+    def __str__(self) -> str:
+        return f"{self.expected:.0f} cycles left ({self.low:.0f}-{self.high:.0f})"
 
 
 class AirNeeded(NamedTuple):
@@ -87,6 +105,47 @@ class AirNeeded(NamedTuple):
     """The expected cost."""
     floor_kPa: float
     """Minimum difference between reservoir and vine for the requested rate."""
+
+
+class MixSums(NamedTuple):
+    """What `_Mix` keeps, to be stored."""
+
+    cycles: float
+    assumed_cycles: float
+    amounts: tuple[float, ...]
+    venturi_kPa_s: float
+
+
+class MeanCycle(NamedTuple):
+    """The flown cycles on average."""
+
+    spent: Spent
+    venturi_kPa_s: float
+    """Gauge supply plus ambient, integrated while the Venturi's valve was open."""
+    venturi_supply_kPa: float
+    """Mean gauge supply while it was open."""
+    assumed_share: float
+    """The share of the assumed cycle, which was not flown."""
+
+
+class Basis(NamedTuple):
+    """All numbers behind a prediction."""
+
+    mean: Sequence[float]
+    cycle: MeanCycle
+    floor_kPa: float
+
+
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """What a run learned of a rig. It is stored for the next run."""
+
+    rates: Rates
+    demand_ln: float
+    demand_variance: float
+    mix: MixSums
+    inflations: tuple[ObservedInflation, ...]
+    measured_cycles: float
 
 
 class _Mix:
@@ -102,34 +161,40 @@ class _Mix:
         self._sums = [PRIOR_CYCLES * amount for amount in cycle]
         self._venturi_kPa_s = PRIOR_CYCLES * belief.cycle_venturi_s * (p.full_kPa + AMBIENT_KPA)
 
+    @property
+    def sums(self) -> MixSums:
+        return MixSums(self.cycles, self._assumed_cycles, tuple(self._sums), self._venturi_kPa_s)
+
+    @sums.setter
+    def sums(self, sums: MixSums) -> None:
+        self.cycles, self._assumed_cycles, amounts, self._venturi_kPa_s = sums
+        self._sums = list(amounts)
+
     def add(self, inflation: ObservedInflation, supply_kPa_abs: float) -> None:
         cycles = inflation.swing_kPa / self._cycle_kPa
         keep = math.exp(-cycles / MEMORY_CYCLES)
         self.cycles = keep * self.cycles + cycles
         self._assumed_cycles *= keep
-        self._sums = [keep * a + b for a, b in zip(self._sums, inflation.spent, strict=True)]
+        spent = inflation.spent._replace(time_s=min(inflation.spent.time_s, inflation.given_s + MAX_PAUSE_S))
+        self._sums = [keep * a + b for a, b in zip(self._sums, spent, strict=True)]
         self._venturi_kPa_s = keep * self._venturi_kPa_s + inflation.spent.venturi_s * supply_kPa_abs
 
-    @property
-    def assumed_share(self) -> float:
-        """The share of the assumed cycle, which was not flown."""
-        return self._assumed_cycles / self.cycles
-
-    def per_cycle(self) -> Spent:
-        return Spent(*(amount / self.cycles for amount in self._sums))
-
-    def venturi_supply_kPa(self) -> float:
-        """Mean gauge supply while the Venturi's valve was open."""
-        return self._venturi_kPa_s / max(1e-9, self._sums[3]) - AMBIENT_KPA
-
-    def venturi_kPa_s(self) -> float:
-        return self._venturi_kPa_s / self.cycles
+    def mean(self) -> MeanCycle:
+        return MeanCycle(
+            Spent(*(amount / self.cycles for amount in self._sums)),
+            self._venturi_kPa_s / self.cycles,
+            self._venturi_kPa_s / max(1e-9, self._sums[3]) - AMBIENT_KPA,
+            self._assumed_cycles / self.cycles,
+        )
 
 
 class ReservoirEstimate:
-    """Learns from telemetry the cost of a cycle, the leaks, and the minimum pressure for a cycle."""
+    """Learns from telemetry the cost of a cycle, the leaks, and the minimum pressure for a cycle.
 
-    def __init__(self, belief: Belief) -> None:
+    `learned` is what an earlier run of the same rig learned.
+    """
+
+    def __init__(self, belief: Belief, learned: Learned | None = None) -> None:
         self._belief = belief
         self._p = belief.pneumatics
         self.reservoir_kPa = math.nan
@@ -137,12 +202,34 @@ class ReservoirEstimate:
         self.read_at = 0.0
         self._flying = Flying(belief)
         self.bottle: Bottle | None = None
+        self._rates = learned.rates if learned else None
         self._demand = SupplyCost(belief)
         self._mix = _Mix(belief)
         self._inflations: list[ObservedInflation] = []
         self._warmed_up = belief.packed_kPa == 0.0
         self.measured_cycles = 0.0
         """The number of flown cycles from which the cost was learned."""
+        self.basis: Basis | None = None
+        """That of the latest prediction."""
+        if learned:
+            self._demand.ln, self._demand.variance = learned.demand_ln, learned.demand_variance
+            self._mix.sums = learned.mix
+            self._inflations = list(learned.inflations)
+            self.measured_cycles = learned.measured_cycles
+
+    @property
+    def learned(self) -> Learned | None:
+        """What the next run needs; None before the first reading."""
+        if self.bottle is None:
+            return None
+        return Learned(
+            rates=self.bottle.rates,
+            demand_ln=self._demand.ln,
+            demand_variance=self._demand.variance,
+            mix=self._mix.sums,
+            inflations=tuple(self._inflations),
+            measured_cycles=self.measured_cycles,
+        )
 
     def update(self, features: Features) -> None:
         """Take in one telemetry message."""
@@ -155,7 +242,7 @@ class ReservoirEstimate:
         flying = self._flying
         flying.take(features, self.reservoir_kPa)
         if flying.reading_kPa is not None and self.bottle is None:
-            self.bottle = Bottle(self._belief, flying.reading_kPa)
+            self.bottle = Bottle(self._belief, flying.reading_kPa, self._rates)
         if self.bottle is None:
             return
         if flying.block is not None:
@@ -165,14 +252,29 @@ class ReservoirEstimate:
         if flying.inflation is not None:
             self._add(flying.inflation, self.bottle)
 
+    def cut_off(self) -> None:
+        """The present movement is replaced before its end: nothing is learned from it."""
+        self._flying.cut_off()
+
+    def restart(self) -> None:
+        """Forget the air that a bend takes, and the leaks: vine or reservoir were repaired or exchanged."""
+        self._flying.cut_off()
+        self.bottle = self._rates = None
+        self.measured_cycles = 0.0
+
     def _add(self, inflation: ObservedInflation, bottle: Bottle) -> None:
+        if inflation.cut_off:
+            return
         if not self._warmed_up:
             # The pouch was packed flat. No later cycle is like the first.
             self._warmed_up = True
             return
         self.measured_cycles += inflation.swing_kPa / self._p.cycle_swing_kPa
         self._mix.add(inflation, bottle.absolute_kPa)
-        self._demand.learn(inflation, self._air_kPa(bottle.possible_mean(), inflation))
+        air_kPa = self._air_kPa(bottle.possible_mean(), inflation)
+        self._demand.learn(inflation, air_kPa)
+        if not fillable(self._belief, inflation, math.exp(self._demand.ln) * air_kPa):
+            return  # it turned before any supply could have filled it
         self._inflations = [*self._inflations[1 - RECENT_INFLATIONS :], inflation]
 
     @staticmethod
@@ -186,28 +288,60 @@ class ReservoirEstimate:
     def spending_kPa(self, rise_kPa: float) -> float:
         if self.bottle is None:
             return 2.0 * self._p.cv_volume_L * rise_kPa / self._p.reservoir_volume_L
-        return _Forecast(self._belief, self._mix, self.bottle.possible_mean(), 0.0).cost_kPa() * (
-            rise_kPa / self._p.cycle_swing_kPa
-        )
+        basis = Basis(self.bottle.possible_mean(), self._mix.mean(), 0.0)
+        return _Forecast(self._belief, basis).cost_kPa() * (rise_kPa / self._p.cycle_swing_kPa)
 
     def cycles_left(self) -> CyclesLeft | None:
         """None before the first reading."""
         return None if self.bottle is None else self._predict(self.bottle)
 
+    def cycles_of(self, basis: Basis) -> float:
+        """The cycles left with these numbers."""
+        return _Forecast(self._belief, basis).cycles()
+
     def _predict(self, bottle: Bottle) -> CyclesLeft:
         mean = bottle.possible_mean()
         floor = self._floor(mean)
-        forecast = _Forecast(self._belief, self._mix, mean, floor.kPa)
+        basis = self.basis = Basis(mean, self._mix.mean(), floor.kPa)
+        forecast = _Forecast(self._belief, basis)
         expected = forecast.cycles()
-        spread = math.exp(Z90 * math.sqrt(self._variance(bottle, mean, floor, expected)))
+        spread = math.exp(Z90 * math.sqrt(self._variance(bottle, basis, floor, expected)))
+        leak_sd = math.sqrt(bottle.covariance[LEAK][LEAK])
+        cost_kPa = forecast.cost_kPa()
         return CyclesLeft(
             expected=expected,
             low=expected / spread,
             high=min(expected * spread, max(expected, mean[X] / _min_cost_kPa(self._p))),
+            bend_kPa=self._inflations[-1].swing_kPa if self._inflations else self._p.cycle_swing_kPa,
+            per_cycle=self._last_bends_per_cycle(mean, cost_kPa),
+            minutes=self._minutes(mean, mean[LEAK], floor.kPa),
+            minutes_low=self._minutes(mean, mean[LEAK] + Z90 * leak_sd, floor.kPa),
+            minutes_high=self._minutes(mean, mean[LEAK] - Z90 * leak_sd, floor.kPa),
             measured_cycles=self.measured_cycles,
-            cost_kPa=forecast.cost_kPa(),
+            cost_kPa=cost_kPa,
             floor_kPa=floor.kPa,
         )
+
+    def _last_bends_per_cycle(self, mean: Sequence[float], cost_kPa: float) -> float:
+        if not self._inflations:
+            return 1.0
+        last = self._inflations[-1]
+        share = last.swing_kPa / self._p.cycle_swing_kPa
+        time_s = share * self._mix.mean().spent.time_s
+        air_kPa = self._air_kPa(mean, last) + mean[LEAK] * time_s * max(0.0, mean[X])
+        air_kPa += mean[VENTURI] * last.spent.venturi_s * (mean[X] + AMBIENT_KPA)
+        air_kPa += mean[CV_LEAK] * last.spent.held_kPa_s
+        return cost_kPa / max(share * _min_cost_kPa(self._p), air_kPa)
+
+    def _minutes(self, mean: Sequence[float], leak_per_s: float, floor_kPa: float) -> float:
+        """Time until the floor at this leak and with the vine as it is now."""
+        above_kPa = mean[X] - floor_kPa
+        if above_kPa <= 0.0:
+            return 0.0
+        leak_per_s = max(leak_per_s, 1e-9)
+        held = mean[CV_LEAK] * max(0.0, self._flying.cv_kPa) / leak_per_s
+        seconds = math.log((mean[X] + held) / (max(0.0, floor_kPa) + held + 1e-6)) / leak_per_s
+        return min(MAX_MINUTES, seconds / 60.0)
 
     def _floor(self, mean: Sequence[float]) -> _Floor:
         """The supply below which the hardest recent inflation is no longer completed in time."""
@@ -225,9 +359,9 @@ class ReservoirEstimate:
         more_kPa = min_supply_kPa(self._belief, worst, air * 1.1, kappa * air * 1.1)
         return _Floor(kPa, (more_kPa - kPa) / math.log(1.1), worst, air)
 
-    def _variance(self, bottle: Bottle, mean: Sequence[float], floor: _Floor, expected: float) -> float:
+    def _variance(self, bottle: Bottle, basis: Basis, floor: _Floor, expected: float) -> float:
         """Variance of ln n, from all uncertain numbers."""
-        jacobian = [self._derivative(bottle, mean, floor, i) for i in range(SIZE)]
+        jacobian = [self._derivative(bottle, basis, floor, i) for i in range(SIZE)]
         variance = sum(
             jacobian[i] * jacobian[k] * bottle.covariance[i][k] for i in range(SIZE) for k in range(SIZE)
         )
@@ -237,27 +371,27 @@ class ReservoirEstimate:
             floor.kPa_per_ln * math.sqrt(self._demand.variance),
         )
         for forecast in (
-            _Forecast(self._belief, self._mix, mean, floor.kPa + floor_sd),
-            _Forecast(self._belief, self._mix, mean, floor.kPa, trend=VENTURI_TREND + VENTURI_TREND_SD),
-            _Forecast(self._belief, self._mix, mean, floor.kPa, flat_counted=0.0),
+            _Forecast(self._belief, basis._replace(floor_kPa=floor.kPa + floor_sd)),
+            _Forecast(self._belief, basis, trend=VENTURI_TREND + VENTURI_TREND_SD),
+            _Forecast(self._belief, basis, flat_counted=0.0),
         ):
             variance += math.log(forecast.cycles() / expected) ** 2
-        unflown = UNFLOWN_SD * self._mix.assumed_share
+        unflown = UNFLOWN_SD * basis.cycle.assumed_share
         return variance + unflown**2 + MODEL_SD**2 + (COUNT_SD / max(COUNT_SD, expected)) ** 2
 
-    def _derivative(self, bottle: Bottle, mean: Sequence[float], floor: _Floor, i: int) -> float:
+    def _derivative(self, bottle: Bottle, basis: Basis, floor: _Floor, i: int) -> float:
         """The derivative of ln n with respect to state i of the reservoir."""
         half_sd = 0.5 * math.sqrt(bottle.covariance[i][i])
         ends = []
         for end in (-half_sd, half_sd):
-            moved = list(mean)
+            moved = list(basis.mean)
             moved[i] += end
             if RISE <= i < WARMTH:
                 moved[i] = max(0.0, moved[i])
             kPa = floor.kPa
             if i in (RISE, FLAT) and floor.air_kPa > 0.0:
                 kPa += floor.kPa_per_ln * (self._air_kPa(moved, floor.worst) / floor.air_kPa - 1.0)
-            ends.append((moved[i], math.log(_Forecast(self._belief, self._mix, moved, kPa).cycles())))
+            ends.append((moved[i], math.log(self.cycles_of(Basis(moved, basis.cycle, kPa)))))
         (a, ln_a), (b, ln_b) = ends
         return (ln_b - ln_a) / (b - a) if b > a else 0.0
 
@@ -273,7 +407,7 @@ class ReservoirEstimate:
             supply_kPa_abs=self._p.full_kPa + AMBIENT_KPA,
             reached=True,
             setpoints_kPa=tuple(min(swing, 1.2 * swing * (i + 0.5) / TRACE) for i in range(TRACE)),
-            spent=self._mix.per_cycle(),
+            spent=self._mix.mean().spent,
         )
 
 
@@ -316,16 +450,15 @@ class _Forecast:
     def __init__(
         self,
         belief: Belief,
-        mix: _Mix,
-        mean: Sequence[float],
-        floor_kPa: float,
+        basis: Basis,
         trend: float = VENTURI_TREND,
         flat_counted: float = FLAT_COUNTED,
     ) -> None:
-        cycle, p = mix.per_cycle(), belief.pneumatics
+        mean, mix, p = basis.mean, basis.cycle, belief.pneumatics
+        cycle = mix.spent
         self._belief = belief
         self._x = mean[X]
-        self._floor = floor_kPa
+        self._floor = basis.floor_kPa
         self._time_s = cycle.time_s
         self._volume_L = p.reservoir_volume_L
         self._warmth = math.exp(mean[WARMTH])
@@ -337,7 +470,7 @@ class _Forecast:
         flat = mean[FLAT] * cycle.flat
         self._without = _Cost(rigid + (flat_counted if with_venturi else 1.0) * flat, leak)
         slope = mean[VENTURI] * cycle.venturi_s * (1.0 - trend)
-        venturi = mean[VENTURI] * mix.venturi_kPa_s() - slope * mix.venturi_supply_kPa()
+        venturi = mean[VENTURI] * mix.venturi_kPa_s - slope * mix.venturi_supply_kPa
         self._with = _Cost(max(min_kPa, rigid + flat + venturi), leak + slope)
 
     def cost_kPa(self) -> float:

@@ -33,6 +33,8 @@ MAX_GAP_S = 0.5
 WIDE_OPEN = 0.95
 TRACE = 24
 """Setpoints that are stored of an inflation."""
+RISEN_S = 0.25
+"""A vent so soon after the setpoint last rose cuts the movement off."""
 MAX_TRACE = 20_000
 """Setpoints of some minutes. A longer rise is a hold."""
 
@@ -68,6 +70,8 @@ class ObservedInflation:
     setpoints_kPa: tuple[float, ...]
     """Evenly spaced over `given_s`."""
     spent: Spent
+    cut_off: bool = False
+    """It was vented or replaced before its end, so it says nothing about the air or supply of a whole one."""
 
     @property
     def swing_kPa(self) -> float:
@@ -101,8 +105,11 @@ class Flying:
         self._low = self._from = self._top = 0.0
         self._low_at = 0.0
         self._rising = self._regulating = False
+        self._risen_s = 0.0
+        """Time since the setpoint last rose."""
         self._began_at: float | None = None
         self._valve_kPa_s = self._partly_kPa_s = 0.0
+        self._reached = False
         self._begin_block()
         self._begin_inflation()
 
@@ -132,6 +139,15 @@ class Flying:
             self._count += 1
         if self._block[0] >= BLOCK_S - 1e-6:
             self._end_block()
+
+    @property
+    def cv_kPa(self) -> float:
+        """The smoothed reading of the control volume."""
+        return self._cv
+
+    def cut_off(self) -> None:
+        """The present movement is replaced before its end."""
+        self._cut_off |= self._rising
 
     def _end_block(self) -> None:
         self.block = Spent(*self._block)
@@ -201,12 +217,16 @@ class Flying:
                 self._began_at, self._from, self._top = self._low_at, self._low, setpoint
                 self._supply_kPa_abs = supply_kPa + AMBIENT_KPA
             return
+        self._risen_s = 0.0 if setpoint > self._top + 1e-3 else self._risen_s + dt
         self._top = max(self._top, setpoint)
         if len(self._trace) < MAX_TRACE:
             self._trace.append(setpoint)
         near_kPa = tolerance_kPa(self._top - self._from)
         if setpoint < self._top - near_kPa:
             self._rising = False
+            # The setpoint is 0 in VENT and in FAULT.
+            if not regulating and (self._risen_s < RISEN_S or not self._reached):
+                self._cut_off = True
             self._given_s = max(MIN_INFLATION_S, t - (self._began_at or 0.0))
             self._low, self._low_at = setpoint, t
             return
@@ -235,11 +255,13 @@ class Flying:
                 reached=self._reached,
                 setpoints_kPa=_thinned(self._trace),
                 spent=Spent(*self._cycle),
+                cut_off=self._cut_off,
             )
         self._begin_inflation()
 
     def _begin_inflation(self) -> None:
         self._cycle = [0.0] * 5
+        self._cut_off = False
         self._given_s = 0.0
         self._supply_kPa_abs = AMBIENT_KPA
         self._trace: list[float] = []

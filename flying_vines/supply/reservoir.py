@@ -79,11 +79,20 @@ def colder_K(belief: Belief, heat_W: float, supply_kPa_abs: float, warmth: float
     return colder
 
 
+class Rates(NamedTuple):
+    """The learned part of the state, from `RISE` on."""
+
+    mean: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+
+
 class Bottle:
     """The state, `mean` and `covariance`. Gauge kPa, K; rates in kPa per kPa, per inflation, per second."""
 
-    def __init__(self, belief: Belief, reading_kPa: float) -> None:
+    def __init__(self, belief: Belief, reading_kPa: float, rates: Rates | None = None) -> None:
         self._belief = belief
+        self.jumped_kPa = 0.0
+        """The pressure that came or went at once since somebody last set this to 0."""
         self._inflated_before = False
         self._outliers = 0
         prior = (
@@ -101,6 +110,15 @@ class Bottle:
         self.covariance = [
             [sd * sd if i == j else 0.0 for j in range(SIZE)] for i, (_, sd) in enumerate(prior)
         ]
+
+        if rates:
+            self.mean[RISE:] = rates.mean
+            for line, learned in zip(self.covariance[RISE:], rates.covariance, strict=True):
+                line[RISE:] = learned
+
+    @property
+    def rates(self) -> Rates:
+        return Rates(tuple(self.mean[RISE:]), tuple(tuple(line[RISE:]) for line in self.covariance[RISE:]))
 
     @property
     def absolute_kPa(self) -> float:
@@ -189,6 +207,7 @@ class Bottle:
             self._outliers += 1
             if self._outliers >= JUMP_READINGS:
                 lost_share = max(0.0, -error) / self.absolute_kPa
+                self.jumped_kPa += error
                 self._restart(reading_kPa, 3.0, REFILLED_SD_K)
                 p[LEAK][LEAK] += (lost_share / JUMP_S) ** 2
             return

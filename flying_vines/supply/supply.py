@@ -67,6 +67,11 @@ def min_supply_kPa(
     return high - AMBIENT_KPA + 0.5 * air_kPa
 
 
+def fillable(belief: Belief, inflation: ObservedInflation, demand_kPa_s: float) -> bool:
+    """True if there was time for this inflation with some supply."""
+    return _filled(belief, inflation, demand_kPa_s, MAX_KPA)
+
+
 def _filled(belief: Belief, inflation: ObservedInflation, demand_kPa_s: float, supply_kPa_abs: float) -> bool:
     """True if the control volume gets near the top before the setpoint falls.
 

@@ -21,6 +21,8 @@ from rich.text import Text
 
 from flying_vines.core.events import Action, Decision, InternalError, Snapshot
 from flying_vines.record.background_writer import BackgroundWriter
+from flying_vines.supply import CyclesLeft
+from flying_vines.supply.estimate import MAX_MINUTES
 from flying_vines.vehicle.notice import Notice, Severity
 
 VERDICT_STYLE = {"accepted": "green", "limited": "yellow", "refused": "red"}
@@ -176,8 +178,10 @@ class _Screen:
         grid.add_row("command", command.append(f"  {number(s.command_kPa)} kPa", style="default"))
         bend = f"  {number(s.cv_kPa)} kPa   bend {number(s.bend_deg, 0)}°"
         grid.add_row("vine", cv.append(bend, style="default"))
-        left = f"  {number(s.reservoir_kPa, 0)} kPa   {_cycles(s)}"
+        bends, minutes = air(s.cycles)
+        left = f"  {number(s.reservoir_kPa, 0)} kPa   {bends}"
         grid.add_row("reservoir", reservoir.append(left, style="default"))
+        grid.add_row("", minutes)
         return grid
 
 
@@ -199,9 +203,19 @@ def _health(s: Snapshot) -> str:
     return f"  {1000 * s.round_trip_s:.1f} ms, {s.telemetry_gaps} gaps"
 
 
-def _cycles(s: Snapshot) -> str:
-    c = s.cycles
-    return f"{c.expected:.0f} cycles left ({c.low:.0f}…{c.high:.0f})" if c else "cycles left not known"
+def air(c: CyclesLeft | None) -> tuple[str, str]:
+    """Bends like the last one that are left, and the time that the air lasts without a bend."""
+    if c is None:
+        return "bends left not known", ""
+    if c.lost:
+        return "0 bends left", "air is lost, until you clear the fault"
+    expected, low, high = (value * c.per_cycle for value in (c.expected, c.low, c.high))
+    long = c.minutes >= MAX_MINUTES
+    minutes = "10 h or more" if long else f"{c.minutes:.0f} min"
+    return (
+        f"{expected:.0f} bends to {c.bend_kPa:.0f} kPa ({low:.0f}…{high:.0f})",
+        f"{minutes} without a bend (at least {c.minutes_low:.0f})",
+    )
 
 
 def number(value: float, digits: int = 1) -> str:

@@ -62,7 +62,7 @@ FIRMWARE = FirmwareFacts(
     round_trip_s=0.002,
     cv_kPa=0.1,
     reservoir_kPa=650.0,
-    cycles_left=CyclesLeft(60.0, 40.0, 90.0, 0.0, 9.0, 60.0),
+    cycles_left=CyclesLeft(60.0, 40.0, 90.0, 0.0, 9.0, 60.0, 20.7, 1.0, 80.0, 15.0, 600.0),
 )
 STREAMS = {
     name: StreamFacts(name, wanted_Hz, wanted_Hz, essential, refused=False)

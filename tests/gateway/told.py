@@ -13,7 +13,7 @@ from flying_vines.gateway.messages import GatewayStart, Happened, SnapshotMessag
 from flying_vines.supply import CyclesLeft
 from flying_vines.vehicle.notice import Notice, Severity
 
-CYCLES = CyclesLeft(31.2, 27.9, 35.0, 12.0, 18.4, 102.0)
+CYCLES = CyclesLeft(31.2, 27.9, 35.0, 12.0, 18.4, 102.0, 15.0, 1.4, 80.0, 65.0, 110.0)
 
 
 def profile(**mqtt: Any) -> GatewayStart:

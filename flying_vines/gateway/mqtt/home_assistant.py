@@ -24,11 +24,13 @@ class _Sensor(NamedTuple):
 
 _MEASUREMENT: dict[str, object] = {"state_class": "measurement", "suggested_display_precision": 1}
 _PRESSURE = _MEASUREMENT | {"unit_of_measurement": "kPa", "device_class": "pressure"}
+_MINUTES = _MEASUREMENT | {"unit_of_measurement": "min", "device_class": "duration"}
 _SENSORS = (
     _Sensor("reservoir", "Reservoir", "state", "value_json.reservoir_kPa", _PRESSURE),
     _Sensor("vine", "Vine pressure", "state", "value_json.cv_kPa", _PRESSURE),
     _Sensor("bend", "Bend", "state", "value_json.bend_deg", _MEASUREMENT | {"unit_of_measurement": "°"}),
     _Sensor("cycles", "Cycles left", "reservoir", "(value_json.cycles or {}).get('expected')", _MEASUREMENT),
+    _Sensor("air_minutes", "Air lasts", "reservoir", "(value_json.cycles or {}).get('minutes')", _MINUTES),
     _Sensor("doing", "Doing", "state", "value_json.doing", {}),
     _Sensor("waiting", "Waiting for", "state", "(value_json.waiting or {}).get('awaited', 'nothing')", {}),
 )

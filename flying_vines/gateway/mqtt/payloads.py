@@ -105,6 +105,16 @@ class CyclesPayload(msgspec.Struct, frozen=True):
     measured_cycles: float
     """Number of flown cycles from which the cost was measured."""
     cost_kPa: float
+    bend_kPa: float
+    """Swing of the last bend."""
+    per_cycle: float
+    """Number of bends like the last one that take the air of one cycle."""
+    minutes: float
+    """Time that the air lasts without another bend, at the present loss; 600 means 600 or more."""
+    minutes_low: float
+    minutes_high: float
+    lost: bool
+    """Air is lost: nothing is left until a person clears the fault."""
 
 
 class ReservoirPayload(_Payload, frozen=True, kw_only=True):

@@ -20,6 +20,9 @@ BRIDGING = ("filling",)
 """These checks count only air that certainly went in, so they continue over a gap. All others restart at each
 gap: twice a second if a fifth of 10 Hz telemetry is lost."""
 
+AIR_LOSSES = ("filling", "sudden_fall", "bottle_loss")
+"""After one of these faults no air is left for a bend."""
+
 FindingSeverity = Literal["fault", "warn"]
 
 

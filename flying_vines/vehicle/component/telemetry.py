@@ -10,6 +10,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mavlink.fuel_status import fuel_status
 
+VALUE_NAMES = ("RES_KPA", "CYC_LEFT", "MIN_LEFT", "CV_KPA", "CMD_KPA", "BEND_DEG")
+"""The names of NAMED_VALUE_FLOAT, 10 characters at most. docs/mavlink.md says what they mean."""
 HEARTBEAT_S = 1.0
 SILENCE_S = 1.2
 """An autopilot with a longer time between two heartbeats may have rebooted."""

@@ -2,7 +2,7 @@
 
 import { angleAt, drawChart, drawVine, SHOWN_S } from "./drawing.js";
 import { Link, Vent } from "./link.js";
-import { ageWords, cyclesWords, eventWords, firmwareWords, number, rcWords, sentence, vehicleWords } from "./words.js";
+import { ageWords, airWords, eventWords, firmwareWords, number, rcWords, sentence, vehicleWords } from "./words.js";
 
 const STALE_S = 1.0;
 const SURE_S = 4;
@@ -71,7 +71,7 @@ function show(s) {
   write("cv", number(s.cv_kPa));
   write("command", number(s.command_kPa));
   write("reservoir", number(s.reservoir_kPa, 0));
-  write("cycles", cyclesWords(s.cycles));
+  write("cycles", airWords(s.cycles));
   const share = Math.min(Math.max((s.reservoir_kPa ?? 0) / vine.full_kPa, 0), 1);
   $("level").style.transform = `scaleX(${share})`;
   const bar = document.querySelector(".bar");

@@ -59,9 +59,21 @@ export function firmwareWords(s) {
   return `ready${trip}${gaps}`;
 }
 
-export function cyclesWords(cycles) {
-  if (!cycles) return "Cycles left: not known";
-  return `${number(cycles.expected, 0)} cycles left (${number(cycles.low, 0)} to ${number(cycles.high, 0)})`;
+const LONGEST_MINUTES = 600;
+
+const minutes = (value) => (value < LONGEST_MINUTES ? `${number(value, 0)} min` : "10 h or more");
+
+// What a pilot can use: bends like the last one, and the time without a bend; each with its assumption.
+export function airWords(cycles) {
+  if (!cycles) return "Bends left: not known";
+  if (cycles.lost) return "0 bends left: air is lost, until you clear the fault";
+  const bends = (value) => number(value * cycles.per_cycle, 0);
+  const like = cycles.measured_cycles > 0 ? "like the last, at this pace" : "a guess until you have bent";
+  return (
+    `${bends(cycles.expected)} bends left (${bends(cycles.low)} to ${bends(cycles.high)}), ` +
+    `to ${number(cycles.bend_kPa, 0)} kPa ${like}. ` +
+    `Without a bend the air lasts ${minutes(cycles.minutes)}, at least ${minutes(cycles.minutes_low)}.`
+  );
 }
 
 export function ageWords(seconds) {

@@ -1,0 +1,57 @@
+"""The file of what was learned of a rig, for the next run.
+
+It belongs to one rig: the prior in full. Another rig, a changed rig file or another version forgets it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+
+import msgspec
+
+from flying_vines.supply.belief import Belief
+from flying_vines.supply.estimate import Learned
+from flying_vines.supply.reservoir import RISE, SIZE
+
+RATES = SIZE - RISE
+
+
+class _File(msgspec.Struct, frozen=True):
+    rig: str
+    """Digest of the prior."""
+    learned: Learned
+
+
+def rig_digest(belief: Belief) -> str:
+    """Equal for equal priors only."""
+    return hashlib.sha256(repr(belief).encode()).hexdigest()[:16]
+
+
+def text_of(belief: Belief, learned: Learned) -> str:
+    """The file's text."""
+    return msgspec.json.encode(_File(rig_digest(belief), learned)).decode() + "\n"
+
+
+def learned_from(text: str, belief: Belief) -> tuple[Learned | None, str]:
+    """What the text says of this rig, and a sentence if it cannot be used. An empty text is no problem."""
+    if not text:
+        return None, ""
+    try:
+        file = msgspec.json.decode(text, type=_File)
+    except (msgspec.DecodeError, UnicodeError):
+        return None, "what was learned of the air cannot be read: it is learned again"
+    if file.rig != rig_digest(belief):
+        return None, "another rig or changed numbers: air is learned again"
+    if not _is_sound(file.learned):
+        return None, "what was learned of the air cannot be read: it is learned again"
+    return file.learned, ""
+
+
+def _is_sound(learned: Learned) -> bool:
+    mean, covariance = learned.rates
+    numbers = [*mean, *(number for line in covariance for number in line), learned.demand_ln]
+    shape = len(mean) == len(covariance) == RATES and all(len(line) == RATES for line in covariance)
+    variances = shape and all(covariance[i][i] > 0.0 for i in range(RATES))
+    positive = learned.demand_variance > 0.0 and learned.mix.cycles > 0.0 and len(learned.mix.amounts) == 5
+    return variances and positive and all(map(math.isfinite, numbers))

@@ -1,0 +1,124 @@
+"""What is told of the cycles left: a new interval never leaps past an earlier one without an event.
+
+All intervals are compared as the cycles of a whole filling: those that are left and those whose air is gone.
+So flying moves none of them. If a new interval has no value in common with those of the last `WINDOW_S`, then
+either something has happened (an event, with a sentence), or the earlier intervals were too narrow. Then the
+new one is stretched until it touches them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+
+from flying_vines.supply.estimate import Basis, CyclesLeft, ReservoirEstimate
+from flying_vines.supply.reservoir import CV_LEAK, LEAK, X
+
+WINDOW_S = 120.0
+SETTLED_S = 10.0
+"""A refill takes some time. It is told again only after a pause of this length."""
+LEAKS = "the leak has changed"
+RHYTHM = "another rhythm"
+BENDS = "another kind of bend"
+
+
+@dataclass(frozen=True, slots=True)
+class _Told:
+    t: float
+    low: float
+    high: float
+    """Cycles of the whole filling."""
+    basis: Basis
+
+
+class ToldCycles:
+    """Call `update` for each prediction. `left` is what a person is told."""
+
+    def __init__(self, estimate: ReservoirEstimate) -> None:
+        self._estimate = estimate
+        self.left: CyclesLeft | None = None
+        """None before the first reading."""
+        self._told: deque[_Told] = deque()
+        self._gone = 0.0
+        """Cycles whose air is gone."""
+        self._x_kPa = math.nan
+        self._jump_at = -math.inf
+        self.lost = False
+
+    def update(self, t: float, lost: bool) -> str:
+        """Predict. `lost`: a fault that loses air is latched. Returns the event as text; empty if none."""
+        if self.lost and not lost:
+            # Somebody has repaired the rig: what a bend takes and what leaks is unknown again.
+            self.lost = False
+            self.left = None
+            self._estimate.restart()
+            return "cycles left are learned again"
+        self.lost = lost
+        new, basis, bottle = self._estimate.cycles_left(), self._estimate.basis, self._estimate.bottle
+        if new is None or basis is None or bottle is None:
+            self.left = None
+            return ""
+        jumped_kPa, bottle.jumped_kPa = bottle.jumped_kPa, 0.0
+        if lost:
+            self._told.clear()
+            self._x_kPa = math.nan
+            zero = dict.fromkeys(("expected", "low", "high", "minutes", "minutes_low", "minutes_high"), 0.0)
+            self.left = replace(new, lost=True, **zero)
+            return ""
+        return self._jump(t, jumped_kPa, new) if jumped_kPa else self._compare(t, new, basis)
+
+    def _jump(self, t: float, jumped_kPa: float, new: CyclesLeft) -> str:
+        is_new = t - self._jump_at > SETTLED_S
+        self._jump_at = t
+        self._told.clear()
+        self._x_kPa = math.nan
+        self.left = new
+        if not is_new:
+            return ""
+        what = "bottle refilled" if jumped_kPa > 0.0 else "bottle lost air at once"
+        return f"{what}, {new}"
+
+    def _compare(self, t: float, new: CyclesLeft, basis: Basis) -> str:
+        if not math.isnan(self._x_kPa):
+            self._gone += (self._x_kPa - basis.mean[X]) / new.cost_kPa
+        self._x_kPa = basis.mean[X]
+        while self._told and self._told[0].t < t - WINDOW_S:
+            self._told.popleft()
+        event = ""
+        if self._told:
+            low = max(self._told, key=lambda told: told.low)
+            high = min(self._told, key=lambda told: told.high)
+            least, most = low.low - self._gone, high.high - self._gone
+            conflict = low if new.high < least else high if new.low > most else None
+            if conflict is not None:
+                event = self._reason(conflict.basis, basis)
+                if event:
+                    self._told.clear()
+                    event = f"{event}: {new}"
+                else:
+                    new = replace(new, low=max(0.0, min(new.low, most)), high=max(new.high, least))
+        self.left = new
+        self._told.append(_Told(t, new.low + self._gone, new.high + self._gone, basis))
+        return event
+
+    def _reason(self, before: Basis, now: Basis) -> str:
+        """What of the rig or the flying has moved the prediction most; empty if only our knowledge has."""
+        mean = list(now.mean)
+        mean[LEAK], mean[CV_LEAK] = before.mean[LEAK], before.mean[CV_LEAK]
+        time_s = before.cycle.spent.time_s
+        rhythm = now.cycle._replace(spent=now.cycle.spent._replace(time_s=time_s))
+        bends = before.cycle._replace(spent=before.cycle.spent._replace(time_s=now.cycle.spent.time_s))
+        known = [*before.mean]
+        for i in (X, LEAK, CV_LEAK):
+            known[i] = now.mean[i]
+        shares = {
+            LEAKS: self._moved(now, now._replace(mean=mean)),
+            RHYTHM: self._moved(now, now._replace(cycle=rhythm)),
+            BENDS: self._moved(now, now._replace(cycle=bends, floor_kPa=before.floor_kPa)),
+            "": self._moved(now, now._replace(mean=known)),
+        }
+        return max(shares, key=lambda name: shares[name])
+
+    def _moved(self, now: Basis, other: Basis) -> float:
+        return abs(math.log(self._estimate.cycles_of(now) / self._estimate.cycles_of(other)))

@@ -1,0 +1,100 @@
+"""A bottle in front of the estimate, without a plant: what it loses and how it cools is known exactly."""
+
+from __future__ import annotations
+
+import random
+
+from firmware_link.protocol import Fault, Mode, Telemetry
+from flying_vines.config.config import PneumaticsConfig
+from flying_vines.supply import CyclesLeft, ReservoirEstimate, TelemetryReader, nominal
+
+DEMONSTRATION = PneumaticsConfig()
+
+
+class Bench:
+    """A bottle of the demonstration's size, seen at 100 Hz through a noisy sensor, and nothing but itself.
+
+    `cost_kPa` is what a rise of 20.7 kPa takes, `leak_per_s` of its pressure is lost each second. It cools
+    with what flows out: 0.4 of every kPa comes back with `recovery_s`.
+    """
+
+    def __init__(
+        self, cost_kPa: float = 6.1, leak_per_s: float = 0.0, start_kPa: float = 690.0, seed: int = 1
+    ) -> None:
+        self.reader = TelemetryReader(nominal(DEMONSTRATION))
+        self.estimate = ReservoirEstimate(nominal(DEMONSTRATION))
+        self.t = 0.0
+        self.reservoir_kPa = start_kPa
+        self.cold_kPa = 0.0
+        self.recovery_s = 12.0
+        self.cost_kPa = cost_kPa
+        self.venturi_kPa_per_s = 0.0
+        self._leak_per_s = leak_per_s
+        self._random = random.Random(seed)
+
+    def left(self) -> CyclesLeft:
+        left = self.estimate.cycles_left()
+        assert left is not None
+        return left
+
+    def see(
+        self, seconds: float, begin_kPa: float, end_kPa: float, rest_s: float = 0.0, dvp: float = 0.0
+    ) -> None:
+        """A straight setpoint that the control volume follows; then a rest."""
+        steps = round(seconds * 100)
+        flow_SL_per_s = self.cost_kPa * abs(end_kPa - begin_kPa) / 20.7 * 2.0 / 101.325 / seconds
+        for i in range(steps + round(rest_s * 100)):
+            share = min(1.0, (i + 1) / steps)
+            setpoint = begin_kPa + (end_kPa - begin_kPa) * share
+            rises = i < steps and end_kPa > begin_kPa
+            out = self._leak_per_s * self.reservoir_kPa * 0.01
+            if rises:
+                out += self.cost_kPa * (end_kPa - begin_kPa) / 20.7 / steps
+            if i < steps:
+                out += dvp * self.venturi_kPa_per_s * 0.01
+            self.reservoir_kPa -= out
+            self.cold_kPa += 0.4 * out - self.cold_kPa * 0.01 / self.recovery_s
+            self.t += 0.01
+            effective = flow_SL_per_s / (4.95e-4 * (self.reservoir_kPa + 101.325))
+            evp = min(1.0, 0.3 + 0.7 * effective) if rises else 0.0
+            self.tell(setpoint, evp, dvp if i < steps else 0.0, setpoint <= 0.0)
+
+    def tell(
+        self,
+        setpoint_kPa: float = 0.0,
+        evp: float = 0.0,
+        dvp: float = 0.0,
+        solenoid: bool = True,
+        reservoir_kPa: float | None = None,
+        faults: Fault = Fault.NONE,
+        mode: Mode = Mode.REGULATE,
+    ) -> None:
+        if reservoir_kPa is None:
+            reservoir_kPa = self._random.gauss(self.reservoir_kPa - self.cold_kPa, 1.2)
+        cv_kPa = self._random.gauss(setpoint_kPa, 0.15)
+        telemetry = Telemetry(
+            round(self.t * 1000),
+            mode,
+            faults,
+            1,
+            setpoint_kPa,
+            cv_kPa,
+            reservoir_kPa,
+            evp,
+            dvp,
+            solenoid,
+        )
+        self.estimate.update(self.reader.read(self.t, telemetry))
+
+    def rest(self, seconds: float) -> None:
+        self.see(seconds, 0.0, 0.0)
+
+    def bend(self, times: int = 1, top_kPa: float = 20.7, hold_s: float = 1.0, rest_s: float = 1.2) -> None:
+        for _ in range(times):
+            self.see(0.5, 0.0, top_kPa, hold_s)
+            self.see(0.3, top_kPa, 0.0, rest_s)
+
+    def fly(self, times: int) -> CyclesLeft:
+        self.rest(3.0)
+        self.bend(times + 2)
+        return self.left()

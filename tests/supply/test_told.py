@@ -1,0 +1,208 @@
+"""What a person is told of the air: no leap without an event, and nothing learned from half a movement."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import combinations
+
+import pytest
+from bottle_bench import DEMONSTRATION, Bench
+
+from firmware_link.protocol import Mode
+from flying_vines.supply import CyclesLeft, ReservoirEstimate, ToldCycles, nominal
+from flying_vines.supply.learned_file import learned_from, text_of
+from flying_vines.supply.told import RHYTHM
+
+BELIEF = nominal(DEMONSTRATION)
+
+
+class Told:
+    """A bench whose predictions are told every two seconds."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        self.cycles = ToldCycles(bench.estimate)
+        self.events: list[str] = []
+
+    def tell(self, lost: bool = False) -> CyclesLeft | None:
+        event = self.cycles.update(self.bench.t, lost)
+        self.events += [event] if event else []
+        return self.cycles.left
+
+    @property
+    def left(self) -> CyclesLeft:
+        left = self.tell()
+        assert left is not None
+        return left
+
+    def rest(self, seconds: float) -> list[CyclesLeft]:
+        lefts = []
+        for _ in range(round(seconds / 2.0)):
+            self.bench.rest(2.0)
+            lefts.append(self.left)
+        return lefts
+
+    def bend(self, times: int = 1) -> list[CyclesLeft]:
+        lefts = []
+        for _ in range(times):
+            self.bench.bend()
+            lefts.append(self.left)
+        return lefts
+
+
+def cut_off(bench: Bench) -> None:
+    """A bend at 40 kPa/s that is vented after 0.2 s. The vine has hardly any pressure yet."""
+    for i in range(20):
+        bench.t += 0.01
+        bench.reservoir_kPa -= bench.cost_kPa * 0.4 / 20.7
+        bench.tell(0.4 * i, evp=1.0, solenoid=False)
+    for _ in range(100):
+        bench.t += 0.01
+        bench.tell(mode=Mode.VENT)
+
+
+def overlap(a: CyclesLeft, b: CyclesLeft) -> bool:
+    return a.low <= b.high and b.low <= a.high
+
+
+def test_a_movement_that_was_cut_off_teaches_nothing() -> None:
+    lefts = []
+    for times in (0, 3):
+        bench = Bench()
+        bench.fly(5)
+        for _ in range(times):
+            cut_off(bench)
+        bench.bend()
+        lefts.append(bench.left())
+    without, after = lefts
+    assert after.measured_cycles == pytest.approx(without.measured_cycles, abs=0.1)
+    assert after.floor_kPa == pytest.approx(without.floor_kPa, rel=0.1)
+    assert after.cost_kPa == pytest.approx(without.cost_kPa, rel=0.1)
+
+
+def test_a_movement_that_the_core_replaces_is_cut_off_even_if_the_vine_has_followed() -> None:
+    bench = Bench()
+    before = bench.fly(5)
+    bench.see(0.2, 0.0, 8.0)
+    bench.estimate.cut_off()
+    bench.see(0.1, 8.0, 0.0, 1.2)
+    bench.bend()
+    assert bench.left().measured_cycles == pytest.approx(before.measured_cycles + 1.0, abs=0.1)
+
+
+def test_a_turn_that_no_supply_could_fill_sets_no_floor() -> None:
+    bench = Bench()
+    before = bench.fly(5)
+    for i in (*range(20), *range(19, -1, -1)):
+        bench.t += 0.01
+        bench.reservoir_kPa -= bench.cost_kPa * 0.2 / 20.7
+        bench.tell(0.4 * i, evp=1.0, solenoid=False, mode=Mode.REGULATE)
+    bench.rest(1.0)
+    bench.bend()
+    assert bench.left().floor_kPa < before.floor_kPa + 20.0
+
+
+def test_a_pause_with_a_leak_says_why_the_number_falls() -> None:
+    told = Told(Bench(cost_kPa=2.07, leak_per_s=1e-3))
+    told.rest(6.0)
+    before = told.bend(4)[-1]
+    told.rest(120.0)
+    after = told.bend(1)[-1]
+    assert not overlap(before, after), "the bench must show the leap"
+    assert [event.split(":")[0] for event in told.events] == [RHYTHM]
+
+
+def test_intervals_of_two_minutes_have_a_value_in_common_with_no_event() -> None:
+    """A bend suddenly takes half as much air again: the filter was sure, and is wrong."""
+    told = Told(Bench(cost_kPa=6.1))
+    told.rest(6.0)
+    lefts = told.bend(12)
+    told.bench.cost_kPa = 9.5
+    raw = []
+    for _ in range(10):
+        lefts += told.bend()
+        raw.append(told.bench.left())
+    assert told.events == []
+    assert any(not overlap(one, lefts[11]) for one in raw), "the bench must show the leap"
+    for a, b in combinations(lefts[11:], 2):
+        gone = 1.6 * (b.measured_cycles - a.measured_cycles)
+        assert b.high >= a.low - gone
+
+
+def test_a_refill_and_a_burst_are_told_once_each() -> None:
+    told = Told(Bench(start_kPa=500.0))
+    told.rest(6.0)
+    told.bend(5)
+    told.bench.reservoir_kPa, told.bench.cold_kPa = 690.0, 0.0
+    told.rest(30.0)
+    told.bench.reservoir_kPa = 300.0
+    told.rest(30.0)
+    assert len(told.events) == 2
+    assert told.events[0].startswith("bottle refilled, ")
+    assert told.events[1].startswith("bottle lost air at once, ")
+
+
+def test_a_latched_loss_says_0_until_it_is_cleared_and_then_learns_again() -> None:
+    told = Told(Bench())
+    told.rest(6.0)
+    before = told.bend(6)[-1]
+    for _ in range(10):
+        told.bench.rest(2.0)
+        left = told.tell(lost=True)
+        assert left is not None
+        assert (left.expected, left.low, left.high, left.minutes, left.lost) == (0.0, 0.0, 0.0, 0.0, True)
+    assert told.tell(lost=False) is None
+    assert told.events == ["cycles left are learned again"]
+    told.bench.rest(2.0)
+    after = told.left
+    assert after.measured_cycles == 0.0
+    assert after.high / after.low > 2.0 * before.high / before.low
+
+
+def test_minutes_are_the_time_to_the_floor_at_the_leak() -> None:
+    told = Told(Bench(cost_kPa=2.07, leak_per_s=1e-3, start_kPa=600.0))
+    told.bend(3)
+    left = told.rest(120.0)[-1]
+    truth = math.log(told.bench.reservoir_kPa / left.floor_kPa) / 1e-3 / 60.0
+    assert left.minutes == pytest.approx(truth, rel=0.1)
+    assert left.minutes_low < truth < left.minutes_high
+
+
+def test_bends_like_the_last_one_scale_with_their_air() -> None:
+    bench = Bench()
+    bench.fly(8)
+    assert bench.left().per_cycle == pytest.approx(1.0, abs=0.1)
+    bench.bend(2, top_kPa=10.35)
+    left = bench.left()
+    assert left.bend_kPa == pytest.approx(10.35, abs=0.5)
+    assert left.per_cycle == pytest.approx(2.0, rel=0.15)
+
+
+def test_a_restart_keeps_what_was_learned_of_this_rig_only() -> None:
+    bench = Bench()
+    before = bench.fly(8)
+    learned = bench.estimate.learned
+    assert learned is not None
+    text = text_of(BELIEF, learned)
+    again, problem = learned_from(text, BELIEF)
+    assert (again, problem) == (learned, "")
+    bench.estimate = ReservoirEstimate(BELIEF, again)
+    bench.rest(2.0)
+    after = bench.left()
+    assert after.measured_cycles == before.measured_cycles
+    assert after.expected == pytest.approx(before.expected, rel=0.05)
+    assert after.high / after.low < 1.2 * before.high / before.low
+    other = replace(BELIEF, response_s=0.11)
+    assert learned_from(text, other) == (None, "another rig or changed numbers: air is learned again")
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"rig": 3}', "\0", '{"rig":"x","learned":{}}'])
+def test_a_damaged_file_is_told_and_not_used(text: str) -> None:
+    learned, problem = learned_from(text, BELIEF)
+    assert learned is None
+    assert "learned again" in problem
+
+
+def test_no_file_is_no_problem() -> None:
+    assert learned_from("", BELIEF) == (None, "")
