@@ -9,6 +9,7 @@ from typing import Any
 from flying_vines.cli.common import (
     file_errors,
     needs_analysis,
+    progress_bar,
     show_found,
 )
 
@@ -47,21 +48,22 @@ def _paper(arguments: argparse.Namespace) -> int:
 
 
 def _paper_diagnosis(folder: Path | None, json_wanted: bool) -> int:
-    from rich.console import Console
-
     with needs_analysis():
         from flying_vines.studies.paper.diagnosis import diagnose_paper
         from flying_vines.studies.paper.diagnosis.show import show
-        from flying_vines.studies.paper.diagnosis.verdict import as_json
+        from flying_vines.studies.paper.diagnosis.words import as_json
 
         if folder:
+            from flying_vines.identification.report import write_report
             from flying_vines.studies.paper.diagnosis.figures import draw
     with needs_analysis(), file_errors(folder):
         if folder:
             folder.mkdir(parents=True, exist_ok=True)
-        with Console(stderr=True).status("reading") as status:
-            diagnosis = diagnose_paper(status.update)
+        with progress_bar() as progress:
+            diagnosis = diagnose_paper(progress)
         figures = draw(diagnosis, folder) if folder else []
+        if folder:
+            write_report(diagnosis.discharges.verdict, diagnosis.discharges.case, folder)
     return show_found(
         json_wanted, lambda: as_json(diagnosis), lambda console: show(diagnosis, console), figures
     )

@@ -35,7 +35,7 @@ from flying_vines.identification.verdict import (
     Verdict,
 )
 from flying_vines.physics.cause import Cause
-from flying_vines.physics.effects import causes_of
+from flying_vines.physics.effects import catalogue, causes_of
 
 INDISTINGUISHABLE = 9.2
 """Maximum score difference (an evidence ratio of 100) of candidates that the data cannot tell apart."""
@@ -147,7 +147,7 @@ def _verdict(found: SearchResult, progress: Progress) -> Verdict:
         parameters=named[main],
         share=shares[main],
         also=tuple(Named(name, named[name], shares[name]) for name in further),
-        next_experiment=_next_experiment(problem.case, doubts),
+        next_experiment=_next_experiment(problem.case, doubts, found.search.catalogue),
     )
 
 
@@ -274,12 +274,17 @@ def _confidence(chosen: Candidate, main: str, found: SearchResult, left: Remaind
     return inside / sum(weight.values()) * known
 
 
-def _next_experiment(case: Case, doubts: Mapping[str, Sequence[str]]) -> str:
-    """The recording that separates the first of the doubts."""
+def _next_experiment(case: Case, doubts: Mapping[str, Sequence[str]], causes: Sequence[Cause]) -> str:
+    """The recording that separates the first of the doubts.
+
+    The planner only knows the catalogue: for a cause from elsewhere it is that cause's own experiment.
+    """
     if not doubts:
         return ""
     cause, others = next(iter(doubts.items()))
-    return recommend(case.rig, {cause, *others}).in_words()
+    shipped = {each.name for each in catalogue()}
+    own = [each.experiment for each in causes if each.name in {cause, *others} - shipped]
+    return own[0] if own else recommend(case.rig, {cause, *others}).in_words()
 
 
 def _measured(cause: str, profiles: Sequence[LikelihoodProfile]) -> dict[str, ParameterEstimate]:

@@ -25,6 +25,8 @@ from flying_vines.physics.arrays import Array
 
 CHANNELS = ("control volume", "reservoir")
 STRETCHES_S = (0.1, 0.5, 2.5, 10.0)
+STRETCH_SAMPLES = 8
+"""A further stretch is this long if it is longer than the others: a logger may read every few seconds."""
 SINCE_S = (0.0, 0.025, 0.05, 0.08, 0.15, 0.3, 0.7, 1.5, 5.0, np.inf)
 MIN_SAMPLES = 4
 """Minimum samples in a group."""
@@ -107,7 +109,8 @@ def _features(problem: FitProblem, fit: Fit) -> Iterator[tuple[str, str, Array, 
     times = [run.time_s - run.time_s[0] for run in case.runs]
     since_start = np.concatenate(times)
     offsets = np.repeat(np.arange(len(times)) * 10_000_000, [len(t) for t in times])
-    for stretch_s in STRETCHES_S:
+    slow_s = STRETCH_SAMPLES * float(np.median(np.concatenate([np.diff(time_s) for time_s in times])))
+    for stretch_s in (*STRETCHES_S, slow_s) if slow_s > STRETCHES_S[-1] else STRETCHES_S:
         yield f"{IN_STRETCHES} {stretch_s:g} s", "s", since_start, offsets + (since_start // stretch_s)
     for name in ("evp_opening", "dvp_opening", "solenoid"):
         label = {"evp_opening": "inflation valve", "dvp_opening": "Venturi's valve"}.get(name, name)

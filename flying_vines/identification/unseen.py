@@ -27,6 +27,8 @@ STRETCHES = 8
 BLOCK_S = 4.0
 MIN_BLOCKS = 10
 """Blocks of a run shorter than 40 s are shorter."""
+BLOCK_SAMPLES = 4
+"""Blocks are at least this long, in median sampling intervals."""
 STEPS = 2
 """Steps of a fit to the shown data, from the fit to all data."""
 _DRAWS = 1000
@@ -88,7 +90,10 @@ def in_odd_stretch(time_s: Array) -> Bools:
 def blocks(time_s: Array) -> NDArray[np.intp]:
     """(n,) block numbers of the samples of a run."""
     since = time_s - time_s[0]
-    block: NDArray[np.intp] = (since // min(BLOCK_S, float(since[-1]) / MIN_BLOCKS)).astype(np.intp)
+    length_s = max(
+        min(BLOCK_S, float(since[-1]) / MIN_BLOCKS), BLOCK_SAMPLES * float(np.median(np.diff(time_s)))
+    )
+    block: NDArray[np.intp] = (since // length_s).astype(np.intp)
     return block
 
 

@@ -6,13 +6,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from flying_vines.identification.case import read_case
+from flying_vines.identification.case import Case, RecordedRun, read_case
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.extended import extended_rig
 from flying_vines.physics import effects
-from flying_vines.physics.effects import catalogue, setup
+from flying_vines.physics.effects import catalogue, cause_named, setup
 from flying_vines.physics.plant.true_rig import TrueRig, load_true_rig, true_rig_text
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
 from flying_vines.simulation.scenario import parse_scenario, simulate_scenario, write_case
@@ -88,3 +89,18 @@ def test_one_more_file_is_simulated_found_and_written(tmp_path: Path) -> None:
 
 def test_without_the_file_its_name_is_unknown() -> None:
     assert "solenoid_choked" not in {cause.name for cause in catalogue()}
+
+
+def test_a_doubt_about_a_cause_from_elsewhere_has_its_own_experiment() -> None:
+    """No discharge separates a wrong volume from a wrong flow, and the planner does not know this cause."""
+    dented = replace(cause_named("reservoir_volume"), name="dented", experiment="Look at it.")
+    time_s = np.arange(0.0, 60.0)
+    shut, unread_kPa = np.zeros(len(time_s)), np.full(len(time_s), np.nan)
+    read_kPa = 690.0 * np.exp(-time_s / 30.0) + np.random.default_rng(1).normal(0.0, 1.2, len(time_s))
+    run = RecordedRun(
+        "run", time_s, None, shut + 1.0, shut, shut + 1.0, unread_kPa, read_kPa, None, None, True
+    )
+    case = Case(Path("memory"), Rig(cv=None), (run,), ())
+    verdict = diagnose(case, [cause_named("evp_restriction"), dented])
+    assert {verdict.cause, *verdict.indistinguishable} == {"evp_restriction", "dented"}
+    assert verdict.next_experiment == "Look at it."

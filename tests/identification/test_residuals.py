@@ -14,6 +14,7 @@ from flying_vines.identification.fit import Fit, FitProblem
 from flying_vines.identification.noise import independent_noise
 from flying_vines.identification.residuals import excess, patterns
 from flying_vines.identification.simulate import Simulation
+from flying_vines.identification.unseen import blocks
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.rig import ControlVolume, Rig
 
@@ -108,3 +109,21 @@ def test_without_a_thermometer_there_is_no_such_pattern() -> None:
     case = replace(problem.case, runs=(replace(run, ambient_C=None),))
     features = {pattern.feature for pattern in patterns(FitProblem(case, independent_noise(*NOISE_KPA)), fit)}
     assert "temperature around" not in features and "opening of the inflation valve" in features
+
+
+def test_a_slow_logger_has_patterns_in_time_too() -> None:
+    time_s = np.arange(0.0, 240.0, 7.0)
+    shut = np.zeros(len(time_s))
+    unread_kPa = np.full(len(time_s), np.nan)
+    reservoir_kPa = 690.0 * np.exp(-time_s / 100.0) + 10.0 * np.sin(time_s / 40.0)
+    run = RecordedRun(
+        "run", time_s, None, shut + 1.0, shut, shut + 1.0, unread_kPa, reservoir_kPa, None, None, True
+    )
+    case = Case(Path("memory"), Rig(cv=None), (run,), ())
+    problem = FitProblem(case, independent_noise(*NOISE_KPA))
+    assert excess(patterns(problem, problem.fit(problem.start())))[1] > 10.0
+
+
+def test_blocks_have_several_readings_of_a_slow_logger() -> None:
+    assert np.bincount(blocks(np.arange(0.0, 140.0, 7.0))).tolist() == [4] * 5
+    assert np.bincount(blocks(np.arange(0.0, 60.0, 0.5))).tolist() == [8] * 15

@@ -1,0 +1,125 @@
+"""The findings in words with their numbers, and as plain numbers for other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from flying_vines.studies.paper.data import stated
+from flying_vines.studies.paper.diagnosis import PaperDiagnosis
+from flying_vines.studies.paper.diagnosis.discharge import RIG, Discharges, LawFit
+from flying_vines.studies.paper.diagnosis.response import FLOOR, Account, Responses
+
+
+def findings(diagnosis: PaperDiagnosis) -> tuple[str, ...]:
+    """The named cause, the open questions, and the experiments for them: one text each."""
+    found = diagnosis.discharges
+    return (
+        _named(found),
+        _further(found),
+        _flow_law(found.laws),
+        _experiment(found),
+        *_responses(diagnosis.responses),
+    )
+
+
+def _named(found: Discharges) -> str:
+    scale, errors = found.verdict.parameters["scale"], found.verdict.held_out
+    rated_SLPM = 60.0 * stated()["reservoir.pressure"].value / RIG.evp.flow_resistance_kPa_s_per_SL
+    alone = sorted(found.scale_alone.values())
+    return (
+        f"Discharges: air leaves faster than with the paper's R_v, {scale.estimate:.2f} ({scale.low:.2f} … "
+        f"{scale.high:.2f}) of it: {rated_SLPM / scale.estimate:.1f} SLPM at 690 kPa, where the EVP is rated "
+        f"for {stated()['evp.flow'].value:g}. The series alone give {alone[0]:.2f} to {alone[-1]:.2f}, which "
+        "is more than this interval. With each series predicted from the others, the error falls from "
+        f"{errors.nrmse_before:.1%} to {errors.nrmse_after:.1%} of the range (by {errors.gain[0]:.0%} to "
+        f"{errors.gain[1]:.0%}). A smaller reservoir does the same: weigh it full of water."
+    )
+
+
+def _further(found: Discharges) -> str:
+    second = [
+        f"{each.cause} {each.unseen_nrmse:.2%} ({-each.gain[1]:+.0%} … {-each.gain[0]:+.0%})"
+        for each in found.second
+    ]
+    left = found.verdict.remainder.share if found.verdict.remainder else 0.0
+    return (
+        f"A second cause is open; {left:.0%} of the error remains. All series are steeper at first and "
+        "flatter later than with the best R_v. Errors with a second cause, each series predicted from the "
+        f"others, and their changes: {'; '.join(second)}. No improvement is sure."
+    )
+
+
+def _flow_law(laws: Sequence[LawFit]) -> str:
+    texts = [
+        f"{law.ohm_kPa:.1f} and {law.choked_kPa:.1f} kPa with a ratio of {law.settings_ratio:.2f} and first "
+        f"readings {'taken as exact' if law.first_exact else 'as uncertain as all'}"
+        for law in laws
+    ]
+    return (
+        "Whether the valve chokes stays open. Ohm's law and choked flow, each with gas that cools, leave "
+        f"{'; '.join(texts)}. So the order turns if the first readings are not taken as exact, or with "
+        f"another ratio of the valve's two settings. Choked flow needs {laws[0].choked_scale:.2f} of the "
+        "paper's R_v."
+    )
+
+
+def _experiment(found: Discharges) -> str:
+    return (
+        f"To tell heat, leak, R_v and law of flow apart: {found.recommended.in_words()} In its rests gas "
+        "that has cooled warms up and the pressure rises; with the sensor in the flow the reading jumps; "
+        "with a valve that settles it stays."
+    )
+
+
+def _responses(responses: Responses) -> tuple[str, ...]:
+    null, floor, tube = responses.of(), responses.of(FLOOR), responses.of("tube")
+    alone = [a for a in responses.accounts if len(a.names) == 1 and a.names[0] not in (FLOOR, "tube")]
+    best = min(alone, key=lambda account: account.unseen)
+    other_floor, other_tube = responses.of_other(FLOOR), responses.of_other("tube")
+    better = sum(account.unseen < floor.unseen for account in responses.accounts)
+    return (
+        "Frequency responses: the baseline under the paper's regulator is "
+        f"{_dB(null.rms_dB)} dB rms off TC4 and TC5, {_dB(null.band_rms_dB)} up to three cut-offs. The "
+        f"difference is the flat tail. A minimum gain of {floor.best[FLOOR]:g}, from drift in an FFT over "
+        "few cycles, predicts each test from the other to "
+        f"{_dB(floor.unseen_dB)} dB; a tube between sensor and vessel to {_dB(tube.unseen_dB)}; the best "
+        f"single cause of the catalogue, {best.label}, to {_dB(best.unseen_dB)}. TC5's supply is stated "
+        f"twice: on 690 kPa the floor predicts to {_dB(other_floor.unseen_dB)} dB and the tube to "
+        f"{_dB(other_tube.unseen_dB)}.",
+        f"Beside a floor no cause is sure: {better} of {len(responses.accounts)} accounts predict better, by "
+        f"at most {floor.unseen - responses.accounts[0].unseen:.1f} dB. The paper prints neither the "
+        "regulator's PID, the valve drivers, the tubes and the outlet, nor any phase. A record of one test "
+        "over many whole cycles would separate a floor from a tube.",
+    )
+
+
+def _dB(values: Sequence[float]) -> str:
+    return " and ".join(f"{value:.2f}" for value in values)
+
+
+def as_json(diagnosis: PaperDiagnosis) -> dict[str, Any]:
+    """The findings and numbers as plain lists, numbers and texts."""
+    found, responses = diagnosis.discharges, diagnosis.responses
+    return {
+        "findings": list(findings(diagnosis)),
+        "discharge": {
+            **found.verdict.as_json(),
+            "scale_alone": found.scale_alone,
+            "second": [each._asdict() for each in found.second],
+            "flow_laws": [vars(law) for law in found.laws],
+        },
+        "frequency": [_account(account, 345.0) for account in responses.accounts]
+        + [_account(account, 690.0) for account in responses.other],
+    }
+
+
+def _account(account: Account, tc5_supply_kPa: float) -> dict[str, Any]:
+    return {
+        "causes": list(account.names),
+        "tc5_supply_kPa": tc5_supply_kPa,
+        "best": account.best,
+        "rms_dB": list(account.rms_dB),
+        "band_rms_dB": list(account.band_rms_dB),
+        "unseen_dB": list(account.unseen_dB),
+    }
