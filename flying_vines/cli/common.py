@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -25,6 +26,31 @@ FLIGHTS = Path("flights")
 
 def fail(sentence: str) -> NoReturn:
     sys.exit(bad_input(sentence))
+
+
+def add_cause_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--cause` to a command that reads rig files."""
+    parser.add_argument(
+        "--cause",
+        type=Path,
+        action="append",
+        default=[],
+        dest="causes",
+        metavar="FILE.py",
+        help="a cause of your own; may be repeated",
+    )
+
+
+def add_own_causes(paths: Sequence[Path]) -> None:
+    """Add the causes of these files to the catalogue."""
+    if paths:
+        from flying_vines.physics.cause import CauseError
+        from flying_vines.physics.effects import add_causes
+        from flying_vines.physics.own_causes import read_causes
+
+        with file_errors(None, CauseError):
+            for path in paths:
+                add_causes(read_causes(path))
 
 
 @contextmanager

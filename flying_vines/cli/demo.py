@@ -9,6 +9,7 @@ from typing import Any
 
 from flying_vines.cli.common import (
     FLIGHTS,
+    add_cause_option,
     file_errors,
 )
 
@@ -22,6 +23,7 @@ def add(commands: Any) -> None:
     demo.add_argument("--plain", action="store_true", help="print lines instead of the live view")
     demo.add_argument("--rig", type=Path, metavar="RIG.toml", help="simulated rig (default: a typical vine)")
     demo.add_argument("--page", action="store_true", help="also serve the status page for a browser")
+    add_cause_option(demo)
     demo.set_defaults(run=_demo)
 
 

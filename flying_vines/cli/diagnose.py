@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from flying_vines.cli.bad_input import BAD_INPUT
 from flying_vines.cli.common import (
+    add_cause_option,
     fail,
     file_errors,
     needs_analysis,
@@ -57,6 +58,7 @@ def add(commands: Any) -> None:
     )
     diagnose.add_argument("--out", type=Path, metavar="DIR", help="write the report or the plan there")
     diagnose.add_argument("--json", action="store_true", help="print one JSON object instead")
+    add_cause_option(diagnose)
     diagnose.set_defaults(run=_diagnose)
 
 
@@ -141,6 +143,8 @@ def _diagnose_all(arguments: argparse.Namespace) -> int:
     for option in ("from_log", "write_rig", "out"):
         if getattr(arguments, option) is not None:
             fail(f"--{option.replace('_', '-')} needs exactly one case and no --scheduler")
+    if arguments.causes:
+        fail("--cause needs exactly one case and no --scheduler")
     if not arguments.case:
         fail("diagnose needs a CASE, or a flight log: --from-log LOG")
     with needs_analysis():

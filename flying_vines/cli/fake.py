@@ -11,6 +11,7 @@ from time import time
 from typing import Any
 
 from flying_vines.cli.common import (
+    add_cause_option,
     fail,
     read_mission,
 )
@@ -63,6 +64,7 @@ def add(commands: Any) -> None:
         metavar="N",
         help="telemetry rate; use 1000 for a diagnosis (100)",
     )
+    add_cause_option(phlosar)
     phlosar.set_defaults(run=_fake_phlosar)
 
 

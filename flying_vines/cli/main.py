@@ -29,7 +29,7 @@ from flying_vines.cli import (
     vine,
     watch,
 )
-from flying_vines.cli.common import fail
+from flying_vines.cli.common import add_own_causes, fail
 from flying_vines.config.config import ConfigError
 from flying_vines.simulation.phlosar import FirmwareBuildError
 
@@ -44,6 +44,7 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     """The `flying-vines` command. Exit status 2 and one line on standard error for bad input."""
     arguments = _parser().parse_args(argv)
     try:
+        add_own_causes(getattr(arguments, "causes", ()))
         status = arguments.run(arguments)
     except (ConfigError, FirmwareBuildError, watch.WatchError) as error:
         fail(str(error))

@@ -8,6 +8,7 @@ from time import monotonic
 from typing import Any
 
 from flying_vines.cli.common import (
+    add_cause_option,
     fail,
     file_errors,
     needs_analysis,
@@ -23,6 +24,7 @@ def add(commands: Any) -> None:
     )
     simulate.add_argument("--out", type=Path, required=True, metavar="DIR", help="the case folder")
     simulate.add_argument("--seed", type=int, default=1, metavar="N", help="of all random numbers (1)")
+    add_cause_option(simulate)
     simulate.set_defaults(run=_simulate)
 
 

@@ -22,8 +22,8 @@ from flying_vines.identification.held_out import (
     unseen_error,
 )
 from flying_vines.identification.intervals import LikelihoodProfile, profile, widening
+from flying_vines.identification.next_experiment import after_doubts, after_remainder, with_one_more
 from flying_vines.identification.noise import Noise, SensorNoise, measured_noise, stated_noise
-from flying_vines.identification.plan import recommend
 from flying_vines.identification.search import Progress, Search, SearchResult, silent
 from flying_vines.identification.verdict import (
     NONE,
@@ -35,7 +35,7 @@ from flying_vines.identification.verdict import (
     Verdict,
 )
 from flying_vines.physics.cause import Cause
-from flying_vines.physics.effects import catalogue, causes_of
+from flying_vines.physics.effects import causes_of
 
 INDISTINGUISHABLE = 9.2
 """Maximum score difference (an evidence ratio of 100) of candidates that the data cannot tell apart."""
@@ -116,7 +116,7 @@ def _verdict(found: SearchResult, progress: Progress) -> Verdict:
         numbers={},
         held_out=errors,
         ranking=_ranking(found, predictions, errors),
-        next_experiment="Repeat the run that fits worst with one valve moved at a time.",
+        next_experiment="",
         remainder=_remainder(null, null),
         remarks=(*problem.case.remarks, *_noise_remarks(problem)),
         evidence=evidence(found, profiles),
@@ -129,12 +129,12 @@ def _verdict(found: SearchResult, progress: Progress) -> Verdict:
     )
     if not chosen.causes:
         if not chosen.adequate:
-            return nothing
+            return replace(nothing, next_experiment=after_remainder(found, null))
         others = [found.score(c) - found.score(chosen) for c in found.tried if c.causes and c.possible]
         doubt = sum(exp(-0.5 * max(0.0, d)) for d in others[:5]) * 0.05
         return replace(known, cause=NONE, confidence=1.0 / (1.0 + doubt + _UNKNOWN_CAUSE))
     if not chosen.adequate and not (errors.gain[0] > 0.0 and errors.explained > _HELPS):
-        return nothing
+        return replace(nothing, next_experiment=after_remainder(found, null))
     shares = _shares(found)
     main, *further = sorted(shares, key=lambda name: -shares[name])
     doubts = _doubts(chosen, (main, *further), found)
@@ -147,7 +147,7 @@ def _verdict(found: SearchResult, progress: Progress) -> Verdict:
         parameters=named[main],
         share=shares[main],
         also=tuple(Named(name, named[name], shares[name]) for name in further),
-        next_experiment=_next_experiment(problem.case, doubts, found.search.catalogue),
+        next_experiment=_next_experiment(found, doubts),
     )
 
 
@@ -240,14 +240,8 @@ def _roughly(candidate: Candidate, cause: Cause) -> dict[str, ParameterEstimate]
 
 def _instead(chosen: Candidate, cause: str, found: SearchResult) -> dict[str, float]:
     """Score increase if `cause` is replaced by another cause; key: the name of the other cause."""
-    rest = set(chosen.names) - {cause}
-    worse: dict[str, float] = {}
-    for candidate in found.tried:
-        others = set(candidate.names) - rest
-        if candidate.possible and rest <= set(candidate.names) and len(others) == 1:
-            (name,) = others
-            worse[name] = min(found.score(candidate) - found.score(chosen), worse.get(name, np.inf))
-    return worse
+    candidates = with_one_more(found, set(chosen.names) - {cause})
+    return {name: found.score(candidate) - found.score(chosen) for name, candidate in candidates.items()}
 
 
 def _doubts(chosen: Candidate, names: Sequence[str], found: SearchResult) -> dict[str, tuple[str, ...]]:
@@ -274,17 +268,11 @@ def _confidence(chosen: Candidate, main: str, found: SearchResult, left: Remaind
     return inside / sum(weight.values()) * known
 
 
-def _next_experiment(case: Case, doubts: Mapping[str, Sequence[str]], causes: Sequence[Cause]) -> str:
-    """The recording that separates the first of the doubts.
-
-    The planner only knows the catalogue: for a cause from elsewhere it is that cause's own experiment.
-    """
-    if not doubts:
-        return ""
-    cause, others = next(iter(doubts.items()))
-    shipped = {each.name for each in catalogue()}
-    own = [each.experiment for each in causes if each.name in {cause, *others} - shipped]
-    return own[0] if own else recommend(case.rig, {cause, *others}).in_words()
+def _next_experiment(found: SearchResult, doubts: Mapping[str, Sequence[str]]) -> str:
+    """What to record next, in words; empty if nothing is left open."""
+    if doubts:
+        return after_doubts(found, doubts)
+    return "" if found.chosen.adequate else after_remainder(found, found.chosen)
 
 
 def _measured(cause: str, profiles: Sequence[LikelihoodProfile]) -> dict[str, ParameterEstimate]:

@@ -6,12 +6,14 @@ simulation and the fit both run that plant. To add a cause, add a file to `effec
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import exp, inf, log
 from typing import TYPE_CHECKING, NamedTuple
 
 from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.rig import RigError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,6 +22,10 @@ if TYPE_CHECKING:
     from flying_vines.physics.plant.commands import Commands
 
 Values = tuple[float, ...]
+
+
+class CauseError(RigError):
+    """A cause from outside this project cannot be used; the text is one line with file and line number."""
 
 
 class ModelReadings(NamedTuple):
@@ -49,6 +55,14 @@ class Parameter:
     """True if the search scale is the logarithm."""
     typical: tuple[float, float] | None = None
     """Prior: mean and standard deviation over rigs, on the search scale."""
+
+    def __post_init__(self) -> None:
+        if not self.low <= self.high or (self.logarithmic and not self.low > 0.0):
+            raise ValueError(f"{self.name}: low must be below high, and above 0 if logarithmic")
+        # A pinned parameter keeps its seeds.
+        within = self.low == self.high or all(self.low <= seed <= self.high for seed in self.seeds)
+        if not self.seeds or not within:
+            raise ValueError(f"{self.name}: needs seeds between low and high")
 
     def to_search(self, value: float) -> float:
         """The value on the search scale."""
@@ -103,10 +117,36 @@ class Cause:
     """A further change of the valve commands; only used in fits."""
     readings: Callable[[ModelReadings, Values], ModelReadings] | None = None
     """A further change of the readings; only used in fits."""
+    defined_in: str = ""
+    """File or package of a cause from outside this project."""
+
+    def __post_init__(self) -> None:
+        if not self.name.isidentifier():
+            raise ValueError(f"{self.name!r} is not a name of a cause: use letters, digits and _")
 
     def put_into(self, setup: Setup, parameters: Mapping[str, float]) -> Setup:
-        """The setup with this cause."""
-        return self.apply(setup, **parameters) if self.apply else setup
+        """The setup with this cause. Raises CauseError for an error in a cause from outside."""
+        if self.apply is None:
+            return setup
+        if not self.defined_in:
+            return self.apply(setup, **parameters)
+        try:
+            made = self.apply(setup, **parameters)
+        except Exception as error:
+            values = ", ".join(f"{name} = {value:g}" for name, value in parameters.items())
+            raise CauseError(f"{self._line(error)}: {type(error).__name__}: {error} (at {values})") from None
+        if not isinstance(made, Setup):
+            raise CauseError(f"{self._line()}: apply must return the changed rig, not {made!r}")
+        return made
+
+    def _line(self, error: BaseException | None = None) -> str:
+        """File and line of `apply`, or of its last line that an error passed."""
+        code = getattr(self.apply, "__code__", None)
+        if code is None:
+            return f"{self.defined_in}: cause {self.name}"
+        frames = traceback.extract_tb(error.__traceback__ if error else None)
+        lines = [frame.lineno for frame in frames if frame.filename == code.co_filename]
+        return f"{code.co_filename}:{lines[-1] if lines else code.co_firstlineno}"
 
     def seeds(self) -> list[Values]:
         """Starting values of fits: each seed of the first parameter, with the first seed of the others."""

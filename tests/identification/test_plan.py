@@ -13,7 +13,14 @@ import pytest
 from command_line import run as run_command
 
 from flying_vines.config import config as configuration
-from flying_vines.identification.plan import CausePair, RecordingPlan, RecordingPlanError, plan, recommend
+from flying_vines.identification.plan import (
+    CausePair,
+    Recommendation,
+    RecordingPlan,
+    RecordingPlanError,
+    plan,
+    recommend,
+)
 from flying_vines.identification.plan.apart import SETTLED, apart
 from flying_vines.identification.plan.check import Check
 from flying_vines.identification.plan.choose import gram_of
@@ -25,7 +32,7 @@ from flying_vines.identification.plan.write import profiles_text, scenario_text
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, Parameter
 from flying_vines.physics.constants import ALPHA_KPA
-from flying_vines.physics.effects import catalogue, causes_of
+from flying_vines.physics.effects import catalogue, cause_named, causes_of
 from flying_vines.physics.rig import ControlVolume, Rig, Sensors, Venturi, load_rig
 from flying_vines.simulation.scenario import load_scenario, parse_scenario, simulate, simulate_scenario
 from flying_vines.simulation.scenario.kinds import BendsRun, ProfileRun, RunKind, StepsRun
@@ -50,6 +57,15 @@ def short() -> RecordingPlan:
 @pytest.fixture(scope="module")
 def layout() -> Layout:
     return layout_of(HALF, causes_of(HALF))
+
+
+def named(*names: str) -> list[Cause]:
+    return [cause_named(name) for name in names]
+
+
+def sigmas(found: Recommendation) -> float:
+    """Separation of the worst pair."""
+    return found.pairs[0][1]
 
 
 def parts(layout: Layout, kinds: list[RunKind]) -> list[CandidatePart]:
@@ -121,10 +137,10 @@ def test_what_no_run_can_tell_is_reported(made: RecordingPlan) -> None:
     assert made.never == made.best.open == (GAINS,)
     row, column = made.names.index(GAINS.first), made.names.index(GAINS.second)
     assert made.matrix[row, column] < 0.1 < SETTLED < made.matrix[row, -1]
-    assert not recommend(HALF, GAINS).sigmas > 1.0
-    assert recommend(HALF, GAINS).in_words().startswith("No run")
-    usual = recommend(replace(HALF, venturi=Venturi()), GAINS)
-    assert usual.sigmas > sqrt(SETTLED) and usual.run.name in usual.in_words()
+    assert not sigmas(recommend(HALF, named(*GAINS))) > 1.0
+    assert recommend(HALF, named(*GAINS)).in_words().startswith("No run")
+    usual = recommend(replace(HALF, venturi=Venturi()), named(*GAINS))
+    assert sigmas(usual) > sqrt(SETTLED) and usual.runs[0].name in usual.in_words()
 
 
 def test_floors_hold_against_full_fits(made: RecordingPlan, layout: Layout) -> None:
@@ -162,23 +178,24 @@ def test_parts_begin_alike() -> None:
 
 
 def test_the_run_that_settles_a_doubt(layout: Layout) -> None:
-    found = recommend(HALF, ("evp_lag", "line_delay"))
-    assert found.run.commanded and found.run.seconds <= 60.0
-    assert found.sigmas**2 > SETTLED
-    assert {*found.worst} == {"evp_lag", "line_delay"}
-    assert found.run.name in found.in_words()
-    rest: RunKind = StepsRun(pressures_kPa=(0.0,), hold_s=found.run.seconds)
+    found = recommend(HALF, named("evp_lag", "line_delay"))
+    (run,) = found.runs
+    assert run.commanded and run.seconds <= 60.0
+    assert sigmas(found) ** 2 > SETTLED
+    assert {*found.pairs[0][0]} == {"evp_lag", "line_delay"}
+    assert run.name in found.in_words()
+    rest: RunKind = StepsRun(pressures_kPa=(0.0,), hold_s=run.seconds)
     names = [cause.name for cause in layout.causes]
     idle = apart(layout, gram_of(layout, parts(layout, [rest])))
-    assert idle[names.index("evp_lag"), names.index("line_delay")] < 0.01 * found.sigmas**2
-    assert recommend(HALF, ("cv_leak", "none")).sigmas > sqrt(SETTLED)
-    with pytest.raises(RecordingPlanError, match="no_such"):
-        recommend(HALF, ("evp_lag", "no_such"))
+    assert idle[names.index("evp_lag"), names.index("line_delay")] < 0.01 * sigmas(found) ** 2
+    assert sigmas(recommend(HALF, named("cv_leak", "none"))) > sqrt(SETTLED)
+    with pytest.raises(RecordingPlanError, match="evp_lag"):
+        recommend(HALF, named("evp_lag"))
 
 
 def test_every_cause_has_a_typical_strength() -> None:
     for cause in catalogue():
-        usual, row = typical(cause, HALF), strengths(cause, HALF)
+        usual, row = typical(cause, HALF), strengths(cause, typical(cause, HALF))
         parameter = cause.parameters[0]
         assert parameter.low <= usual <= parameter.high
         assert usual in row and usual != parameter.neutral

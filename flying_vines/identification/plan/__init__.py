@@ -2,7 +2,7 @@
 
 made = plan(load_rig("rig.toml"), minutes=3.0)      the runs, and the causes that they separate
 made.best.scenario                                  for `flying_vines.simulation.scenario`
-recommend(rig, ("evp_lag", "line_delay"))           the one run that separates these causes
+recommend(rig, causes)                              the runs that separate these causes
 """
 
 from __future__ import annotations

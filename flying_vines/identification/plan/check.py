@@ -36,21 +36,24 @@ class Check:
         layout = self._layout
         problem = FitProblem(self._case(there), layout.noise)
         start = replace(problem.start().freed(layout.keys), initial=np.concatenate(self._initial))
+        for known, values in layout.known:
+            start = start.with_cause(known, values)
         if fitted < len(layout.causes):
             cause = layout.causes[fitted]
             value = nearest(layout, self._gram, there, fitted)
-            start = start.with_cause(cause, (value, *cause.seeds()[0][1:]))
+            start = start.with_cause(cause, (value, *layout.rest[fitted]))
         return problem.fit(start).cost
 
     def _case(self, there: int) -> Case:
         layout = self._layout
         cause = layout.causes[there]
-        values = (layout.values[there][layout.usual[there] - layout.first[there]], *cause.seeds()[0][1:])
+        value = layout.values[there][layout.usual[there] - layout.first[there]]
+        causes = [*layout.known, (cause, (value, *layout.rest[there]))]
         bare = Case(Path("plan"), layout.rig, self._runs, ())
         simulation = Simulation(bare)
         runs = []
         for index, (run, initial) in enumerate(zip(self._runs, self._initial, strict=True)):
-            readings = simulation.readings(index, {}, [(cause, values)], initial)
+            readings = simulation.readings(index, {}, causes, initial)
             cv_kPa = np.full_like(run.time_s, np.nan) if run.to_atmosphere else readings.cv_kPa
             runs.append(replace(run, cv_kPa=cv_kPa, reservoir_kPa=readings.reservoir_kPa))
         return replace(bare, runs=tuple(runs))

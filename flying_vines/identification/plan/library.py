@@ -8,13 +8,20 @@ Their times are from the nominal rig, so that a small vine is filled for a short
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from math import ceil, log
 
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.rig import ControlVolume, Rig
-from flying_vines.simulation.scenario.kinds import OpeningsRun, ProfileRun, RunKind, ScenarioSegment, Valves
+from flying_vines.simulation.scenario.kinds import (
+    MOST_KPA,
+    OpeningsRun,
+    ProfileRun,
+    RunKind,
+    ScenarioSegment,
+    Valves,
+)
 from flying_vines.vine.profile import HoldFor, Step
 
 Visit = tuple[float, float]
@@ -26,6 +33,11 @@ FULL_KPA, HALF_KPA, LOW_KPA = 690.0, 400.0, 180.0
 """Reservoir pressures at the start of a run, gauge. A Venturi has its rated vacuum from about 600 kPa on."""
 GUARD = 1.6
 """A valve closes early at this multiple of its target pressure, because the rig is not nominal."""
+LOW_SHARE = 0.5
+"""Maximum pressure of the control volume, over that of the reservoir, in runs from a part-full reservoir."""
+MOST_SHARE = 0.8
+"""The same in all runs: near the supply pressure a filling takes very long."""
+REST_S, MAX_REST_S = 40.0, 1800.0
 _SAMPLE_S = 0.02
 _SEED = 7
 """Seed of the random runs: the same rig gets the same plan."""
@@ -45,16 +57,38 @@ class CandidateRun:
     """True if it consists of pressure commands only."""
 
 
-def library(rig: Rig, most_kPa: float = MAX_KPA) -> tuple[CandidateRun, ...]:
-    """All runs that a rig can do."""
-    runs = [*_discharges(rig)]
-    if rig.cv is not None:
-        runs += [*_commands(most_kPa), *_openings(rig, rig.cv, most_kPa)]
+Supplies = Mapping[str, float]
+"""Reservoir pressures at the start of a run, gauge, by the words full, half and low."""
+
+
+def library(
+    rig: Rig, most_kPa: float = MAX_KPA, full_kPa: float = FULL_KPA, rest_s: float = REST_S
+) -> tuple[CandidateRun, ...]:
+    """All runs that a rig can do.
+
+    Args:
+        most_kPa, full_kPa: highest pressures of the control volume and of the reservoir, gauge.
+        rest_s: the longest time for which a reservoir alone stays shut.
+    """
+    if rig.pump is not None and rig.cv is not None:
+        # A pump at full drive fills as an inflation valve does from a reservoir at the stall pressure.
+        supplies = {"full": rig.pump.stall_pressure_kPa}
+        return tuple(_openings(rig, rig.cv, min(most_kPa, MOST_SHARE * supplies["full"]), supplies))
+    parts = {"full": full_kPa, "half": HALF_KPA / FULL_KPA * full_kPa, "low": LOW_KPA / FULL_KPA * full_kPa}
+    # A nearly empty reservoir cannot fill the control volume to the highest pressure.
+    supplies = {word: kPa for word, kPa in parts.items() if word == "full" or most_kPa <= LOW_SHARE * kPa}
+    runs = [*_discharges(rig, full_kPa)]
+    if rig.cv is None:
+        runs += [*_rests(supplies, rest_s)]
+    else:
+        most_kPa = min(most_kPa, MOST_SHARE * full_kPa)
+        runs += [*_commands(min(most_kPa, MOST_KPA), supplies), *_openings(rig, rig.cv, most_kPa, supplies)]
     return tuple(runs)
 
 
-def _commands(most_kPa: float) -> Iterator[CandidateRun]:
+def _commands(most_kPa: float, supplies: Supplies) -> Iterator[CandidateRun]:
     """Profiles that the service can do."""
+    full_kPa = supplies["full"]
 
     def profile(
         name: str, shows: str, supply_kPa: float, visits: list[Visit], counts: tuple[int, ...]
@@ -68,23 +102,23 @@ def _commands(most_kPa: float) -> Iterator[CandidateRun]:
         return CandidateRun(name, shows, make, counts, True)
 
     stairs = [(share, 2.0) for share in (0.25, 0.5, 0.75, 1.0, 0.75, 0.5, 0.25, 0.0)]
-    yield profile("staircase", "pressures up and down by steps, each held", FULL_KPA, 2 * stairs, (4, 8, 16))
+    yield profile("staircase", "pressures up and down by steps, each held", full_kPa, 2 * stairs, (4, 8, 16))
     bends = [(1.0, 0.6), (0.0, 0.6)] * 10
-    for supply_kPa, word in ((FULL_KPA, "full"), (HALF_KPA, "half"), (LOW_KPA, "low")):
+    for word, supply_kPa in supplies.items():
         shows = f"fast bends from a {word} reservoir"
         yield profile(f"bends_{word}", shows, supply_kPa, bends, (8, 20))
     yield profile(
         "vents",
         "repeated vents from the highest pressure, with the Venturi if the firmware uses it",
-        FULL_KPA,
+        full_kPa,
         [(1.0, 1.5), (0.0, 2.0)] * 6,
         (4, 12),
     )
-    yield profile("hold", "one pressure held for a long time", FULL_KPA, [(1.0, 7.5)] * 4, (2, 4))
-    yield profile("rest", "no movement", FULL_KPA, [(0.0, 10.0)] * 4, (1, 2, 4))
+    yield profile("hold", "one pressure held for a long time", full_kPa, [(1.0, 7.5)] * 4, (2, 4))
+    yield profile("rest", "no movement", full_kPa, [(0.0, 10.0)] * 4, (1, 2, 4))
     drawn = random.Random(_SEED)
     visits = [(drawn.random(), round(drawn.uniform(0.3, 1.5), 2)) for _ in range(40)]
-    for supply_kPa, word in ((FULL_KPA, "full"), (HALF_KPA, "half"), (LOW_KPA, "low")):
+    for word, supply_kPa in supplies.items():
         yield profile(
             f"random_{word}",
             f"random pressures, from a {word} reservoir",
@@ -94,8 +128,10 @@ def _commands(most_kPa: float) -> Iterator[CandidateRun]:
         )
 
 
-def _openings(rig: Rig, cv: ControlVolume, most_kPa: float) -> Iterator[CandidateRun]:
+def _openings(rig: Rig, cv: ControlVolume, most_kPa: float, supplies: Supplies) -> Iterator[CandidateRun]:
     """Runs that move the valves one by one."""
+    full_kPa = supplies["full"]
+    half_kPa = supplies.get("half", full_kPa)
 
     def fill(supply_kPa: float, opening: float, to_kPa: float, share: float = 1.0) -> Valves:
         """Inflation to `to_kPa` on the nominal rig, or a share of it."""
@@ -112,38 +148,43 @@ def _openings(rig: Rig, cv: ControlVolume, most_kPa: float) -> Iterator[Candidat
 
     stairs = []
     for opening in (0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1):
-        whole = fill(HALF_KPA, 1.0, 0.8 * most_kPa)
+        whole = fill(half_kPa, 1.0, 0.8 * most_kPa)
         stairs.append([Valves(for_s=whole.for_s, evp=opening, until_kPa=whole.until_kPa), shut, vent])
     yield _of_openings(
         "opening_stairs",
         "pulses of equal length, with the inflation valve opened wider each time, then less",
-        HALF_KPA,
+        half_kPa,
         stairs,
         (7, 13),
     )
-    for supply_kPa, word in ((FULL_KPA, "full"), (HALF_KPA, "half")):
+    for word, supply_kPa in supplies.items():
+        if word == "low":
+            continue
         for opening, how in ((1.0, "fast"), (0.5, "slow")):
             shutting = [[fill(supply_kPa, opening, most_kPa), Valves(for_s=8.0)], [Valves(for_s=12.0), vent]]
-            shows = f"filled {how} from a {word} reservoir, then all valves shut"
+            supply = "" if rig.pump else f" from a {word} reservoir"
+            shows = f"filled {how}{supply}, then all valves shut"
             yield _of_openings(f"fill_hold_{how}_{word}", shows, supply_kPa, shutting, (1, 2))
-    for supply_kPa, word in ((FULL_KPA, "full"), (HALF_KPA, "half"), (LOW_KPA, "low")):
+    for word, supply_kPa in supplies.items():
+        if not rig.has("venturi"):
+            continue
         cycles = [[fill(supply_kPa, 0.7, 0.6 * most_kPa), shut, pull, shut]] * 6
         shows = f"filled, then emptied by the Venturi, from a {word} reservoir"
         yield _of_openings(f"vent_venturi_{word}", shows, supply_kPa, cycles, (2, 4, 6))
-    cycles = [[fill(FULL_KPA, 0.7, 0.6 * most_kPa), shut, vent, shut]] * 6
-    yield _of_openings("vent_solenoid", "filled, then vented by the solenoid alone", FULL_KPA, cycles, (3, 6))
+    cycles = [[fill(full_kPa, 0.7, 0.6 * most_kPa), shut, vent, shut]] * 6
+    yield _of_openings("vent_solenoid", "filled, then vented by the solenoid alone", full_kPa, cycles, (3, 6))
     pulses = []
     drawn = random.Random(_SEED)
     for _ in range(24):
         opening, count = drawn.choice((0.3, 0.5, 0.75, 1.0)), drawn.choice((1, 2, 4))
-        pulse = fill(FULL_KPA, opening, 0.8 * most_kPa, 1.0 / count)
+        pulse = fill(full_kPa, opening, 0.8 * most_kPa, 1.0 / count)
         out = Valves(for_s=_samples(drawn.uniform(0.3, 1.0) * vent.for_s), solenoid=True)
         pulses.append([pulse, Valves(for_s=0.1)] * count + [out, Valves(for_s=0.1)])
     shows = "random pulses of inflation valve and solenoid"
-    yield _of_openings("pulses", shows, FULL_KPA, pulses, (8, 24))
+    yield _of_openings("pulses", shows, full_kPa, pulses, (8, 24))
 
 
-def _discharges(rig: Rig) -> Iterator[CandidateRun]:
+def _discharges(rig: Rig, full_kPa: float) -> Iterator[CandidateRun]:
     """Discharges of the reservoir in steps, with a rest after each step."""
     through_evp = rig.cv is not None
     for name, through, out in (
@@ -153,22 +194,38 @@ def _discharges(rig: Rig) -> Iterator[CandidateRun]:
     ):
         stretches = [[out, Valves(for_s=6.0, solenoid=out.solenoid)]] * 4
         shows = f"the reservoir discharged through the {through} in steps, with rests"
-        yield _of_openings(name, shows, FULL_KPA, stretches, (1, 2, 4))
+        yield _of_openings(name, shows, full_kPa, stretches, (1, 2, 4))
+
+
+def _rests(supplies: Supplies, rest_s: float) -> Iterator[CandidateRun]:
+    """The reservoir alone, shut: how it leaks at each pressure, and how its sensor drifts."""
+    rate_Hz = 50 if rest_s <= 2.0 * REST_S else 10
+    rest_s = min(rest_s, MAX_REST_S)
+    for word, supply_kPa in supplies.items():
+        shut = [[Valves(for_s=round(rest_s / 4 * rate_Hz) / rate_Hz)]] * 4
+        shows = f"all valves shut, with a {word} reservoir"
+        yield _of_openings(f"rest_{word}", shows, supply_kPa, shut, (1, 2, 4), rate_Hz)
 
 
 def _of_openings(
-    name: str, shows: str, supply_kPa: float, parts: list[list[Valves]], counts: tuple[int, ...]
+    name: str,
+    shows: str,
+    supply_kPa: float,
+    parts: list[list[Valves]],
+    counts: tuple[int, ...],
+    rate_Hz: int = 50,
 ) -> CandidateRun:
     def make(count: int) -> RunKind:
         valves = tuple(one for part in parts[:count] for one in part)
-        return OpeningsRun(name=name, reservoir_kPa=supply_kPa, valves=valves)
+        return OpeningsRun(name=name, reservoir_kPa=supply_kPa, valves=valves, sample_rate_Hz=rate_Hz)
 
     return CandidateRun(name, shows, make, counts, False)
 
 
 def filling_s(rig: Rig, cv: ControlVolume, supply_kPa: float, opening: float, to_kPa: float) -> float:
     """Time for which the inflation valve must be open on the nominal rig."""
-    time_constant_s = rig.evp.flow_resistance_kPa_s_per_SL * cv.volume_L / (ALPHA_KPA * opening)
+    source = rig.evp if rig.pump is None else rig.pump
+    time_constant_s = source.flow_resistance_kPa_s_per_SL * cv.volume_L / (ALPHA_KPA * opening)
     return time_constant_s * log(supply_kPa / (supply_kPa - to_kPa))
 
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from math import sqrt
+from math import inf, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from flying_vines.identification.noise import Noise
 from flying_vines.identification.plan.apart import SETTLED, apart
 from flying_vines.identification.plan.check import Check
 from flying_vines.identification.plan.choose import RecordingBudget, choose, gram_of
@@ -19,8 +21,9 @@ from flying_vines.identification.plan.traces import CandidatePart, Layout, layou
 from flying_vines.identification.search import Progress, silent
 from flying_vines.identification.verdict import NONE
 from flying_vines.physics.arrays import Array
+from flying_vines.physics.cause import Cause, Values
 from flying_vines.physics.constants import ALPHA_KPA
-from flying_vines.physics.effects import catalogue, causes_of
+from flying_vines.physics.effects import causes_of
 from flying_vines.physics.rig import Rig
 from flying_vines.simulation.scenario.kinds import RunKind
 from flying_vines.simulation.scenario.scenario import Scenario
@@ -31,6 +34,10 @@ SPENT_KPA = 100.0
 SCENARIO = "Runs that separate causes"
 MAX_S = 60.0
 """Maximum length of a recommended run."""
+MAX_RUNS = 3
+MIN_FALL = 0.2
+"""A further run is recommended if it settles this many pairs."""
+_NOTHING: Mapping[str, Values] = {}
 _FULL_FIT = 2.0 * SETTLED
 """Below this Δχ² a full fit replaces the lower bound from the traces."""
 
@@ -152,25 +159,58 @@ class RecordingPlan:
 
 @dataclass(frozen=True)
 class Recommendation:
-    """The run that best separates some causes."""
+    """The runs that best separate some causes."""
 
-    run: PlannedRun
-    sigmas: float
-    """Separation of the worst pair."""
-    worst: CausePair
+    rig: Rig
+    runs: tuple[PlannedRun, ...]
+    pairs: tuple[tuple[CausePair, float], ...]
+    """Each pair with its separation in standard deviations, the lowest first."""
+
+    @property
+    def scenario(self) -> Scenario:
+        """The runs for `flying_vines.simulation.scenario`."""
+        return Scenario(name=SCENARIO, runs=tuple(run.kind for run in self.runs))
+
+    @property
+    def any_separated(self) -> bool:
+        """True if the runs separate at least one pair, surely or not."""
+        return any(sigmas >= 1.0 for _, sigmas in self.pairs)
 
     def in_words(self) -> str:
         """One or two sentences for people."""
-        run, (first, second) = self.run, self.worst
-        if self.sigmas < 1.0:
-            return f"No run of the library separates {first} from {second}."
-        what = f"{run.name} for {run.seconds:.0f} s from {run.kind.reservoir_kPa:g} kPa ({run.shows})"
-        advice = (
-            f"Record {what}: it separates {first} from {second} by {self.sigmas:.0f} standard deviations."
-        )
+        sure = [(pair, sigmas) for pair, sigmas in self.pairs if sigmas**2 >= SETTLED]
+        near = [(pair, sigmas) for pair, sigmas in self.pairs if sigmas >= 1.0 and sigmas**2 < SETTLED]
+        left = [pair for pair, sigmas in self.pairs if sigmas**2 < SETTLED]
+        if not self.any_separated:
+            return f"No run of the library separates {_from_each_other(left)}."
+        what = ", then ".join(map(self._run_in_words, self.runs))
+        it = "it separates" if len(self.runs) == 1 else "they separate"
+        shown = sure or near
+        by = f"{'at least ' if len(shown) > 1 else ''}{shown[0][1]:.0f} standard deviations"
+        advice = f"Record {what}: {it} {_from_each_other([pair for pair, _ in shown])} by {by}."
         return (
-            advice if self.sigmas**2 >= SETTLED else f"{advice} No run of the library separates them surely."
+            f"{advice} No run of the library surely separates {_from_each_other(left)}." if left else advice
         )
+
+    def _run_in_words(self, run: PlannedRun) -> str:
+        supply = "" if self.rig.pump else f" from {run.kind.reservoir_kPa:.3g} kPa"
+        return f"{run.name} for {run.seconds:.0f} s{supply} ({run.shows})"
+
+
+def _from_each_other(pairs: Sequence[CausePair]) -> str:
+    """`a from b and c; d from e`."""
+    left, texts = list(pairs), []
+    while left:
+        often = Counter(name for pair in left for name in pair)
+        ((name, _),) = often.most_common(1)
+        others = [second if first == name else first for first, second in left if name in (first, second)]
+        texts.append(f"{name} from {_listed(others)}")
+        left = [pair for pair in left if name not in pair]
+    return "; ".join(texts)
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def plan(
@@ -231,32 +271,51 @@ def plan(
         )
 
 
-def recommend(rig: Rig, doubt: Collection[str], most_kPa: float = MAX_KPA) -> Recommendation:
-    """The run of at most a minute that best separates these causes (`none` may be among them).
+def recommend(
+    rig: Rig,
+    doubt: Sequence[Cause],
+    known: Sequence[tuple[Cause, Values]] = (),
+    fitted: Mapping[str, Values] = _NOTHING,
+    noise: Noise | None = None,
+    *,
+    most_kPa: float = MAX_KPA,
+    full_kPa: float = FULL_KPA,
+    max_s: float = MAX_S,
+) -> Recommendation:
+    """The runs that best separate these causes from each other; `none` may be among them.
 
-    A run that the service can do is preferred if it separates them. Raises RecordingPlanError for names that
-    are not in the catalogue, or fewer than two.
+    Runs that the service can do are preferred if they separate them. A further run is only recommended while
+    no run alone does.
+
+    Args:
+        known, fitted, noise: see `layout_of`.
+        most_kPa, full_kPa: see `library`.
+        max_s: maximum length of one run.
+
+    Raises RecordingPlanError for fewer than two causes, or if the rig can do no run.
     """
-    known = {cause.name: cause for cause in catalogue()}
-    unknown = sorted(set(doubt) - {*known, NONE})
-    if unknown or len(set(doubt)) < 2:
-        names = ", ".join(unknown or sorted(set(doubt)))
-        raise RecordingPlanError(f"give at least two causes of the catalogue, not: {names}")
-    causes = [cause for name, cause in known.items() if name in doubt]
-    with_none = NONE in doubt
+    causes = [cause for cause in doubt if cause.name != NONE]
+    with_none = len(causes) < len(doubt)
+    if len(doubt) < 2 or not causes:
+        raise RecordingPlanError(
+            f"give at least two causes to separate, not: {', '.join(c.name for c in doubt)}"
+        )
     with threadpool_limits(1):
-        layout = layout_of(rig, causes)
-        parts = [p for p in _all_parts(layout, library(rig, most_kPa), silent) if p.seconds <= MAX_S]
-        looks = [(part, *_worst(layout, apart(layout, part.gram), with_none)) for part in parts]
-        if max(look[2] for look in looks) < SETTLED:
-            # These are lower bounds: full fits may still separate the causes.
-            looks = [
-                (part, *_worst(layout, _evaluated(layout, [part]).matrix, with_none))
-                for part in _longest(parts)
-            ]
-    commanded = [look for look in looks if look[0].candidate.commanded and look[2] >= SETTLED]
-    part, pair, lowest = max(commanded or looks, key=lambda look: look[2])
-    return Recommendation(_planned(part), sqrt(lowest), pair)
+        layout = layout_of(rig, causes, known, fitted, noise)
+        every = _all_parts(layout, library(rig, most_kPa, full_kPa, max_s), silent)
+        parts = [part for part in every if part.seconds <= max_s]
+        if not parts:
+            raise RecordingPlanError(f"no run of the library fits into {max_s:g} s")
+        commanded = [part for part in parts if part.candidate.commanded]
+        chosen = _separating(layout, commanded, with_none)
+        pairs = _pairs(layout, apart(layout, gram_of(layout, chosen)), with_none)
+        if pairs[0][1] < SETTLED:
+            chosen = _separating(layout, parts, with_none)
+            # The traces give lower bounds: full fits may still separate the causes.
+            pairs = _pairs(layout, _evaluated(layout, chosen).matrix, with_none)
+    return Recommendation(
+        rig, tuple(map(_planned, chosen)), tuple((pair, sqrt(separation)) for pair, separation in pairs)
+    )
 
 
 class _Evaluation(NamedTuple):
@@ -370,10 +429,29 @@ def _planned(part: CandidatePart, separations: Sequence[PairSeparation] = ()) ->
     )
 
 
-def _worst(layout: Layout, matrix: Array, with_none: bool) -> tuple[CausePair, float]:
-    """The pair with the lowest separation, and its Δχ²."""
-    columns = (*layout.names, NONE) if with_none else layout.names
-    among = matrix[:, : len(columns)].copy()
-    np.fill_diagonal(among, np.inf)
-    there, fitted = np.unravel_index(int(np.argmin(among)), among.shape)
-    return CausePair(layout.names[there], columns[fitted]), float(among[there, fitted])
+def _separating(layout: Layout, parts: Sequence[CandidatePart], with_none: bool) -> list[CandidatePart]:
+    """The run that leaves the fewest pairs open, and further runs while that number falls."""
+    chosen: list[CandidatePart] = []
+    lowest = inf
+    while parts and len(chosen) < MAX_RUNS:
+        more = [[*chosen, part] for part in parts if part not in chosen]
+        left = [_left(_pairs(layout, apart(layout, gram_of(layout, runs)), with_none)) for runs in more]
+        if not left or min(left) > lowest - MIN_FALL:
+            break
+        lowest = min(left)
+        chosen = more[left.index(lowest)]
+    return chosen
+
+
+def _left(pairs: Sequence[tuple[CausePair, float]]) -> float:
+    """Approximate number of pairs that are not separated; see `open_pairs`."""
+    return sum(1.0 / (1.0 + separation / SETTLED) for _, separation in pairs)
+
+
+def _pairs(layout: Layout, matrix: Array, with_none: bool) -> list[tuple[CausePair, float]]:
+    """Each pair with its Δχ² in the worse direction, the lowest first."""
+    names = layout.names
+    pairs = [(CausePair(name, NONE), float(matrix[i, -1])) for i, name in enumerate(names) if with_none]
+    for a, b in combinations(range(len(names)), 2):
+        pairs.append((CausePair(names[a], names[b]), float(min(matrix[a, b], matrix[b, a]))))
+    return sorted(pairs, key=lambda pair: pair[1])

@@ -65,9 +65,9 @@ def typical(cause: Cause, rig: Rig) -> float:
     return parameter.to_model(parameter.to_search(seed) + 0.03 * parameter.range)
 
 
-def strengths(cause: Cause, rig: Rig) -> tuple[float, ...]:
+def strengths(cause: Cause, usual: float) -> tuple[float, ...]:
     """Values of the first parameter, near enough for linear interpolation; the typical one is among them."""
-    parameter, usual = cause.parameters[0], typical(cause, rig)
+    parameter = cause.parameters[0]
     neutral = parameter.neutral
     if neutral is None or _is_threshold(parameter):
         steps = [parameter.low + i / _EVENLY * (parameter.high - parameter.low) for i in range(_EVENLY + 1)]

@@ -12,7 +12,7 @@ numbers are common to all runs: each one, moved by its standard deviation, has i
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -36,13 +36,14 @@ from flying_vines.simulation.scenario.kinds import RunKind
 Causes = Sequence[tuple[Cause, Values]]
 
 _NOMINAL: Mapping[str, float] = {}
+_NOTHING: Mapping[str, Values] = {}
 _RESERVOIR_KPA, _CV_KPA = 1.0, 0.1
 """Finite-difference steps of the initial pressures."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The rows of G: each cause at its strengths, then the rig numbers."""
+    """The rows of G: each cause at its strengths, then the rig numbers and the parameters of known causes."""
 
     rig: Rig
     causes: tuple[Cause, ...]
@@ -51,8 +52,12 @@ class Layout:
     """Row of each cause's first strength."""
     usual: NDArray[np.intp]
     """Row of each cause at its typical strength."""
+    rest: tuple[Values, ...]
+    """Values of each cause's further parameters."""
     keys: tuple[str, ...]
     noise: Noise
+    known: Causes
+    """Causes that are in the rig for sure. `Parameter.typical` is what is known of their parameters."""
 
     @property
     def traces(self) -> int:
@@ -62,14 +67,15 @@ class Layout:
     @property
     def nothing(self) -> Array:
         """G of no run at all."""
-        return np.zeros((self.traces + len(self.keys),) * 2)
+        known = sum(len(values) for _, values in self.known)
+        return np.zeros((self.traces + len(self.keys) + known,) * 2)
 
     @property
     def names(self) -> tuple[str, ...]:
         return tuple(cause.name for cause in self.causes)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CandidatePart:
     """The first `count` parts of a candidate."""
 
@@ -86,18 +92,37 @@ class CandidatePart:
         return self.candidate.make(self.count)
 
 
-def layout_of(rig: Rig, causes: Sequence[Cause]) -> Layout:
-    values = tuple(strengths(cause, rig) for cause in causes)
+def layout_of(
+    rig: Rig,
+    causes: Sequence[Cause],
+    known: Causes = (),
+    fitted: Mapping[str, Values] = _NOTHING,
+    noise: Noise | None = None,
+) -> Layout:
+    """The layout for these causes.
+
+    Args:
+        known: see `Layout.known`.
+        fitted: typical parameter values by cause; default: those of real rigs.
+        noise: of both sensors; default: the rig's.
+    """
+    typical_of = [fitted[c.name][0] if c.name in fitted else typical(c, rig) for c in causes]
+    values = tuple(strengths(cause, usual) for cause, usual in zip(causes, typical_of, strict=True))
     first = np.cumsum([0, *map(len, values)])[:-1]
-    usual = [row.index(typical(cause, rig)) for cause, row in zip(causes, values, strict=True)]
+    # Not `index`: on a logarithmic scale the value comes back with a rounding error.
+    usual = [
+        int(np.argmin(np.abs(np.array(row) - value))) for row, value in zip(values, typical_of, strict=True)
+    ]
     return Layout(
         rig=rig,
         causes=tuple(causes),
         values=values,
         first=first,
         usual=first + np.array(usual),
+        rest=tuple(fitted.get(cause.name, cause.seeds()[0])[1:] for cause in causes),
         keys=rig_number_keys(rig),
-        noise=stated_noise(rig),
+        noise=stated_noise(rig) if noise is None else noise,
+        known=tuple(known),
     )
 
 
@@ -121,25 +146,37 @@ def _traces(layout: Layout, run: RecordedRun, reservoir_kPa: float) -> tuple[Arr
     """(rows, 2, n): traces of G's rows, then of both initial pressures; and the reservoir's baseline, kPa."""
     simulation = Simulation(Case(Path(run.name), layout.rig, (run,), ()))
     start = np.array([[reservoir_kPa, 0.0]])
-    noise = np.array([sensor.std_kPa for sensor in layout.noise])[:, None]
+    noise = np.array([sensor.slow_std_kPa for sensor in layout.noise])[:, None]
     if run.to_atmosphere:
         noise[0] = np.inf
 
     def readings(moved: Mapping[str, float] = _NOMINAL, causes: Causes = (), initial: Array = start) -> Array:
         return np.stack(simulation.readings(0, moved, causes, initial))
 
-    baseline = readings()
+    known = list(layout.known)
+    baseline = readings(causes=known)
     rows = [
-        readings(causes=[(cause, (value, *cause.seeds()[0][1:]))])
-        for cause, values in zip(layout.causes, layout.values, strict=True)
+        readings(causes=[*known, (cause, (value, *rest))])
+        for cause, values, rest in zip(layout.causes, layout.values, layout.rest, strict=True)
         for value in values
     ]
     for key in layout.keys:
         moved = number(layout.rig, key) * (1.0 + prior_std(layout.rig, key))
-        rows.append(readings({key: moved}))
-    rows += [readings(initial=start + move) for move in ((_RESERVOIR_KPA, 0.0), (0.0, _CV_KPA))]
+        rows.append(readings({key: moved}, known))
+    rows += [readings(causes=others) for others in _moved(known)]
+    rows += [readings(causes=known, initial=start + move) for move in ((_RESERVOIR_KPA, 0.0), (0.0, _CV_KPA))]
     traces = (np.array(rows) - baseline) / noise
     return np.nan_to_num(traces, nan=0.0, posinf=0.0, neginf=0.0), baseline[1]
+
+
+def _moved(known: Causes) -> Iterator[Causes]:
+    """The known causes, with each of their parameters in turn moved by its standard deviation."""
+    for index, (cause, values) in enumerate(known):
+        for at, parameter in enumerate(cause.parameters):
+            assert parameter.typical is not None
+            mean, sd = parameter.typical
+            there = (*values[:at], parameter.to_model(mean + sd), *values[at + 1 :])
+            yield [*known[:index], (cause, there), *known[index + 1 :]]
 
 
 def _without_initial(gram: Array) -> Array:

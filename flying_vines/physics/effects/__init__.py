@@ -7,20 +7,45 @@ the rig-data format.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules
 
-from flying_vines.physics.cause import Cause
+from flying_vines.physics.cause import Cause, CauseError
+from flying_vines.physics.own_causes import installed_causes
 from flying_vines.physics.plant.setup import Setup, perfect
 from flying_vines.physics.rig import Rig
+
+_added: list[Cause] = []
 
 
 @cache
 def catalogue() -> tuple[Cause, ...]:
-    """Every cause in this folder, by name."""
+    """Every cause in this folder, by name; then those of installed packages, and those that were added."""
     modules = sorted(module.name for module in iter_modules(__path__))
-    return tuple(import_module(f"{__name__}.{name}").CAUSE for name in modules)
+    every: dict[str, Cause] = {}
+    for cause in (
+        *(import_module(f"{__name__}.{name}").CAUSE for name in modules),
+        *installed_causes(),
+        *_added,
+    ):
+        if cause.name in every or cause.name in (NONE.name, "unexplained"):
+            raise CauseError(f"{cause.defined_in}: the name {cause.name} is taken; choose another")
+        every[cause.name] = cause
+    return tuple(every.values())
+
+
+def add_causes(causes: Iterable[Cause]) -> None:
+    """Add causes to the catalogue of this process. Raises CauseError if a name is taken."""
+    before = list(_added)
+    _added.extend(causes)
+    catalogue.cache_clear()
+    try:
+        catalogue()
+    except CauseError:
+        _added[:] = before
+        raise
 
 
 def causes_of(rig: Rig) -> tuple[Cause, ...]:

@@ -40,6 +40,8 @@ _EFFECTS: dict[str, dict[str, type]] = {
 }
 """For each effect: its types, by kind."""
 _POSITIVE = ("gain", "scale")
+DEFINED_IN = "defined_in"
+"""Key of a cause's file or package, if it is from outside this project."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +121,7 @@ def true_rig_from(content: Mapping[str, Any]) -> TrueRig:
             raise RigError(f"effects.{name} is not an effect: the effects are {', '.join(_EFFECTS)}.")
     return TrueRig(
         nominal=rig,
-        causes={name: _numbers(value, f"causes.{name}") for name, value in causes.items()},
+        causes={name: _parameters(name, value) for name, value in causes.items()},
         effects=_checked_effects({name: _effect(name, value) for name, value in effects.items()}),
         likely=likely,
         without=tuple(without),
@@ -137,7 +139,9 @@ def true_rig_text(rig: TrueRig) -> str:
         and not (name == "gas" and table == default[name])
         and not (rig.nominal.pump and name in WITHOUT_PUMP)
     ]
-    tables += [(f"causes.{name}", dict(parameters)) for name, parameters in rig.causes.items()]
+    for name, parameters in rig.causes.items():
+        outside = cause_named(name).defined_in
+        tables.append((f"causes.{name}", {**parameters, **({DEFINED_IN: outside} if outside else {})}))
     if rig.none_found:
         tables.append(("causes", {}))
     if rig.likely:
@@ -180,6 +184,17 @@ def _caused(made: Setup, name: str, parameters: Mapping[str, float]) -> Setup:
         raise RigError(f"{where} makes the rig impossible: {_as_text(parameters)}.") from None
     except ValueError as error:
         raise RigError(f"{where}: {error}.") from None
+
+
+def _parameters(name: str, value: Any) -> dict[str, float]:
+    """The parameters of a cause. RigError if it is defined elsewhere and not known here."""
+    table = dict(_table(value, f"causes.{name}"))
+    outside = table.pop(DEFINED_IN, None)
+    if outside is not None and name not in {cause.name for cause in catalogue()}:
+        package = str(outside).removeprefix("package ")
+        remedy = f"install {package}" if package != outside else f"add --cause {outside}"
+        raise RigError(f"causes.{name} is defined in {outside}, which is missing: {remedy}.")
+    return _numbers(table, f"causes.{name}")
 
 
 def _effect(name: str, value: Any) -> Any:

@@ -1,0 +1,123 @@
+"""The next experiment: the runs that separate the causes that the data leave possible.
+
+After a doubt these are the causes that explain the data equally well. After a remainder, or if nothing
+explains the data, these are the further causes that lower χ² most: those that act when and where the
+remainder is. Each cause has the strength that fits these data best. Named causes are known to within their
+errors. What the best fit leaves above noise counts as noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from math import inf, sqrt
+
+import numpy as np
+
+from flying_vines.identification.candidate import Candidate
+from flying_vines.identification.case import Case
+from flying_vines.identification.plan import RecordingPlanError, recommend
+from flying_vines.identification.plan.library import FULL_KPA, MAX_KPA
+from flying_vines.identification.plan.planning import MAX_S
+from flying_vines.identification.search import SearchResult
+from flying_vines.physics.arrays import Array
+from flying_vines.physics.cause import Cause, Values
+from flying_vines.physics.effects import NONE
+from flying_vines.physics.rig import with_numbers
+
+CANDIDATES = 4
+"""Number of further causes that an experiment after a remainder must separate."""
+
+
+def after_doubts(found: SearchResult, doubts: Mapping[str, Sequence[str]]) -> str:
+    """The recording that separates the first cause in doubt from those that fit equally well, in words."""
+    chosen = found.chosen
+    cause, others = next(iter(doubts.items()))
+    rest = set(chosen.names) - {cause}
+    candidates = with_one_more(found, rest)
+    return _in_words(found, chosen, {name: candidates[name] for name in (cause, *others)}, rest)
+
+
+def after_remainder(found: SearchResult, base: Candidate) -> str:
+    """The recording that shows which further cause explains what the base leaves, in words."""
+    candidates = with_one_more(found, base.names)
+    if not candidates:
+        more = found.search.further([base])
+        candidates = {c.names[-1]: c for c in more if c.possible}
+    over = base.excess
+    nearest = sorted(candidates, key=lambda name: candidates[name].score_at(over))[:CANDIDATES]
+    if not nearest:
+        return ""
+    return _in_words(found, base, {name: candidates[name] for name in nearest}, base.names)
+
+
+def with_one_more(found: SearchResult, rest: Collection[str]) -> dict[str, Candidate]:
+    """For each cause: the best possible candidate that has it and these others."""
+    best: dict[str, Candidate] = {}
+    for candidate in found.tried:
+        others = set(candidate.names) - set(rest)
+        if candidate.possible and set(rest) <= set(candidate.names) and len(others) == 1:
+            (name,) = others
+            if name not in best or found.score(candidate) < found.score(best[name]):
+                best[name] = candidate
+    return best
+
+
+def _in_words(
+    found: SearchResult, base: Candidate, candidates: Mapping[str, Candidate], known: Collection[str]
+) -> str:
+    causes = {cause.name: cause for cause in found.search.catalogue}
+    doubt = [causes[name] for name in candidates]
+    fitted = {name: _values(candidate, name) for name, candidate in candidates.items()}
+    problem = base.problem
+    excess = min(candidates.values(), key=lambda candidate: candidate.fit.chi2).excess
+    noise = [
+        sensor._replace(std_kPa=sqrt(over) * sensor.std_kPa if read else inf)
+        for sensor, over, read in zip(problem.noise, excess, _read(problem.case), strict=True)
+    ]
+    try:
+        found_runs = recommend(
+            with_numbers(problem.case.rig, problem.moved(base.fit.point)),
+            doubt if len(doubt) > 1 else [*doubt, NONE],
+            [_known(base, index) for index, name in enumerate(base.names) if name in known],
+            fitted,
+            (noise[0], noise[1]),
+            most_kPa=_highest([run.cv_kPa for run in problem.case.runs], MAX_KPA),
+            full_kPa=_highest([run.reservoir_kPa for run in problem.case.runs], FULL_KPA),
+            max_s=max(MAX_S, *(float(np.ptp(run.time_s)) for run in problem.case.runs)),
+        )
+    except RecordingPlanError:  # The rig can do no run of the library.
+        return doubt[0].experiment
+    words = found_runs.in_words()
+    return words if found_runs.any_separated else f"{words} {doubt[0].experiment}"
+
+
+def _values(candidate: Candidate, name: str) -> Values:
+    """The fitted values of one cause."""
+    return candidate.fit.point.values[candidate.names.index(name)]
+
+
+def _known(base: Candidate, index: int) -> tuple[Cause, Values]:
+    """A cause of the base with its values. Their errors are the prior of its parameters."""
+    cause, values = base.causes[index], base.fit.point.values[index]
+    at = len(base.fit.point.deviation) + sum(len(c.parameters) for c in base.causes[:index])
+    variance = max(base.excess) * np.diag(base.covariance)[at : at + len(values)]
+    parameters = tuple(
+        replace(parameter, typical=(parameter.to_search(value), sqrt(max(own, 1e-18))))
+        for parameter, value, own in zip(cause.parameters, values, variance.tolist(), strict=True)
+    )
+    return replace(cause, parameters=parameters), values
+
+
+def _read(case: Case) -> tuple[bool, bool]:
+    """True if the sensor of control volume, of reservoir, was read."""
+    return (
+        any(np.isfinite(run.cv_kPa).any() for run in case.runs),
+        any(np.isfinite(run.reservoir_kPa).any() for run in case.runs),
+    )
+
+
+def _highest(readings: Sequence[Array], otherwise: float) -> float:
+    """The highest recorded pressure: the rig can do it again."""
+    tops = [float(np.nanmax(kPa)) for kPa in readings if np.isfinite(kPa).any()]
+    return max(tops) if tops and max(tops) > 0.0 else otherwise

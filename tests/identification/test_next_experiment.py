@@ -1,0 +1,87 @@
+"""The next experiment after a verdict that leaves something open is computed for the rig."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import replace
+
+import pytest
+from hidden_truth import draw, write
+from rich.console import Console
+
+from flying_vines.identification import next_experiment
+from flying_vines.identification.case import Case, read_case
+from flying_vines.identification.diagnose import diagnose
+from flying_vines.identification.plan import recommend
+from flying_vines.identification.plan.library import library
+from flying_vines.identification.report.page import page
+from flying_vines.identification.show import show
+from flying_vines.physics.cause import Cause
+from flying_vines.physics.effects import causes_of
+from flying_vines.physics.rig import Pump, Rig
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    """One short run of a rig with one cause."""
+    folder = tmp_path_factory.mktemp("short") / "case"
+    write(folder, draw("short", 1))
+    return read_case(folder)
+
+
+def others(case: Case, *also_without: str) -> list[Cause]:
+    """The catalogue without the hidden cause: an effect that nobody has named."""
+    hidden = {draw("short", 1).hidden[0].name, *also_without}
+    return [cause for cause in causes_of(case.rig) if cause.name not in hidden]
+
+
+def test_unexplained_data_ask_for_the_runs_that_separate_the_nearest_causes(
+    case: Case, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def spy(rig: Rig, doubt: list[Cause], *more: object, **limits: float) -> object:
+        asked.append((doubt, limits))
+        return recommend(rig, doubt, *more, **limits)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(next_experiment, "recommend", spy)
+    verdict = diagnose(case, [cause for cause in others(case) if cause.name in ("evp_lag", "line_delay")])
+    assert verdict.cause == "unexplained"
+    ((doubt, limits),) = asked
+    assert {cause.name for cause in doubt} <= {"evp_lag", "line_delay", "none"}
+    assert all(cause.name in verdict.next_experiment for cause in doubt)
+    # The rig has been at these pressures before.
+    assert limits["full_kPa"] == max(run.reservoir_kPa.max() for run in case.runs)
+    assert limits["most_kPa"] == max(run.cv_kPa.max() for run in case.runs)
+
+    printed = io.StringIO()
+    show(verdict, Console(file=printed, width=2000))
+    assert verdict.next_experiment in printed.getvalue()
+    assert json.loads(json.dumps(verdict.as_json()))["next_experiment"] == verdict.next_experiment
+    assert verdict.next_experiment in page(verdict, case, {})
+
+
+def test_no_recommended_run_goes_above_the_pressures_of_the_rig() -> None:
+    for most_kPa, full_kPa in ((20.7, 690.0), (150.0, 240.0), (300.0, 320.0)):
+        runs = library(Rig(), most_kPa, full_kPa)
+        assert {run.name for run in runs} >= {"staircase", "discharge_evp", "opening_stairs"}
+        for run in runs:
+            assert run.make(run.counts[-1]).reservoir_kPa <= full_kPa
+
+
+def test_a_rig_with_a_pump_and_a_reservoir_alone_have_runs_of_their_own() -> None:
+    pump = replace(Rig(), pump=Pump())
+    assert {run.name for run in library(pump)} == {
+        *("opening_stairs", "fill_hold_fast_full", "fill_hold_slow_full", "vent_solenoid", "pulses")
+    }
+    alone = library(replace(Rig(), cv=None), rest_s=400.0)
+    rest = next(run for run in alone if run.name == "rest_low")
+    assert rest.make(4).length_s == pytest.approx(400.0)
+
+
+def test_leaks_of_two_laws_are_separated_by_what_the_pump_can_do() -> None:
+    causes = [c for c in causes_of(Rig(pump=Pump())) if c.name in ("cv_leak", "dead_volume")]
+    found = recommend(Rig(pump=Pump()), causes)
+    assert found.pairs[0][1] > 5.0
+    assert "kPa (" not in found.in_words() and "reservoir" not in found.in_words()
