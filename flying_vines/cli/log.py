@@ -40,9 +40,11 @@ def add(commands: Any) -> None:
     )
     plot.add_argument("--title", metavar="TEXT", help="of the picture (date and time of the flight)")
     export = _add_action(actions, "export", _export, "write tables for other programs")
-    export.add_argument("--csv", action="store_true", help="one CSV file per topic (this is the default)")
+    kinds = export.add_mutually_exclusive_group()
+    kinds.add_argument("--csv", action="store_true", help="one CSV file per topic (the default)")
+    kinds.add_argument("--viewers", action="store_true", help="for Foxglove and PlotJuggler, with layouts")
     export.add_argument(
-        "-o", "--out", type=Path, metavar="DIR", help="new folder (csv in the flight's folder)"
+        "-o", "--out", type=Path, metavar="DIR", help="new folder (csv or viewers in the flight's folder)"
     )
     bundle = _add_action(actions, "bundle", _bundle, "pack the flight into a zip file for a bug report")
     bundle.add_argument(
@@ -131,9 +133,14 @@ def _plot(log: FlightLog, arguments: argparse.Namespace) -> int:
 
 def _export(log: FlightLog, arguments: argparse.Namespace) -> int:
     from flying_vines.record.export import export_csv
+    from flying_vines.record.viewers import export_for_viewers
 
-    folder: Path = arguments.out or log.folder / "csv"
+    folder: Path = arguments.out or log.folder / ("viewers" if arguments.viewers else "csv")
     folder.mkdir(parents=True, exist_ok=True)
+    if arguments.viewers:
+        names = [path.name for path in export_for_viewers(log, folder)]
+        print(f"Wrote {', '.join(names)} into {folder}")
+        return 0
     paths = export_csv(log, folder)
     print(f"Wrote {len(paths)} tables into {folder}")
     return 0

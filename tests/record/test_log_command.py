@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 from recorded_flight import one_bend
@@ -85,7 +87,7 @@ def test_plot_draws_for_screens_and_papers(flights: Path, run: Runner, tmp_path:
 
 def test_export_writes_what_was_recorded(flights: Path, run: Runner, tmp_path: Path) -> None:
     (folder,) = flights.iterdir()
-    run("export", folder, "--csv", "-o", tmp_path / "tables")
+    run("export", folder, "-o", tmp_path / "tables")
     with (tmp_path / "tables" / "phlosar_telemetry.csv").open() as file:
         rows = list(csv.DictReader(file))
     said = [entry.fields for entry in FlightLog(folder).entries(("phlosar/telemetry",))]
@@ -95,6 +97,31 @@ def test_export_writes_what_was_recorded(flights: Path, run: Runner, tmp_path: P
     assert "RC_CHANNELS.chan9_raw [us]" in rc[0].split(",")
     assert not any("ATTITUDE" in column for column in rc[0].split(","))
     assert len((tmp_path / "tables" / "tick.csv").read_text().splitlines()) == 1 + 400
+
+
+def test_export_for_viewers_holds_all_that_its_layouts_name(
+    flights: Path, run: Runner, tmp_path: Path
+) -> None:
+    (folder,) = flights.iterdir()
+    run("export", folder, "--viewers", "-o", tmp_path)
+    entries = list(FlightLog(tmp_path / "viewers.mcap").entries())
+    topics = {entry.topic: entry.fields for entry in entries}
+    assert set(topics) == {"snapshot", "phlosar/telemetry", "log", "location"}
+    layout = json.loads((tmp_path / "foxglove.json").read_text())["configById"]
+    foxglove = [path["value"] for panel in layout.values() for path in panel.get("paths", ())]
+    juggler = re.findall(r'curve name="([^"]+)"', (tmp_path / "plotjuggler.xml").read_text())
+    for path in (*foxglove, *juggler):
+        topic = next(name for name in topics if path.startswith(name))
+        value: Any = topics[topic]
+        for name in re.split("[./]", path[len(topic) + 1 :]):
+            value = value[name]
+        assert isinstance(value, float), path
+    assert layout["RosOut!log"]["topicToRender"] in topics and layout["map!where"]["followTopic"] in topics
+    assert -90.0 < topics["location"]["latitude"] < 90.0 and abs(topics["location"]["longitude"]) < 180.0
+    texts = [entry.fields for entry in entries if entry.topic == "log"]
+    said = list(FlightLog(folder).entries(("decision", "notice")))
+    shown = [one.fields for one in said if not one.fields.get("of_decision")]
+    assert len(texts) == sum(one.get("severity") != 7 for one in shown)
 
 
 def test_a_bundle_holds_the_flight_and_no_key(flights: Path, run: Runner, tmp_path: Path) -> None:
