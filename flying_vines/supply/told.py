@@ -17,7 +17,7 @@ from flying_vines.supply.reservoir import CV_LEAK, LEAK, X
 
 WINDOW_S = 120.0
 SETTLED_S = 10.0
-"""A refill takes some time. It is told again only after a pause of this length."""
+"""A refill takes some time. It is told again after a pause of this length, or when the number has leapt."""
 LEAKS = "the leak has changed"
 RHYTHM = "another rhythm"
 BENDS = "another kind of bend"
@@ -69,7 +69,9 @@ class ToldCycles:
         return self._jump(t, jumped_kPa, new) if jumped_kPa else self._compare(t, new, basis)
 
     def _jump(self, t: float, jumped_kPa: float, new: CyclesLeft) -> str:
-        is_new = t - self._jump_at > SETTLED_S
+        before = self.left
+        leaps = before is None or new.high < before.low or new.low > before.high
+        is_new = t - self._jump_at > SETTLED_S or leaps
         self._jump_at = t
         self._told.clear()
         self._x_kPa = math.nan

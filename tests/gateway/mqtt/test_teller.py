@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -243,11 +244,13 @@ def test_home_assistant_gets_sensors_and_a_button_only_where_venting_is_allowed(
             assert vent["command_topic"] == TOPICS.ask
             assert '"command": "vent"' in vent["command_template"]
         configs = [msgspec.json.decode(sensor.payload) for sensor in sensors]
-        assert len({config["unique_id"] for config in configs}) == len(configs) == 5
+        assert len({config["unique_id"] for config in configs}) == len(configs) == 6
         for config in configs:
             assert config["availability_topic"] == TOPICS.status
-            key = config["value_template"].replace(
-                "(value_json.cycles or {}).get('expected')", "value_json.cycles"
+            key = re.sub(
+                r"\(value_json\.cycles or \{\}\)\.get\('\w+'\)",
+                "value_json.cycles",
+                config["value_template"],
             )
             assert key.removeprefix("{{ value_json.").removesuffix(" }}") in known[config["state_topic"]]
 
