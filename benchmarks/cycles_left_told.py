@@ -3,10 +3,10 @@
     .venv/bin/python benchmarks/cycles_left_told.py [--flights N] [--first SEED] [--each] [--check]
 
 A flight is one of the rigs of `cycles_left_rigs.py`, and four to seven episodes in random order: bends, a
-pause, movements that are cut off, a new leak, a refill, air lost at once, a latched loss that a person clears,
-a restart of the service; bends follow each. At the end the prediction is compared with the truth: the same
-plant flies the same program on, undisturbed, until it misses it. And any two predictions within two minutes must have
-a value in common, less the cycles whose air is gone, if no event was told between them.
+pause, movements that are cut off, a new leak, a refill, air lost at once, a latched loss that a person
+clears, a restart of the service; bends follow each. At the end the prediction is compared with the truth: the
+same plant flies the same program on, undisturbed, until it misses it. And any two predictions within two
+minutes must have a value in common, less the cycles whose air is gone, if no event was told between them.
 """
 
 from __future__ import annotations
@@ -60,6 +60,8 @@ class Flown:
         self.outcome = Outcome(case.seed)
         self.t = 0.0
         self.lost = False
+        self._next = 0
+        """Number of the next manoeuvre: the mixture is that of the whole program."""
         self._told_at = 0.0
         self._shown: list[tuple[float, float, CyclesLeft]] = []
 
@@ -109,8 +111,9 @@ class Flown:
 
     def bends(self, times: int) -> None:
         setpoints, ticks = [], 0
-        for index in range(times):
-            manoeuvre = self.case.program[index % len(self.case.program)]
+        for _ in range(times):
+            manoeuvre = self.case.program[self._next % len(self.case.program)]
+            self._next += 1
             length = round(manoeuvre.length_s / HOST_TICK_S)
             setpoints += [
                 SetpointChange(

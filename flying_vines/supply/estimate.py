@@ -65,6 +65,9 @@ PRIOR_CYCLES = 0.05
 RECENT_INFLATIONS = 10
 MAX_PAUSE_S = 30.0
 """A longer pause is a wait, not the rhythm of cycles. `CyclesLeft.minutes` says what a wait costs."""
+LONG_PAUSE = 3.0
+"""So is a pause of this many times the usual one, if it is longer than …"""
+SHORT_PAUSE_S = 5.0
 MAX_MINUTES = 600.0
 """Longer times are not distinguished."""
 Z90 = 1.645
@@ -160,6 +163,8 @@ class _Mix:
         cycle = (time_s, belief.cycle_rise_kPa, 1.0, belief.cycle_venturi_s, held)
         self._sums = [PRIOR_CYCLES * amount for amount in cycle]
         self._venturi_kPa_s = PRIOR_CYCLES * belief.cycle_venturi_s * (p.full_kPa + AMBIENT_KPA)
+        self._pause_s: float | None = None
+        """The usual pause between two inflations, averaged over about ten."""
 
     @property
     def sums(self) -> MixSums:
@@ -175,7 +180,13 @@ class _Mix:
         keep = math.exp(-cycles / MEMORY_CYCLES)
         self.cycles = keep * self.cycles + cycles
         self._assumed_cycles *= keep
-        spent = inflation.spent._replace(time_s=min(inflation.spent.time_s, inflation.given_s + MAX_PAUSE_S))
+        pause_s = min(MAX_PAUSE_S, max(0.0, inflation.spent.time_s - inflation.given_s))
+        counted_s = pause_s
+        if self._pause_s is not None:
+            counted_s = min(pause_s, max(SHORT_PAUSE_S, LONG_PAUSE * self._pause_s))
+        self._pause_s = pause_s if self._pause_s is None else 0.9 * self._pause_s + 0.1 * pause_s
+        waited_s = max(0.0, inflation.spent.time_s - inflation.given_s - counted_s)
+        spent = inflation.spent._replace(time_s=inflation.spent.time_s - waited_s)
         self._sums = [keep * a + b for a, b in zip(self._sums, spent, strict=True)]
         self._venturi_kPa_s = keep * self._venturi_kPa_s + inflation.spent.venturi_s * supply_kPa_abs
 
