@@ -65,7 +65,7 @@ PRIOR_CYCLES = 0.05
 RECENT_INFLATIONS = 10
 MAX_PAUSE_S = 30.0
 """A longer pause is a wait, not the rhythm of cycles. `CyclesLeft.minutes` says what a wait costs."""
-LONG_PAUSE = 3.0
+LONG_PAUSE = 4.0
 """So is a pause of this many times the usual one, if it is longer than …"""
 SHORT_PAUSE_S = 5.0
 MAX_MINUTES = 600.0
@@ -182,8 +182,8 @@ class _Mix:
         self._assumed_cycles *= keep
         pause_s = min(MAX_PAUSE_S, max(0.0, inflation.spent.time_s - inflation.given_s))
         counted_s = pause_s
-        if self._pause_s is not None:
-            counted_s = min(pause_s, max(SHORT_PAUSE_S, LONG_PAUSE * self._pause_s))
+        if self._pause_s is not None and pause_s > max(SHORT_PAUSE_S, LONG_PAUSE * self._pause_s):
+            counted_s = self._pause_s
         self._pause_s = pause_s if self._pause_s is None else 0.9 * self._pause_s + 0.1 * pause_s
         waited_s = max(0.0, inflation.spent.time_s - inflation.given_s - counted_s)
         spent = inflation.spent._replace(time_s=inflation.spent.time_s - waited_s)
@@ -256,6 +256,9 @@ class ReservoirEstimate:
             self.bottle = Bottle(self._belief, flying.reading_kPa, self._rates)
         if self.bottle is None:
             return
+        if flying.was_cut_off:
+            mean = self.bottle.mean
+            self.bottle.doubt(abs(mean[RISE]) * self._p.cycle_swing_kPa + abs(mean[FLAT]))
         if flying.block is not None:
             self.bottle.spend(flying.block, flying.unseen_s)
             if flying.reading_kPa is not None:
