@@ -58,6 +58,8 @@ VENTURI_USED_S = 0.01
 VENTURI_TREND = 0.3
 """Growth of the Venturi's time as its supply falls. 0: constant time. 1: constant air per cycle."""
 VENTURI_TREND_SD = 0.35
+RHYTHM_SD = 0.25
+"""Relative standard deviation of the time of a cycle: with a leak, it matters."""
 MEMORY_CYCLES = 15.0
 """Averaging length over flown cycles."""
 PRIOR_CYCLES = 0.05
@@ -384,10 +386,13 @@ class ReservoirEstimate:
             REGULATOR_SD * (floor.kPa + AMBIENT_KPA),
             floor.kPa_per_ln * math.sqrt(self._demand.variance),
         )
+        spent = basis.cycle.spent
+        slower = basis.cycle._replace(spent=spent._replace(time_s=(1.0 + RHYTHM_SD) * spent.time_s))
         for forecast in (
             _Forecast(self._belief, basis._replace(floor_kPa=floor.kPa + floor_sd)),
             _Forecast(self._belief, basis, trend=VENTURI_TREND + VENTURI_TREND_SD),
             _Forecast(self._belief, basis, flat_counted=0.0),
+            _Forecast(self._belief, basis._replace(cycle=slower)),
         ):
             variance += math.log(forecast.cycles() / expected) ** 2
         unflown = UNFLOWN_SD * basis.cycle.assumed_share
