@@ -52,8 +52,9 @@ class SimulatedWorld:
         belief: Belief | None = None,
         parameters: Mapping[str, float] | None = None,
         disarmed: bool = False,
+        learned: str = "",
     ) -> None:
-        self.core = Core(config, mission, belief, parameters, disarmed)
+        self.core = Core(config, mission, belief, parameters, disarmed, learned)
         # By default the ideal plant, because it is fast.
         self.phlosar = phlosar or SimulatedPhlosar(
             effects=Effects(), reservoir_kPa=config.pneumatics.full_kPa

@@ -58,6 +58,8 @@ VENTURI_USED_S = 0.01
 VENTURI_TREND = 0.3
 """Growth of the Venturi's time as its supply falls. 0: constant time. 1: constant air per cycle."""
 VENTURI_TREND_SD = 0.35
+RHYTHM_SD = 0.25
+"""Relative standard deviation of the time of a cycle: with a leak, it matters."""
 MEMORY_CYCLES = 15.0
 """Averaging length over flown cycles."""
 PRIOR_CYCLES = 0.05
@@ -65,6 +67,9 @@ PRIOR_CYCLES = 0.05
 RECENT_INFLATIONS = 10
 MAX_PAUSE_S = 30.0
 """A longer pause is a wait, not the rhythm of cycles. `CyclesLeft.minutes` says what a wait costs."""
+LONG_PAUSE = 4.0
+"""So is a pause of this many times the usual one, if it is longer than …"""
+SHORT_PAUSE_S = 5.0
 MAX_MINUTES = 600.0
 """Longer times are not distinguished."""
 Z90 = 1.645
@@ -160,6 +165,8 @@ class _Mix:
         cycle = (time_s, belief.cycle_rise_kPa, 1.0, belief.cycle_venturi_s, held)
         self._sums = [PRIOR_CYCLES * amount for amount in cycle]
         self._venturi_kPa_s = PRIOR_CYCLES * belief.cycle_venturi_s * (p.full_kPa + AMBIENT_KPA)
+        self._pause_s: float | None = None
+        """The usual pause between two inflations, averaged over about ten."""
 
     @property
     def sums(self) -> MixSums:
@@ -175,7 +182,13 @@ class _Mix:
         keep = math.exp(-cycles / MEMORY_CYCLES)
         self.cycles = keep * self.cycles + cycles
         self._assumed_cycles *= keep
-        spent = inflation.spent._replace(time_s=min(inflation.spent.time_s, inflation.given_s + MAX_PAUSE_S))
+        pause_s = min(MAX_PAUSE_S, max(0.0, inflation.spent.time_s - inflation.given_s))
+        counted_s = pause_s
+        if self._pause_s is not None and pause_s > max(SHORT_PAUSE_S, LONG_PAUSE * self._pause_s):
+            counted_s = self._pause_s
+        self._pause_s = pause_s if self._pause_s is None else 0.9 * self._pause_s + 0.1 * pause_s
+        waited_s = max(0.0, inflation.spent.time_s - inflation.given_s - counted_s)
+        spent = inflation.spent._replace(time_s=inflation.spent.time_s - waited_s)
         self._sums = [keep * a + b for a, b in zip(self._sums, spent, strict=True)]
         self._venturi_kPa_s = keep * self._venturi_kPa_s + inflation.spent.venturi_s * supply_kPa_abs
 
@@ -245,6 +258,9 @@ class ReservoirEstimate:
             self.bottle = Bottle(self._belief, flying.reading_kPa, self._rates)
         if self.bottle is None:
             return
+        if flying.was_cut_off:
+            mean = self.bottle.mean
+            self.bottle.doubt(abs(mean[RISE]) * self._p.cycle_swing_kPa + abs(mean[FLAT]))
         if flying.block is not None:
             self.bottle.spend(flying.block, flying.unseen_s)
             if flying.reading_kPa is not None:
@@ -370,10 +386,13 @@ class ReservoirEstimate:
             REGULATOR_SD * (floor.kPa + AMBIENT_KPA),
             floor.kPa_per_ln * math.sqrt(self._demand.variance),
         )
+        spent = basis.cycle.spent
+        slower = basis.cycle._replace(spent=spent._replace(time_s=(1.0 + RHYTHM_SD) * spent.time_s))
         for forecast in (
             _Forecast(self._belief, basis._replace(floor_kPa=floor.kPa + floor_sd)),
             _Forecast(self._belief, basis, trend=VENTURI_TREND + VENTURI_TREND_SD),
             _Forecast(self._belief, basis, flat_counted=0.0),
+            _Forecast(self._belief, basis._replace(cycle=slower)),
         ):
             variance += math.log(forecast.cycles() / expected) ** 2
         unflown = UNFLOWN_SD * basis.cycle.assumed_share

@@ -95,6 +95,8 @@ class Flying:
         """The mean over the block; None if the reservoir could not be read."""
         self.readings = 0
         self.inflation: ObservedInflation | None = None
+        self.was_cut_off = False
+        """A movement was cut off at this message."""
         self._begun = False
         self._setpoint = 0.0
         self._calm_s = 0.0
@@ -116,6 +118,7 @@ class Flying:
     def take(self, features: Features, supply_kPa: float) -> None:
         """Take in one telemetry message. `supply_kPa`: the reservoir's smoothed gauge pressure."""
         self.block = self.reading_kPa = self.inflation = None
+        self.was_cut_off = False
         telemetry, dt, self._cv = features.telemetry, features.dt_s, features.cv_smooth_kPa
         if not self._begun:
             self._begun = True
@@ -147,7 +150,8 @@ class Flying:
 
     def cut_off(self) -> None:
         """The present movement is replaced before its end."""
-        self._cut_off |= self._rising
+        if self._rising:
+            self._cut_off = True
 
     def _end_block(self) -> None:
         self.block = Spent(*self._block)
@@ -227,6 +231,7 @@ class Flying:
             # The setpoint is 0 in VENT and in FAULT.
             if not regulating and (self._risen_s < RISEN_S or not self._reached):
                 self._cut_off = True
+            self.was_cut_off = self._cut_off
             self._given_s = max(MIN_INFLATION_S, t - (self._began_at or 0.0))
             self._low, self._low_at = setpoint, t
             return

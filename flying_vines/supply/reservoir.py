@@ -163,6 +163,10 @@ class Bottle:
         self._add_process_noise(spent, per, cooling)
         p[X][X] += (GAP_KPA_PER_S * unseen_s) ** 2
 
+    def doubt(self, sd_kPa: float) -> None:
+        """An unknown amount of air of this size has gone. The next readings say how much."""
+        self.covariance[X][X] += sd_kPa * sd_kPa
+
     def _spread(self, *rows: Sequence[float]) -> None:
         """F P Fᵀ, where F is the unit matrix except for its first rows."""
         p = self.covariance

@@ -17,7 +17,7 @@ from flying_vines.supply.reservoir import CV_LEAK, LEAK, X
 
 WINDOW_S = 120.0
 SETTLED_S = 10.0
-"""A refill takes some time. It is told again only after a pause of this length."""
+"""A refill takes some time. It is told again after a pause of this length, or when the number has leapt."""
 LEAKS = "the leak has changed"
 RHYTHM = "another rhythm"
 BENDS = "another kind of bend"
@@ -66,18 +66,19 @@ class ToldCycles:
             zero = dict.fromkeys(("expected", "low", "high", "minutes", "minutes_low", "minutes_high"), 0.0)
             self.left = replace(new, lost=True, **zero)
             return ""
-        return self._jump(t, jumped_kPa, new) if jumped_kPa else self._compare(t, new, basis)
+        if jumped_kPa and self._is_told(t, new):
+            self._told.clear()
+            self._x_kPa = math.nan
+            self.left = new
+            return f"{'bottle refilled' if jumped_kPa > 0.0 else 'bottle lost air at once'}, {new}"
+        return self._compare(t, new, basis)
 
-    def _jump(self, t: float, jumped_kPa: float, new: CyclesLeft) -> str:
-        is_new = t - self._jump_at > SETTLED_S
+    def _is_told(self, t: float, new: CyclesLeft) -> bool:
+        """True for the first of several jumps, and for one after which the number has leapt."""
+        settled = t - self._jump_at > SETTLED_S
         self._jump_at = t
-        self._told.clear()
-        self._x_kPa = math.nan
-        self.left = new
-        if not is_new:
-            return ""
-        what = "bottle refilled" if jumped_kPa > 0.0 else "bottle lost air at once"
-        return f"{what}, {new}"
+        before = self.left
+        return settled or before is None or new.high < before.low or new.low > before.high
 
     def _compare(self, t: float, new: CyclesLeft, basis: Basis) -> str:
         if not math.isnan(self._x_kPa):

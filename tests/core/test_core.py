@@ -15,6 +15,7 @@ from flying_vines.core.events import (
     Action,
     Decision,
     FirmwareMessage,
+    KeepLearned,
     LinkChanged,
     Stop,
     ToFirmware,
@@ -25,10 +26,11 @@ from flying_vines.core.safety import INTERNAL_ERROR
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.phlosar.mishaps import Hole, StuckAt
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
-from flying_vines.simulation.simulated_world import SimulatedFlight
+from flying_vines.simulation.simulated_world import SimulatedFlight, SimulatedWorld
 from flying_vines.supply import ReservoirEstimate
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.notice import Notice
 
 from .flights import (
     HIGH,
@@ -271,6 +273,9 @@ def test_a_valve_that_stays_shut_vents_latches_and_is_cleared_by_a_person() -> N
     assert [d.what.get("loss") for d in decisions(actions)] == [None, "filling"]
     assert "Vine: not filling, bottle loses no air: valve, vented" in notices(actions)
     assert_vented(flight)
+    left = flight.core.snapshot(flight.world.now).cycles
+    assert left is not None
+    assert (left.lost, left.expected, left.high) == (True, 0.0, 0.0)
     flight.phlosar.mishaps.evp = None
     assert decisions(run_for(flight, 3.0)) == []
     assert_vented(flight)
@@ -546,3 +551,25 @@ def test_a_missing_stream_is_named() -> None:
         for message in MavlinkCodec(1, 191).decode(codec.encode(beat, 1)):
             texts += notices(flight.feed(VehicleMessage(float(second), message)))
     assert any("does not send" in text and "GLOBAL_POSITION_INT" in text for text in texts)
+
+
+def test_what_was_learned_of_the_air_goes_into_the_next_run_of_the_same_rig() -> None:
+    flight = airborne()
+    kept: list[KeepLearned] = []
+    for _ in range(6):
+        flight.autopilot.set_rc(9, HIGH)
+        kept += [action for action in run_for(flight, 3.0) if isinstance(action, KeepLearned)]
+        flight.autopilot.set_rc(9, LOW)
+        kept += [action for action in run_for(flight, 3.0) if isinstance(action, KeepLearned)]
+    assert 1 <= len(kept) <= 4, "after new cycles, and not too often"
+    for numbers, same in (
+        (configured(), True),
+        (configured(pneumatics=config.PneumaticsConfig(reservoir_volume_L=3.0)), False),
+    ):
+        again = SimulatedWorld(numbers, learned=kept[-1].text)
+        actions = list(again.advance(3.0))
+        left = again.core.snapshot(3.0).cycles
+        assert left is not None
+        assert (left.measured_cycles > 0.0) is same
+        told = any("air is learned again" in action.text for action in actions if isinstance(action, Notice))
+        assert told is not same

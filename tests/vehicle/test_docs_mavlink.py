@@ -7,6 +7,7 @@ from pathlib import Path
 from flying_vines.config import config
 from flying_vines.core.events import ToVehicle
 from flying_vines.simulation.simulated_world import SimulatedFlight
+from flying_vines.vehicle.component.telemetry import VALUE_NAMES
 from flying_vines.vehicle.triggers import CHOICES
 
 PAGE = (Path(__file__).parents[2] / "docs" / "mavlink.md").read_text(encoding="utf-8")
@@ -27,5 +28,6 @@ def test_every_named_value_is_there() -> None:
         if isinstance(action, ToVehicle)
     )
     names = {message.name for message in sent if message.get_type() == "NAMED_VALUE_FLOAT"}
-    assert len(names) == 5
+    assert names == set(VALUE_NAMES)
+    assert all(len(name) <= 10 for name in names)
     assert all(f"| `{name}` |" in PAGE for name in names)

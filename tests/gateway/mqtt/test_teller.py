@@ -248,7 +248,7 @@ def test_home_assistant_gets_sensors_and_a_button_only_where_venting_is_allowed(
             assert vent["command_topic"] == TOPICS.ask
             assert '"command": "vent"' in vent["command_template"]
         configs = [msgspec.json.decode(sensor.payload) for sensor in sensors]
-        assert len({config["unique_id"] for config in configs}) == len(configs) == 9
+        assert len({config["unique_id"] for config in configs}) == len(configs) == 10
         for config in configs:
             assert config["availability_topic"] == TOPICS.status
             field = re.search(r"value_json\.(\w+)", config["value_template"])
