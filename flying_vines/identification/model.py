@@ -1,8 +1,9 @@
 """Simulates a recorded run with the plant, in as few steps as the gas allows.
 
-It uses the plant's right-hand side and its step (`physics.plant.tick.runge_kutta`). Three things differ from
-a tick of the firmware: samples may lie anywhere, steps are as long as the gas allows, and a step that crosses
-an edge (the Venturi stalls, the control volume begins to stretch) is divided there. numba compiles this file.
+It uses the plant's right-hand side and its step (`physics.plant.tick.runge_kutta`). What differs from a tick
+of the firmware: samples may lie anywhere; steps are as long as the gas allows, with a hose longer than its
+time constant; a step that crosses an edge (the Venturi stalls, the control volume begins to stretch) is
+divided there; a sensor with a lag takes the pressure as cubic in a step. numba compiles this file.
 EVP is the inflation valve, DVP the valve that supplies the Venturi.
 """
 
@@ -16,15 +17,24 @@ from numpy.typing import NDArray
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air
+from flying_vines.physics.plant.exponential import exponential_runge_kutta, tubing_per_s
 from flying_vines.physics.plant.numbers import PlantNumbers, ValveNumbers
 from flying_vines.physics.plant.plant import Held
-from flying_vines.physics.plant.rates import Floats, conditions, edges
-from flying_vines.physics.plant.sensors import SensorMemory, Transfer, reading
+from flying_vines.physics.plant.rates import Floats, conditions, edges, rates
+from flying_vines.physics.plant.sensors import SensorMemory, Transfer, lagged_kPa, transferred
 from flying_vines.physics.plant.tick import runge_kutta
 from flying_vines.physics.plant.volume import volume_and_work
 
 SETTLED = 1e-3
 """A valve has arrived if its opening (0…1) is nearer than this to its target."""
+_BRIEF = 1e-3
+"""Share of a step over which a rate of pressure is taken."""
+_FIRST, _GROWTH = 0.5, 0.25
+"""The first step after a switching, in time constants of the tubing; then steps grow with the time since."""
+_STIFF = 0.05
+"""Shorter steps, in time constants of the tubing, are plain: exponential weights would lose digits there."""
+_PARTS = 8.0
+"""With a lagging sensor, steps over an edge are shorter by this factor: its pressure is smooth in a step."""
 _ON_EDGE = 1e-7
 """A state nearer than this to an edge (kPa, kPa·L) is on the edge."""
 
@@ -56,13 +66,22 @@ def pressurised(
     )  # fmt: skip
 
 
+def gas_after(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held, h: float) -> Floats:
+    """The state `h` seconds later, of a step over no edge."""
+    if numbers.has_tubing:
+        per_s, volume_L = tubing_per_s(numbers, air, state, held)
+        if per_s * h > _STIFF:
+            return exponential_runge_kutta(numbers, air, at_s, state, held, h, per_s, volume_L)
+    return runge_kutta(numbers, air, at_s, state, held, h)
+
+
 def step(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held, h: float) -> Floats:
     """The state `h` seconds later. A step over an edge is divided there."""
     if not numbers.has_edges:
-        return runge_kutta(numbers, air, at_s, state, held, h)
+        return gas_after(numbers, air, at_s, state, held, h)
     seen = edges(numbers, air, at_s, state)
     held = Held(held.evp_target, held.dvp_target, held.solenoid_open, seen[0] < 0.0)
-    end = runge_kutta(numbers, air, at_s, state, held, h)
+    end = gas_after(numbers, air, at_s, state, held, h)
     found = edges(numbers, air, at_s + h, end)
     for edge in range(3):
         over, under, part = seen[edge], found[edge], h
@@ -71,13 +90,13 @@ def step(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held
         # Regula falsi, always from this side: a step over the edge is inaccurate.
         for _ in range(4):
             part *= over / (over - under)
-            end = runge_kutta(numbers, air, at_s, state, held, part)
+            end = gas_after(numbers, air, at_s, state, held, part)
             under = edges(numbers, air, at_s + part, end)[edge]
             if abs(under) < _ON_EDGE or (under < 0.0) == (over < 0.0):
                 break
         stalled = over >= 0.0 if edge == 0 else held.venturi_stalled
         held = Held(held.evp_target, held.dvp_target, held.solenoid_open, stalled)
-        end = runge_kutta(numbers, air, at_s + part, end, held, h - part)
+        end = gas_after(numbers, air, at_s + part, end, held, h - part)
         found = edges(numbers, air, at_s + h, end)
     return end
 
@@ -89,7 +108,38 @@ def _allowed(valve: ValveNumbers, opening: float, target: float, h: float) -> fl
     return h
 
 
-APART = (runge_kutta,)
+def _crossed(numbers: PlantNumbers, air: Air, at_s: float, h: float, state: Floats, end: Floats) -> bool:
+    """True if a step has crossed an edge."""
+    if not numbers.has_edges:
+        return False
+    before, after = edges(numbers, air, at_s, state), edges(numbers, air, at_s + h, end)
+    return (
+        (before[0] < 0.0) != (after[0] < 0.0)
+        or (before[1] < 0.0) != (after[1] < 0.0)
+        or (before[2] < 0.0) != (after[2] < 0.0)
+    )
+
+
+def _pressure_rates(
+    numbers: PlantNumbers, air: Air, state: Floats, held: Held, h: float
+) -> tuple[float, float]:
+    """Rates of the gauge pressures at the sensors of control volume and reservoir, kPa/s."""
+    dt = _BRIEF * h
+    if numbers.has_edges:
+        stalled = edges(numbers, air, 0.0, state)[0] < 0.0
+        held = Held(held.evp_target, held.dvp_target, held.solenoid_open, stalled)
+    change = rates(numbers, air, 0.0, state, held)
+    s0, s1, s2, s3, s4, s5, s6, s7, s8, s9 = state
+    soon = (
+        s0 + dt * change[0], s1 + dt * change[1], s2, s3 + dt * change[3], s4 + dt * change[4], s5,
+        s6 + dt * change[6], s7, s8, s9,
+    )  # fmt: skip
+    then = Air(air.kPa + air.kPa_per_s * dt, air.kPa_per_s, air.ratio + air.ratio_per_s * dt, air.ratio_per_s)
+    found, later = conditions(numbers, air, state), conditions(numbers, then, soon)
+    return (later.line_kPa - found.line_kPa) / dt, (later.reservoir_kPa - found.reservoir_kPa) / dt
+
+
+APART = (gas_after, runge_kutta, exponential_runge_kutta, rates, conditions)
 """Not inlined by the compiler, because they are called from several places."""
 
 
@@ -124,7 +174,7 @@ def run(
     state: Floats = (1.0, 1.0, ambient_K, 1.0, 1.0, ambient_K, 0.0, 0.0, 0.0, 0.0)
     reservoir_K = cv_K = ambient_K
     cv_seen = reservoir_seen = SensorMemory(0.0, 0.0, 0.0)
-    cv_reads = reservoir_reads = 0.0
+    switched_s = now
     lagging = cv_sensor.time_constant_s > 0.0 or reservoir_sensor.time_constant_s > 0.0
     started = at = 0
     last = len(time_s) - 1
@@ -142,13 +192,9 @@ def run(
             reservoir_late = reservoir_seen.lagged_kPa - reservoir_seen.true_kPa
             cv_seen = SensorMemory(found.line_kPa, found.line_kPa + cv_late, 0.0)
             reservoir_seen = SensorMemory(found.reservoir_kPa, found.reservoir_kPa + reservoir_late, 0.0)
-            cv_seen, cv_reads = reading(cv_sensor, cv_seen, found.line_kPa, 0.0, 0.0)
-            reservoir_seen, reservoir_reads = reading(
-                reservoir_sensor, reservoir_seen, found.reservoir_kPa, 0.0, 0.0
-            )
             started += 1
-        out[i, 0] = cv_reads
-        out[i, 1] = reservoir_reads
+        out[i, 0] = transferred(cv_sensor, cv_seen, 0.0)
+        out[i, 1] = transferred(reservoir_sensor, reservoir_seen, 0.0)
         if i == last:
             break
         between_s = time_s[i + 1] - time_s[i]
@@ -157,6 +203,7 @@ def run(
         while now < time_s[i + 1]:
             while at + 1 < len(switch_s) and switch_s[at + 1] <= now:
                 at += 1
+                switched_s = now
             until = time_s[i + 1]
             if at + 1 < len(switch_s) and switch_s[at + 1] < until:
                 until = switch_s[at + 1]
@@ -165,21 +212,42 @@ def run(
             held = Held(openings[at, 0], openings[at, 1], openings[at, 2] > 0.0, False)
             then = air
             longest = longest_s[1] if held.solenoid_open else longest_s[0]
+            line_per_s, _ = tubing_per_s(numbers, air, state, held)
+            cv_rate = reservoir_rate = 0.0
+            if lagging:
+                cv_rate, reservoir_rate = _pressure_rates(numbers, air, state, held, until - now)
             done, left = 0.0, until - now
             while left > 0.0:
-                h = left / max(1, ceil(left / longest - 1e-9))
+                allowed = longest
+                if line_per_s > 0.0:
+                    allowed = min(longest, max(_FIRST / line_per_s, _GROWTH * (now - switched_s + done)))
+                h = left / max(1, ceil(left / allowed - 1e-9))
                 h = _allowed(numbers.evp, state[7], held.evp_target, h)
                 h = _allowed(numbers.dvp, state[8], held.dvp_target, h)
-                state = step(numbers, air, done, state, held, h)
+                end = step(numbers, air, done, state, held, h)
+                if lagging and h > longest / _PARTS and _crossed(numbers, air, done, h, state, end):
+                    h /= _PARTS
+                    end = step(numbers, air, done, state, held, h)
+                state = end
                 done += h
                 left = left - h if left - h > 1e-12 else 0.0
                 then = Air(air.kPa + climb * done, climb, air.ratio + warming * done, warming)
                 # A sensor without a lag is only read at the samples.
                 if lagging or (left <= 0.0 and until >= time_s[i + 1]):
                     found = conditions(numbers, then, state)
-                    cv_seen, cv_reads = reading(cv_sensor, cv_seen, found.line_kPa, h, 0.0)
-                    reservoir_seen, reservoir_reads = reading(
-                        reservoir_sensor, reservoir_seen, found.reservoir_kPa, h, 0.0
-                    )
+                    cv_kPa, reservoir_kPa = found.line_kPa, found.reservoir_kPa
+                    if lagging:
+                        before_cv, before_reservoir = cv_rate, reservoir_rate
+                        cv_rate, reservoir_rate = _pressure_rates(numbers, then, state, held, h)
+                        cv_kPa = lagged_kPa(
+                            cv_sensor.time_constant_s, cv_seen.lagged_kPa,
+                            cv_seen.true_kPa, before_cv, cv_kPa, cv_rate, h,
+                        )  # fmt: skip
+                        reservoir_kPa = lagged_kPa(
+                            reservoir_sensor.time_constant_s, reservoir_seen.lagged_kPa,
+                            reservoir_seen.true_kPa, before_reservoir, reservoir_kPa, reservoir_rate, h,
+                        )  # fmt: skip
+                    cv_seen = SensorMemory(found.line_kPa, cv_kPa, 0.0)
+                    reservoir_seen = SensorMemory(found.reservoir_kPa, reservoir_kPa, 0.0)
             air = then
             now = until

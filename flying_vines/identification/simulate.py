@@ -240,26 +240,26 @@ def _leak_SL_per_s_kPa(leak: Leak, sensor: Sensor) -> float:
 
 
 def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> float:
-    """The inverse of the fastest time constant that an explicit integrator must resolve."""
+    """The inverse of the fastest time constant that an explicit integrator must resolve.
+
+    The exchange between a hose and the control volume is not among them: its steps are exponential.
+    """
     n = numbers
-    lagging = max(setup.cv_sensor.time_constant_s, setup.reservoir_sensor.time_constant_s) > 0.0
     evp = n.evp.law.conductance_SL_per_s_kPa
-    at_the_valves = evp + (n.solenoid if lagging else solenoid).conductance_SL_per_s_kPa
+    at_the_valves = evp + solenoid.conductance_SL_per_s_kPa
     out_of_reservoir = evp + n.dvp.law.conductance_SL_per_s_kPa
     out_of_reservoir += _leak_SL_per_s_kPa(n.reservoir_leak, setup.reservoir_sensor)
     rates = [n.gamma * ALPHA_KPA * out_of_reservoir * n.reservoir_per_L]
     leak = _leak_SL_per_s_kPa(n.cv_leak, setup.cv_sensor)
     if n.has_tubing:
         line = n.line_SL_per_s_kPa
+        through = line * at_the_valves / (line + at_the_valves)
         rates += [
-            _slaved_per_s(1.0 / ((at_the_valves + line) * n.line_kPa_per_SL)),
-            n.gamma * ALPHA_KPA * (line + leak) / n.cv.flat_L,
+            evp * n.line_kPa_per_SL,
+            n.gamma * ALPHA_KPA * (through + leak) / n.cv.flat_L,
         ]
     elif n.has_cv:
         rates.append(n.gamma * ALPHA_KPA * (at_the_valves + leak) / n.cv.flat_L)
-    if lagging:
-        # The sensor model takes the pressure as linear over a step, so steps must be short.
-        rates.append(8.0 * max(rates))
     walls = ((n.reservoir_heat, 1.0 / n.reservoir_per_L), (n.cv_heat, n.cv.flat_L))
     for wall_per_s in (heat_per_s(heat, volume_L) for heat, volume_L in walls):
         if wall_per_s > 0.0:
@@ -268,9 +268,8 @@ def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> f
 
 
 def _slaved_per_s(time_s: float) -> float:
-    """The rate to resolve for a time constant of heat exchange or of a hose.
+    """The rate to resolve for a time constant of heat exchange.
 
-    If it is some milliseconds, gas stays near ambient temperature, and a hose near the pressure of the
-    control volume: the step then only has to be stable.
+    If it is some milliseconds, gas stays near ambient temperature: the step then only has to be stable.
     """
     return _STEP / max(_STEP * time_s, min(time_s, QUICK_S))

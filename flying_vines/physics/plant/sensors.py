@@ -117,6 +117,10 @@ HONEYWELL_15BAR = Sensor(
 """ABPDANN015BGAA5, with the same assumptions."""
 
 
+_SHORT = 0.02
+"""A step over the lag, below which a quadrature is more accurate than the closed form."""
+
+
 class SensorMemory(NamedTuple):
     """State of a sensor: true and lagged pressure at the last reading, kPa, and its time since the first."""
 
@@ -152,10 +156,44 @@ def reading(
             behind_kPa = tau_s * (true_kPa - seen.true_kPa) / dt_s
             left = exp(-dt_s / tau_s)
             lagged_kPa = true_kPa - behind_kPa + (seen.lagged_kPa - seen.true_kPa + behind_kPa) * left
-    elapsed_s = seen.elapsed_s + dt_s
-    offset_kPa = sensor.offset_kPa + sensor.drift_kPa_per_s * elapsed_s
-    kPa = sensor.gain * (lagged_kPa + offset_kPa) + sensor.noise_std_kPa * standard_normal
+    seen = SensorMemory(true_kPa, lagged_kPa, seen.elapsed_s + dt_s)
+    return seen, transferred(sensor, seen, standard_normal)
+
+
+def transferred(sensor: Transfer, seen: SensorMemory, standard_normal: float) -> float:
+    """The reading of a sensor in this state."""
+    offset_kPa = sensor.offset_kPa + sensor.drift_kPa_per_s * seen.elapsed_s
+    kPa = sensor.gain * (seen.lagged_kPa + offset_kPa) + sensor.noise_std_kPa * standard_normal
     kPa = min(sensor.highest_kPa, max(sensor.lowest_kPa, kPa))
     if sensor.has_adc:
         kPa = _pressure_kPa(sensor.adc, _code(sensor.adc, kPa, sensor.span_kPa), sensor.span_kPa)
-    return SensorMemory(true_kPa, lagged_kPa, elapsed_s), kPa
+    return kPa
+
+
+def lagged_kPa(
+    time_constant_s: float,
+    before_kPa: float,
+    from_kPa: float,
+    from_kPa_per_s: float,
+    to_kPa: float,
+    to_kPa_per_s: float,
+    dt_s: float,
+) -> float:
+    """The lagged pressure `dt_s` after it was `before_kPa`.
+
+    It is exact for a true pressure that is cubic in time, with these values and rates at both ends.
+    """
+    if time_constant_s == 0.0:
+        return to_kPa
+    first, last, change = from_kPa_per_s * dt_s, to_kPa_per_s * dt_s, to_kPa - from_kPa
+    x = dt_s / time_constant_s
+    left = exp(-x)
+    if x < _SHORT:
+        # Simpson's rule: the recursion below would lose digits.
+        middle_kPa = 0.5 * (from_kPa + to_kPa) + (first - last) / 8.0
+        return before_kPa * left + x / 6.0 * (from_kPa * left + 4.0 * middle_kPa * exp(-0.5 * x) + to_kPa)
+    one = 1.0 + (left - 1.0) / x
+    two = 1.0 - 2.0 * one / x
+    three = 1.0 - 3.0 * two / x
+    square, cube = 3.0 * change - 2.0 * first - last, first + last - 2.0 * change
+    return from_kPa + (before_kPa - from_kPa) * left + first * one + square * two + cube * three
