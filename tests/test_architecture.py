@@ -21,7 +21,7 @@ LEVELS = (
     ("simulation",),
     ("identification",),
     ("calibration", "doctor", "studies"),
-    ("cli",),
+    ("cli", "api"),
 )
 """The rooms, the lowest first. A room may import those of lower levels."""
 LEVEL = {room: level for level, rooms in enumerate(LEVELS) for room in rooms}

@@ -91,6 +91,7 @@ SHELF: tuple[tuple[str, Maker], ...] = (
     (r"(around|vine|bench|calibrated|PROFILE)\.toml", _text(config.default_text())),
     (r"flown\.toml", _text(PROFILE)),
     (r"wrong\.waypoints", _refused),
+    (r"seam_leak\.py", _text((ROOT / "examples" / "seam_leak.py").read_text(encoding="utf-8"))),
     (r"(rig|RIG)\.toml", _text("[cv]\nvolume_L = 0.1\n")),
     (r"(leaky|extended)\.toml", _text(LEAKY)),
     (r"cases/workshop", _case),

@@ -1,37 +1,58 @@
-"""Every Python snippet of README.md and docs/ runs as printed, in a folder with the files that it reads."""
+"""The public Python interface: its names, its page, and that it is imported lazily."""
 
 from __future__ import annotations
 
-import re
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from recorded_flight import one_bend
 
-from docs.commands_said import PAGES, ROOT
-from docs.shelf import maker
+from docs.commands_said import ROOT
+from flying_vines import api
+from flying_vines.record.reader import LogError
 
-pytestmark = pytest.mark.long
-BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-LITERAL = re.compile(r'"([\w./-]+)"')
-ELSEWHERE = "import clr"
-"""A script for Mission Planner's own Python."""
-
-
-def blocks(page: Path) -> list[str]:
-    """The page's snippets, which may build on those before."""
-    return [block for block in BLOCK.findall(page.read_text(encoding="utf-8")) if ELSEWHERE not in block]
+PAGE = ROOT / "docs" / "python.md"
+TLOG = ROOT / "tests" / "data" / "recordings" / "px4_mission.tlog"
 
 
-WITH_SNIPPETS = [page for page in PAGES if blocks(page)]
+def rows() -> str:
+    """The table of the page."""
+    lines = [f"| `{name}` | {(getattr(api, name).__doc__ or '').splitlines()[0]} |" for name in api.__all__]
+    return "\n".join(["| name | |", "| --- | --- |", *lines, ""])
 
 
-@pytest.mark.parametrize("page", WITH_SNIPPETS, ids=lambda page: str(page.relative_to(ROOT)))
-def test_the_snippets_of_a_page_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {"__name__": "snippet"}
-    for block in blocks(page):
-        for word in LITERAL.findall(block):
-            if not Path(word).exists() and (make := maker(word)) is not None:
-                (tmp_path / word).parent.mkdir(parents=True, exist_ok=True)
-                make(tmp_path / word)
-        exec(compile(block, str(page), "exec"), names)
+def test_the_page_lists_every_name() -> None:
+    assert PAGE.read_text(encoding="utf-8").endswith(rows())
+
+
+def test_nothing_heavy_is_imported_before_it_is_used() -> None:
+    heavy = ["numpy", "scipy", "numba", "matplotlib", "pymavlink"]
+    code = f"import sys; from flying_vines import api; print([m for m in {heavy} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
+    assert done.stdout.strip() == "[]"
+    with pytest.raises(AttributeError, match="no_such"):
+        _ = api.no_such
+
+
+def test_a_tlog_becomes_arrays(tmp_path: Path) -> None:
+    tables = api.read_tlog(TLOG)
+    beats = tables["HEARTBEAT"]
+    assert len(beats["unix_s"]) == len(beats["custom_mode"]) > 10
+    assert (np.diff(beats["unix_s"]) >= 0.0).all()
+    assert tables["BATTERY_STATUS"]["voltages"].shape == (len(tables["BATTERY_STATUS"]["unix_s"]), 10)
+    with pytest.raises(LogError, match="no such file"):
+        api.read_tlog(tmp_path / "none.tlog")
+    (tmp_path / "empty.tlog").write_bytes(b"")
+    with pytest.raises(LogError, match="no MAVLink message"):
+        api.read_tlog(tmp_path / "empty.tlog")
+
+
+def test_a_flight_becomes_arrays(tmp_path: Path) -> None:
+    tables = api.read_flight(one_bend(tmp_path))
+    telemetry = tables["phlosar/telemetry"]
+    assert len(telemetry) > 5 and {len(column) for column in telemetry.values()} == {len(telemetry["unix_s"])}
+    assert any(name.startswith("mavlink/in/") for name in tables)
+    assert np.issubdtype(telemetry["unix_s"].dtype, np.floating)
