@@ -138,8 +138,8 @@ def test_the_order_of_the_flow_laws_hangs_on_the_first_readings_and_on_the_ratio
 
 
 def test_a_discharge_with_rests_is_recommended(found: Discharges) -> None:
-    assert found.recommended.run.name == "discharge_evp"
-    assert found.recommended.sigmas > 10.0
+    assert found.recommended.runs[0].name == "discharge_evp"
+    assert found.recommended.pairs[0][1] > 10.0
 
 
 def test_the_gains_speak_for_a_tail_and_for_no_cause_of_the_catalogue(responses: Responses) -> None:

@@ -41,7 +41,7 @@ def test_a_fault_and_the_latest_event_are_whole(width: int) -> None:
     assert f"waiting for: {WAITING.awaited}" in text and "the latest event" in text
     labels = ("vehicle", "RC", "phloSAR", "valves", "command", "vine", "reservoir")
     assert [line.split()[0] for line in shown[1:8]] == list(labels)
-    assert "40 cycles left (35…49)" in shown[7]
+    assert "48 bends to 15 kPa (42…59)" in " ".join(text.split())
     assert any(line.startswith("╰") for line in shown)
 
 

@@ -162,7 +162,8 @@ def analyse(progress: Progress = silent) -> Discharges:
             for exact in (True, False)
         )
         second = second_causes(case)
-    return Discharges(case, verdict, alone, second, laws, recommend(RIG, {*CHOKED, "reservoir_leak"}))
+    open_causes = [cause for cause in causes() if cause.name in {*CHOKED, "reservoir_leak"}]
+    return Discharges(case, verdict, alone, second, laws, recommend(RIG, open_causes))
 
 
 def _scale_alone(case: Case) -> float:
