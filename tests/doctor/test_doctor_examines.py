@@ -125,6 +125,8 @@ def seen(folder: Path) -> dict[str, Examined]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("flying_vines.doctor.examine.MOVING_S", 2.0)
+        # The services of this machine, such as another test's, are not of these worlds.
+        patch.setattr("flying_vines.doctor.look.processes.services", list)
         return dict(zip(WORLDS, asyncio.run(look()), strict=True))
 
 
