@@ -238,9 +238,9 @@ SCRIPT = (
     DemoStep(19.5, "A fresh move of the switch", _switch(MIDDLE), (_switched(1), _bends_to(30.0))),
     DemoStep(
         21.0,
-        "The bottle leaks and runs low",
+        "The bottle gets a hole",
         _open_leak,
-        (_lost("bottle_loss", 2.0), _vented(2.5), _told("bottle low", 4.0)),
+        (_lost("bottle_loss", 2.0), _vented(2.5), _told("bottle loses", 2.0)),
     ),
     DemoStep(
         24.5,
