@@ -722,8 +722,8 @@ PNEUMATICS = (
     Row(
         "evp_stuck_ajar",
         "inflation valve stuck at 30 % while held",
-        NOT_SEEN + ": the regulator vents the air again",
-        "",
+        "the cycles left, as an event: the regulator vents the air again",
+        "bottle lost air at once",
         Cleared.AT_ONCE,
         safe_state="continues, and loses air",
     ),

@@ -141,7 +141,7 @@ async def test_on_a_phone_a_thumb_tries_the_vine_and_vents(
         await page.tap("#clear")
         await says(page, "#clear", "Sure?")
         await page.tap("#clear")
-        await says(page, "#reasons", "Nothing is wrong")
+        await says(page, "#reasons", "a new request")
 
         await page.fill("#angle", "20")
         await page.tap("#bend-to")
