@@ -9,8 +9,7 @@ variance, so numbers that the data do not fix stay nominal. The typical value of
 
 Each Gauss-Newton step is solved exactly within the bounds (Stark & Parker 1995), with Levenberg-Marquardt
 damping if a step does not reduce the cost. The initial pressures have no bounds and may be many: they are
-eliminated from the linear system. A step of initial pressures is shortened if it makes its own stretch of the
-record worse.
+eliminated from the linear system, and corrected after each step.
 """
 
 from __future__ import annotations
@@ -44,6 +43,8 @@ MIN_GAIN = 0.02
 """A step that lowers χ² by less ends the fit; by more if χ² is far above that of noise."""
 SHORTER = 0.3
 """Factor for a step of initial pressures that increases χ² on its own stretch."""
+CORRECTIONS = 2
+"""Maximum number of corrections of the initial pressures after a step of the shared numbers."""
 _DEVIATION = 1e-5
 """Finite-difference step of a rig number, as a share of it."""
 _OF_RANGE = 1e-4
@@ -257,14 +258,13 @@ class FitProblem:
         cost = chi2_of(residuals) + space.prior(place)
         if not np.isfinite(cost):
             return Fit(start, inf, inf, tuple(residuals))
-        damping, shares = 1e-7, np.ones(len(start.initial))
+        damping = 1e-7
         for _ in range(max_steps):
-            jacobian, own = space.jacobian(place, residuals), self._by_start(residuals)
+            jacobian, enough = space.jacobian(place, residuals), MIN_GAIN * max(1.0, cost / self.readings)
+            own, shares = self._by_start(residuals), np.ones(len(start.initial))
             for _ in range(10):
-                step = space.best_step(place, jacobian, damping)
-                there = space.clipped(place + space.shortened(step, shares))
-                point = space.to_model(there)
-                tried = self.residuals(point)
+                step = space.shortened(space.best_step(place, jacobian, damping), shares)
+                there, tried = self._corrected(space, space.clipped(place + step), jacobian, enough)
                 lower = chi2_of(tried) + space.prior(there)
                 if lower <= cost:
                     break
@@ -272,13 +272,38 @@ class FitProblem:
                 shares[~(self._by_start(tried) <= own)] *= SHORTER
             else:
                 break
-            shares = np.minimum(2.0 * shares, 1.0)
             gained, cost = cost - lower, lower
             place, residuals = there, tried
             damping *= 0.1
-            if gained < MIN_GAIN * max(1.0, cost / self.readings):
+            if gained < enough:
                 break
         return Fit(space.to_model(place), chi2_of(residuals), cost, tuple(residuals))
+
+    def _corrected(
+        self, space: _Space, place: Array, jacobian: Jacobian, enough: float
+    ) -> tuple[Array, list[Array]]:
+        """The place and its residuals; initial pressures are corrected where χ² of their stretch falls.
+
+        A long step of the shared numbers needs other initial pressures than its linear model says.
+        """
+        residuals = self.residuals(space.to_model(place))
+        for _ in range(CORRECTIONS):
+            if not np.isfinite(chi2_of(residuals)):
+                break
+            step, gain = jacobian.initial_correction(residuals)
+            if gain < enough:
+                break
+            moved = space.with_initial_step(place, step)
+            tried = self.residuals(space.to_model(moved))
+            better = self._by_start(tried) < self._by_start(residuals)
+            if not better.any():
+                break
+            place = np.where(space.of_starts(better), moved, place)
+            residuals = [
+                np.where(np.repeat(better[starts], np.diff(np.append(run.start, r.shape[1]))), t, r)
+                for starts, run, t, r in zip(self.starts, self.simulation.runs, tried, residuals, strict=True)
+            ]
+        return place, residuals
 
     def _well_begun(self, point: FitPoint) -> tuple[float, FitPoint]:
         """Reset each pair of initial pressures to the first readings if that lowers χ²; (χ², point).
@@ -359,6 +384,16 @@ class _Space:
         shorter = step.copy()
         shorter[self._common :] *= np.repeat(shares, 2)
         return shorter
+
+    def with_initial_step(self, place: Array, step: Array) -> Array:
+        """The place with this step of the initial pressures."""
+        there = place.copy()
+        there[self._common :] += step
+        return there
+
+    def of_starts(self, starts: Bools) -> Bools:
+        """True at the two initial pressures of these starts."""
+        return np.concatenate((np.zeros(self._common, dtype=np.bool_), np.repeat(starts, 2)))
 
     def clipped(self, place: Array) -> Array:
         return np.clip(place, self._low, self._high)

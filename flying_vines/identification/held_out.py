@@ -5,7 +5,8 @@ only one run, or if the other runs do not determine a parameter (for example, on
 pressure at which the Venturi stalls).
 
 Every such fit starts from the nominal rig and from the seeds of the causes. Otherwise information from the
-held-out data would leak into the fit.
+held-out data would leak into the fit. If that ends in a local minimum, far above the one near the fit to all
+data, the lower of both is used.
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ FAR = 3.0
 MIN_RISE = 4.0
 """A parameter is not determined if χ² rises by less at this distance."""
 PINNED_STEPS = 4
+LOCAL_MINIMUM = 25.0
+"""A minimum of the cost that is higher by more is a local one. What the shown data leave open costs less."""
 
 
 @dataclass(frozen=True)
@@ -143,4 +146,6 @@ def _refitted(problem: FitProblem, point: FitPoint) -> FitPoint:
     fit = problem.fit(problem.start().freed(tuple(point.deviation)))
     for cause in point.causes:
         fit = problem.begun(fit.point, cause)
-    return problem.fit(fit.point).point
+    fit = problem.fit(fit.point)
+    near = problem.fit(point)
+    return near.point if near.cost < fit.cost - LOCAL_MINIMUM else fit.point

@@ -69,6 +69,13 @@ class RunJacobian:
         there = self._residuals + np.tensordot(step, self._common, 1) if len(step) else self._residuals
         return -np.concatenate(self._shares(there[None]))
 
+    def initial_correction(self, residuals: Array) -> tuple[Array, float]:
+        """(starts, 2): the best step of the initial pressures for these residuals, and its gain in χ²."""
+        left = self.orthogonal_part(residuals[None])
+        return -np.concatenate(self._shares(residuals[None])), float(
+            np.vdot(residuals, residuals) - np.vdot(left, left)
+        )
+
 
 def _inverse(initial: Array) -> Array:
     """(readings, 2): pseudo-inverse of (2, readings); a pressure without a reading is not moved."""
@@ -94,6 +101,11 @@ class Jacobian:
     def initial_step(self, step: Array) -> Array:
         """The step of all initial pressures, flattened in the order of `FitPoint.initial`."""
         return np.concatenate([run.initial_step(step).ravel() for run in self.runs])
+
+    def initial_correction(self, residuals: Sequence[Array]) -> tuple[Array, float]:
+        """The best step of all initial pressures for these residuals, flattened, and its gain in χ²."""
+        found = [run.initial_correction(r) for run, r in zip(self.runs, residuals, strict=True)]
+        return np.concatenate([step.ravel() for step, _ in found]), sum(gain for _, gain in found)
 
     def orthogonal_part(self, trace: Sequence[Array]) -> Array:
         """The part of a trace, (2, n) a run, orthogonal to the effect of the initial pressures; flattened."""
