@@ -319,7 +319,8 @@ class FitProblem:
     def _by_start(self, residuals: Sequence[Array]) -> Array:
         """(starts,) χ² of each stretch, which has one pair of initial pressures."""
         runs = zip(residuals, self.simulation.runs, strict=True)
-        return np.concatenate([np.add.reduceat(np.sum(r**2, axis=0), run.start) for r, run in runs])
+        with np.errstate(over="ignore"):  # The simulation may have diverged.
+            return np.concatenate([np.add.reduceat(np.sum(r**2, axis=0), run.start) for r, run in runs])
 
 
 class _Space:
