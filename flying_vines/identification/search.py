@@ -135,7 +135,7 @@ class Search:
     def _promising(self, base: Candidate) -> list[Cause]:
         """The further causes with the largest expected gain."""
         tangents = self.problem.tangents(base.fit)
-        others = [cause for cause in self.catalogue if cause.name not in base.names]
+        others = [c for c in self.catalogue if not any(c.excludes(own) for own in base.causes)]
         return sorted(others, key=lambda cause: -self._promise(base.fit, tangents, cause))[:PROMISING]
 
     def _promise(self, base: Fit, tangents: Tangents, cause: Cause) -> float:

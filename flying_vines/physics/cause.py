@@ -117,12 +117,18 @@ class Cause:
     """A further change of the valve commands; only used in fits."""
     readings: Callable[[ModelReadings, Values], ModelReadings] | None = None
     """A further change of the readings; only used in fits."""
+    law_of: str = ""
+    """What this is one of several laws of, e.g. a leak: a set has one law of each. Empty: of nothing else."""
     defined_in: str = ""
     """File or package of a cause from outside this project."""
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
             raise ValueError(f"{self.name!r} is not a name of a cause: use letters, digits and _")
+
+    def excludes(self, other: Cause) -> bool:
+        """True if both are the same cause, or laws of the same thing."""
+        return self.name == other.name or (self.law_of != "" and self.law_of == other.law_of)
 
     def put_into(self, setup: Setup, parameters: Mapping[str, float]) -> Setup:
         """The setup with this cause. Raises CauseError for an error in a cause from outside."""

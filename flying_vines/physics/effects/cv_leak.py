@@ -26,6 +26,7 @@ CAUSE = Cause(
         ),
     ),
     experiment="Inflate the control volume, shut all valves, and record its pressure for a minute.",
+    law_of="a leak of the control volume",
     apply=apply,
     needs=("cv",),
 )

@@ -30,6 +30,7 @@ CAUSE = Cause(
     what="The control volume loses air through a hole: the flow chokes.",
     parameters=(HOLE,),
     experiment="Inflate the control volume to its highest pressure, shut all valves, and let it empty.",
+    law_of="a leak of the control volume",
     apply=apply,
     needs=("cv",),
 )

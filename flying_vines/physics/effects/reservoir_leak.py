@@ -26,6 +26,7 @@ CAUSE = Cause(
         ),
     ),
     experiment="Fill the reservoir, shut all valves, and record its pressure for a minute.",
+    law_of="a leak of the reservoir",
     apply=apply,
     needs=("reservoir",),
 )

@@ -21,6 +21,7 @@ CAUSE = Cause(
     what="The reservoir loses air through a hole: the flow chokes.",
     parameters=(HOLE,),
     experiment="Fill the reservoir, shut all valves, and record its pressure until it is half empty.",
+    law_of="a leak of the reservoir",
     apply=apply,
     needs=("reservoir",),
 )

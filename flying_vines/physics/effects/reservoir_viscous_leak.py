@@ -26,6 +26,7 @@ CAUSE = Cause(
         ),
     ),
     experiment="Fill the reservoir, shut all valves, and record its pressure until it is half empty.",
+    law_of="a leak of the reservoir",
     apply=apply,
     needs=("reservoir",),
 )

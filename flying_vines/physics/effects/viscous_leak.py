@@ -26,6 +26,7 @@ CAUSE = Cause(
         ),
     ),
     experiment="Inflate the control volume to its highest pressure, shut all valves, and let it empty.",
+    law_of="a leak of the control volume",
     apply=apply,
     needs=("cv",),
 )
