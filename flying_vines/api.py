@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from flying_vines.identification.plan import plan, recommend
     from flying_vines.identification.report import write_report
     from flying_vines.physics.cause import Cause, Parameter
-    from flying_vines.physics.effects import causes_of
+    from flying_vines.physics.effects import add_causes, causes_of
     from flying_vines.physics.own_causes import read_causes
     from flying_vines.physics.plant.curve import curve_of
     from flying_vines.physics.plant.true_rig import load_true_rig as load_rig
@@ -39,6 +39,7 @@ _MODULES = {
     "load_scenario": "simulation.scenario:load_scenario",
     "simulate": "simulation.scenario:simulate_scenario",
     "diagnose": "identification.diagnose:diagnose",
+    "add_causes": "physics.effects:add_causes",
     "causes_of": "physics.effects:causes_of",
     "Cause": "physics.cause:Cause",
     "Parameter": "physics.cause:Parameter",
@@ -55,6 +56,7 @@ _MODULES = {
 __all__ = [
     "Cause",
     "Parameter",
+    "add_causes",
     "causes_of",
     "curve_of",
     "design",
