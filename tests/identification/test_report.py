@@ -307,7 +307,13 @@ def test_a_profile_goes_through_what_was_computed(found: Diagnosed) -> None:
         (ParameterEstimate(-0.0028, -0.0111, 0.0056), ("−0.0028", "−0.0111", "0.0056")),
         (ParameterEstimate(1230.4, 1200.0, 1290.0), ("1,230", "1,200", "1,290")),
         (ParameterEstimate(0.5, 0.5, 0.5), ("0.5", "0.5", "0.5")),
-        (ParameterEstimate(9.327e6, 1.148e6, 7.58e7), ("9.33 × 10⁶", "1.15 × 10⁶", "7.58 × 10⁷")),
+        (
+            ParameterEstimate(9.327e6, 1.148e6, 7.58e7),
+            tuple(
+                f"{m}\N{NO-BREAK SPACE}×\N{NO-BREAK SPACE}10{e}"
+                for m, e in (("9.33", "⁶"), ("1.15", "⁶"), ("7.58", "⁷"))
+            ),
+        ),
     ],
 )
 def test_numbers_have_the_digits_that_the_interval_leaves_them(
