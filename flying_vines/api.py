@@ -20,8 +20,9 @@ if TYPE_CHECKING:
     from flying_vines.identification.plan import plan, recommend
     from flying_vines.identification.report import write_report
     from flying_vines.physics.cause import Cause, Parameter
-    from flying_vines.physics.effects import causes_of
+    from flying_vines.physics.effects import add_causes, causes_of
     from flying_vines.physics.own_causes import read_causes
+    from flying_vines.physics.plant.curve import curve_of
     from flying_vines.physics.plant.true_rig import load_true_rig as load_rig
     from flying_vines.physics.plant.true_rig import true_rig_text as rig_text
     from flying_vines.record.arrays import read_flight, read_tlog
@@ -38,9 +39,11 @@ _MODULES = {
     "load_scenario": "simulation.scenario:load_scenario",
     "simulate": "simulation.scenario:simulate_scenario",
     "diagnose": "identification.diagnose:diagnose",
+    "add_causes": "physics.effects:add_causes",
     "causes_of": "physics.effects:causes_of",
     "Cause": "physics.cause:Cause",
     "Parameter": "physics.cause:Parameter",
+    "curve_of": "physics.plant.curve:curve_of",
     "read_causes": "physics.own_causes:read_causes",
     "extended_rig": "identification.extended:extended_rig",
     "write_report": "identification.report:write_report",
@@ -53,7 +56,9 @@ _MODULES = {
 __all__ = [
     "Cause",
     "Parameter",
+    "add_causes",
     "causes_of",
+    "curve_of",
     "design",
     "diagnose",
     "extended_rig",

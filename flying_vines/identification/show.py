@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.console import Console
 from rich.table import Table
 
-from flying_vines.identification.verdict import NONE, UNEXPLAINED, ParameterEstimate, Verdict
+from flying_vines.identification.verdict import NONE, UNEXPLAINED, ParameterEstimate, Remainder, Verdict
 from flying_vines.physics.effects import catalogue
 
 RANKED = 8
@@ -55,9 +55,14 @@ def in_words(verdict: Verdict) -> str:
     if not further:
         text = _what(main.cause)
     else:
-        also = ", then ".join(f"{named.cause} ({named.share:.0%})" for named in further)
-        text = f"Mostly {main.cause} ({main.share:.0%}), then {also}."
-    return text + (f" {_percent(verdict.remainder.share)} of the error remains." if verdict.remainder else "")
+        shares = [f"{named.cause} ({_percent(named.share or 0.0)})" for named in verdict.named]
+        mostly = (main.share or 0.0) >= 0.5
+        text = f"Mostly {', then '.join(shares)}." if mostly else f"Several causes: {', '.join(shares)}."
+    return text + (f" {_sentence(verdict.remainder)}" if verdict.remainder else "")
+
+
+def _sentence(remainder: Remainder) -> str:
+    return f"{_percent(remainder.share).capitalize()} of the error remains."
 
 
 def _what(name: str) -> str:
@@ -66,7 +71,7 @@ def _what(name: str) -> str:
 
 
 def _percent(share: float) -> str:
-    return "Less than 1 %" if share < 0.01 else f"{share:.0%}"
+    return "less than 1 %" if share < 0.01 else f"{100.0 * share:.0f} %"
 
 
 def _nearest(verdict: Verdict) -> str:

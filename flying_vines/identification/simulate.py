@@ -236,7 +236,8 @@ def _starts(run: RecordedRun) -> NDArray[np.intp]:
 def _leak_SL_per_s_kPa(leak: Leak, sensor: Sensor) -> float:
     """Change of a leak's flow per kPa, at most over the sensor's span."""
     viscous = 2.0 * (sensor.span_kPa + ALPHA_KPA) * leak.viscous_SL_per_s_kPa2
-    return leak.ohmic_SL_per_s_kPa + viscous + leak.orifice.conductance_SL_per_s_kPa
+    through = leak.orifice.conductance_SL_per_s_kPa + leak.curve.steepest_SL_per_s_kPa
+    return leak.ohmic_SL_per_s_kPa + viscous + through
 
 
 def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> float:

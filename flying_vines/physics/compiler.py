@@ -27,6 +27,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 _OURS = __name__.partition(".")[0]
 _CONFIG_LOCK = Lock()
 _TYPES = {float: "f8", int: "i8", bool: "?"}
+Floats = tuple[float, ...]
 
 
 class NoCompiler(ImportError):
@@ -81,10 +82,18 @@ def record(numbers: Any) -> np.void:
 
 
 @cache
-def _layout(kind: type) -> np.dtype[np.void]:
-    """The record type, from the declared types, so that it does not depend on the values."""
+def _layout(kind: Any) -> np.dtype[np.void]:
+    """The record type, from the declared types, so that it does not depend on the values.
+
+    A tuple of any length is as long as its default.
+    """
     hints = get_type_hints(kind)
-    return np.dtype([(name, _TYPES.get(hint) or _layout(hint)) for name, hint in hints.items()], align=True)
+    lengths = {name: len(kind._field_defaults[name]) for name in hints if hints[name] == Floats}
+    parts = [
+        (name, "f8", lengths[name]) if name in lengths else (name, _TYPES.get(hint) or _layout(hint))
+        for name, hint in hints.items()
+    ]
+    return np.dtype(parts, align=True)
 
 
 def _values(numbers: Any) -> Any:

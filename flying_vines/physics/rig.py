@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import msgspec
 
+from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
 from flying_vines.physics.gas import Gas
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
@@ -62,7 +64,7 @@ class Solenoid:
 class Venturi:
     """The vacuum pump: `full_vacuum_kPa` below ambient, from a supply of `rated_supply_kPa` (gauge) on."""
 
-    full_vacuum_kPa: NotNegative = 55.0
+    full_vacuum_kPa: Annotated[float, msgspec.Meta(ge=0, le=STANDARD_PRESSURE_KPA)] = 55.0
     rated_supply_kPa: Positive = 600.0
 
 
@@ -166,27 +168,60 @@ def read_rig(path: Path | str, made_of: Callable[[Mapping[str, Any]], R]) -> R:
 
 def rig_from(content: Mapping[str, Any]) -> Rig:
     """The rig in a decoded TOML file; see `load_rig`."""
-    for table in content:
+    for table, value in content.items():
         if table not in _TABLES:
-            raise RigError(f"unknown table {table!r} of a rig: the tables are {', '.join(_TABLES)}.")
+            raise RigError(f"unknown table {table!r} of a rig{_instead(table, _TABLES)}")
+        if not isinstance(value, Mapping):
+            raise RigError(f"{table} must be a table: write [{table}], and its keys on the lines below.")
     for key, value in _flat(content):
-        if key not in _KEYS and key.removeprefix("tolerance_percent.") not in _MEASURED:
-            raise RigError(f"unknown key {key!r} of a rig: the keys are {', '.join(_KEYS)}.")
+        _check_name(key)
         if isinstance(value, float) and not math.isfinite(value):
             raise RigError(f"{key} is {value}, which is not a number.")
     replaced = [table for table in WITHOUT_PUMP if table in content] if "pump" in content else []
     if replaced:
-        raise RigError(f"a rig with a [pump] has no [{replaced[0]}]: the pump takes its place.")
-
+        raise RigError(
+            f"a rig with a [pump] has no [{replaced[0]}], the pump takes its place: remove one of them."
+        )
     if "cv" not in content and ("pump" in content or "hose" in content):
-        raise RigError("a pump or a hose needs a [cv] that it leads to.")
-    tolerances = content.get("tolerance_percent", {})
-    if isinstance(tolerances, Mapping):
-        tolerances = dict(_flat(tolerances))
+        raise RigError("a pump or a hose needs a [cv] that it leads to: add [cv] with its volume_L.")
+    tolerances = dict(_flat(content.get("tolerance_percent", {})))
+    for key, value in tolerances.items():
+        try:
+            msgspec.convert(value, NotNegative)
+        except msgspec.ValidationError as error:
+            raise RigError(_explained(str(error), f"tolerance_percent.{key}", value)) from None
     try:
         return msgspec.convert({"cv": None, **content, "tolerance_percent": tolerances}, Rig)
     except msgspec.ValidationError as error:
-        raise RigError(f"{error}.") from None
+        reason, _, at = str(error).partition(" - at `$.")
+        key = at.rstrip("`")
+        raise RigError(_explained(reason, key, dict(_flat(content)).get(key))) from None
+
+
+def _check_name(key: str) -> None:
+    """RigError if a rig has no such key."""
+    table, _, name = key.partition(".")
+    choices = _MEASURED
+    if table != "tolerance_percent":
+        name, choices = key, tuple(known for known in _KEYS if known.startswith(f"{table}."))
+    if name not in choices:
+        raise RigError(f"unknown key {key!r} of a rig{_instead(name, choices)}")
+
+
+def _explained(reason: str, key: str, value: object) -> str:
+    """A sentence for msgspec's "Expected `float` > 0.0" and "Expected `float`, got `str`"."""
+    bounds = reason.removeprefix("Expected `float`")
+    if bounds == reason:
+        return f"{key}: {reason}."
+    return f"{key} must be a number{'' if bounds.startswith(',') else bounds}, not {value!r}."
+
+
+def _instead(wrong: str, choices: Sequence[str]) -> str:
+    """The probable choice, or all of them if there are few or none is probable."""
+    near = difflib.get_close_matches(wrong, choices, n=1)
+    if near and len(choices) > 2:
+        return f": did you mean {near[0]}?"
+    return f": possible are {', '.join(choices)}."
 
 
 def _flat(tables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

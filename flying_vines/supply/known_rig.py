@@ -17,6 +17,7 @@ import msgspec
 
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.constants import ALPHA_KPA, GAMMA
+from flying_vines.physics.plant.curve import Curve
 from flying_vines.physics.plant.flow import FlowLaw, LeakLaw, Ohm, flow_SL_per_s
 from flying_vines.physics.plant.leak import leak_of, leak_SL_per_s
 from flying_vines.physics.plant.plant import Plant
@@ -212,7 +213,7 @@ def _venturi_s(p: PneumaticsConfig, plant: Plant, offset_kPa: float) -> float:
     return math.log(max(1.0, (behind_kPa + vacuum_kPa) / stops_kPa)) / leaves_per_s
 
 
-def _leak_SL_per_s_kPa(laws: Iterable[LeakLaw | None], at_kPa: float) -> float:
+def _leak_SL_per_s_kPa(laws: Iterable[LeakLaw | Curve | None], at_kPa: float) -> float:
     """Flow through leaks to ambient, per kPa of gauge pressure."""
     return leak_SL_per_s(leak_of(laws), AMBIENT_KPA + at_kPa, AMBIENT_KPA, 1.0, 1.0) / at_kPa
 

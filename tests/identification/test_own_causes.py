@@ -109,6 +109,9 @@ def test_a_rig_file_names_the_file_that_is_missing(files: Path, capsys: pytest.C
     assert (status, error.count("\n")) == (2, 1)
     assert "seam_leak.py, which is missing: add --cause seam_leak.py" in error
     add_causes(read_causes(EXAMPLE))
+    # A cell of a notebook may run twice.
+    add_causes(read_causes(EXAMPLE))
+    assert [cause.name for cause in catalogue()].count("seam_leak") == 1
     written = true_rig_text(load_true_rig(files / "rig.toml"))
     assert 'defined_in = "seam_leak.py"' in written
 

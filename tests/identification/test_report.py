@@ -30,7 +30,14 @@ from flying_vines.identification.report.runs import draw_run
 from flying_vines.identification.report.words import label_and_unit, numbers, share
 from flying_vines.identification.report.write import svg
 from flying_vines.identification.show import in_words
-from flying_vines.identification.verdict import NONE, UNEXPLAINED, ParameterEstimate, Remainder, Verdict
+from flying_vines.identification.verdict import (
+    NONE,
+    UNEXPLAINED,
+    Named,
+    ParameterEstimate,
+    Remainder,
+    Verdict,
+)
 from flying_vines.physics.effects import catalogue
 
 HOSTILE = """<script>alert("1")</script><img src=http://example.org/x> & '$x_{'"""
@@ -180,6 +187,23 @@ def test_a_report_says_what_the_verdict_says(found: Diagnosed, written: list[Pat
     assert all(run.run in text for run in verdict.evidence.runs)
 
 
+def test_several_causes_are_mostly_one_only_if_it_makes_half_of_the_error(found: Diagnosed) -> None:
+    also = (
+        Named("cv_heating", found.verdict.parameters, 0.09),
+        Named("hose", found.verdict.parameters, 0.004),
+    )
+    main = found.verdict.cause
+    mostly = replace(found.verdict, share=0.81, also=also, remainder=Remainder(0.07, "time"))
+    assert in_words(mostly) == (
+        f"Mostly {main} (81 %), then cv_heating (9 %), then hose (less than 1 %). 7 % of the error remains."
+    )
+    several = replace(mostly, share=0.12, remainder=None)
+    assert in_words(several) == f"Several causes: {main} (12 %), cv_heating (9 %), hose (less than 1 %)."
+    text = page_of(Diagnosed(found.case, several), "unseen", "run-1").text
+    assert "Without it 12 % of the removed squared error comes back" in " ".join(text.split())
+    assert "need not add up to 100 %" in " ".join(text.split())
+
+
 def test_beside_the_page_are_the_verdict_and_the_pictures(found: Diagnosed, written: list[Path]) -> None:
     by_name = {path.name: path for path in written}
     assert set(written) == set(written[0].parent.iterdir())
@@ -307,7 +331,13 @@ def test_a_profile_goes_through_what_was_computed(found: Diagnosed) -> None:
         (ParameterEstimate(-0.0028, -0.0111, 0.0056), ("−0.0028", "−0.0111", "0.0056")),
         (ParameterEstimate(1230.4, 1200.0, 1290.0), ("1,230", "1,200", "1,290")),
         (ParameterEstimate(0.5, 0.5, 0.5), ("0.5", "0.5", "0.5")),
-        (ParameterEstimate(9.327e6, 1.148e6, 7.58e7), ("9.33 × 10⁶", "1.15 × 10⁶", "7.58 × 10⁷")),
+        (
+            ParameterEstimate(9.327e6, 1.148e6, 7.58e7),
+            tuple(
+                f"{m}\N{NO-BREAK SPACE}×\N{NO-BREAK SPACE}10{e}"
+                for m, e in (("9.33", "⁶"), ("1.15", "⁶"), ("7.58", "⁷"))
+            ),
+        ),
     ],
 )
 def test_numbers_have_the_digits_that_the_interval_leaves_them(

@@ -7,6 +7,8 @@ import math
 import pytest
 
 from flying_vines.physics.baseline import Inputs
+from flying_vines.physics.plant.compiled import replay
+from flying_vines.physics.plant.curve import Curve, curve_of, curve_SL_per_s
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm, Viscous
 from flying_vines.physics.plant.leak import leak_of, leak_SL_per_s
@@ -74,3 +76,35 @@ def test_a_rig_file_may_name_several_leaks() -> None:
     assert 'kind = "viscous"' in true_rig_text(rig)
     with pytest.raises(RigError, match="needs a control volume"):
         true_rig_from({"causes": {"orifice_leak": {"sonic_conductance_SL_per_s_kPa": 1e-5}}})
+
+
+def test_a_function_of_pressure_is_a_leak() -> None:
+    """Q = k (p − p_a)² empties a volume as 1/(1/p₀ + α k t/V)."""
+    curve = curve_of(lambda p_kPa: 4e-6 * p_kPa**2, 60.0)
+    _, cv_kPa = held(Effects(cv_leak_curve=curve), 20.0)
+    assert cv_kPa == pytest.approx(1.0 / (1.0 / 60.0 + P0 * 4e-6 * 20.0 / 0.5), rel=2e-4)
+    reservoir = curve_of(lambda p_kPa: 1e-7 * p_kPa**2, 700.0)
+    reservoir_kPa, _ = held(Effects(reservoir_leak_curve=reservoir), 20.0)
+    assert reservoir_kPa == pytest.approx(1.0 / (1.0 / 600.0 + P0 * 1e-7 * 20.0 / 2.0), rel=2e-4)
+
+
+def test_a_straight_function_is_exactly_a_resistance_also_when_compiled() -> None:
+    plants = [
+        Plant(Rig(cv=ControlVolume(0.5)), effects)
+        for effects in (Effects(cv_leak=Ohm(800.0)), Effects(cv_leak_curve=curve_of(lambda p: p / 800.0)))
+    ]
+    ohm, curve = (replay(p, [(0.0, 0.0, 0.0)] * 500, at_rest(p, 600.0, 60.0)).table["cv_kPa"] for p in plants)
+    assert ohm[-1] < 57.0 and curve == pytest.approx(ohm, rel=1e-12)
+
+
+def test_a_curve_between_points_below_ambient_and_beyond_its_end() -> None:
+    measured = Curve(((0.0, 0.0), (10.0, 0.0), (30.0, 0.02))).numbers
+    at = (5.0, 10.0, 20.0, 30.0, 40.0, -20.0)
+    assert [curve_SL_per_s(measured, p_kPa) for p_kPa in at] == pytest.approx(
+        [0.0, 0.0, 0.01, 0.02, 0.03, -0.01], abs=2e-4
+    )
+    for wrong in (((0.0, 0.0),), ((0.0, 0.1), (1.0, 0.2)), ((0.0, 0.0), (1.0, 0.2), (2.0, 0.1))):
+        with pytest.raises(ValueError, match="curve"):
+            Curve(wrong)
+    rig = true_rig_from({"cv": {}, "effects": {"cv_leak_curve": {"points": [[0, 0], [10, 0], [30, 0.02]]}}})
+    assert rig.setup.plant.effects.cv_leak_curve == Curve(((0.0, 0.0), (10.0, 0.0), (30.0, 0.02)))

@@ -227,7 +227,7 @@ def test_who_reads_what_is_believed_is_not_told_the_rest(tmp_path: Path) -> None
             "[cv]\nvolume_L = 0.005\n[effects]\nlikely = true",
             "effects: a pouch's flat volume must be",
         ),
-        ("[reservoir]\nvolume_L = 0", "Expected `float` > 0.0 - at `$.reservoir.volume_L`."),
+        ("[reservoir]\nvolume_L = 0", "reservoir.volume_L must be a number > 0.0, not 0."),
         ("[bottle]", "unknown table 'bottle' of a rig"),
     ],
 )

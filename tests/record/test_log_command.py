@@ -108,6 +108,7 @@ def test_export_for_viewers_holds_all_that_its_layouts_name(
     topics = {entry.topic: entry.fields for entry in entries}
     assert set(topics) == {"snapshot", "phlosar/telemetry", "log", "location"}
     layout = json.loads((tmp_path / "foxglove.json").read_text())["configById"]
+    assert all("foxglovePanelTitle" in panel for name, panel in layout.items() if name.startswith("Plot!"))
     foxglove = [path["value"] for panel in layout.values() for path in panel.get("paths", ())]
     juggler = re.findall(r'curve name="([^"]+)"', (tmp_path / "plotjuggler.xml").read_text())
     for path in (*foxglove, *juggler):

@@ -62,7 +62,7 @@ def draw(proposal: Proposal, folder: Path) -> Path:
         style = "steps-post" if row else "default"  # a command holds until the next one
         for run in proposal.runs.values():
             for meaning, colour in colours.items():
-                if meaning in run:
+                if meaning in run and (row == 0 or np.any(run[meaning])):
                     axes[row].plot(
                         run["time"],
                         run[meaning],
@@ -74,6 +74,9 @@ def draw(proposal: Proposal, folder: Path) -> Path:
         handles = dict(zip(*reversed(axes[row].get_legend_handles_labels()), strict=True))
         if handles:
             axes[row].legend(handles.values(), handles.keys(), fontsize=8)
+        elif row:
+            axes[row].set_title("no valve ever opens", fontsize=9, loc="left")
+    axes[1].set_ylim(-0.05, 1.05)
     axes[1].set_xlabel("time, s")
     finish(figure, f"{proposal.path.name} as it is imported")
     return save({"import": figure}, folder, proposal.path.stem)[0]

@@ -45,6 +45,8 @@ _WRITTEN = 0.5
 _DARK = 0.7
 _MAX_ACROSS = 3
 _HIGHEST = 1.6 * ABOVE
+_LARGE = 1e6
+"""Ticks from this value on have an exponent."""
 
 
 def figures(verdict: Verdict) -> dict[str, Figure]:
@@ -151,7 +153,7 @@ def draw_ranking(verdict: Verdict) -> Figure:
                 annotation_clip=False,
             )
     axis.set_xscale("symlog", linthresh=10.0, linscale=0.8)
-    axis.set_xlim(-0.5, max(100.0, 12.0 * behind.max(initial=0.0)))
+    axis.set_xlim(-0.5, max(100.0, 200.0 * behind.max(initial=0.0)))
     axis.axvspan(-0.5, 0.5 * CLAIM, color=INK, alpha=0.07, lw=0)
     axis.set_yticks(range(len(rows)), [" + ".join(tried.causes) or "baseline" for tried in rows])
     axis.set_ylim(len(rows) - 0.4, -0.6)
@@ -166,7 +168,7 @@ def draw_profiles(verdict: Verdict) -> Figure:
     profiles = verdict.evidence.profiles
     across = min(_MAX_ACROSS, max(2, len(profiles)))
     down = -(-len(profiles) // across)
-    figure = blank(2.1 * down)
+    figure = blank(2.3 * down)
     axes = figure.subplots(down, across, squeeze=False)
     for axis in axes.flat[len(profiles) :]:
         axis.set_axis_off()
@@ -190,8 +192,12 @@ def _profile(axis: Any, profile: LikelihoodProfile) -> None:
     axis.set_ylim(-0.3, _HIGHEST)
     axis.locator_params(axis="x", nbins=4)
     axis.ticklabel_format(useOffset=False)
+    if profile.high >= _LARGE:
+        axis.locator_params(axis="x", nbins=3)
+        axis.xaxis.set_major_formatter("{x:.3g}")
     estimate, low, high = numbers(ParameterEstimate(profile.estimate, profile.low, profile.high))
-    quiet(axis, f"{profile.cause}\n{estimate} ({low} … {high}) {label_and_unit(profile.parameter.name)[1]}")
+    unit = label_and_unit(profile.parameter.name)[1]
+    quiet(axis, f"{profile.cause}\n{estimate} {unit}\n({low} … {high})")
     axis.set_xlabel(labelled(profile.parameter.name))
 
 

@@ -58,7 +58,7 @@ def _in_powers(value: float) -> str:
     if abs(value) < _HUGE:
         return rounded(value)
     mantissa, exponent = f"{value:.2e}".split("e+")
-    return f"{signed(mantissa)} × 10{str(int(exponent)).translate(_RAISED)}"
+    return f"{signed(mantissa)}\N{NO-BREAK SPACE}×\N{NO-BREAK SPACE}10{str(int(exponent)).translate(_RAISED)}"
 
 
 def chance(pattern: Pattern) -> str:

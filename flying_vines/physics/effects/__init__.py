@@ -37,9 +37,13 @@ def catalogue() -> tuple[Cause, ...]:
 
 
 def add_causes(causes: Iterable[Cause]) -> None:
-    """Add causes to the catalogue of this process. Raises CauseError if a name is taken."""
-    before = list(_added)
-    _added.extend(causes)
+    """Add causes to the catalogue of this process. Raises CauseError if a name is taken.
+
+    A cause that was added before from the same place is replaced.
+    """
+    before, new = list(_added), list(causes)
+    again = {(cause.name, cause.defined_in) for cause in new}
+    _added[:] = [cause for cause in before if (cause.name, cause.defined_in) not in again] + new
     catalogue.cache_clear()
     try:
         catalogue()

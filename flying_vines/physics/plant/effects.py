@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from flying_vines.physics.plant.ambient import Ambient
 from flying_vines.physics.plant.coil import Coil
+from flying_vines.physics.plant.curve import Curve
 from flying_vines.physics.plant.flow import FlowLaw, Iso6358, LeakLaw, Viscous
 from flying_vines.physics.plant.leak import leak_of
 from flying_vines.physics.plant.tubing import Tubing
@@ -43,6 +44,8 @@ class Effects:
     cv_viscous_leak: Viscous | None = None
     reservoir_orifice_leak: Iso6358 | None = None
     cv_orifice_leak: Iso6358 | None = None
+    reservoir_leak_curve: Curve | None = None
+    cv_leak_curve: Curve | None = None
     ambient: Ambient | None = None
 
     def __post_init__(self) -> None:
@@ -54,11 +57,16 @@ class Effects:
         leak_of(self.cv_leaks)
 
     @property
-    def reservoir_leaks(self) -> tuple[LeakLaw | None, ...]:
+    def reservoir_leaks(self) -> tuple[LeakLaw | Curve | None, ...]:
         """All leaks of the reservoir."""
-        return self.reservoir_leak, self.reservoir_viscous_leak, self.reservoir_orifice_leak
+        return (
+            self.reservoir_leak,
+            self.reservoir_viscous_leak,
+            self.reservoir_orifice_leak,
+            self.reservoir_leak_curve,
+        )
 
     @property
-    def cv_leaks(self) -> tuple[LeakLaw | None, ...]:
+    def cv_leaks(self) -> tuple[LeakLaw | Curve | None, ...]:
         """All leaks of the control volume."""
-        return self.cv_leak, self.cv_viscous_leak, self.cv_orifice_leak
+        return self.cv_leak, self.cv_viscous_leak, self.cv_orifice_leak, self.cv_leak_curve

@@ -1,8 +1,8 @@
 """All leaks of one volume to ambient, which may follow different flow laws at once:
 
-    Q = (p − p_a) (1/R + (p + p_a)/C) + the flow of an orifice
+    Q = (p − p_a) (1/R + (p + p_a)/C) + the flow of an orifice + a curve over p − p_a
 
-Ohm's law and viscous flow add up exactly. A volume has at most one orifice.
+Ohm's law and viscous flow add up exactly. A volume has at most one orifice and one curve.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from flying_vines.physics.gas import AIR, GasProperties
+from flying_vines.physics.plant.curve import Curve, CurveNumbers, curve_SL_per_s
 from flying_vines.physics.plant.flow import Iso6358, LeakLaw, Ohm, Opening, flow_SL_per_s
 
 _TOP_KPA = 1000.0
@@ -23,6 +24,7 @@ class Leak(NamedTuple):
     ohmic_SL_per_s_kPa: float = 0.0
     viscous_SL_per_s_kPa2: float = 0.0
     orifice: Opening = Opening()
+    curve: CurveNumbers = CurveNumbers()
     steepest_SL_per_s_kPa: float = 0.0
     """Maximum change of the flow per kPa."""
 
@@ -32,13 +34,15 @@ def leak_SL_per_s(leak: Leak, p: float, ambient_kPa: float, ratio: float, ambien
     flow = (p - ambient_kPa) * (leak.ohmic_SL_per_s_kPa + leak.viscous_SL_per_s_kPa2 * (p + ambient_kPa))
     if leak.orifice.conductance_SL_per_s_kPa > 0.0:
         flow += flow_SL_per_s(leak.orifice, p, ambient_kPa, ratio, ambient_ratio)
+    if leak.curve.up_to_kPa > 0.0:
+        flow += curve_SL_per_s(leak.curve, p - ambient_kPa)
     return flow
 
 
-def leak_of(laws: Iterable[LeakLaw | None], gas: GasProperties = AIR) -> Leak:
+def leak_of(laws: Iterable[LeakLaw | Curve | None], gas: GasProperties = AIR) -> Leak:
     """The leaks of a volume together. ValueError if two of them are orifices."""
     ohmic = viscous = 0.0
-    orifice = Opening()
+    orifice, curve = Opening(), CurveNumbers()
     for law in laws:
         if isinstance(law, Ohm):
             ohmic += 1.0 / law.flow_resistance_kPa_s_per_SL
@@ -46,7 +50,9 @@ def leak_of(laws: Iterable[LeakLaw | None], gas: GasProperties = AIR) -> Leak:
             if orifice != Opening():
                 raise ValueError("a volume can have one orifice leak, not two")
             orifice = law.numbers(gas)
+        elif isinstance(law, Curve):
+            curve = law.numbers
         elif law is not None:
             viscous += 1.0 / law.conductance_constant_kPa2_s_per_SL
-    steepest = ohmic + 2.0 * _TOP_KPA * viscous + orifice.steepest_SL_per_s_kPa
-    return Leak(ohmic, viscous, orifice, steepest)
+    steepest = ohmic + 2.0 * _TOP_KPA * viscous + orifice.steepest_SL_per_s_kPa + curve.steepest_SL_per_s_kPa
+    return Leak(ohmic, viscous, orifice, curve, steepest)
