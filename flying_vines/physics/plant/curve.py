@@ -67,8 +67,9 @@ class Curve:
 def curve_of(flow_SL_per_s: Callable[[float], float], up_to_kPa: float = 200.0) -> Curve:
     """The curve of a function from gauge pressure in kPa to flow in SL/s (20 °C, 101.325 kPa).
 
-    The function is called at 65 pressures from 0 to `up_to_kPa`, closer together near 0. ValueError if its
-    flow at 0 is not 0, or falls.
+    The function is called at 65 pressures from 0 to `up_to_kPa`, closer together near 0. Beyond them the
+    last line continues; below ambient pressure the same flow comes in. ValueError if its flow at 0 is not 0,
+    or falls.
     """
     return Curve(tuple((p, float(flow_SL_per_s(p))) for p in _ends_kPa(up_to_kPa)))
 
