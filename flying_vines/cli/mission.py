@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Coroutine
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from flying_vines.cli.bad_input import BAD_INPUT, bad_input
 from flying_vines.config.address import FORMS
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 NOT_AS_PLANNED = 1
 SCRIPT = "vine_items.lua"
+EXAMPLES = ("bridge_inspection", "canopy_sampling")
+"""Missions that come with the program."""
 _NEGATIVE = re.compile(r"-\.?\d")
 GROUND_STATION_LINK = "udpin:0.0.0.0:14550"
 
@@ -57,6 +59,10 @@ def add(commands: Any) -> None:
     download = actions.add_parser("download", help="read the mission from the vehicle")
     download.add_argument("mission", type=Path, metavar="FILE", help="a .plan or .waypoints to write")
     _vehicle(download, _download)
+    example = actions.add_parser("example", help="write a mission to begin with, as text")
+    example.add_argument("name", choices=EXAMPLES, metavar="NAME", help=" or ".join(EXAMPLES))
+    example.add_argument("--out", type=Path, metavar="FILE.toml", help="the file (NAME.toml)")
+    example.set_defaults(run=_example)
     script = actions.add_parser("script", help="write the Lua script that sends vine items on ArduPilot")
     script.add_argument(
         "--out", type=Path, default=Path(SCRIPT), metavar="FILE.lua", help=f"the file ({SCRIPT})"
@@ -113,14 +119,32 @@ def _download(arguments: argparse.Namespace) -> int:
     return _on_vehicle(download(arguments.mission, arguments.link, _console()))
 
 
+def _example(arguments: argparse.Namespace) -> int:
+    out: Path = arguments.out or Path(f"{arguments.name}.toml")
+    # A pilot edits the mission: a second call must not undo that.
+    if not _write_shipped("examples", f"{arguments.name}.toml", out, "xb"):
+        return BAD_INPUT
+    print(f"{out}: build it with `flying-vines mission build {out}`")
+    return 0
+
+
 def _script(arguments: argparse.Namespace) -> int:
-    shipped = resources.files("missions").joinpath("ardupilot", SCRIPT)
-    try:
-        arguments.out.write_bytes(shipped.read_bytes())
-    except OSError as error:
-        return _fail(f"{arguments.out}: {error.strerror}")
+    if not _write_shipped("ardupilot", SCRIPT, arguments.out):
+        return BAD_INPUT
     print(f"{arguments.out}: for APM/scripts on the autopilot's SD card; SCR_ENABLE 1, then reboot")
     return 0
+
+
+def _write_shipped(folder: str, name: str, out: Path, mode: Literal["wb", "xb"] = "wb") -> bool:
+    """Write a file that comes with the program; "xb" replaces no other. Whether it was written."""
+    shipped = resources.files("missions").joinpath(folder, name)
+    try:
+        with out.open(mode) as file:
+            file.write(shipped.read_bytes())
+    except OSError as error:
+        _fail(f"{out}: {error.strerror}")
+        return False
+    return True
 
 
 def _on_vehicle(work: Coroutine[None, None, int]) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from importlib.metadata import distribution, packages_distributions
 from pathlib import Path
 
 import pytest
+from docs.commands_said import blocks_and_spans
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -30,6 +32,13 @@ import flying_vines.simulation.demo, flying_vines.simulation.replay
 import flying_vines.gateway.page.server
 """
 """No module of these names can be imported."""
+NEEDS_MORE = {
+    r"demo --page|run|fake": "goes on until it is interrupted; tests/docs runs it",
+    r"link|doctor --config": "needs a board, an autopilot and a pilot who moves the switch",
+    r"mission upload": "needs an autopilot",
+    r"(replay|diagnose .*) flights/20": "names a flight of the author's",
+}
+"""Commands of ours that do not run by themselves in an empty folder, and why."""
 NOT_SOURCES = shutil.ignore_patterns(".*", "__pycache__", "build", "*.egg-info")
 
 
@@ -159,3 +168,24 @@ def test_the_wheel_runs_where_the_sources_are_not(installed: Path, tmp_path: Pat
             "udev/rules.d/60-phlosar.rules",
         )
     }
+
+
+DEMO_FAILS = pytest.mark.xfail(
+    reason="demo: the pilot does not read “bottle low” after a burst", strict=False
+)
+
+
+@pytest.mark.parametrize("page", ["README.md", pytest.param("docs/tutorial.md", marks=DEMO_FAILS)])
+def test_commands_run_as_printed_in_an_empty_folder(page: str, installed: Path, tmp_path: Path) -> None:
+    python = {"PYTHONPATH": str(installed), "PYTHONSAFEPATH": "1", "HOME": str(tmp_path)}
+    printed = [said.ours for said in blocks_and_spans(ROOT / page)[0] if said.ours]
+    run = [words for words in printed if not re.match("|".join(NEEDS_MORE), " ".join(words))]
+    assert run
+    for words in run:
+        outcome(sys.executable, "-m", "flying_vines", *words, cwd=tmp_path, **python)
+
+
+def test_what_is_left_out_is_still_printed() -> None:
+    pages = (ROOT / "README.md", ROOT / "docs/tutorial.md")
+    printed = [" ".join(said.ours) for page in pages for said in blocks_and_spans(page)[0]]
+    assert [pattern for pattern in NEEDS_MORE if not any(re.match(pattern, text) for text in printed)] == []

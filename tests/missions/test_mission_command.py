@@ -168,6 +168,17 @@ def test_the_service_does_not_import_it() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+def test_an_example_is_written_once_and_builds(tmp_path: Path, capsys: Captured) -> None:
+    mission = tmp_path / "mine.toml"
+    status, out, err = run(capsys, "mission", "example", "canopy_sampling", "--out", mission)
+    assert (status, err) == (0, "") and out.startswith(f"{mission}: ")
+    assert run(capsys, "mission", "build", mission, "--autopilot", "px4", "--out", tmp_path)[0] == 0
+    mission.write_text(edited := mission.read_text().replace("Canopy", "My"))
+    status, _, err = run(capsys, "mission", "example", "canopy_sampling", "--out", mission)
+    assert (status, err) == (2, f"flying-vines: {mission}: File exists\n")
+    assert mission.read_text() == edited
+
+
 def test_the_script_for_ardupilot_is_written_as_it_is_shipped(tmp_path: Path, capsys: Captured) -> None:
     script = tmp_path / "vine.lua"
     status, out, err = run(capsys, "mission", "script", "--out", script)
