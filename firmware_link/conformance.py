@@ -2,8 +2,8 @@
 
     assert broken_promises(OurPump, ModelOfOurPump) == []
 
-A model shows that the text of the protocol is right. That the real device vents by itself, only the real device
-shows: pull its cable while the vine is bent.
+A model shows that the protocol is right. Only the real device shows that it vents by itself: pull its cable
+while the vine is bent.
 """
 
 from __future__ import annotations
@@ -110,9 +110,7 @@ def broken_promises(
     if trial.highest_kPa > 1.1 * limit_kPa:
         broken.append(f"it reaches {trial.highest_kPa:.1f} kPa, max_kPa is {limit_kPa:g}")
     trial.command(limit_kPa / 2.0)
-    if not trial.run(
-        moves_within_s, lambda: abs(trial.device.pressure_kPa - limit_kPa / 2) < 0.1 * limit_kPa
-    ):
+    if not trial.run(moves_within_s, lambda: trial.device.pressure_kPa < 0.6 * limit_kPa):
         broken.append("it does not go down to a lower setpoint")
     trial.command(None)
     if not trial.run(moves_within_s, trial.straight):

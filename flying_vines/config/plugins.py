@@ -1,7 +1,7 @@
 """Parts from installed packages that a profile names: actuators, physics checks, triggers, profile segments.
 
-Nothing is loaded because it is installed. The installed packages are searched only for a name that is not built
-in, because that takes tenths of a second on a small computer.
+Nothing is loaded because it is installed. The installed packages are searched only for a name that is not
+built in, because that takes tenths of a second on a small computer.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ class PluginError(ValueError):
 def find(group: Group, name: str, key: str, *needs: str) -> Callable[..., Any]:
     """The entry point `name` of the group `flying_vines.GROUP`: a class or function, to call with settings.
 
-    What it makes has the attributes `needs`. Raises `PluginError` with the profile's `key`, now if no or several
-    packages have this name or it cannot be imported, and later if the call raises an error.
+    What it makes has the attributes `needs`. Raises `PluginError` with the profile's `key`: now if not exactly
+    one package has this name or it cannot be imported, and later if the call raises an error.
     """
     from importlib.metadata import entry_points
 
@@ -64,13 +64,14 @@ def installed(group: Group) -> list[str]:
 def with_own_segments(profile: Any, built_in: Collection[str]) -> tuple[Any, dict[int, list[Any]]]:
     """A raw profile with a placeholder for each segment of an installed package, and what replaces them.
 
-    Such a segment is a function from its settings to built-in segments. It runs here, once. A kind that is not
-    installed is left as it is. Raises `PluginError`.
+    Such a segment is a function from its settings to built-in segments. It runs here, once. A kind that is
+    not installed is left as it is. Raises `PluginError`.
     """
-    segments = profile.get("segments") if isinstance(profile, dict) else None
+    raw = profile.get("segments") if isinstance(profile, dict) else None
+    segments: list[Any] = raw if isinstance(raw, list) else []
     kinds = {
         index: segment["kind"]
-        for index, segment in enumerate(segments if isinstance(segments, list) else ())
+        for index, segment in enumerate(segments)
         if isinstance(segment, dict) and str(segment.get("kind", "step")) not in built_in
     }
     own = set(installed("segments")).intersection(kinds.values()) if kinds else ()
