@@ -121,6 +121,7 @@ def _run(arguments: argparse.Namespace) -> int:
         rig = None if arguments.fake == LIKELY else arguments.fake
         done = simulated_rig.calibrate(profile, request, arguments.out, terminal, rig)
     else:
+        phlosar_only(profile.config, "calibrate")
         calibration = real_rig.calibrate(profile, request, arguments.out, terminal, arguments.set_firmware)
         begun = asyncio.run(calibration)
         if begun is None:

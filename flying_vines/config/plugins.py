@@ -23,8 +23,8 @@ class PluginError(ValueError):
 def find(group: Group, name: str, key: str, *needs: str) -> Callable[..., Any]:
     """The entry point `name` of the group `flying_vines.GROUP`: a class or function, to call with settings.
 
-    What it makes has the attributes `needs`. Raises `PluginError` with the profile's `key`: now if not exactly
-    one package has this name or it cannot be imported, and later if the call raises an error.
+    What it makes has the attributes `needs`. Raises `PluginError` with the profile's `key`: now if not one
+    package has this name or it cannot be imported, later if the call raises an error.
     """
     from importlib.metadata import entry_points
 

@@ -380,3 +380,9 @@ def line_to(config: FirmwareConfig) -> Line:
         raise
     except Exception as error:
         raise PluginError(f"firmware.kind: {config.kind}: {error}") from error
+
+
+def check_plugins(config: Config) -> None:
+    """Raises `PluginError` if a part of an installed package that the profile names cannot be used."""
+    line_to(config.firmware)
+    Core(config)

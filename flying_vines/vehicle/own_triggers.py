@@ -45,7 +45,7 @@ class OwnTrigger:
         self._held = True
 
     def take(self, t: float, message: MavlinkMessage) -> Trigger | None:
-        """A trigger when the condition begins to hold. Call it with each message of the autopilot we serve."""
+        """A trigger when the condition begins to hold. Call it with each message of our autopilot."""
         held, self._held = self._held, bool(self._condition.holds(t, message))
         if held or not self._held:
             return None
