@@ -1,4 +1,4 @@
-"""Parts of installed packages: an actuator, a physics check, a trigger and a segment, from `examples/our_lab`."""
+"""Parts of installed packages, and `examples/our_lab`, which has one of each kind."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import call
+from command_line import run as call
 from core.flights import decisions, notices, run_for
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -134,7 +134,7 @@ def test_an_air_pump_bends_the_vine_and_has_no_air_to_count(our_lab: None) -> No
 
 def test_each_loss_vents_an_air_pump(our_lab: None) -> None:
     flight, bridge, _ = bent()
-    flight.autopilot.faults.rc_lost = True
+    flight.autopilot.lose_rc("frozen")
     run_for(flight, 3.0)
     assert bridge.board.pressure_kPa == 0.0
     assert "rc" in flight.core.snapshot(flight.world.now).safe_state
@@ -155,13 +155,14 @@ def test_the_example_keeps_the_promises_of_an_actuator(our_lab: None) -> None:
     assert broken_promises(AirPump, Board) == []
 
 
-def change(part: str, **changed: Any) -> type:
-    module, name = part.split(":")
-    return type("Changed", (getattr(__import__(module, fromlist=[name]), name),), changed)
-
-
 def _forgetful(self: Any, data: bytes) -> Sequence[Reading]:
-    return [Reading(float(line.split()[0]), b"V" in line) for line in data.split(b"\n") if line.count(b" ") == 1]
+    return [
+        Reading(float(line.split()[0]), b"V" in line) for line in data.split(b"\n") if len(line.split()) == 2
+    ]
+
+
+def _strict(self: Any, data: bytes) -> Sequence[Reading]:
+    return [Reading(float(line.split()[0]), b"V" in line) for line in data.strip().split(b"\n")]
 
 
 @pytest.mark.parametrize(
@@ -174,6 +175,7 @@ def _forgetful(self: Any, data: bytes) -> Sequence[Reading]:
         ("pump", {"readings": lambda self, data: [Reading(0.0, True)]}, "does not reach max_kPa"),
         ("pump", {"readings": lambda self, data: []}, "sends no reading within 2 s"),
         ("pump", {"readings": _forgetful}, "readings differ if their bytes come one by one"),
+        ("pump", {"readings": _strict}, "readings raises"),
         ("pump", {"setpoint": lambda self, kPa: b"I\n"}, "it reaches"),
         ("board", {"advance": lambda self, t: b"\n0.00 A\n0.00 A\n"}, "is vented after power-up"),
         ("board", {"dead_man_s": 1e9}, "does not vent when no message comes"),
@@ -218,9 +220,18 @@ def test_an_actuator_whose_setpoint_fails_vents(our_lab: None, monkeypatch: pyte
         (("settings = {}", "settings = { volts = 3 }"), "firmware.kind: our_lab.air_pump:AirPump"),
         (("own = {}", 'own = { gone = "warn" }'), "checks.own.gone: no installed package has 'gone'"),
         (("own = {}", 'own = { filling = "warn" }'), "checks.own.filling: the name filling is taken"),
-        (("[switch]", '[[triggers]]\nkind = "quake"\nprofile = "straight"\n[switch]'), "triggers[0].kind: no"),
-        (('{ kind = "step", to_deg = 0 }', '{ kind = "chrip" }'), "give one of step, ramp, hold, sine, profile, chirp"),
-        (('{ kind = "step", to_deg = 0 }', '{ kind = "chirp" }'), "segments: our_lab.chirp:chirp"),
+        (
+            ("[switch]", '[[triggers]]\nkind = "quake"\nprofile = "straight"\n[switch]'),
+            "triggers[0].kind: no",
+        ),
+        (
+            ('{ kind = "ramp", to_deg = 0, over_s = 1.5 }', '{ kind = "chrip" }'),
+            "give one of step, ramp, hold, sine, profile, chirp",
+        ),
+        (
+            ('{ kind = "ramp", to_deg = 0, over_s = 1.5 }', '{ kind = "chirp" }'),
+            "segments: our_lab.chirp:chirp",
+        ),
     ],
 )
 def test_a_part_that_cannot_be_used_is_one_line(
@@ -264,20 +275,23 @@ CHIRP = '{ kind = "chirp", from_kPa = 0, to_kPa = 15, from_Hz = 0.1, to_Hz = 0.4
 
 def test_a_segment_becomes_built_in_segments(our_lab: None) -> None:
     steps = "{ kind = 'step', to_kPa = 1 }", "{ kind = 'step', to_kPa = 2 }"
-    conf = config.parse(f"{PROFILE}\n[profiles.wave]\nsegments = [{steps[0]}, {CHIRP}, {steps[1]}]\n", "p.toml")
-    segments = list(flatten(conf.profiles, "wave"))
+    conf = config.parse(
+        f"{PROFILE}\n[profiles.chirped]\nsegments = [{steps[0]}, {CHIRP}, {steps[1]}]\n", "p.toml"
+    )
+    segments = list(flatten(conf.profiles, "chirped"))
     assert [getattr(segment, "to_kPa", None) for segment in segments] == [1, 15, 15, 15, 2]
     assert [segment.frequency_Hz for segment in segments if isinstance(segment, Sine)] == [0.1, 0.2, 0.4]
 
 
 def test_a_segment_keeps_the_limits_of_the_profile(our_lab: None) -> None:
     wild = CHIRP.replace("to_kPa = 15", "to_kPa = 99")
-    with pytest.raises(ConfigError, match=r"profiles\.wave: 99 kPa is outside"):
-        config.parse(f"{PROFILE}\n[profiles.wave]\nsegments = [{wild}]\n", "p.toml")
+    with pytest.raises(ConfigError, match=r"profiles\.chirped: 99 kPa is outside"):
+        config.parse(f"{PROFILE}\n[profiles.chirped]\nsegments = [{wild}]\n", "p.toml")
 
 
 @pytest.mark.parametrize(
-    ("returned", "says"), [("5", "TypeError"), ("[5]", "does not return segments"), ("[]", "returns 0 segments")]
+    ("returned", "says"),
+    [("5", "TypeError"), ("[5]", "does not return segments"), ("[]", "returns 0 segments")],
 )
 def test_a_segment_must_return_segments(installed: Install, returned: str, says: str) -> None:
     installed("segments", f"def Part():\n    return {returned}\n")
@@ -291,7 +305,8 @@ GUST = PUMP.replace("[switch]", '[[triggers]]\nkind = "gust"\nprofile = "bend-ha
 
 
 def attitude(flight: SimulatedFlight, roll_deg: float, system_id: int = 1) -> list[Action]:
-    message = mavlink.MAVLink_attitude_message(0, roll_deg / 57.3, 0.0, 0.0, 0.0, 0.0, 0.0)
+    boot_ms = flight.core._vehicle.state.time_boot_ms(flight.world.now)
+    message = mavlink.MAVLink_attitude_message(boot_ms, roll_deg / 57.3, 0.0, 0.0, 0.0, 0.0, 0.0)
     (read,) = MavlinkCodec(1, 191).decode(MavlinkCodec(system_id, 1).encode(message, system_id))
     return flight.feed(VehicleMessage(flight.world.now, read))
 
@@ -307,7 +322,8 @@ def test_a_trigger_starts_its_profile_once_when_its_condition_begins(our_lab: No
 
 
 def test_a_trigger_is_refused_like_every_other(our_lab: None) -> None:
-    flight = SimulatedFlight(config.parse(GUST, "p.toml"), FakeAutopilot("ardupilot"), Bridge(config.parse(GUST, "")))  # type: ignore[arg-type]
+    conf = config.parse(GUST, "p.toml")
+    flight = SimulatedFlight(conf, FakeAutopilot("ardupilot"), Bridge(conf))  # type: ignore[arg-type]
     flight.run(4.0)
     attitude(flight, 0.0)
     (decision,) = decisions(attitude(flight, 30.0))
@@ -327,11 +343,15 @@ def test_a_trigger_sees_only_our_autopilot(our_lab: None) -> None:
     assert decisions(attitude(flight, 30.0, system_id=7)) == []
 
 
-def test_a_trigger_that_fails_is_switched_off_and_the_flight_goes_on(installed: Install, our_lab: None) -> None:
-    installed("triggers", "class Part:\n    messages = ('ATTITUDE',)\n    def holds(self, t, m): return 1 / 0\n")
-    flight, _, actions = bent(GUST.replace('"gust"', '"broken"'))
+def test_a_trigger_that_fails_is_switched_off_and_the_flight_goes_on(
+    installed: Install, our_lab: None
+) -> None:
+    installed(
+        "triggers", "class Part:\n    messages = ('ATTITUDE',)\n    def holds(self, t, m): return 1 / 0\n"
+    )
+    flight, _, _ = bent(GUST.replace('"gust"', '"broken"'))
     assert not flight.core.internal_error
-    assert attitude(flight, 30.0) == []
+    assert decisions(attitude(flight, 30.0)) == []
 
 
 # The check.
@@ -359,7 +379,9 @@ def test_a_check_finds_nothing_in_a_good_flight(our_lab: None) -> None:
 def test_a_check_that_fails_vents_if_the_vine_needs_it(
     installed: Install, our_lab: None, level: str, needed: bool
 ) -> None:
-    installed("checks", "class Part:\n    def __init__(self, rig): pass\n    def look(self, now): return 1 / 0\n")
+    installed(
+        "checks", "class Part:\n    def __init__(self, rig): pass\n    def look(self, now): return 1 / 0\n"
+    )
     conf = config.parse(PUMP.replace("own = {}", f'own = {{ broken = "{level}" }}'), "p.toml")
     flight = SimulatedFlight(conf, FakeAutopilot("ardupilot"), Bridge(conf))  # type: ignore[arg-type]
     actions = flight.run(3.0)
@@ -386,7 +408,9 @@ def test_the_example_as_an_installed_package(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": path}
     tests = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests"]
     subprocess.run(tests, cwd=source, env=environment, check=True, timeout=120)
-    (tmp_path / "p.toml").write_text(f"{PROFILE}\n[profiles.wave]\nsegments = [{CHIRP}]\n", encoding="utf-8")
+    (tmp_path / "p.toml").write_text(
+        f"{PROFILE}\n[profiles.chirped]\nsegments = [{CHIRP}]\n", encoding="utf-8"
+    )
     shown = subprocess.run(
         [sys.executable, "-m", "flying_vines", "config", "check", tmp_path / "p.toml"],
         env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=60,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from flying_vines.cli.bad_input import bad_input
-from flying_vines.cli.common import FLIGHTS, file_errors, needs_analysis
+from flying_vines.cli.common import FLIGHTS, file_errors, needs_analysis, phlosar_only
 from flying_vines.config import config as configuration
 
 NOT_DONE = 1

@@ -54,7 +54,7 @@ def add_own_causes(paths: Sequence[Path]) -> None:
 
 
 def phlosar_only(config: Config, command: str) -> None:
-    """Ends the program if the profile's actuator is not a phloSAR: another device must get no bytes of ours."""
+    """Fails if the profile's actuator is not a phloSAR: another device must get no bytes of ours."""
     if not config.firmware.is_phlosar:
         fail(f"{command} needs a phloSAR; firmware.kind is '{config.firmware.kind}'")
 
