@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import shutil
 import subprocess
 import sys
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 from command_line import run as call
 from core.flights import decisions, notices, run_for
+from patience import until
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from real_time import real_time
+from service_bench import Bench, on_bench
 
 from firmware_link import protocol
 from firmware_link.actuator import Reading
@@ -24,7 +28,7 @@ from flying_vines.config.config import Config, ConfigError
 from flying_vines.config.plugins import PluginError
 from flying_vines.core.core import Core
 from flying_vines.core.events import Action, InternalError, VehicleMessage
-from flying_vines.service.service import line_to
+from flying_vines.service.service import Service, line_to
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
@@ -205,6 +209,62 @@ def test_an_actuator_whose_setpoint_fails_vents(our_lab: None, monkeypatch: pyte
     with pytest.raises(TypeError):
         line.encode(protocol.Setpoint(5.0, 1.0, 250, 1))
     assert line.encode(protocol.Vent(2)) == line.vent == b"\nV\n"
+
+
+@pytest.fixture
+async def on_pump(our_lab: None, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Bench]:
+    from model_of_board import Board
+
+    class AtPort(Board):
+        """The board, as the pseudo-terminal of the bench drives it."""
+
+        now_s = 0.0
+
+        def advance(self, t: float) -> bytes:
+            self.now_s = t
+            sent: bytes = super().advance(t)
+            return sent
+
+        @property
+        def cv_kPa(self) -> float:
+            return float(self.pressure_kPa)
+
+    monkeypatch.setattr("service_bench.SimulatedPhlosar", AtPort)
+    async with on_bench(FakeAutopilot("ardupilot")) as bench:
+        bench.profile = bench.profile.replace('kind = "phlosar"', 'kind = "air_pump"')
+        yield bench
+
+
+@real_time
+@pytest.mark.long
+async def test_the_service_drives_an_air_pump_on_a_real_port(on_pump: Bench) -> None:
+    service = Service(config.parse(on_pump.profile, "test"))
+    serving = asyncio.create_task(service.run())
+    await on_pump.bend()
+    service.stop()
+    await serving
+    await until(lambda: on_pump.phlosar.cv_kPa == 0.0, "a stopped service has vented")
+
+
+@real_time
+@pytest.mark.long
+async def test_an_error_of_an_actuator_vents_and_the_service_goes_on(
+    on_pump: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    service = Service(config.parse(on_pump.profile, "test"))
+    serving = asyncio.create_task(service.run())
+    await on_pump.bend()
+    from our_lab.air_pump import AirPump
+
+    def broken(self: object, kPa: float) -> bytes:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(AirPump, "setpoint", broken)
+    await until(lambda: on_pump.phlosar.cv_kPa == 0.0, "the vine is vented")
+    assert service.core.snapshot(service.now).safe_state.keys() == {"internal_error"}
+    assert not serving.done()
+    service.stop()
+    await serving
 
 
 # Names.
