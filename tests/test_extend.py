@@ -24,7 +24,7 @@ from firmware_link import protocol
 from firmware_link.actuator import Reading
 from firmware_link.conformance import broken_promises
 from flying_vines.config import config
-from flying_vines.config.config import Config, ConfigError
+from flying_vines.config.config import Config, ConfigError, TriggerConfig
 from flying_vines.config.plugins import PluginError
 from flying_vines.core.core import Core
 from flying_vines.core.events import Action, InternalError, VehicleMessage
@@ -32,6 +32,7 @@ from flying_vines.service.service import Service, line_to
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
+from flying_vines.vehicle.own_triggers import own_triggers
 from flying_vines.vine.profile import Sine, flatten
 
 ROOT = Path(__file__).parents[1]
@@ -391,11 +392,19 @@ def test_a_trigger_is_refused_like_every_other(our_lab: None) -> None:
 
 
 def test_a_condition_that_holds_already_moves_nothing(our_lab: None) -> None:
-    flight, _ = flown(GUST)
-    flight.core._vehicle.own_triggers[0].forget()
-    assert decisions(attitude(flight, 30.0)) == []
-    assert decisions(attitude(flight, 0.0)) == []
-    assert len(decisions(attitude(flight, 30.0))) == 1
+    (trigger,) = own_triggers((TriggerConfig("gust", "straight"),))
+    calm, gust = (mavlink.MAVLink_attitude_message(0, roll, 0.0, 0.0, 0.0, 0.0, 0.0) for roll in (0.0, 1.0))
+    stream = [
+        (0.0, gust),
+        (0.2, gust),
+        (0.4, calm),
+        (0.6, gust),
+        (0.8, calm),
+        (4.0, gust),
+        (4.2, calm),
+        (4.4, gust),
+    ]
+    assert [t for t, message in stream if trigger.take(t, message)] == [0.6, 4.4]
 
 
 def test_a_trigger_sees_only_our_autopilot(our_lab: None) -> None:

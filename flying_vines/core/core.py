@@ -209,8 +209,6 @@ class Core:
                 self._on_firmware(t, message)
             case LinkChanged(t, "vehicle", up):
                 self._vehicle.link_changed(up)
-                for trigger in self._vehicle.own_triggers:
-                    trigger.forget()
             case LinkChanged(t, "firmware", up):
                 self._on_firmware_link(t, up)
             case Tick(t):

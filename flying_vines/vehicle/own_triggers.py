@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from typing import Protocol
 
@@ -12,6 +13,8 @@ from flying_vines.config.plugins import PluginError, find
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vine.intent import StartProfile
+
+GAP_S = 3.0
 
 
 class TriggerCondition(Protocol):
@@ -38,15 +41,15 @@ class OwnTrigger:
             raise PluginError(f"{key}: {config.kind} needs unknown MAVLink messages: {', '.join(unknown)}")
         self.messages = {name: known[name] for name in self._condition.messages}
         """Names and ids."""
-        self.forget()
-
-    def forget(self) -> None:
-        """The link was interrupted. A condition that holds already must not move the vine."""
-        self._held = True
+        self._held, self._took_at = True, -math.inf
 
     def take(self, t: float, message: MavlinkMessage) -> Trigger | None:
-        """A trigger when the condition begins to hold. Call it with each message of our autopilot."""
-        held, self._held = self._held, bool(self._condition.holds(t, message))
+        """A trigger when the condition begins to hold. Call it with each message of our autopilot.
+
+        A condition that holds already at the first message, or after `GAP_S` without one, moves nothing.
+        """
+        held = self._held or t - self._took_at > GAP_S
+        self._held, self._took_at = bool(self._condition.holds(t, message)), t
         if held or not self._held:
             return None
         what: dict[str, object] = {"name": self._config.kind, "message": message.get_type()}
