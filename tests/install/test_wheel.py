@@ -21,7 +21,7 @@ pytestmark = pytest.mark.long
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("firmware_link", "flying_vines", "missions")
-OTHERS = ("benchmarks", "docs", "tests", "LICENSE", "MANIFEST.in", "Makefile", "README.md", "pyproject.toml")
+OTHERS = ("benchmarks", "docs", "examples", "tests", "LICENSE", "MANIFEST.in", "Makefile", "README.md", "pyproject.toml")
 WITHOUT = """
 import sys
 sys.modules.update(dict.fromkeys({hidden}))
