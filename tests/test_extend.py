@@ -307,6 +307,16 @@ def test_a_part_that_cannot_be_used_is_one_line(
     assert not (tmp_path / "flights").exists()
 
 
+@pytest.mark.parametrize("command", [["config", "check"], ["doctor", "--config"]])
+def test_a_missing_package_is_told_before_a_flight(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str]
+) -> None:
+    (tmp_path / "p.toml").write_text(PUMP, encoding="utf-8")
+    status, out, error = call(capsys, *command, tmp_path / "p.toml")
+    assert (status, out) == (2, "")
+    assert "no installed package has 'air_pump' in flying_vines.actuators; installed: none" in error
+
+
 def test_no_package_is_searched_for_a_profile_without_own_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     def search(**_: object) -> None:
         raise AssertionError("searched")

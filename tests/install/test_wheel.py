@@ -21,7 +21,8 @@ pytestmark = pytest.mark.long
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("firmware_link", "flying_vines", "missions")
-OTHERS = ("benchmarks", "docs", "examples", "tests", "LICENSE", "MANIFEST.in", "Makefile", "README.md", "pyproject.toml")
+FOLDERS = ("benchmarks", "docs", "examples", "tests")
+OTHERS = (*FOLDERS, "LICENSE", "MANIFEST.in", "Makefile", "README.md", "pyproject.toml")
 WITHOUT = """
 import sys
 sys.modules.update(dict.fromkeys({hidden}))
