@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from flying_vines.cli.bad_input import bad_input
-from flying_vines.cli.common import FLIGHTS, file_errors, needs_analysis
+from flying_vines.cli.common import FLIGHTS, file_errors, needs_analysis, phlosar_only
 from flying_vines.config import config as configuration
 
 NOT_DONE = 1
@@ -121,6 +121,7 @@ def _run(arguments: argparse.Namespace) -> int:
         rig = None if arguments.fake == LIKELY else arguments.fake
         done = simulated_rig.calibrate(profile, request, arguments.out, terminal, rig)
     else:
+        phlosar_only(profile.config, "calibrate")
         calibration = real_rig.calibrate(profile, request, arguments.out, terminal, arguments.set_firmware)
         begun = asyncio.run(calibration)
         if begun is None:

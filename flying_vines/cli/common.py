@@ -53,6 +53,12 @@ def add_own_causes(paths: Sequence[Path]) -> None:
                 add_causes(read_causes(path))
 
 
+def phlosar_only(config: Config, command: str) -> None:
+    """Fails if the profile's actuator is not a phloSAR: another device must get no bytes of ours."""
+    if not config.firmware.is_phlosar:
+        fail(f"{command} needs a phloSAR; firmware.kind is '{config.firmware.kind}'")
+
+
 @contextmanager
 def needs_analysis() -> Iterator[None]:
     """Turn an import error of the block into one line that names the package to install."""

@@ -43,7 +43,10 @@ def _config_init(arguments: argparse.Namespace) -> int:
 
 
 def _config_check(arguments: argparse.Namespace) -> int:
+    from flying_vines.service.service import check_plugins
+
     config = configuration.load(arguments.file)
+    check_plugins(config)
     known = known_rig(config, arguments.file)
     print(
         f"{arguments.file}: good. Switch on channel {config.switch.channel}, {len(config.profiles)} "

@@ -65,6 +65,7 @@ async def _run(arguments: argparse.Namespace) -> int:
     from flying_vines.doctor.look import profile
     from flying_vines.doctor.show import as_json, asking, last_line, show
     from flying_vines.doctor.vehicle_probe import Radio
+    from flying_vines.service.service import check_plugins
 
     async with AsyncExitStack() as stack:
         if arguments.fakes:
@@ -77,6 +78,7 @@ async def _run(arguments: argparse.Namespace) -> int:
             examined = profile.read(arguments.config)
         else:
             examined = profile.given(configuration.default(), "the built-in profile")
+        check_plugins(examined.config)
         if arguments.json:
             found = await examine(examined, arguments.out, arguments.seconds, lambda findings: None)
             print(json.dumps(as_json(found), allow_nan=False))

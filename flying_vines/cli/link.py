@@ -14,7 +14,7 @@ from typing import Any
 from rich.console import Console
 from rich.live import Live
 
-from flying_vines.cli.common import fail
+from flying_vines.cli.common import fail, phlosar_only
 from flying_vines.cli.link_view import LinkView, as_json, line, settings_table, statistics_line
 from flying_vines.config import config as configuration
 from flying_vines.config.address import FORMS, Address, parse_address
@@ -48,6 +48,7 @@ def _link(arguments: argparse.Namespace) -> int:
     title: str | None = arguments.address
     if title is None:
         config = configuration.load_or_default(arguments.config)
+        phlosar_only(config, "link")
         title = config.firmware.link
     if arguments.seconds is not None and not arguments.seconds > 0.0:
         fail("--seconds must be above 0")

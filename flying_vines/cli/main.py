@@ -31,6 +31,7 @@ from flying_vines.cli import (
 )
 from flying_vines.cli.common import add_own_causes, fail
 from flying_vines.config.config import ConfigError
+from flying_vines.config.plugins import PluginError
 from flying_vines.simulation.phlosar import FirmwareBuildError
 
 COMMANDS = (
@@ -46,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     try:
         add_own_causes(getattr(arguments, "causes", ()))
         status = arguments.run(arguments)
-    except (ConfigError, FirmwareBuildError, watch.WatchError) as error:
+    except (ConfigError, PluginError, FirmwareBuildError, watch.WatchError) as error:
         fail(str(error))
     except KeyboardInterrupt:
         status = 130

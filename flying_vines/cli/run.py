@@ -34,12 +34,14 @@ def _run(arguments: argparse.Namespace) -> int:
     from flying_vines.record.recorder import FlightStart, Recorder
     from flying_vines.service.persistent_state import PersistentState
     from flying_vines.service.runner import Remembered, serve
+    from flying_vines.service.service import check_plugins
     from flying_vines.terminal.screen import NonBlockingOutput
     from flying_vines.vehicle.component.parameter_file import ParameterFileError
     from flying_vines.vehicle.mavlink.signing_key import SigningKeyError
 
     text = configuration.text_of(arguments.config)
     config = configuration.parse(text, str(arguments.config))
+    check_plugins(config)
     known = known_rig(config, arguments.config, arguments.rig)
     kept = PersistentState.of(arguments.config, config)
     with file_errors(arguments.config, ParameterFileError, SigningKeyError, PageTokenError):
@@ -63,7 +65,8 @@ def _run(arguments: argparse.Namespace) -> int:
         fail(f"{arguments.out}: no flight log can be written there: {error.strerror}")
     output = NonBlockingOutput()
     console = output.console()
-    links = f"Vehicle {config.vehicle.link}, phloSAR {config.firmware.link}"
+    actuator = "phloSAR" if config.firmware.is_phlosar else config.firmware.kind
+    links = f"Vehicle {config.vehicle.link}, {actuator} {config.firmware.link}"
     console.print(f"{links}, log {log.folder}", soft_wrap=True)
     lines = [f"Vehicle link {config.vehicle.who_can_command}"]
     if known:

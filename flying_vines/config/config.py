@@ -14,6 +14,7 @@ import msgspec
 from msgspec import Meta
 
 from flying_vines.config.address import NetworkAddress, parse_address, parse_broker, who_can_command
+from flying_vines.config.plugins import PluginError, installed, put_in, with_own_segments
 from flying_vines.config.toml_text import (
     Key,
     dotted,
@@ -47,6 +48,9 @@ _TOPIC_LEVEL = re.compile(r"[\w.-]{1,64}", re.ASCII)
 
 CheckLevel = Literal["fault", "warn"]
 
+SEGMENTS = tuple(str(segment.__struct_config__.tag) for segment in get_args(Segment))
+"""The built-in kinds of segments."""
+
 Param = Literal["param1", "param2", "param3", "param4", "param5", "param6", "param7"]
 """A parameter of a mission item or command; param5 … param7 are an item's x, y and z."""
 
@@ -75,8 +79,23 @@ class VehicleConfig(_Table, frozen=True):
         return who_can_command(parse_address(self.link), bool(self.signing_key))
 
 
+PHLOSAR = "phlosar"
+
+Setting = float | str
+"""A setting of a part of an installed package."""
+
+
 class FirmwareConfig(_Table, frozen=True):
+    """The actuator. `kind`: a phloSAR, or an actuator of an installed package, with its settings."""
+
     link: str = "serial:/dev/ttyACM0"
+    kind: str = PHLOSAR
+    settings: dict[str, Setting] = {}
+
+    @property
+    def is_phlosar(self) -> bool:
+        """Only a phloSAR has a reservoir to estimate and a firmware to calibrate."""
+        return self.kind == PHLOSAR
 
 
 ReceiverFailsafe = Literal["unknown", "hold", "hidden"] | Annotated[int, Meta(ge=800, le=2200)]
@@ -128,6 +147,14 @@ class ItemConfig(_Table, frozen=True):
     @property
     def _commands(self) -> tuple[str | int, ...]:
         return self.command if isinstance(self.command, tuple) else (self.command,)
+
+
+class TriggerConfig(_Table, frozen=True):
+    """A trigger of an installed package, and the profile that it starts."""
+
+    kind: str
+    profile: str
+    settings: dict[str, Setting] = {}
 
 
 class VineConfig(_Table, frozen=True):
@@ -201,6 +228,8 @@ class ChecksConfig(_Table, frozen=True):
     bottle_hot: CheckLevel = "warn"
     vine_leak: CheckLevel = "warn"
     unsteady: CheckLevel = "warn"
+    own: dict[str, CheckLevel] = {}
+    """Checks of installed packages."""
 
 
 class TelemetryConfig(_Table, frozen=True):
@@ -262,6 +291,7 @@ class Config(_Table, frozen=True):
     firmware: FirmwareConfig = FirmwareConfig()
     switch: SwitchConfig = SwitchConfig()
     items: tuple[ItemConfig, ...] = ()
+    triggers: tuple[TriggerConfig, ...] = ()
     vine: VineConfig = VineConfig()
     limits: LimitsConfig = LimitsConfig()
     interlocks: InterlocksConfig = InterlocksConfig()
@@ -315,9 +345,14 @@ def parse(text: str, source: str, recorded: bool = False) -> Config:
         inside: Key = ()
         for name, profile in _profiles_of(raw):
             inside = ("profiles", name)
-            msgspec.convert(profile, PressureProfile)
+            kept, own = with_own_segments(profile, SEGMENTS)
+            msgspec.convert(kept, PressureProfile)
+            if own:
+                raw["profiles"][name] = put_in(kept, own)
         inside = ()
         config = msgspec.convert(raw, Config)
+    except PluginError as error:
+        raise ConfigError(located(text, source, inside, str(error))) from None
     except msgspec.ValidationError as error:
         raise _explain(text, source, str(error), inside) from None
     for key, reason in _contradictions(config) or ([] if recorded else _open_links(config)):
@@ -383,6 +418,9 @@ def _contradictions(config: Config) -> list[tuple[Key, str]]:
     for i, name in enumerate(config.switch.positions):
         if name and name not in config.profiles:
             found.append((("switch", "positions", i), no_profile(config, name)))
+    for i, trigger in enumerate(config.triggers):
+        if trigger.profile not in config.profiles:
+            found.append((("triggers", i, "profile"), no_profile(config, trigger.profile)))
     for i, item in enumerate(config.items):
         if item.profile is not None and item.profile not in config.profiles:
             found.append((("items", i, "profile"), no_profile(config, item.profile)))
@@ -479,7 +517,7 @@ def _known_keys(path: Key) -> list[str]:
 def _choices(key: Key) -> list[str]:
     """The words that the value at `key` may be, if it is a choice."""
     if key[-1] == "kind":
-        return [str(segment.__struct_config__.tag) for segment in get_args(Segment)]
+        return [*SEGMENTS, *installed("segments")]
     hint = get_type_hints(_TABLES.get(str(key[0]), Config)).get(str(key[-1]))
     literals = [part for part in (hint, *get_args(hint)) if get_origin(part) is Literal]
     return [str(word) for literal in literals for word in get_args(literal)]
@@ -501,5 +539,6 @@ _TABLES = {
     "log": LogConfig,
     "state": StateConfig,
     "items": ItemConfig,
+    "triggers": TriggerConfig,
     "profiles": PressureProfile,
 }

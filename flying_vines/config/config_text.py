@@ -18,9 +18,9 @@ def profile_text(config: Config) -> str:
 
 def _tables(raw: Mapping[str, Any]) -> Iterator[str]:
     for name, content in raw.items():
-        if name == "items":
-            for item in content:
-                yield from _table("[items]", item)
+        if name in ("items", "triggers"):
+            for element in content:
+                yield from _table(f"[{name}]", element)
         elif name == "profiles":
             for profile, segments in content.items():
                 yield from _table(f"profiles.{value_text(profile)}", segments)

@@ -11,6 +11,7 @@ from flying_vines.config.toml_text import ASSIGNMENT, HEADER, lines_of_keys
 
 _OLD_REMARK = re.compile(r"\s*was [^;]*, measured [^;]*(; |$)")
 """A remark of an earlier replacement; the next remark replaces it."""
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def with_value(text: str, table: str, name: str, value: str, remark: str = "") -> str:
@@ -45,9 +46,13 @@ def value_text(value: Any) -> str:
         case list() | tuple():
             return f"[{', '.join(map(value_text, value))}]"
         case dict():
-            known = {key: part for key, part in value.items() if part is not None}
-            return f"{{ {', '.join(f'{key} = {value_text(part)}' for key, part in known.items())} }}"
+            known = [f"{_key(key)} = {value_text(part)}" for key, part in value.items() if part is not None]
+            return f"{{ {', '.join(known)} }}" if known else "{}"
     return str(value)
+
+
+def _key(name: str) -> str:
+    return name if _BARE.fullmatch(name) else value_text(name)
 
 
 def _replaced(lines: list[str], value: str, remark: str) -> list[str]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -45,7 +46,7 @@ from flying_vines.core.waiting import FreshRequest, Waiting, source
 from flying_vines.supply import Belief, Features, ReservoirEstimate, TelemetryReader, ToldCycles, nominal
 from flying_vines.supply.estimate import AirNeeded
 from flying_vines.supply.learned_file import learned_from, text_of
-from flying_vines.supply.physics_checks import AIR_LOSSES, PhysicsChecks
+from flying_vines.supply.physics_checks import AIR_LOSSES, CHECKS, PhysicsChecks, own_checks
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.component.parameters import Changed
 from flying_vines.vehicle.component.telemetry import VALUE_NAMES
@@ -84,6 +85,9 @@ CYCLES_EVERY_S = 2.0
 
 KEEP_EVERY_S = 10.0
 """What was learned of the air is stored at most this often: each time is a write to the disk."""
+
+NO_AIR_NEEDED = AirNeeded(0.0, 0.0)
+"""Of an actuator without a reservoir."""
 
 AIR_UNKNOWN = AirNeeded(math.inf, math.inf)
 """No reservoir has so much: nothing bends after the estimate has failed."""
@@ -157,7 +161,9 @@ class Core:
         self._reservoir = ReservoirEstimate(self._belief, known)
         self._kept_cycles = self._reservoir.measured_cycles
         self._kept_at = -math.inf
-        self._checks = PhysicsChecks(self._belief, config.checks)
+        self._has_reservoir = config.firmware.is_phlosar
+        self._checks = PhysicsChecks(self._belief, config.checks, CHECKS if self._has_reservoir else {})
+        self._own_checks = own_checks(self._belief, config.checks)
         self._cycles = ToldCycles(self._reservoir)
         self._cycles_at = -math.inf
         self._low_warned = False
@@ -197,6 +203,8 @@ class Core:
         match event:
             case VehicleMessage():  # the most frequent event; a pattern with fields takes twice as long
                 self._handle_outputs(event.t, self._vehicle.handle(event.t, event.message, self._vented))
+                if self._vehicle.own_triggers:
+                    self._ask_own_triggers(event.t, event.message)
             case FirmwareMessage(t, message):
                 self._on_firmware(t, message)
             case LinkChanged(t, "vehicle", up):
@@ -244,6 +252,14 @@ class Core:
                 self._clear_faults(t, output.seen_at)
             else:
                 self._send(output)
+
+    def _ask_own_triggers(self, t: float, message: MavlinkMessage) -> None:
+        kind = message.get_type()
+        for own in self._vehicle.own_triggers:
+            if kind in own.messages and self._vehicle.state.is_ours(message):
+                trigger = self._parts.run(t, own.name, partial(own.take, t, message), None)
+                if trigger is not None:
+                    self._decide(t, trigger)
 
     def _configure(self, change: Changed) -> None:
         self._safety.configure(change.config)
@@ -308,11 +324,15 @@ class Core:
         """Update the estimates, after safety has seen the telemetry."""
         run, bent_kPa, cv_kPa = self._parts.run, self._planner.curve.bent_kPa, features.telemetry.cv_kPa
         self._bent_kPa = run(t, "bend", lambda: bent_kPa(cv_kPa, self._bent_kPa), self._bent_kPa, needed=True)
-        run(t, "bottle estimate", lambda: self._reservoir.update(features), None, needed=True)
-        run(t, "physics checks", lambda: self._check(t, features), None, needed=True)
+        if self._has_reservoir:
+            run(t, "bottle estimate", lambda: self._reservoir.update(features), None, needed=True)
+        run(t, "physics checks", lambda: self._check(t, features, self._checks), None, needed=True)
+        for name, checks in self._own_checks.items():
+            needed = self.config.checks.own[name] == "fault"
+            run(t, f"check {name}", partial(self._check, t, features, checks), None, needed)
 
-    def _check(self, t: float, features: Features) -> None:
-        findings = self._checks.take(features)
+    def _check(self, t: float, features: Features, checks: PhysicsChecks) -> None:
+        findings = checks.take(features)
         for finding in findings:
             if finding.level == "warn":
                 self._notice(t, Severity.WARNING, finding.sentence)
@@ -398,9 +418,13 @@ class Core:
             return self._record(t, trigger, Ruling("refused", problem))
         motion = self._plan(t, intent)
         rise_kPa, rate_kPa_per_s = motion.rise_kPa, motion.rate_kPa_per_s
-        air = self._parts.run(
-            *(t, "bottle estimate", lambda: self._reservoir.air_needed(rise_kPa, rate_kPa_per_s)),
-            *(AIR_UNKNOWN, True),
+        air = (
+            NO_AIR_NEEDED
+            if not self._has_reservoir
+            else self._parts.run(
+                *(t, "bottle estimate", lambda: self._reservoir.air_needed(rise_kPa, rate_kPa_per_s)),
+                *(AIR_UNKNOWN, True),
+            )
         )
         if trigger.by_person and motion.only_deflates:
             self._clear_faults(t, trigger.seen_at)
@@ -669,15 +693,22 @@ class Core:
             faults=telemetry.faults if telemetry else protocol.Fault.NONE,
             sensor_problem=self._sensor_problem,
             cv_kPa=self._features.cv_lower_kPa if self._features else math.nan,
-            reservoir_kPa=self._reservoir.reservoir_kPa,
+            reservoir_kPa=self._reservoir.reservoir_kPa if self._has_reservoir else math.inf,
             mode_mismatch_s=self._mode_mismatch_s,
             restarting=self._restarts.looping(t),
             bench=self._on_bench,
             moving=self._motion is not None,
             moving_s=t - self._triggered_at if self._motion else 0.0,
-            physics=self._checks.faults,
+            physics=self._physics_faults,
             internal_error=self.internal_error,
         )
+
+    @property
+    def _physics_faults(self) -> dict[str, str]:
+        faults = self._checks.faults
+        for checks in self._own_checks.values():
+            faults |= checks.faults
+        return faults
 
     @property
     def _sensor_problem(self) -> str | None:
@@ -749,6 +780,8 @@ class Core:
 
     def _update_cycles_left(self, t: float) -> None:
         """Predict the cycles left after every flown cycle, and every `CYCLES_EVERY_S`."""
+        if not self._has_reservoir:
+            return
         reservoir, cycles = self._reservoir, self._cycles
         lost = any(name in AIR_LOSSES for name in self._safety.reasons)
         flown = cycles.left is None or cycles.left.measured_cycles != reservoir.measured_cycles
@@ -812,7 +845,7 @@ class Core:
             return {}
         left = self._cycles.left
         values = (
-            telemetry.reservoir_kPa,
+            telemetry.reservoir_kPa if self._has_reservoir else math.nan,
             left.expected if left else math.nan,
             left.minutes if left else math.nan,
             telemetry.cv_kPa,
@@ -846,7 +879,7 @@ class Core:
             firmware="ready" if ready else self._firmware_problem,
             round_trip_s=self._firmware.round_trip_s,
             telemetry_gaps=self._firmware.telemetry_gaps,
-            reservoir_kPa=telemetry.reservoir_kPa if telemetry else math.nan,
+            reservoir_kPa=telemetry.reservoir_kPa if telemetry and self._has_reservoir else math.nan,
             cv_kPa=telemetry.cv_kPa if telemetry else math.nan,
             command_kPa=self._commanded_kPa(t),
             bend_deg=self._planner.curve.angle_deg(self._bent_kPa) if telemetry else math.nan,
@@ -856,7 +889,7 @@ class Core:
             cycles=self._cycles.left,
             doing=self._motion.name if self._motion else self._resting,
             safe_state=self._safety.reasons,
-            findings=dict(self._checks.counts),
+            findings=dict(sum((checks.counts for checks in self._own_checks.values()), self._checks.counts)),
             ambient_kPa=math.nan if ambient_kPa is None else ambient_kPa,
             pneumatics_armed=self._pneumatics_armed,
             bench=self._on_bench,

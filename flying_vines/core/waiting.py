@@ -84,4 +84,6 @@ def source(kind: str, what: Mapping[str, object]) -> str:
     """The source of a trigger as text, e.g. "mission item 4"."""
     if kind == "mission_item":
         return "the mission" if what.get("seq") is None else f"mission item {what['seq']}"
+    if kind == "trigger":
+        return f"trigger {what['name']}"
     return _BY.get(kind, kind)

@@ -73,7 +73,8 @@ async def examine(
     add([await asyncio.to_thread(_page, config, bool(running))])
     add([network.check_broker(await broker.facts(config.mqtt))])
 
-    board = None if phlosar is None else FirmwareProbe(phlosar, examined.belief)
+    own = config.firmware.is_phlosar  # another device must get no bytes of ours
+    board = None if phlosar is None or not own else FirmwareProbe(phlosar, examined.belief)
     watch = None if vehicle is None else VehicleWatch(vehicle, config, examined.signing)
     over, asked = asyncio.Event(), False
     async with asyncio.TaskGroup() as tasks:

@@ -10,11 +10,11 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any
 
-from firmware_link import protocol
+from firmware_link.actuator import ActuatorLine, Line, PhlosarLine
 from firmware_link.answer import Answer
-from firmware_link.framing import FRAME_END
 from flying_vines.config.address import parse_address
-from flying_vines.config.config import Config
+from flying_vines.config.config import Config, FirmwareConfig
+from flying_vines.config.plugins import PluginError, find
 from flying_vines.core.contained import CrashSafeCore
 from flying_vines.core.core import TICK_S, Core
 from flying_vines.core.events import (
@@ -46,6 +46,7 @@ from flying_vines.vehicle.mavlink.link import open_link, unread_from
 from flying_vines.vehicle.mavlink.signing import Signing
 from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampFile
 from flying_vines.vehicle.notice import Severity
+from flying_vines.vehicle.own_triggers import own_triggers
 from flying_vines.vine.intent import Asker, Intent
 
 FLUSH_S = 0.3
@@ -54,8 +55,6 @@ REFUSALS_EVERY_S = 60.0
 SNAPSHOT_S = 0.1
 RESTART_S = 1.0
 """Wait before a failed task is started again."""
-BARE_VENT = FRAME_END + protocol.encode(protocol.Vent(1), 0)
-"""Sent if a message to the firmware cannot be encoded. The firmware accepts a vent with any number."""
 DISPLAY_MESSAGES = ("NAMED_VALUE_FLOAT", "FUEL_STATUS")
 """Messages that are only displayed."""
 _LINKS = ("flying_vines.vehicle.mavlink.link", "firmware_link.serial_port")
@@ -97,10 +96,11 @@ class Service:
         self._synchronised = bool(synchronised())
         self._watchers = list(watchers)
         self._unpublished: list[tuple[Event, list[Action]]] = []
-        self._mavlink = MavlinkCodec(
-            config.vehicle.system_id, config.vehicle.component_id, signing, handled_messages.NUMBERS
+        read = handled_messages.NUMBERS.union(
+            *(own.messages.values() for own in own_triggers(config.triggers))
         )
-        self._serial = protocol.Codec()
+        self._mavlink = MavlinkCodec(config.vehicle.system_id, config.vehicle.component_id, signing, read)
+        self._serial = line_to(config.firmware)
         self._answer = Answer()
         self._unread_reported = False
         self._stopping = asyncio.Event()
@@ -278,7 +278,7 @@ class Service:
     def _firmware_bytes(self, data: bytes) -> None:
         now = self.now
         try:
-            messages = self._serial.decode(data)
+            messages = self._serial.decode(now, data)
             for message in messages:
                 self._feed(FirmwareMessage(now, message))
             self._answer.received(data, messages)
@@ -345,7 +345,7 @@ class Service:
         match action:
             case ToFirmware():
                 with self._contained("phloSAR vent", needed=True):
-                    self._firmware.write(BARE_VENT)
+                    self._firmware.write(self._serial.vent)
                 self.failed("phloSAR messages", error, needed=True)
             case ToVehicle(message) if message.get_type() not in DISPLAY_MESSAGES:
                 self.failed("vehicle messages", error, needed=True)
@@ -357,8 +357,8 @@ class Service:
     def _carry_out(self, action: Action) -> None:
         match action:
             case ToFirmware(message):
-                # FRAME_END first: an incomplete frame on the line must not damage ours.
-                self._firmware.write(FRAME_END + self._serial.encode(message))
+                if data := self._serial.encode(message):
+                    self._firmware.write(data)
             case ToVehicle(message, system_id):
                 self._vehicle.write(self._mavlink.encode(message, system_id))
             case KeepParameters(_, values) if self._persistent is not None:
@@ -368,3 +368,21 @@ class Service:
                 self._store("disarming", partial(self._persistent.store_disarmed, disarmed))
             case KeepLearned(_, text) if self._persistent is not None:
                 self._store("learned", partial(self._persistent.store_learned, text))
+
+
+def line_to(config: FirmwareConfig) -> Line:
+    """The line to the actuator that the profile names. Raises `PluginError`."""
+    if config.is_phlosar:
+        return PhlosarLine()
+    try:
+        return ActuatorLine(find("actuators", config.kind, "firmware.kind")(**config.settings))
+    except PluginError:
+        raise
+    except Exception as error:
+        raise PluginError(f"firmware.kind: {config.kind}: {error}") from error
+
+
+def check_plugins(config: Config) -> None:
+    """Raises `PluginError` if a part of an installed package that the profile names cannot be used."""
+    line_to(config.firmware)
+    Core(config)

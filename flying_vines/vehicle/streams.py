@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -17,6 +19,7 @@ REFUSED_S = 30.0
 ANSWER_WITHIN_S = 0.5
 """Only one request is open at a time, because an answer does not name the stream."""
 MISSING_AFTER_S = 5.0
+OTHERS_HZ = 5.0
 SILENT_S = 2.5
 """After this time without any message the whole link is silent, and no single stream counts as missing."""
 
@@ -50,8 +53,10 @@ class Streams:
     The autopilot forgets the rates when it reboots. So a stream that stops is requested again.
     """
 
-    def __init__(self, rc_rate_Hz: float) -> None:
-        self._streams = {
+    def __init__(self, rc_rate_Hz: float, others: Mapping[str, int] = MappingProxyType({})) -> None:
+        """`others`: names and ids of more messages, which are requested at `OTHERS_HZ`."""
+        self._streams = {name: _Stream(number, OTHERS_HZ, False) for name, number in others.items()}
+        self._streams |= {
             "RC_CHANNELS": _Stream(mavlink.MAVLINK_MSG_ID_RC_CHANNELS, rc_rate_Hz, False),
             "SYS_STATUS": _Stream(mavlink.MAVLINK_MSG_ID_SYS_STATUS, 10.0, True),
             "GLOBAL_POSITION_INT": _Stream(mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 5.0, True),

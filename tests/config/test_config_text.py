@@ -7,13 +7,16 @@ import pytest
 
 from flying_vines.calibration.plan import CalibrationRequest, plan
 from flying_vines.config import config as configuration
-from flying_vines.config.config import Config
+from flying_vines.config.config import ChecksConfig, Config, FirmwareConfig, TriggerConfig
 from flying_vines.config.config_text import profile_text
 
 DEFAULT = configuration.default()
 ODD = msgspec.structs.replace(
     DEFAULT,
     profiles={**DEFAULT.profiles, 'a "b" \\ c': DEFAULT.profiles["wave"]},
+    firmware=FirmwareConfig(kind="pump", settings={"band kPa": 0.5, "port": "a"}),
+    checks=ChecksConfig(own={"stuck": "warn"}),
+    triggers=(TriggerConfig("gust", "wave", {"angle_deg": 20.0}), TriggerConfig("quake", "wave")),
     mqtt=msgspec.structs.replace(DEFAULT.mqtt, commands=("vent", "bend")),
 )
 

@@ -173,6 +173,8 @@ def allowed(field: inspect.Field) -> str:
             inspect.StrType: "names",
             inspect.TupleType: "pairs of numbers",
         }.get(type(kind.item_type), "words")
+    if isinstance(kind, inspect.DictType):
+        return "table"
     assert isinstance(kind, inspect.StrType), field
     return "text"
 

@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 
 from docs.references import BLOCK, PAGES, arguments, commands, filled, marked, tables
 from flying_vines.config import config
-from flying_vines.config.config import Config, ConfigError, ItemConfig
+from flying_vines.config.config import Config, ConfigError, ItemConfig, TriggerConfig
 from flying_vines.vine.profile import PressureProfile
 
 COMMANDS, CONFIGURATION, _, FAULTS, DOCTOR = (page.read_text(encoding="utf-8") for page in PAGES)
-WRITTEN_BY_PEOPLE = {"items": ItemConfig, "profiles": PressureProfile}
+WRITTEN_BY_PEOPLE = {"items": ItemConfig, "profiles": PressureProfile, "triggers": TriggerConfig}
 ROW = re.compile(r"^\| `(\w+)` \| ([^|]*?) \|", re.MULTILINE)
 RANGE = re.compile(
     r"(?:above (?P<above>[\d.]+)(?:, to (?P<to>[\d.]+))?|(?P<least>[\d.]+) (?:or more|… (?P<most>[\d.]+)))"

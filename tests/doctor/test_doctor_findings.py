@@ -236,6 +236,12 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (service.ELSEWHERE, [service.check([OTHER], [])]),
     (service.RUNS, [service.check([OTHER], [OTHER])]),
     (firmware.NO_PORT, firmware.check(None, CONFIG)),
+    (
+        firmware.OTHER,
+        firmware.check(
+            None, configuration.parse(configuration.default_text().replace('"phlosar"', '"air_pump"'), "")
+        ),
+    ),
     (firmware.NO_ANSWER, of_firmware(welcome=None, port="the port is open but silent")),
     (firmware.GOOD, of_firmware()),
     (firmware.FAULTS, of_firmware(faults=Fault.CV_SENSOR | Fault.SUPPLY)),

@@ -99,11 +99,6 @@ def test_the_command_searches_it_beside_the_catalogue(
     assert 'defined_in = "seam_leak.py"' in (files / "found.toml").read_text(encoding="utf-8")
 
 
-def test_the_guide_prints_the_example() -> None:
-    guide = (EXAMPLE.parents[1] / "docs" / "diagnose.md").read_text(encoding="utf-8")
-    assert f"```python\n{EXAMPLE.read_text(encoding='utf-8')}```" in guide
-
-
 def test_a_rig_file_names_the_file_that_is_missing(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
     status, error = simulated(files, files / "rig.toml", capsys)
     assert (status, error.count("\n")) == (2, 1)

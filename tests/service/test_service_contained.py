@@ -16,11 +16,12 @@ from real_time import real_time
 from service_bench import Bench, on_bench
 
 from firmware_link import protocol
+from firmware_link.actuator import PhlosarLine
 from flying_vines.config import config
 from flying_vines.core.contained import SHUTDOWN_TEXT
 from flying_vines.core.events import Action, Decision, InternalError
 from flying_vines.core.watcher import EachAction
-from flying_vines.service.service import BARE_VENT, Service
+from flying_vines.service.service import Service
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.vehicle.mavlink.link import UdpLink
 from flying_vines.vehicle.notice import Notice
@@ -157,5 +158,5 @@ async def test_absurd_telemetry_vents_and_the_service_lives(serving: Serving) ->
 
 
 def test_a_vent_can_be_sent_without_any_encoder() -> None:
-    (message,) = protocol.Codec().decode(BARE_VENT)
+    (message,) = protocol.Codec().decode(PhlosarLine.vent)
     assert isinstance(message, protocol.Vent)

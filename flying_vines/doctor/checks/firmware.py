@@ -21,6 +21,7 @@ FALLS_KPA_PER_S = 0.5
 """Limit of the bottle's pressure loss with all valves shut."""
 
 NO_PORT = FindingText("phloSAR", "skipped", "not checked: see its port")
+OTHER = FindingText("phloSAR", "skipped", "not checked: firmware.kind is {kind!r}")
 NO_ANSWER = FindingText(
     "phloSAR",
     "bad",
@@ -140,6 +141,8 @@ BOTTLE_LOSES = FindingText(
 
 def check(facts: FirmwareFacts | None, config: Config) -> list[DoctorFinding]:
     """`facts` is None if the port could not be opened."""
+    if not config.firmware.is_phlosar:
+        return [OTHER(kind=config.firmware.kind)]
     if facts is None:
         return [NO_PORT()]
     if facts.welcome is None:

@@ -4,6 +4,13 @@
 hold one kind of check. `checks` runs them all. EVP: inflation valve. DVP: valve that supplies the Venturi.
 """
 
-from flying_vines.supply.physics_checks.checks import AIR_LOSSES, CHECKS, PhysicsChecks, PhysicsFinding
+from flying_vines.supply.physics_checks.checks import (
+    AIR_LOSSES,
+    CHECKS,
+    Check,
+    PhysicsChecks,
+    PhysicsFinding,
+    own_checks,
+)
 
-__all__ = ["AIR_LOSSES", "CHECKS", "PhysicsChecks", "PhysicsFinding"]
+__all__ = ["AIR_LOSSES", "CHECKS", "Check", "PhysicsChecks", "PhysicsFinding", "own_checks"]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from flying_vines.config.config import ChecksConfig
+from flying_vines.config.plugins import PluginError, find
 from flying_vines.supply import Belief, Features
 from flying_vines.supply.physics_checks.expected import Expected, expected
 from flying_vines.supply.physics_checks.filling import Filling, StuckVineSensor
@@ -36,12 +37,14 @@ class PhysicsFinding:
     level: FindingSeverity
 
 
-class _Check(Protocol):
+class Check(Protocol):
+    """One physics check. It restarts, as a new object, after a gap in the telemetry."""
+
     def look(self, now: Features) -> str | None:
         """Take in one telemetry message. Returns the finding while it is present."""
 
 
-CHECKS: dict[str, Callable[[Expected], _Check]] = {
+CHECKS: dict[str, Callable[[Expected], Check]] = {
     "filling": Filling,
     "venting": VentingCheck,
     "sudden_fall": lambda _: SuddenFall(),
@@ -59,9 +62,17 @@ CHECKS: dict[str, Callable[[Expected], _Check]] = {
 class PhysicsChecks:
     """Pass every telemetry message to `take`. `present` has the present findings."""
 
-    def __init__(self, belief: Belief, checks: ChecksConfig) -> None:
-        self._rig = expected(belief, checks)
-        self._levels: dict[str, FindingSeverity] = {name: getattr(checks, name) for name in CHECKS}
+    def __init__(
+        self,
+        belief: Belief,
+        config: ChecksConfig,
+        made_by: Mapping[str, Callable[[Expected], Check]] = CHECKS,
+    ) -> None:
+        self._rig = expected(belief, config)
+        self._made_by = made_by
+        self._levels: dict[str, FindingSeverity] = {
+            name: config.own[name] if name in config.own else getattr(config, name) for name in made_by
+        }
         self.present: dict[str, PhysicsFinding] = {}
         self.counts: Counter[str] = Counter()
         """The number of findings of each check."""
@@ -69,7 +80,7 @@ class PhysicsChecks:
 
     def restart(self) -> None:
         """Start again, because the time before is unknown."""
-        self._checks = {name: check(self._rig) for name, check in CHECKS.items()}
+        self._checks = {name: check(self._rig) for name, check in self._made_by.items()}
         self.present = {}
 
     def take(self, now: Features) -> list[PhysicsFinding]:
@@ -81,14 +92,14 @@ class PhysicsChecks:
         new: list[PhysicsFinding] = []
         for name, check in self._checks.items():
             if now.continuity == "gap" and name not in BRIDGING:
-                self._checks[name] = CHECKS[name](self._rig)
+                self._checks[name] = self._made_by[name](self._rig)
                 self.present.pop(name, None)
                 continue
             sentence = check.look(now)
             if sentence is None:
                 self.present.pop(name, None)
             elif name not in self.present:
-                finding = PhysicsFinding(name, sentence, self._levels[name])
+                finding = PhysicsFinding(name, str(sentence), self._levels[name])
                 self.present[name] = finding
                 self.counts[name] += 1
                 new.append(finding)
@@ -98,3 +109,18 @@ class PhysicsChecks:
     def faults(self) -> dict[str, str]:
         """The sentences of the present findings with which the vine must not bend, by name."""
         return {name: found.sentence for name, found in self.present.items() if found.level == "fault"}
+
+
+def own_checks(belief: Belief, config: ChecksConfig) -> dict[str, PhysicsChecks]:
+    """Each check of an installed package that the profile names, alone, so that its errors stop no other.
+
+    Raises `PluginError`.
+    """
+    return {name: PhysicsChecks(belief, config, {name: _maker(name)}) for name in config.own}
+
+
+def _maker(name: str) -> Callable[[Expected], Check]:
+    key = f"checks.own.{name}"
+    if name in CHECKS:
+        raise PluginError(f"{key}: the name {name} is taken")
+    return find("checks", name, key, "look")
