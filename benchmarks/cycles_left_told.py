@@ -27,6 +27,7 @@ from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_l
 from flying_vines.supply import CyclesLeft, ReservoirEstimate, TelemetryReader, ToldCycles, nominal
 from flying_vines.supply.learned_file import learned_from, text_of
 from flying_vines.supply.reservoir import X
+from flying_vines.supply.told import NONE_LEFT
 
 EPISODES = ("bends", "pause", "cut off", "leak", "refill", "lost air", "latched", "restart")
 WINDOW_S = 120.0
@@ -103,7 +104,10 @@ class Flown:
         for then, then_kPa, before in self._shown:
             gone = sorted((then_kPa - x_kPa) / one.cost_kPa for one in (before, left))
             noise = 1.0 / left.cost_kPa
-            if left.high < before.low - gone[1] - noise or left.low > before.high - gone[0] + noise:
+            # "0 or more" says nothing of how far the air is below the floor.
+            fell = before.low >= NONE_LEFT and left.high < before.low - gone[1] - noise
+            rose = left.low >= NONE_LEFT and left.low > before.high - gone[0] + noise
+            if fell or rose:
                 self.outcome.jumps.append(f"{before} at {then:.0f} s, {left} at {t:.0f} s")
                 self._shown.clear()
                 break
@@ -151,10 +155,10 @@ class Flown:
                 self.case, plant=replace(plant, effects=replace(plant.effects, reservoir_leak=leak))
             )
         elif name == "refill":
-            self.state = at_rest(plant, self.case.fill_kPa)
+            self.fill(self.case.fill_kPa)
             self.fly([], 15.0)
         elif name == "lost air":
-            self.state = at_rest(plant, present_kPa * dice.uniform(0.5, 0.8))
+            self.fill(present_kPa * dice.uniform(0.5, 0.8))
             self.fly([], 15.0)
         elif name == "latched":
             self.lost = True
@@ -171,6 +175,15 @@ class Flown:
             self.reader, self.estimate = TelemetryReader(self.belief), ReservoirEstimate(self.belief, known)
             self.cycles = ToldCycles(self.estimate)
             self.fly([], 3.0)
+
+    def fill(self, reservoir_kPa: float) -> None:
+        """The reservoir at this pressure. The vine stays as it is: its pouch was not packed again."""
+        there = at_rest(self.case.plant, reservoir_kPa)
+        self.state = self.state._replace(
+            reservoir_air_SL=there.reservoir_air_SL,
+            reservoir_pV_J=there.reservoir_pV_J,
+            reservoir_wall_K=there.reservoir_wall_K,
+        )
 
     def guess(self, after: str) -> None:
         left = self.cycles.left

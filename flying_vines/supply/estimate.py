@@ -277,6 +277,7 @@ class ReservoirEstimate:
         self._flying.cut_off()
         self.bottle = self._rates = None
         self.measured_cycles = 0.0
+        self._warmed_up = self._belief.packed_kPa == 0.0
 
     def _add(self, inflation: ObservedInflation, bottle: Bottle) -> None:
         if inflation.cut_off:

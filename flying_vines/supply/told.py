@@ -18,6 +18,8 @@ from flying_vines.supply.reservoir import CV_LEAK, LEAK, X
 WINDOW_S = 120.0
 SETTLED_S = 10.0
 """A refill takes some time. It is told again after a pause of this length, or when the number has leapt."""
+NONE_LEFT = 0.5
+"""Fewer cycles are told as 0."""
 LEAKS = "the leak has changed"
 RHYTHM = "another rhythm"
 BENDS = "another kind of bend"
@@ -27,8 +29,8 @@ BENDS = "another kind of bend"
 class _Told:
     t: float
     low: float
+    """Cycles of the whole filling; minus infinity if none may be left: nobody is told how far below."""
     high: float
-    """Cycles of the whole filling."""
     basis: Basis
 
 
@@ -86,12 +88,12 @@ class ToldCycles:
         self._x_kPa = basis.mean[X]
         while self._told and self._told[0].t < t - WINDOW_S:
             self._told.popleft()
-        event = ""
+        event, new_low = "", new.low if new.low >= NONE_LEFT else -math.inf
         if self._told:
             low = max(self._told, key=lambda told: told.low)
             high = min(self._told, key=lambda told: told.high)
             least, most = low.low - self._gone, high.high - self._gone
-            conflict = low if new.high < least else high if new.low > most else None
+            conflict = low if new.high < least else high if new_low > most else None
             if conflict is not None:
                 event = self._reason(conflict.basis, basis)
                 if event:
@@ -100,7 +102,8 @@ class ToldCycles:
                 else:
                     new = replace(new, low=max(0.0, min(new.low, most)), high=max(new.high, least))
         self.left = new
-        self._told.append(_Told(t, new.low + self._gone, new.high + self._gone, basis))
+        told_low = new.low if new.low >= NONE_LEFT else -math.inf
+        self._told.append(_Told(t, told_low + self._gone, new.high + self._gone, basis))
         return event
 
     def _reason(self, before: Basis, now: Basis) -> str:

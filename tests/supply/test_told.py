@@ -151,6 +151,21 @@ def test_intervals_of_two_minutes_have_a_value_in_common_with_no_event() -> None
         assert b.high >= a.low - gone
 
 
+def test_below_the_floor_0_stays_0_without_an_event() -> None:
+    """An interval that ends at 0 does not say how far below the floor the air is."""
+    told = Told(Bench(start_kPa=300.0))
+    told.rest(6.0)
+    told.bend(4)
+    told.bench.reservoir_kPa = 5.0
+    told.rest(30.0)
+    events = len(told.events)
+    for step_kPa in (1.0, -1.0, 1.0):
+        for _ in range(12):
+            told.bench.reservoir_kPa += step_kPa
+            assert {round(left.high) for left in told.rest(2.0)} == {0}
+    assert len(told.events) == events
+
+
 def test_a_refill_and_a_burst_are_told_once_each() -> None:
     told = Told(Bench(start_kPa=500.0))
     told.rest(6.0)
