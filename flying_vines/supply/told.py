@@ -71,7 +71,7 @@ class ToldCycles:
         if jumped_kPa and self._is_told(t, new):
             self._told.clear()
             self._x_kPa = math.nan
-            self.left = new
+            self._compare(t, new, basis)
             return f"{'bottle refilled' if jumped_kPa > 0.0 else 'bottle lost air at once'}, {new}"
         return self._compare(t, new, basis)
 
@@ -95,7 +95,8 @@ class ToldCycles:
             least, most = low.low - self._gone, high.high - self._gone
             conflict = low if new.high < least else high if new_low > most else None
             if conflict is not None:
-                event = self._reason(conflict.basis, basis)
+                # The first numbers after a jump are uncertain. No other reason is looked for.
+                event = self._reason(conflict.basis, basis) if t - self._jump_at > SETTLED_S else ""
                 if event:
                     self._told.clear()
                     event = f"{event}: {new}"
