@@ -179,6 +179,27 @@ def test_a_refill_and_a_burst_are_told_once_each() -> None:
     assert told.events[1].startswith("bottle lost air at once, ")
 
 
+def test_the_number_after_a_jump_agrees_with_that_at_the_jump() -> None:
+    """The first number after a burst may be far too low: the leak is unknown at that moment."""
+    bench = Bench()
+    told = Told(bench)
+    told.rest(6.0)
+    told.bend(5)
+    before, bottle = told.left, bench.estimate.bottle
+    assert bottle is not None
+    predicted = [replace(before, expected=21.0, low=10.0, high=40.0)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bench.estimate, "cycles_left", lambda: predicted[-1])
+        bottle.jumped_kPa = -300.0
+        assert told.left.expected == 21.0
+        assert told.events == ["bottle lost air at once, 21 cycles left (10-40)"]
+        bench.t += 2.0
+        predicted.append(replace(before, expected=70.0, low=51.0, high=96.0))
+        after = told.left
+    assert (after.low, after.expected, after.high) == pytest.approx((40.0, 70.0, 96.0), abs=0.5)
+    assert len(told.events) == 1
+
+
 def test_a_latched_loss_says_0_until_it_is_cleared_and_then_learns_again() -> None:
     told = Told(Bench())
     told.rest(6.0)
