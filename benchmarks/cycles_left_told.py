@@ -27,7 +27,7 @@ from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_l
 from flying_vines.supply import CyclesLeft, ReservoirEstimate, TelemetryReader, ToldCycles, nominal
 from flying_vines.supply.learned_file import learned_from, text_of
 from flying_vines.supply.reservoir import X
-from flying_vines.supply.told import NONE_LEFT
+from flying_vines.supply.told import surely_left
 
 EPISODES = ("bends", "pause", "cut off", "leak", "refill", "lost air", "latched", "restart")
 WINDOW_S = 120.0
@@ -104,9 +104,8 @@ class Flown:
         for then, then_kPa, before in self._shown:
             gone = sorted((then_kPa - x_kPa) / one.cost_kPa for one in (before, left))
             noise = 1.0 / left.cost_kPa
-            # "0 or more" says nothing of how far the air is below the floor.
-            fell = before.low >= NONE_LEFT and left.high < before.low - gone[1] - noise
-            rose = left.low >= NONE_LEFT and left.low > before.high - gone[0] + noise
+            fell = left.high < surely_left(before) - gone[1] - noise
+            rose = surely_left(left) > before.high - gone[0] + noise
             if fell or rose:
                 self.outcome.jumps.append(f"{before} at {then:.0f} s, {left} at {t:.0f} s")
                 self._shown.clear()

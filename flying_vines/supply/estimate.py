@@ -219,7 +219,7 @@ class ReservoirEstimate:
         self._demand = SupplyCost(belief)
         self._mix = _Mix(belief)
         self._inflations: list[ObservedInflation] = []
-        self._warmed_up = belief.packed_kPa == 0.0
+        self._warmed_up = False
         self.measured_cycles = 0.0
         """The number of flown cycles from which the cost was learned."""
         self.basis: Basis | None = None
@@ -277,12 +277,12 @@ class ReservoirEstimate:
         self._flying.cut_off()
         self.bottle = self._rates = None
         self.measured_cycles = 0.0
-        self._warmed_up = self._belief.packed_kPa == 0.0
+        self._warmed_up = False
 
     def _add(self, inflation: ObservedInflation, bottle: Bottle) -> None:
         if inflation.cut_off:
             return
-        if not self._warmed_up:
+        if self._belief.packed_kPa > 0.0 and not self._warmed_up:
             # The pouch was packed flat. No later cycle is like the first.
             self._warmed_up = True
             return

@@ -17,7 +17,10 @@ from flying_vines.supply.reservoir import CV_LEAK, LEAK, X
 
 WINDOW_S = 120.0
 SETTLED_S = 10.0
-"""A refill takes some time. It is told again after a pause of this length, or when the number has leapt."""
+"""Jumps that follow one another faster than this are one refill or one loss.
+
+They are told once, unless the number leaps again. For this time no other reason for a leap is told.
+"""
 NONE_LEFT = 0.5
 """Fewer cycles are told as 0."""
 LEAKS = "the leak has changed"
@@ -29,9 +32,14 @@ BENDS = "another kind of bend"
 class _Told:
     t: float
     low: float
-    """Cycles of the whole filling; minus infinity if none may be left: nobody is told how far below."""
+    """Cycles of the whole filling. Minus infinity if 0 was told, because 0 does not say how much air is missing."""
     high: float
     basis: Basis
+
+
+def surely_left(left: CyclesLeft) -> float:
+    """The low end. Minus infinity if it is told as 0, because 0 does not say how much air is missing."""
+    return left.low if left.low >= NONE_LEFT else -math.inf
 
 
 class ToldCycles:
@@ -63,17 +71,19 @@ class ToldCycles:
             return ""
         jumped_kPa, bottle.jumped_kPa = bottle.jumped_kPa, 0.0
         if lost:
-            self._told.clear()
-            self._x_kPa = math.nan
+            self._forget()
             zero = dict.fromkeys(("expected", "low", "high", "minutes", "minutes_low", "minutes_high"), 0.0)
             self.left = replace(new, lost=True, **zero)
             return ""
         if jumped_kPa and self._is_told(t, new):
-            self._told.clear()
-            self._x_kPa = math.nan
+            self._forget()
             self._compare(t, new, basis)
             return f"{'bottle refilled' if jumped_kPa > 0.0 else 'bottle lost air at once'}, {new}"
         return self._compare(t, new, basis)
+
+    def _forget(self) -> None:
+        self._told.clear()
+        self._x_kPa = math.nan
 
     def _is_told(self, t: float, new: CyclesLeft) -> bool:
         """True for the first of several jumps, and for one after which the number has leapt."""
@@ -88,14 +98,14 @@ class ToldCycles:
         self._x_kPa = basis.mean[X]
         while self._told and self._told[0].t < t - WINDOW_S:
             self._told.popleft()
-        event, new_low = "", new.low if new.low >= NONE_LEFT else -math.inf
+        event = ""
         if self._told:
             low = max(self._told, key=lambda told: told.low)
             high = min(self._told, key=lambda told: told.high)
             least, most = low.low - self._gone, high.high - self._gone
-            conflict = low if new.high < least else high if new_low > most else None
+            conflict = low if new.high < least else high if surely_left(new) > most else None
             if conflict is not None:
-                # The first numbers after a jump are uncertain. No other reason is looked for.
+                # Shortly after a jump the numbers are too uncertain to tell another reason.
                 event = self._reason(conflict.basis, basis) if t - self._jump_at > SETTLED_S else ""
                 if event:
                     self._told.clear()
@@ -103,8 +113,7 @@ class ToldCycles:
                 else:
                     new = replace(new, low=max(0.0, min(new.low, most)), high=max(new.high, least))
         self.left = new
-        told_low = new.low if new.low >= NONE_LEFT else -math.inf
-        self._told.append(_Told(t, told_low + self._gone, new.high + self._gone, basis))
+        self._told.append(_Told(t, surely_left(new) + self._gone, new.high + self._gone, basis))
         return event
 
     def _reason(self, before: Basis, now: Basis) -> str:

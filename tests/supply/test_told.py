@@ -152,7 +152,7 @@ def test_intervals_of_two_minutes_have_a_value_in_common_with_no_event() -> None
 
 
 def test_below_the_floor_0_stays_0_without_an_event() -> None:
-    """An interval that ends at 0 does not say how far below the floor the air is."""
+    """0 is told for any amount of air below the floor. So a change of that amount is no leap."""
     told = Told(Bench(start_kPa=300.0))
     told.rest(6.0)
     told.bend(4)
@@ -180,7 +180,7 @@ def test_a_refill_and_a_burst_are_told_once_each() -> None:
 
 
 def test_the_number_after_a_jump_agrees_with_that_at_the_jump() -> None:
-    """The first number after a burst may be far too low: the leak is unknown at that moment."""
+    """The number at a burst may be far too low, because the leak is unknown then. The next one must agree with it."""
     bench = Bench()
     told = Told(bench)
     told.rest(6.0)
