@@ -22,7 +22,7 @@ from flying_vines.identification.plan import (
     recommend,
 )
 from flying_vines.identification.plan.apart import SETTLED, apart
-from flying_vines.identification.plan.check import Check
+from flying_vines.identification.plan.check import FullFits
 from flying_vines.identification.plan.choose import gram_of
 from flying_vines.identification.plan.library import CandidateRun, library
 from flying_vines.identification.plan.rehearsal import rehearsed
@@ -146,7 +146,7 @@ def test_what_no_run_can_tell_is_reported(made: RecordingPlan) -> None:
 def test_floors_hold_against_full_fits(made: RecordingPlan, layout: Layout) -> None:
     """Pairs that are hard to separate have a low distance."""
     runs = [part for run in made.best.runs[:2] for part in parts(layout, [run.kind])]
-    floors, check = apart(layout, gram_of(layout, runs)), Check(layout, runs)
+    floors, check = apart(layout, gram_of(layout, runs)), FullFits(layout, runs)
     others = np.argwhere(~np.eye(*floors.shape, dtype=np.bool_))
     others = others[np.argsort(floors[tuple(others.T)])]
     fits = np.array([check.apart(*pair) for pair in others[:150:6]])

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import ellipe, ellipk
 
-from flying_vines.studies.bending.actuator import Actuator, burst_kPa, force_N, free, held_at, volume_L
+from flying_vines.studies.bending.actuator import BendingActuator, burst_kPa, force_N, free, held_at, volume_L
 from flying_vines.studies.bending.cpam import Cpam, complete_elliptic
 from flying_vines.studies.bending.fpam import Fpam
 from flying_vines.studies.bending.pouch_motor import PouchMotor
@@ -32,7 +32,7 @@ def fpam(angle_deg: float = 32.0, stiffness_N: float = 0.0) -> Fpam:
     return Fpam(300.0, 12.0, angle_deg, strength_N_per_mm=3.0, stiffness_N=stiffness_N)
 
 
-KINDS: list[Actuator] = [
+KINDS: list[BendingActuator] = [
     pouch(),
     pouch(200.0, 75.0),
     cpam(),
@@ -128,7 +128,7 @@ def test_a_cpams_force_vanishes_at_30_to_40_percent(width_mm: float, contraction
 
 @pytest.mark.parametrize("actuator", KINDS)
 @pytest.mark.parametrize("pressure_kPa", [2.0, 20.7, 60.0])
-def test_virtual_work(actuator: Actuator, pressure_kPa: float) -> None:
+def test_virtual_work(actuator: BendingActuator, pressure_kPa: float) -> None:
     """F dL = dU − p dV along the whole stroke."""
     most = float(free(actuator, pressure_kPa).contraction)
     contraction = np.linspace(0.01, 0.99, 2001) * most
@@ -144,7 +144,7 @@ def test_virtual_work(actuator: Actuator, pressure_kPa: float) -> None:
 @given(st.floats(0.5, 40.0), st.floats(1.0, 1.5), st.floats(0.0, 0.3), st.floats(0.0, 0.1))
 @settings(max_examples=8, deadline=None)
 def test_pull_rises_with_pressure_and_falls_with_contraction(
-    actuator: Actuator, pressure_kPa: float, times: float, contraction: float, further: float
+    actuator: BendingActuator, pressure_kPa: float, times: float, contraction: float, further: float
 ) -> None:
     most = float(free(actuator, pressure_kPa).contraction)
     less, more = min(contraction, most), min(contraction + further, most)

@@ -24,7 +24,7 @@ _VENT = b'"vent"'
 _DECODER = msgspec.json.Decoder(RequestPayload)
 
 
-class Waiting(NamedTuple):
+class QueuedRequest(NamedTuple):
     """A request for the service, and its time on the monotonic clock."""
 
     ask: RequestPayload
@@ -39,7 +39,7 @@ class Asks:
         self._within_s = within_s
         self._known: dict[str, float] = {}
         """Request times, by id."""
-        self._waiting: deque[Waiting] = deque()
+        self._waiting: deque[QueuedRequest] = deque()
         self._bucket = TokenBucket(0.0, MAX_AT_ONCE, MAX_PER_S)
         self.ignored = 0
 
@@ -60,7 +60,7 @@ class Asks:
             return [refused(now, ask, problem)]
         if len(self._waiting) >= MAX_WAITING:
             return [refused(now, ask, "too many requests at once")]
-        self._waiting.append(Waiting(ask, made_at(now, ask)))
+        self._waiting.append(QueuedRequest(ask, made_at(now, ask)))
         return []
 
     @property
@@ -68,7 +68,7 @@ class Asks:
         """True if a request waits for the service."""
         return bool(self._waiting)
 
-    def next(self) -> list[Waiting]:
+    def next(self) -> list[QueuedRequest]:
         """The requests to send to the service now: all waiting vents as one, or the first other request."""
         vents = list(takewhile(lambda each: each.ask.command == "vent", self._waiting))
         together = vents or list(islice(self._waiting, 1))
@@ -86,7 +86,7 @@ class Asks:
         self._waiting = deque(each for each in self._waiting if each.ask.command == "vent")
         # One vent serves all waiting vent requests; above the limit a request gets no answer.
         if len(self._waiting) < MAX_WAITING:
-            self._waiting.append(Waiting(ask, made_at(now, ask)))
+            self._waiting.append(QueuedRequest(ask, made_at(now, ask)))
         return [refused(now, earlier, "overtaken by a vent") for earlier in overtaken]
 
     def _read(self, now: Now, payload: bytes, retained: bool) -> tuple[RequestPayload | None, str]:

@@ -18,7 +18,7 @@ from flying_vines.config.address import parse_broker
 from flying_vines.gateway.feed import Feed, FeedReader, NoAnswerError
 from flying_vines.gateway.messages import Happened
 from flying_vines.gateway.mqtt import credentials
-from flying_vines.gateway.mqtt.asks import Asks, Waiting
+from flying_vines.gateway.mqtt.asks import Asks, QueuedRequest
 from flying_vines.gateway.mqtt.health import Health
 from flying_vines.gateway.mqtt.home_assistant import discovery
 from flying_vines.gateway.mqtt.payloads import AnswerPayload
@@ -236,7 +236,7 @@ class Connection:
                 await asyncio.sleep(REQUEST_INTERVAL_S)
             await self._asked.wait()
 
-    async def _ask(self, asks: Sequence[Waiting]) -> tuple[Any, str]:
+    async def _ask(self, asks: Sequence[QueuedRequest]) -> tuple[Any, str]:
         ask, made_at = asks[0]
         seen_at = max((each.seen_at for each, _ in asks if each.seen_at is not None), default=None)
         try:

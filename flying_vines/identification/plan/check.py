@@ -22,7 +22,7 @@ from flying_vines.identification.plan.traces import CandidatePart, Layout
 from flying_vines.identification.simulate import Simulation
 
 
-class Check:
+class FullFits:
     """Full fits to the simulated readings of one plan."""
 
     def __init__(self, layout: Layout, parts: Sequence[CandidatePart]) -> None:

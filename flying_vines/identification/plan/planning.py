@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from flying_vines.identification.noise import Noise
 from flying_vines.identification.plan.apart import SETTLED, apart
-from flying_vines.identification.plan.check import Check
+from flying_vines.identification.plan.check import FullFits
 from flying_vines.identification.plan.choose import RecordingBudget, choose, gram_of
 from flying_vines.identification.plan.library import FULL_KPA, LOW_KPA, MAX_KPA, CandidateRun, library
 from flying_vines.identification.plan.traces import CandidatePart, Layout, layout_of, parts_of
@@ -344,7 +344,7 @@ def _evaluated(layout: Layout, parts: list[CandidatePart]) -> _Evaluation:
     matrix = apart(layout, gram_of(layout, parts))
     none = len(layout.causes)
     if parts:
-        check = Check(layout, parts)
+        check = FullFits(layout, parts)
         for there, row in enumerate(matrix):
             # `none` first: a cause that does not show cannot be separated from any other.
             for fitted in (none, *range(none)):
@@ -371,7 +371,7 @@ def _open_in_all(
 ) -> tuple[CausePair, ...]:
     """Those of the pairs that all runs together, each at its longest, leave open."""
     whole = _longest(parts)
-    bounds, check = apart(layout, gram_of(layout, whole)), Check(layout, whole)
+    bounds, check = apart(layout, gram_of(layout, whole)), FullFits(layout, whole)
     columns = (*layout.names, NONE)
 
     def is_open(there: str, fitted: str) -> bool:

@@ -37,7 +37,7 @@ def _check(holds: bool, sentence: str) -> None:
         raise ValueError(sentence)
 
 
-class Reading(NamedTuple):
+class SensorReading(NamedTuple):
     """A sensor reading, and the data that a mishap may use to change it."""
 
     kPa: float
@@ -57,7 +57,7 @@ class Reading(NamedTuple):
 class Stuck:
     """It repeats its last reading."""
 
-    def read(self, reading: Reading) -> float:
+    def read(self, reading: SensorReading) -> float:
         return reading.last_well_kPa
 
 
@@ -67,7 +67,7 @@ class Drifting:
 
     kPa_per_s: float
 
-    def read(self, reading: Reading) -> float:
+    def read(self, reading: SensorReading) -> float:
         return reading.kPa + self.kPa_per_s * reading.for_ms / 1000.0
 
 
@@ -75,7 +75,7 @@ class Drifting:
 class Open:
     """Broken wire: 0 V."""
 
-    def read(self, reading: Reading) -> float:
+    def read(self, reading: SensorReading) -> float:
         return -inf
 
 
@@ -83,7 +83,7 @@ class Open:
 class Shorted:
     """Short circuit to its supply."""
 
-    def read(self, reading: Reading) -> float:
+    def read(self, reading: SensorReading) -> float:
         return inf
 
 
@@ -96,7 +96,7 @@ class Noisy:
     def __post_init__(self) -> None:
         _check(self.std_kPa >= 0.0, "noise must not be negative")
 
-    def read(self, reading: Reading) -> float:
+    def read(self, reading: SensorReading) -> float:
         return reading.kPa + self.std_kPa * reading.normal()
 
 
@@ -106,7 +106,7 @@ class Gain:
 
     factor: float
 
-    def read(self, reading: Reading) -> float:
+    def read(self, reading: SensorReading) -> float:
         return self.factor * reading.kPa
 
 
@@ -120,7 +120,7 @@ class Glitching:
     def __post_init__(self) -> None:
         _check(self.every_ms >= 1.0, "every_ms must be at least 1 ms")
 
-    def read(self, reading: Reading) -> float:
+    def read(self, reading: SensorReading) -> float:
         return self.kPa if (reading.for_ms - 1) % self.every_ms < 1.0 else reading.kPa
 
 

@@ -38,9 +38,9 @@ from flying_vines.simulation.phlosar.mishaps import (
     Mishap,
     MishapKind,
     Mishaps,
-    Reading,
     Reset,
     SensorMishap,
+    SensorReading,
     Unpowered,
     WatchdogReset,
     with_mishaps,
@@ -274,7 +274,7 @@ class _SensorChannel:
             self._last_kPa = kPa
             return kPa
         self._for_ms += 1
-        kPa = self._mishap.read(Reading(kPa, self._last_kPa, self._for_ms, self._noise))
+        kPa = self._mishap.read(SensorReading(kPa, self._last_kPa, self._for_ms, self._noise))
         span_kPa = self._numbers.span_kPa
         return min(SHORTED_SHARE * span_kPa, max(OPEN_SHARE * span_kPa, kPa))
 

@@ -41,7 +41,7 @@ class ActuatorState(NamedTuple):
     """Maximum film tension per width."""
 
 
-class Actuator(Protocol):
+class BendingActuator(Protocol):
     """A series of contracting units along one side of a vine, from its base to its tip."""
 
     @property
@@ -68,30 +68,30 @@ def bulge_where(
     return high
 
 
-def held_at(actuator: Actuator, pressure_kPa: ArrayLike, contraction: ArrayLike) -> ActuatorState:
+def held_at(actuator: BendingActuator, pressure_kPa: ArrayLike, contraction: ArrayLike) -> ActuatorState:
     """The actuator at a gauge pressure, held at a contraction, or free if that contraction is smaller."""
     kPa, held = np.broadcast_arrays(np.asarray(pressure_kPa, float), np.asarray(contraction, float))
     bulge = bulge_where(lambda x: actuator.state(kPa, x).contraction >= held, kPa.shape)
     return actuator.state(kPa, bulge)
 
 
-def force_N(actuator: Actuator, pressure_kPa: ArrayLike, contraction: ArrayLike) -> Array:
+def force_N(actuator: BendingActuator, pressure_kPa: ArrayLike, contraction: ArrayLike) -> Array:
     """The pull at a gauge pressure and a contraction, N."""
     return held_at(actuator, pressure_kPa, contraction).force_N
 
 
-def volume_L(actuator: Actuator, pressure_kPa: ArrayLike, contraction: ArrayLike) -> Array:
+def volume_L(actuator: BendingActuator, pressure_kPa: ArrayLike, contraction: ArrayLike) -> Array:
     """The volume at a gauge pressure and a contraction, L."""
     return held_at(actuator, pressure_kPa, contraction).volume_L
 
 
-def free(actuator: Actuator, pressure_kPa: ArrayLike) -> ActuatorState:
+def free(actuator: BendingActuator, pressure_kPa: ArrayLike) -> ActuatorState:
     """The actuator without load, at its maximum contraction."""
     kPa = np.asarray(pressure_kPa, float)
     return actuator.state(kPa, bulge_where(lambda x: actuator.state(kPa, x).force_N <= 0.0, kPa.shape))
 
 
-def burst_kPa(actuator: Actuator) -> float:
+def burst_kPa(actuator: BendingActuator) -> float:
     """The gauge pressure at which the film of a free actuator tears; a thin-wall estimate.
 
     A loaded actuator tears at a lower pressure: its film is flatter and so has more tension.

@@ -17,7 +17,7 @@ from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.simulator import TICK_S
 from flying_vines.physics.rig import Evp, Reservoir, Rig
 from flying_vines.studies.paper.bench import LIKELY, Bench, Trace, follow_sine, gain, run
-from flying_vines.studies.paper.data import Condition, Curve, condition, curve, stated
+from flying_vines.studies.paper.data import Condition, PrintedCurve, condition, curve, stated
 
 STEP_TEST_S = 2.5
 """Long enough for TC1 to TC3 to settle. The paper does not state the length of its time series."""
@@ -42,8 +42,8 @@ class DischargeCurve:
     name: str
     label: str
     reservoir_volume_L: float
-    measured: Curve
-    model: Curve
+    measured: PrintedCurve
+    model: PrintedCurve
     """The drawn curve of the paper."""
     time_constant_s: float
     """τ of the drawn model."""
@@ -106,7 +106,7 @@ class FrequencyResponse:
 
     condition: Condition
     supply_kPa: float
-    measured: Curve
+    measured: PrintedCurve
     cutoff_Hz: float
     """Drawn cut-off of the paper's model."""
     model_gain: Array
@@ -169,7 +169,7 @@ class Curves:
     """TC4; TC5 on 345 kPa; TC5 on 690 kPa."""
     likely_frequencies: tuple[FrequencyResponse, ...]
     """On the high-fidelity plant."""
-    baselines: tuple[Curve, Curve]
+    baselines: tuple[PrintedCurve, PrintedCurve]
     sines: tuple[SineSeries, ...]
     """On 690 kPa; on half of it."""
     likely_sines: tuple[SineSeries, ...]
@@ -519,7 +519,7 @@ def plant_cycle(
     return spent_kPa / counted, float(np.ptp(trace.cv_kPa)) / swing_kPa
 
 
-def distance_dB(measured: Curve, frequency_Hz: Array, gains: Array) -> float:
+def distance_dB(measured: PrintedCurve, frequency_Hz: Array, gains: Array) -> float:
     """Distance of gains from measured ones at other frequencies, dB rms; linear in log-log.
 
     Args:

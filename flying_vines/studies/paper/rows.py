@@ -20,7 +20,7 @@ from flying_vines.studies.paper.compare import (
     distance_dB,
     rated_resistance_kPa_s_per_SL,
 )
-from flying_vines.studies.paper.data import Curve, curve, stated
+from flying_vines.studies.paper.data import PrintedCurve, curve, stated
 
 RowVerdict = Literal["agrees", "differs", "undecided"]
 By = Literal["equation", "data", "plant", "high-fidelity", "text"]
@@ -546,7 +546,7 @@ def _distance(f: FrequencyResponse, plant: _Plant) -> Iterator[PaperRow]:
         )
 
 
-def _other_regulator(f: FrequencyResponse, curves: Curves, regulator: Curve) -> Iterator[PaperRow]:
+def _other_regulator(f: FrequencyResponse, curves: Curves, regulator: PrintedCurve) -> Iterator[PaperRow]:
     likely = next(g for g in curves.likely_frequencies if g.condition == f.condition)
     yield _row(
         f"frequency.{f.condition.name}.rms_other",

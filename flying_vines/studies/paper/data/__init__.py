@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CURVES", "Condition", "Curve", "PaperDataError", "Stated", "condition", "curve", "stated"]
+__all__ = ["CURVES", "Condition", "PaperDataError", "PrintedCurve", "Stated", "condition", "curve", "stated"]
 
 DISCHARGES = ("4L_highRv", "4L_lowRv", "2L_lowRv")
 CURVES = (
@@ -36,7 +36,7 @@ class PaperDataError(ValueError):
 
 
 @dataclass(frozen=True)
-class Curve:
+class PrintedCurve:
     """One printed curve, in the order of the paper's rows.
 
     `x` is time in s (discharge) or command frequency in Hz; `y` reservoir pressure in kPa gauge, or gain.
@@ -75,14 +75,14 @@ class Condition:
     reservoir_kPa: float
 
 
-def curve(name: str) -> Curve:
+def curve(name: str) -> PrintedCurve:
     """The printed curve with a name from `CURVES`. PaperDataError for another name."""
     if name not in CURVES:
         raise PaperDataError(f"the paper prints no curve {name!r}; it prints {', '.join(CURVES)}.")
     return parse_curve(name, resources.files(__name__).joinpath(f"{name}.csv").read_text(encoding="utf-8"))
 
 
-def parse_curve(name: str, text: str) -> Curve:
+def parse_curve(name: str, text: str) -> PrintedCurve:
     """The curve in a CSV text: a header, then x, y and possibly the deviation upwards and downwards."""
     header, *rows = list(csv.reader(text.splitlines())) or [[]]
     try:
@@ -91,7 +91,7 @@ def parse_curve(name: str, text: str) -> Curve:
         raise PaperDataError(f"{name}: a row has a cell that is not a number.") from None
     if table.ndim != 2 or table.shape[1] != len(header) or len(header) < 2 or not np.isfinite(table).all():
         raise PaperDataError(f"{name}: each row needs two or more finite numbers.")
-    return Curve(name, table[:, 0], table[:, 1], table[:, 2] if len(header) > 2 else None)
+    return PrintedCurve(name, table[:, 0], table[:, 1], table[:, 2] if len(header) > 2 else None)
 
 
 @cache
