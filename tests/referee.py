@@ -12,8 +12,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from wrapped_board import WrappedBoard
+
 from firmware_link.protocol import Codec, Hello, Setpoint, Vent
-from flying_vines.simulation.phlosar.board import Between
 from flying_vines.simulation.phlosar.firmware import Firmware
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.phlosar.regulator import SAFE, Drive
@@ -431,7 +432,7 @@ def _holding(table: dict[str, float], t: float) -> str:
     return ", ".join(name for name, from_s in table.items() if from_s <= t)
 
 
-class RefereedBoard(Between):
+class RefereedBoard(WrappedBoard):
     """Takes the place of a simulated phloSAR's firmware, and tells the referee what it sees there."""
 
     def __init__(self, phlosar: SimulatedPhlosar, referee: Referee) -> None:

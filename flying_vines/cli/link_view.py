@@ -26,6 +26,8 @@ from flying_vines.service.link_watch import LinkEvent, LinkNote, LinkWatch
 from flying_vines.terminal.screen import bar, number
 
 STALE_S = 0.3
+LINES = 12
+"""Lines of the live screen for events."""
 _MODE_STYLE = {Mode.VENT: "green", Mode.REGULATE: "bold yellow", Mode.FAULT: "bold red"}
 
 
@@ -135,9 +137,9 @@ def statistics_line(now: LinkStatistics) -> str:
 class LinkView:
     """The live screen. Call `take` with new events and `render` to draw."""
 
-    def __init__(self, title: str, lines: int = 12) -> None:
+    def __init__(self, title: str) -> None:
         self._title = title
-        self._lines: deque[Text] = deque(maxlen=lines)
+        self._lines: deque[Text] = deque(maxlen=LINES)
         self._telemetry: Telemetry | None = None
 
     def take(self, events: Sequence[LinkEvent]) -> None:

@@ -57,7 +57,6 @@ class AutopilotServer:
         self.ports: list[int] = []
         """The TCP ports, in the order of `listen`; valid once `ready`."""
         self.ready = asyncio.Event()
-        self.frames_sent = 0
         self.frames_unsent = 0
 
     @property
@@ -120,9 +119,7 @@ class AutopilotServer:
     def _send(self, frames: list[tuple[str, bytes]]) -> None:
         for link, frame in frames:
             end = self._ends.get(link)
-            if end is not None and end.send(frame):
-                self.frames_sent += 1
-            else:
+            if end is None or not end.send(frame):
                 self.frames_unsent += 1
 
 

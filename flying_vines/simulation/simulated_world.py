@@ -107,11 +107,10 @@ class SimulatedFlight:
         config: Config,
         autopilot: FakeAutopilot | None = None,
         phlosar: SimulatedPhlosar | None = None,
-        mission: Sequence[MissionItem] = (),
         disarmed: bool = False,
     ) -> None:
         self.autopilot = autopilot or FakeAutopilot("ardupilot")
-        self.world = SimulatedWorld(config, phlosar, mission, disarmed=disarmed)
+        self.world = SimulatedWorld(config, phlosar, disarmed=disarmed)
         self.from_autopilot: Wire = perfect
         self._codec = MavlinkCodec(config.vehicle.system_id, config.vehicle.component_id)
 

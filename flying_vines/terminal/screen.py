@@ -32,11 +32,12 @@ UNASKED = ("failsafe", "link")
 BAR_WIDTH = 24
 FRAME = 2
 """Lines of the panel's frame."""
-BESIDE_BAR = 47
-"""Characters beside a bar: its label, the pressure, and cycles left of three digits."""
+BAR_TEXT_WIDTH = 47
+"""Characters around a bar: its label, the pressure, and cycles left of three digits."""
 MAX_QUEUED = 64 * 1024
 """Maximum characters queued for a blocked terminal: some seconds of screens. Later ones are dropped."""
 CLOSING_S = 0.5
+EVENT_LINES = 12
 
 
 def describe(what: dict[str, object]) -> str:
@@ -104,11 +105,11 @@ def event_line(action: Action, began: float) -> Text | None:
 class LiveView:
     """The live view. Call `take` with actions and `render` with a snapshot."""
 
-    def __init__(self, began: float, max_kPa: float, full_kPa: float, lines: int = 12) -> None:
+    def __init__(self, began: float, max_kPa: float, full_kPa: float) -> None:
         self._began = began
         self._max_kPa = max_kPa
         self._full_kPa = full_kPa
-        self._events: deque[Text] = deque(maxlen=lines)
+        self._events: deque[Text] = deque(maxlen=EVENT_LINES)
 
     def take(self, action: Action) -> None:
         # Tracebacks appear only in the log and in the line output.
@@ -153,7 +154,7 @@ class _Screen:
 
     def _state(self, width: int) -> Table:
         s = self.s
-        bars = max(6, min(BAR_WIDTH, width - BESIDE_BAR))
+        bars = max(6, min(BAR_WIDTH, width - BAR_TEXT_WIDTH))
         grid = Table.grid(padding=(0, 2))
         grid.add_column(style="dim", no_wrap=True, min_width=len("reservoir"))
         grid.add_column(overflow="fold")

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from wrapped_board import WrappedBoard
 
 from firmware_link import protocol
 from firmware_link.protocol import PROTOCOL_VERSION, Fault, Mode, Telemetry, Units, Welcome
@@ -27,7 +28,6 @@ from flying_vines.doctor.look import profile
 from flying_vines.doctor.look.profile import ServiceProfile
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.phlosar.board import Between
 from flying_vines.simulation.phlosar.firmware import Firmware
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
@@ -72,7 +72,7 @@ def _message_id(frame: bytes) -> int:
     return int.from_bytes(frame[7:10], "little")
 
 
-class Board(Between):
+class Board(WrappedBoard):
     """Writes down what it is told."""
 
     def __init__(self) -> None:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from wrapped_board import WrappedBoard
+
 from firmware_link.protocol import Codec, Setpoint
-from flying_vines.simulation.phlosar.board import Between
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.phlosar.regulator import Drive
 
 STEP_S = 0.001
 
 
-class BlackBox(Between):
+class BlackBox(WrappedBoard):
     """Takes the place of a simulated phloSAR's firmware, and notes what goes in and comes out.
 
     All times are the board's, in seconds. Safe means: inflation valve told shut, solenoid told open.

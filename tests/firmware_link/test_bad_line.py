@@ -9,6 +9,7 @@ import pytest
 from bad_line import CLEAN, Faults, Talk
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from wrapped_board import WrappedBoard
 
 from firmware_link.host import (
     VENTING,
@@ -19,7 +20,6 @@ from firmware_link.host import (
     TelemetryReceived,
 )
 from firmware_link.protocol import PROTOCOL_VERSION, Codec, Fault, Mode, Welcome
-from flying_vines.simulation.phlosar.board import Between
 from flying_vines.simulation.phlosar.firmware import Firmware
 
 HELLO_MS = 500
@@ -186,7 +186,7 @@ def _resets(talk: Talk) -> int:
     return sum(isinstance(event, FirmwareReset) for event in events)
 
 
-class OlderFirmware(Between):
+class OlderFirmware(WrappedBoard):
     """Says that it speaks the version before."""
 
     def __init__(self) -> None:

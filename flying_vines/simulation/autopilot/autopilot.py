@@ -105,14 +105,15 @@ class FakeAutopilot:
 
         Args:
             mission: stored like an upload; raises `MissionRefused` if the autopilot would refuse it. On
-            ArduPilot
-                item 0 is home.
-            links: get heartbeats from the start; other links appear with their first message. receiver: the
-            RC input; default on PX4: overrides by a ground station. rc_failsafe_mode: mode after RC loss in
-            flight; None: no change. PX4 without an own receiver never changes. parameters: values that differ
-            from the factory's, e.g. PX4's MIS_COMMAND_TOUT. signing_key: 32 bytes; it signs its messages, and
-            accepts only signed ones, except on a link "usb". unix_s: its clock at the start. seed: determines
-            the delay of PX4's loss reports.
+                ArduPilot item 0 is home.
+            links: get heartbeats from the start; other links appear with their first message.
+            receiver: the RC input; default on PX4: overrides by a ground station.
+            rc_failsafe_mode: mode after RC loss in flight; None: no change. PX4 without an own receiver
+                never changes.
+            parameters: values that differ from the factory's, e.g. PX4's MIS_COMMAND_TOUT.
+            signing_key: 32 bytes; it signs, and accepts only signed messages, except on a link "usb".
+            unix_s: its clock at the start.
+            seed: determines the delay of PX4's loss reports.
         """
         self.kind: AutopilotKind = kind
         self.system_id = system_id
@@ -137,7 +138,7 @@ class FakeAutopilot:
         self._unix_s = unix_s
         self._key = signing_key
         self._epoch_s: float | None = None
-        self._outbox: list[tuple[str, bytes]] = []
+        self._transmit_queue: list[tuple[str, bytes]] = []
         self._texts: list[tuple[str, int]] = []
         self._reached: int | None = None
         self._ports: dict[str, Port] = {}
@@ -244,10 +245,10 @@ class FakeAutopilot:
         for link, stall in list(self._stalls.items()):
             if self.agenda.now_s >= stall.until_s:
                 del self._stalls[link]
-                self._outbox = [(link, frame) for frame in stall.outgoing] + self._outbox
+                self._transmit_queue = [(link, frame) for frame in stall.outgoing] + self._transmit_queue
                 for data in stall.incoming:
                     self._receive(link, data)
-        out, self._outbox = self._outbox, []
+        out, self._transmit_queue = self._transmit_queue, []
         return out
 
     def _run_to(self, t: float) -> None:
@@ -309,10 +310,10 @@ class FakeAutopilot:
         self._storage.load(items)
         self.flush()
 
-    def replace_mission(self, items: Sequence[MissionItem], link: str = "gcs") -> None:
-        """Simulate an upload on another link. Raises `MissionRefused` if it would be refused."""
-        self.add_link(link)
-        self._storage.replace(link, items)
+    def replace_mission(self, items: Sequence[MissionItem]) -> None:
+        """Simulate an upload by a ground station. Raises `MissionRefused` if it would be refused."""
+        self.add_link("gcs")
+        self._storage.replace("gcs", items)
 
     def set_parameter(self, name: str, value: float) -> None:
         """Change a parameter. Raises `ValueError` if it does not exist."""
@@ -380,9 +381,9 @@ class FakeAutopilot:
         """Cut all links for this time; the vehicle continues to fly."""
         self._muted_until_s = self.agenda.now_s + seconds
 
-    def stall(self, seconds: float, link: str = COMPANION, *, both_ways: bool = False) -> None:
-        """Delay frames (`both_ways`: also received bytes) on a link; then all arrive together."""
-        self._stalls.setdefault(link, _Stall(both_ways)).until_s = self.agenda.now_s + seconds
+    def stall(self, seconds: float, *, both_ways: bool = False) -> None:
+        """Delay frames to the companion (`both_ways`: also received bytes); then all arrive together."""
+        self._stalls.setdefault(COMPANION, _Stall(both_ways)).until_s = self.agenda.now_s + seconds
 
     # Host of the mission runner
 
@@ -562,7 +563,7 @@ class FakeAutopilot:
         if port.name in self._stalls:
             self._stalls[port.name].outgoing.append(frame)
         else:
-            self._outbox.append((port.name, frame))
+            self._transmit_queue.append((port.name, frame))
 
     def _send_to(self, link: str, message: Any) -> None:
         self._send(self._ports[link], message)

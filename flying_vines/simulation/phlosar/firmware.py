@@ -20,7 +20,7 @@ CV_SENSOR_SPAN_kPa = 206.84
 """Span of the fitted sensor, independent of the firmware's settings: 30 psi."""
 RESERVOIR_SENSOR_SPAN_kPa = 1500.0
 """Span of the fitted sensor: 15 bar."""
-_BUILD = "1.0 host"
+_BUILD = b"1.0 host"
 _FULL_SCALE = 65535
 _SUPPLY_COUNTS = 59578
 """5 V through a 0.6 divider into a 3.3 V converter."""
@@ -64,7 +64,6 @@ class Firmware:
         settings: Settings | None = None,
         boot_id: int = 1,
         *,
-        build: str = _BUILD,
         directly: bool = False,
         stored: bytes = b"",
     ) -> None:
@@ -75,7 +74,6 @@ class Firmware:
         self._library = load()
         self._directly = directly
         self._stored = stored
-        self._build = build.encode("ascii")
         self._outputs = Outputs()
         self._openings = Openings()
         self._image = ctypes.create_string_buffer(self._library.phlosar_image_size())
@@ -141,9 +139,7 @@ class Firmware:
 
     def _power_up(self, watchdog: bool) -> None:
         library, rows = self._library, setting_rows()
-        library.phlosar_start(
-            self._firmware, self._build, self.boot_id, watchdog, self._stored, len(self._stored)
-        )
+        library.phlosar_start(self._firmware, _BUILD, self.boot_id, watchdog, self._stored, len(self._stored))
         for name, value in self._start.items():
             if name not in rows:
                 raise ValueError(f"the firmware has no setting {name}")

@@ -56,11 +56,9 @@ class BendingActuator(Protocol):
         """State at a gauge pressure and a bulge in (0, 1]: more bulge is less force and more contraction."""
 
 
-def bulge_where(
-    crossed: Callable[[Array], NDArray[np.bool_]], shape: tuple[int, ...], from_: float = 0.0
-) -> Array:
+def bulge_where(crossed: Callable[[Array], NDArray[np.bool_]], shape: tuple[int, ...]) -> Array:
     """The smallest bulge for which `crossed` is true, by bisection; 1 if it never is."""
-    low, high = np.full(shape, from_), np.ones(shape)
+    low, high = np.zeros(shape), np.ones(shape)
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
         beyond = crossed(middle)

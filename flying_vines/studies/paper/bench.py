@@ -27,6 +27,9 @@ from flying_vines.simulation.phlosar.regulator import Tuning
 AT_ONCE_KPA_PER_S = 1e6
 """Setpoint rate, so fast that a step stays a step."""
 
+SETTLE_S, MEASURE_S = 3.0, 3.0
+"""Of the response to a sine: settling time that is cut off, in whole cycles; minimum time that remains."""
+
 FIXED_SOURCE = Reservoir(volume_L=1e9)
 """A supply with a constant pressure (Sec. V-C)."""
 
@@ -148,26 +151,22 @@ def follow_sine(
     frequency_Hz: float,
     peak_to_peak_kPa: float,
     reservoir_kPa: float,
-    settle_s: float = 3.0,
-    measure_s: float = 3.0,
 ) -> Trace:
     """The response to a sine that starts at its minimum, 0 kPa (Sec. V-C), in whole cycles (to 0.5 ms).
 
     Settling cycles are cut off, and at least one cycle remains. A slow command that completes no cycle within
-    `settle_s` is recorded from its start.
+    `SETTLE_S` is recorded from its start.
 
     Args:
         frequency_Hz: frequency of the command.
         peak_to_peak_kPa: peak to peak of the command.
         reservoir_kPa: supply pressure, kPa gauge.
-        settle_s: settling time that is cut off, in whole cycles.
-        measure_s: minimum time that remains.
     """
     if not frequency_Hz > 0.0:
         raise ValueError(f"the frequency of a sine must be positive, not {frequency_Hz} Hz")
     # The margins make a cycle that ends exactly at the limit count.
-    settle = math.floor(settle_s * frequency_Hz + 1e-9)
-    keep = max(1, math.ceil(measure_s * frequency_Hz - 1e-9))
+    settle = math.floor(SETTLE_S * frequency_Hz + 1e-9)
+    keep = max(1, math.ceil(MEASURE_S * frequency_Hz - 1e-9))
     half = 0.5 * peak_to_peak_kPa
     omega = 2.0 * math.pi * frequency_Hz
     trace = run(

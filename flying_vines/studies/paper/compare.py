@@ -27,6 +27,9 @@ NEAR_KPA = 1.0
 
 DISCHARGE_STEP_S = 0.05
 
+SINE_VOLUME_L = 0.5
+"""Assumption: the paper does not state the volume of Fig. 6."""
+
 HIGH_RESISTANCE = "4L_highRv"
 """The series for which the paper closed the valve partly."""
 HIGH_RESISTANCE_RATIO = 105.0188 / 80.6138
@@ -442,16 +445,16 @@ def last_crossing_Hz(frequency_Hz: Array, gains: Array, level: float) -> float:
     return float(x[i] * (x[i + 1] / x[i]) ** part)
 
 
-def sine_series(bench: Bench, supply_kPa: float, cv_volume_L: float = 0.5) -> SineSeries:
+def sine_series(bench: Bench, supply_kPa: float) -> SineSeries:
     """The plant's response to 1.2 Hz (Fig. 6); the paper states neither volume nor low supply."""
     numbers = stated()
     trace = follow_sine(
-        bench.with_cv(cv_volume_L).with_fixed_source(),
+        bench.with_cv(SINE_VOLUME_L).with_fixed_source(),
         frequency_Hz=numbers["sine.frequency"].value,
         peak_to_peak_kPa=numbers["sine.command"].value,
         reservoir_kPa=supply_kPa,
     )
-    return SineSeries(supply_kPa, cv_volume_L, trace, float(np.ptp(trace.cv_kPa)))
+    return SineSeries(supply_kPa, SINE_VOLUME_L, trace, float(np.ptp(trace.cv_kPa)))
 
 
 def supply_for(bench: Bench, peak_to_peak_kPa: float) -> float:
