@@ -13,9 +13,7 @@ from flying_vines.doctor.checks.network import BrokerFacts
 
 TIMEOUT_S = 5.0
 
-_SILENT = logging.getLogger(__name__)
-_SILENT.addHandler(logging.NullHandler())
-_SILENT.propagate = False
+_SILENT = logging.Logger(__name__, logging.CRITICAL + 1)
 
 
 async def facts(mqtt: MqttConfig) -> BrokerFacts:

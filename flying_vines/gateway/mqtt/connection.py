@@ -18,12 +18,12 @@ from flying_vines.config.address import parse_broker
 from flying_vines.gateway.feed import Feed, FeedReader, NoAnswerError
 from flying_vines.gateway.messages import Happened
 from flying_vines.gateway.mqtt import credentials
-from flying_vines.gateway.mqtt.asks import Asks, QueuedRequest
 from flying_vines.gateway.mqtt.health import Health
 from flying_vines.gateway.mqtt.home_assistant import discovery
 from flying_vines.gateway.mqtt.payloads import AnswerPayload
 from flying_vines.gateway.mqtt.problems import FileError, RefusedError, may_want_other_version, problem_of
-from flying_vines.gateway.mqtt.teller import Now, Publication, Publisher
+from flying_vines.gateway.mqtt.publisher import Now, Publication, Publisher
+from flying_vines.gateway.mqtt.requests import QueuedRequest, RequestQueue
 from flying_vines.gateway.mqtt.topics import Topics
 
 MAX_PACKET = 4096
@@ -42,9 +42,7 @@ _OTHER_VERSION = {
     aiomqtt.ProtocolVersion.V311: aiomqtt.ProtocolVersion.V5,
 }
 
-_SILENT = logging.getLogger(__name__)
-_SILENT.addHandler(logging.NullHandler())
-_SILENT.propagate = False
+_SILENT = logging.Logger(__name__, logging.CRITICAL + 1)
 
 
 async def serve(feed: Feed) -> None:
@@ -64,14 +62,14 @@ class Connection:
         self._mqtt = feed.profile.config.mqtt
         self._broker = parse_broker(self._mqtt.broker)
         self._topics = Topics.of(self._mqtt)
-        self._teller = Publisher(feed.profile, self._topics)
-        self._asks = Asks(self._mqtt.commands, self._mqtt.asked_within_s)
+        self._publisher = Publisher(feed.profile, self._topics)
+        self._requests = RequestQueue(self._mqtt.commands, self._mqtt.asked_within_s)
         self._answers: asyncio.Queue[AnswerPayload] = asyncio.Queue(MAX_UNANSWERED)
-        self._happened, self._asked = asyncio.Event(), asyncio.Event()
+        self._happened, self._requested = asyncio.Event(), asyncio.Event()
         self._protocol = aiomqtt.ProtocolVersion.V5
         self._flood_reported_at = -FLOOD_REPORT_S
         for happened in feed.happened:
-            self._teller.take(self._now.t, happened)
+            self._publisher.take(self._now.t, happened)
 
     @property
     def _now(self) -> Now:
@@ -81,7 +79,7 @@ class Connection:
         """Take in the service's messages, also without a connection."""
         while True:
             for news in await reader.next():
-                self._teller.take(self._now.t, news)
+                self._publisher.take(self._now.t, news)
                 if isinstance(news, Happened):
                     self._happened.set()
 
@@ -128,7 +126,7 @@ class Connection:
         except* (aiomqtt.MqttError, RefusedError, FileError, OSError) as group:
             failure = _first(group)
         finally:
-            self._asks.disconnected()
+            self._requests.disconnected()
             if client is not None:
                 client.close()
         return failure
@@ -138,7 +136,7 @@ class Connection:
             return credentials.password(self._mqtt), credentials.tls(self._mqtt, self._broker)
 
         password, tls = await asyncio.to_thread(read)
-        will = self._teller.last_will(self._now)
+        will = self._publisher.last_will(self._now)
         properties = None
         if self._protocol is aiomqtt.ProtocolVersion.V5:
             properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
@@ -163,7 +161,7 @@ class Connection:
         # Subscribe first: a reader of the permitted requests may send one at once.
         if self._mqtt.commands:
             await client.subscribe(self._topics.ask, qos=1)
-        for publication in self._teller.greeting(self._now):
+        for publication in self._publisher.greeting(self._now):
             await _publish(client, publication)
         if client.refused:
             raise RefusedError(
@@ -176,7 +174,7 @@ class Connection:
         """Publish `offline`: the broker sends no last will after a proper disconnection."""
         client.timeout = GOODBYE_S
         with contextlib.suppress(aiomqtt.MqttError):
-            await _publish(client, self._teller.last_will(self._now))
+            await _publish(client, self._publisher.last_will(self._now))
 
     async def _talk(self, client: _Client, health: Health) -> None:
         async with asyncio.TaskGroup() as tasks:
@@ -191,26 +189,26 @@ class Connection:
         while True:
             # Clear first, so that events that arrive during the loop are not missed.
             self._happened.clear()
-            while pending := self._teller.events.first(self._now):
+            while pending := self._publisher.events.first(self._now):
                 await _publish(client, pending.publication)
-                self._teller.events.published(pending)
+                self._publisher.events.published(pending)
             await self._happened.wait()
 
     async def _publish_states(self, client: _Client, health: Health) -> None:
         period_s = 1.0 / self._mqtt.rate_Hz
         due = self._now.t
         while True:
-            for publication in self._teller.due(self._now):
+            for publication in self._publisher.due(self._now):
                 await _publish(client, publication)
             self._report(health.lasts(self._now.t))
             due = max(due + period_s, self._now.t)
             await asyncio.sleep(due - self._now.t)
 
     def _receive(self, payload: bytes, retained: bool) -> None:
-        for answer in self._asks.receive(self._now, payload, retained):
+        for answer in self._requests.receive(self._now, payload, retained):
             self._answer(answer)
-        if self._asks.waits:
-            self._asked.set()
+        if self._requests.waits:
+            self._requested.set()
         self._report_flood()
 
     def _answer(self, answer: AnswerPayload) -> None:
@@ -220,34 +218,36 @@ class Connection:
 
     def _report_flood(self) -> None:
         now = self._now.t
-        if self._asks.ignored and now - self._flood_reported_at >= FLOOD_REPORT_S:
+        if self._requests.ignored and now - self._flood_reported_at >= FLOOD_REPORT_S:
             self._feed.trouble(f"MQTT: {self._topics.ask}: too many requests, some get no answer")
-            self._asks.ignored, self._flood_reported_at = 0, now
+            self._requests.ignored, self._flood_reported_at = 0, now
 
     async def _ask_service(self, client: _Client) -> None:
         while True:
-            self._asked.clear()
-            while asks := self._asks.next():
-                safety, reason = await self._ask(asks)
-                for ask, _ in asks:
+            self._requested.clear()
+            while requests := self._requests.next():
+                safety, reason = await self._ask(requests)
+                for request, _ in requests:
                     self._answer(
-                        AnswerPayload(unix_s=self._now.unix_s, id=ask.id, safety=safety, reason=reason)
+                        AnswerPayload(unix_s=self._now.unix_s, id=request.id, safety=safety, reason=reason)
                     )
                 await asyncio.sleep(REQUEST_INTERVAL_S)
-            await self._asked.wait()
+            await self._requested.wait()
 
-    async def _ask(self, asks: Sequence[QueuedRequest]) -> tuple[Any, str]:
-        ask, made_at = asks[0]
-        seen_at = max((each.seen_at for each, _ in asks if each.seen_at is not None), default=None)
+    async def _ask(self, requests: Sequence[QueuedRequest]) -> tuple[Any, str]:
+        request, made_at = requests[0]
+        seen_at = max((each.seen_at for each, _ in requests if each.seen_at is not None), default=None)
         try:
-            answered = await self._feed.ask("broker", ask.command, ask.value, ask.name, made_at, seen_at)
+            answered = await self._feed.ask(
+                "broker", request.command, request.value, request.name, made_at, seen_at
+            )
         except NoAnswerError as error:
             return "unknown", str(error)
         return answered.safety, answered.reason
 
     async def _publish_answers(self, client: _Client) -> None:
         while True:
-            await _publish(client, self._teller.answer(await self._answers.get()))
+            await _publish(client, self._publisher.answer(await self._answers.get()))
 
 
 class _Client(aiomqtt.Client):

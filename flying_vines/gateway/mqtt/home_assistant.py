@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from flying_vines.config.config import Config
-from flying_vines.gateway.mqtt.teller import Publication
+from flying_vines.gateway.mqtt.publisher import Publication
 from flying_vines.gateway.mqtt.topics import Topics
 
 

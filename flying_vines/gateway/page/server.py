@@ -101,9 +101,7 @@ class PageServer(Server):
 
     def __init__(self, feed: Feed, access: Access, history: History) -> None:
         # aiohttp would log every malformed request, and strangers can send many.
-        silent = logging.getLogger("flying_vines.page")
-        silent.addHandler(logging.NullHandler())
-        silent.propagate = False
+        silent = logging.Logger("flying_vines.page", logging.CRITICAL + 1)
         super().__init__(
             self._answer,
             keepalive_timeout=KEEP_ALIVE_S,

@@ -17,7 +17,7 @@ from patience import until
 from real_time import real_time
 
 from flying_vines.gateway.mqtt import connection, health
-from flying_vines.gateway.mqtt.teller import Publication
+from flying_vines.gateway.mqtt.publisher import Publication
 
 from .brokers import MOSQUITTO_HOW, Broker, Line, Onlooker, make_certificates, onlooker, run_quietly, running
 from .vehicles import flying

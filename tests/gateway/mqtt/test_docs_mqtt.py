@@ -9,10 +9,10 @@ import msgspec
 
 from flying_vines.gateway.messages import COMMANDS
 from flying_vines.gateway.mqtt import health
-from flying_vines.gateway.mqtt.asks import MAX_AT_ONCE, MAX_PER_S
 from flying_vines.gateway.mqtt.connection import MAX_PACKET
 from flying_vines.gateway.mqtt.payloads import PAYLOADS, SCHEMA_VERSION, schemas
-from flying_vines.gateway.mqtt.teller import RESERVOIR_S
+from flying_vines.gateway.mqtt.publisher import RESERVOIR_S
+from flying_vines.gateway.mqtt.requests import MAX_AT_ONCE, MAX_PER_S
 from flying_vines.gateway.mqtt.topics import Topics
 
 from ..told import configured

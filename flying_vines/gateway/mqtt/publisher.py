@@ -58,31 +58,31 @@ class Pending(NamedTuple):
 
 
 class Events:
-    """Stores up to `most` numbered events in order. A `LostEvent` replaces the oldest ones that were dropped.
+    """Stores up to `max_events` numbered events in order. A `LostEvent` replaces the dropped ones.
 
     Times are added at the publication: in the field a computer may get its time from the broker's network.
     """
 
-    def __init__(self, topic: str, run: str, most: int) -> None:
+    def __init__(self, topic: str, run: str, max_events: int) -> None:
         self._topic = topic
         self._run = run
-        self._kept: deque[tuple[int, Happened]] = deque(maxlen=most)
+        self._stored: deque[tuple[int, Happened]] = deque(maxlen=max_events)
         self._number = 0
         self._lost = 0
 
     def __len__(self) -> int:
-        return len(self._kept)
+        return len(self._stored)
 
     def take(self, happened: Happened) -> None:
-        self._lost += len(self._kept) == self._kept.maxlen
+        self._lost += len(self._stored) == self._stored.maxlen
         self._number += 1
-        self._kept.append((self._number, happened))
+        self._stored.append((self._number, happened))
 
     def first(self, now: Now) -> Pending | None:
         """The next event to publish; the same again until it was `published`."""
-        if not self._kept:
+        if not self._stored:
             return None
-        number, happened = self._kept[0]
+        number, happened = self._stored[0]
         event: EventPayload
         if self._lost:
             number -= 1
@@ -95,8 +95,8 @@ class Events:
         """The broker has the event. It may have been dropped for newer ones meanwhile."""
         if pending.lost:
             self._lost -= pending.lost
-        elif self._kept[0][0] == pending.number:
-            self._kept.popleft()
+        elif self._stored[0][0] == pending.number:
+            self._stored.popleft()
         else:
             self._lost -= 1
 

@@ -11,7 +11,7 @@ import msgspec
 
 from flying_vines.gateway import messages
 from flying_vines.gateway.mqtt.payloads import AnswerPayload, RequestPayload
-from flying_vines.gateway.mqtt.teller import Now
+from flying_vines.gateway.mqtt.publisher import Now
 from flying_vines.gateway.token_bucket import TokenBucket
 from flying_vines.vine.intent import CommandName
 
@@ -27,11 +27,11 @@ _DECODER = msgspec.json.Decoder(RequestPayload)
 class QueuedRequest(NamedTuple):
     """A request for the service, and its time on the monotonic clock."""
 
-    ask: RequestPayload
+    request: RequestPayload
     made_at: float
 
 
-class Asks:
+class RequestQueue:
     """Checks incoming requests, and returns those for the service, one after another."""
 
     def __init__(self, commands: Sequence[CommandName], within_s: float) -> None:
@@ -50,17 +50,17 @@ class Asks:
         if not may_be_vent and not self._bucket.take(now.t):
             self.ignored += 1
             return []
-        ask, problem = self._read(now, payload, retained)
-        if ask is not None and not problem and ask.command == "vent":
-            return self._vent(now, ask)
+        request, problem = self._read(now, payload, retained)
+        if request is not None and not problem and request.command == "vent":
+            return self._vent(now, request)
         if may_be_vent and not self._bucket.take(now.t):
             self.ignored += 1
             return []
-        if ask is None or problem:
-            return [refused(now, ask, problem)]
+        if request is None or problem:
+            return [refused(now, request, problem)]
         if len(self._waiting) >= MAX_WAITING:
-            return [refused(now, ask, "too many requests at once")]
-        self._waiting.append(QueuedRequest(ask, made_at(now, ask)))
+            return [refused(now, request, "too many requests at once")]
+        self._waiting.append(QueuedRequest(request, made_at(now, request)))
         return []
 
     @property
@@ -70,7 +70,7 @@ class Asks:
 
     def next(self) -> list[QueuedRequest]:
         """The requests to send to the service now: all waiting vents as one, or the first other request."""
-        vents = list(takewhile(lambda each: each.ask.command == "vent", self._waiting))
+        vents = list(takewhile(lambda each: each.request.command == "vent", self._waiting))
         together = vents or list(islice(self._waiting, 1))
         for _ in together:
             self._waiting.popleft()
@@ -80,13 +80,13 @@ class Asks:
         """Drop waiting requests: they must not move the vine when the broker returns."""
         self._waiting.clear()
 
-    def _vent(self, now: Now, ask: RequestPayload) -> list[AnswerPayload]:
+    def _vent(self, now: Now, request: RequestPayload) -> list[AnswerPayload]:
         """Put a vent first, and refuse earlier requests: they must not bend the vine after it."""
-        overtaken = [each.ask for each in self._waiting if each.ask.command != "vent"]
-        self._waiting = deque(each for each in self._waiting if each.ask.command == "vent")
+        overtaken = [each.request for each in self._waiting if each.request.command != "vent"]
+        self._waiting = deque(each for each in self._waiting if each.request.command == "vent")
         # One vent serves all waiting vent requests; above the limit a request gets no answer.
         if len(self._waiting) < MAX_WAITING:
-            self._waiting.append(QueuedRequest(ask, made_at(now, ask)))
+            self._waiting.append(QueuedRequest(request, made_at(now, request)))
         return [refused(now, earlier, "overtaken by a vent") for earlier in overtaken]
 
     def _read(self, now: Now, payload: bytes, retained: bool) -> tuple[RequestPayload | None, str]:
@@ -94,46 +94,46 @@ class Asks:
         if len(payload) > MAX_REQUEST_LENGTH:
             return None, f"longer than {MAX_REQUEST_LENGTH} bytes"
         try:
-            ask = _DECODER.decode(payload)
+            request = _DECODER.decode(payload)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             return None, f"invalid request: {error}"
-        if ask.command not in self._commands:
+        if request.command not in self._commands:
             allowed = ", ".join(self._commands) or "nothing"
-            return ask, f"'{ask.command}' is not permitted over MQTT; the profile permits {allowed}"
+            return request, f"'{request.command}' is not permitted over MQTT; the profile permits {allowed}"
         if retained:
-            return ask, "a retained message: the time of the request is unknown"
-        age_s = now.unix_s - ask.unix_s
+            return request, "a retained message: the time of the request is unknown"
+        age_s = now.unix_s - request.unix_s
         if abs(age_s) > self._within_s:
             when = f"{age_s:.1f} s ago" if age_s > 0 else f"{-age_s:.1f} s in the future"
-            return ask, f"requested {when} by this vehicle's clock; the limit is {self._within_s:g} s"
+            return request, f"requested {when} by this vehicle's clock; the limit is {self._within_s:g} s"
         try:
-            messages.Request(0, "broker", ask.command, ask.value, ask.name)
+            messages.Request(0, "broker", request.command, request.value, request.name)
         except ValueError as error:
-            return ask, str(error)
-        return ask, "" if self._is_new(now, ask) else "repeated: each request needs a new id"
+            return request, str(error)
+        return request, "" if self._is_new(now, request) else "repeated: each request needs a new id"
 
-    def _is_new(self, now: Now, ask: RequestPayload) -> bool:
+    def _is_new(self, now: Now, request: RequestPayload) -> bool:
         """True if the id is new. Old ids are dropped, because old requests are refused anyway."""
         while self._known:
             oldest = next(iter(self._known))
             if abs(now.unix_s - self._known[oldest]) <= self._within_s:
                 break
             del self._known[oldest]
-        if ask.id in self._known:
+        if request.id in self._known:
             return False
         if len(self._known) >= MAX_STORED_IDS:
             del self._known[next(iter(self._known))]
-        self._known[ask.id] = ask.unix_s
+        self._known[request.id] = request.unix_s
         return True
 
     def _may_be_vent(self, payload: bytes) -> bool:
         return "vent" in self._commands and len(payload) <= MAX_REQUEST_LENGTH and _VENT in payload
 
 
-def made_at(now: Now, ask: RequestPayload) -> float:
+def made_at(now: Now, request: RequestPayload) -> float:
     """Time of the request on the monotonic clock; a time in the future counts as now."""
-    return now.t - max(0.0, now.unix_s - ask.unix_s)
+    return now.t - max(0.0, now.unix_s - request.unix_s)
 
 
-def refused(now: Now, ask: RequestPayload | None, why: str) -> AnswerPayload:
-    return AnswerPayload(unix_s=now.unix_s, id=ask.id if ask else None, safety="refused", reason=why)
+def refused(now: Now, request: RequestPayload | None, why: str) -> AnswerPayload:
+    return AnswerPayload(unix_s=now.unix_s, id=request.id if request else None, safety="refused", reason=why)

@@ -18,7 +18,7 @@ from flying_vines.core.waiting import Waiting
 from flying_vines.gateway.messages import Happened, SnapshotMessage, raw
 from flying_vines.gateway.mqtt.home_assistant import discovery
 from flying_vines.gateway.mqtt.payloads import PAYLOADS, EventPayload, LostEvent, NoticeEvent, RequestPayload
-from flying_vines.gateway.mqtt.teller import RESERVOIR_S, SILENT_S, Events, Now, Publication, Publisher
+from flying_vines.gateway.mqtt.publisher import RESERVOIR_S, SILENT_S, Events, Now, Publication, Publisher
 from flying_vines.gateway.mqtt.topics import Topics
 from flying_vines.simulation.simulated_world import SimulatedWorld
 from flying_vines.vehicle.notice import Notice

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flying_vines.gateway.mqtt.asks import MAX_REQUEST_LENGTH, MAX_WAITING, Asks
 from flying_vines.gateway.mqtt.payloads import AnswerPayload
-from flying_vines.gateway.mqtt.teller import Now
+from flying_vines.gateway.mqtt.publisher import Now
+from flying_vines.gateway.mqtt.requests import MAX_REQUEST_LENGTH, MAX_WAITING, RequestQueue
 from flying_vines.vine.intent import CommandName
 
 NOW = Now(50.0, 1_700_000_000.0)
@@ -22,56 +22,56 @@ def ask(id: str = "1", command: str = "hold", age_s: float = 0.0, **more: Any) -
     return msgspec.json.encode({"id": id, "unix_s": NOW.unix_s - age_s, "command": command, **more})
 
 
-def waiting(asks: Asks) -> list[list[str]]:
+def waiting(queue: RequestQueue) -> list[list[str]]:
     """Ids of all that is handed to the service, in order."""
     handed = []
-    while together := asks.next():
-        handed.append([one.ask.id for one in together])
+    while together := queue.next():
+        handed.append([one.request.id for one in together])
     return handed
 
 
-def refusal(asks: Asks, payload: bytes, retained: bool = False, now: Now = NOW) -> str:
-    (answer,) = asks.receive(now, payload, retained)
+def refusal(queue: RequestQueue, payload: bytes, retained: bool = False, now: Now = NOW) -> str:
+    (answer,) = queue.receive(now, payload, retained)
     assert answer.safety == "refused"
-    assert not asks.next()
+    assert not queue.next()
     return answer.reason
 
 
 def test_nothing_may_be_asked_for_unless_it_is_listed() -> None:
-    assert "the profile permits nothing" in refusal(Asks((), 5.0), ask(command="vent"))
-    assert "'bend' is not permitted" in refusal(Asks(("vent",), 5.0), ask(command="bend", value=30))
+    assert "the profile permits nothing" in refusal(RequestQueue((), 5.0), ask(command="vent"))
+    assert "'bend' is not permitted" in refusal(RequestQueue(("vent",), 5.0), ask(command="bend", value=30))
 
 
 def test_what_is_listed_is_handed_on_with_its_value() -> None:
-    asks = Asks(ALL, 5.0)
-    assert asks.receive(NOW, ask("1", "bend", value=30), False) == []
-    assert asks.receive(NOW, ask("2", "profile", name="wave"), False) == []
-    (bend,), (profile,) = asks.next(), asks.next()
-    assert (bend.ask.command, bend.ask.value) == ("bend", 30.0)
-    assert (profile.ask.command, profile.ask.name) == ("profile", "wave")
-    assert not asks.next()
+    queue = RequestQueue(ALL, 5.0)
+    assert queue.receive(NOW, ask("1", "bend", value=30), False) == []
+    assert queue.receive(NOW, ask("2", "profile", name="wave"), False) == []
+    (bend,), (profile,) = queue.next(), queue.next()
+    assert (bend.request.command, bend.request.value) == ("bend", 30.0)
+    assert (profile.request.command, profile.request.name) == ("profile", "wave")
+    assert not queue.next()
 
 
 @pytest.mark.parametrize("command", ["vent", "hold"])
 def test_what_was_asked_for_long_ago_is_refused(command: str) -> None:
-    asks = Asks(ALL, 5.0)
-    assert "requested 5.1 s ago by this vehicle's clock" in refusal(asks, ask("1", command, 5.1))
-    assert "requested 60.0 s in the future" in refusal(asks, ask("2", command, -60.0))
-    assert "a retained message" in refusal(asks, ask("3", command), retained=True)
-    assert asks.receive(NOW, ask("4", command, 4.9), False) == []
+    queue = RequestQueue(ALL, 5.0)
+    assert "requested 5.1 s ago by this vehicle's clock" in refusal(queue, ask("1", command, 5.1))
+    assert "requested 60.0 s in the future" in refusal(queue, ask("2", command, -60.0))
+    assert "a retained message" in refusal(queue, ask("3", command), retained=True)
+    assert queue.receive(NOW, ask("4", command, 4.9), False) == []
 
 
 @pytest.mark.parametrize("command", ["vent", "hold"])
 def test_what_is_asked_for_twice_is_done_once(command: str) -> None:
-    asks = Asks(ALL, 5.0)
-    assert asks.receive(NOW, ask("1", command), False) == []
-    (answer,) = asks.receive(NOW, ask("1", command), False)
+    queue = RequestQueue(ALL, 5.0)
+    assert queue.receive(NOW, ask("1", command), False) == []
+    (answer,) = queue.receive(NOW, ask("1", command), False)
     assert "repeated: " in answer.reason
-    assert waiting(asks) == [["1"]]
+    assert waiting(queue) == [["1"]]
     # As long as it is young enough to be done, its id is known; after that it is too old.
     for later_s in (1.0, 4.9, 5.1, 400.0):
         later = Now(NOW.t + later_s, NOW.unix_s + later_s)
-        assert refusal(asks, ask("1", command), now=later)
+        assert refusal(queue, ask("1", command), now=later)
 
 
 @pytest.mark.parametrize(
@@ -97,68 +97,68 @@ def test_what_is_asked_for_twice_is_done_once(command: str) -> None:
     ],
 )
 def test_what_cannot_be_done_is_refused_with_the_reason(payload: bytes, said: str) -> None:
-    assert said in refusal(Asks(ALL, 5.0), payload)
+    assert said in refusal(RequestQueue(ALL, 5.0), payload)
 
 
 def test_a_vent_overtakes_what_waits_and_that_is_not_done_afterwards() -> None:
-    asks = Asks(ALL, 5.0)
-    asks.receive(NOW, ask("1", "bend", value=30), False)
-    asks.receive(NOW, ask("2", "hold"), False)
-    overtaken = asks.receive(NOW, ask("3", "vent"), False)
+    queue = RequestQueue(ALL, 5.0)
+    queue.receive(NOW, ask("1", "bend", value=30), False)
+    queue.receive(NOW, ask("2", "hold"), False)
+    overtaken = queue.receive(NOW, ask("3", "vent"), False)
     assert [(answer.id, answer.reason) for answer in overtaken] == [
         ("1", "overtaken by a vent"),
         ("2", "overtaken by a vent"),
     ]
-    asks.receive(NOW, ask("4", "vent"), False)
-    asks.receive(NOW, ask("5", "bend", value=30), False)
-    assert waiting(asks) == [["3", "4"], ["5"]]
+    queue.receive(NOW, ask("4", "vent"), False)
+    queue.receive(NOW, ask("5", "bend", value=30), False)
+    assert waiting(queue) == [["3", "4"], ["5"]]
 
 
 def test_whoever_asks_too_often_is_not_answered_but_may_vent() -> None:
-    asks = Asks(ALL, 5.0)
-    answers = [answer for number in range(5000) for answer in asks.receive(NOW, ask(str(number)), False)]
-    answers += [answer for _ in range(5000) for answer in asks.receive(NOW, b"{", False)]
-    assert len(answers) + len(waiting(asks)) == 10
-    assert asks.ignored == 9990
-    assert asks.receive(NOW, ask("vent", "vent"), False) == []
-    assert waiting(asks) == [["vent"]]
+    queue = RequestQueue(ALL, 5.0)
+    answers = [answer for number in range(5000) for answer in queue.receive(NOW, ask(str(number)), False)]
+    answers += [answer for _ in range(5000) for answer in queue.receive(NOW, b"{", False)]
+    assert len(answers) + len(waiting(queue)) == 10
+    assert queue.ignored == 9990
+    assert queue.receive(NOW, ask("vent", "vent"), False) == []
+    assert waiting(queue) == [["vent"]]
     later = Now(NOW.t + 1.0, NOW.unix_s + 1.0)
-    assert asks.receive(later, ask("later", age_s=-1.0), False) == []
-    assert waiting(asks) == [["later"]]
+    assert queue.receive(later, ask("later", age_s=-1.0), False) == []
+    assert waiting(queue) == [["later"]]
 
 
 def test_a_flood_of_vents_is_one_vent() -> None:
-    asks = Asks(ALL, 5.0)
+    queue = RequestQueue(ALL, 5.0)
     for number in range(20_000):
-        assert asks.receive(NOW, ask(str(number), "vent"), False) == []
-    (together,) = waiting(asks)
+        assert queue.receive(NOW, ask(str(number), "vent"), False) == []
+    (together,) = waiting(queue)
     assert len(together) == MAX_WAITING
 
 
 def test_what_waits_when_the_broker_goes_is_not_done_when_it_is_back() -> None:
-    asks = Asks(ALL, 5.0)
-    asks.receive(NOW, ask("1", "bend", value=30), False)
-    asks.disconnected()
-    assert waiting(asks) == []
-    assert "repeated: " in refusal(asks, ask("1", "bend", value=30))
+    queue = RequestQueue(ALL, 5.0)
+    queue.receive(NOW, ask("1", "bend", value=30), False)
+    queue.disconnected()
+    assert waiting(queue) == []
+    assert "repeated: " in refusal(queue, ask("1", "bend", value=30))
 
 
 def test_what_waits_grows_old_whatever_its_senders_clock_says() -> None:
-    asks = Asks(ALL, 5.0)
-    asks.receive(NOW, ask("1", "bend", 3.0, value=30), False)
-    asks.receive(NOW, ask("2", "bend", -3.0, value=30), False)
-    (old,), (of_the_future,) = asks.next(), asks.next()
+    queue = RequestQueue(ALL, 5.0)
+    queue.receive(NOW, ask("1", "bend", 3.0, value=30), False)
+    queue.receive(NOW, ask("2", "bend", -3.0, value=30), False)
+    (old,), (of_the_future,) = queue.next(), queue.next()
     assert (old.made_at, of_the_future.made_at) == (NOW.t - 3.0, NOW.t)
 
 
 @given(st.binary(max_size=200) | st.text(max_size=50).map(str.encode), st.booleans())
 def test_no_bytes_make_it_fail(payload: bytes, retained: bool) -> None:
-    asks = Asks(ALL, 5.0)
-    for answer in asks.receive(NOW, payload, retained):
+    queue = RequestQueue(ALL, 5.0)
+    for answer in queue.receive(NOW, payload, retained):
         assert isinstance(answer, AnswerPayload)
         assert answer.safety == "refused"
         assert answer.reason
-    assert waiting(asks) == []
+    assert waiting(queue) == []
 
 
 @given(
@@ -174,18 +174,18 @@ def test_no_bytes_make_it_fail(payload: bytes, retained: bool) -> None:
 )
 def test_whoever_asks_how_nothing_is_done_twice_or_late(said: list[tuple[str, int, float, float]]) -> None:
     """Each a command, an id, its age and how long it is after the one before; some come late, some again."""
-    asks = Asks(ALL, 5.0)
+    queue = RequestQueue(ALL, 5.0)
     now = NOW
     done: list[tuple[str, float]] = []
     for command, id, age_s, after_s in said:
         now = Now(now.t + after_s, now.unix_s + after_s)
         value = {"value": 30.0} if command == "bend" else {}
         asked = {"id": str(id), "unix_s": now.unix_s - age_s, "command": command, **value}
-        asks.receive(now, msgspec.json.encode(asked), False)
-        for one, made_at in asks.next():
+        queue.receive(now, msgspec.json.encode(asked), False)
+        for one, made_at in queue.next():
             assert now.unix_s - one.unix_s <= now.t - made_at + 1e-6
             assert made_at <= now.t
             assert abs(now.unix_s - one.unix_s) <= 5.0
             done.append((one.id, one.unix_s))
-        assert not asks.next()
+        assert not queue.next()
     assert len(set(done)) == len(done)
