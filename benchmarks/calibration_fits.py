@@ -86,7 +86,9 @@ def plant(recording: StageRecording, started: Findings) -> Found:
     for name, key in (("cv_volume_L", "cv.volume_L"), (EVP, f"evp.{EVP[4:]}")):
         if start := started.estimate(name):
             numbers[key] = start.value
-    rig = replace(with_numbers(nominal_rig(plan.believed.pneumatics), numbers), tolerance_percent=TOLERANCES)
+    rig = replace(
+        with_numbers(nominal_rig(plan.user_config.pneumatics), numbers), tolerance_percent=TOLERANCES
+    )
     is_reading = np.append(True, np.diff(np.round(read.t_s * 1000.0).astype(int) // READING_MS) > 0)
     valves = np.stack((read.evp, read.dvp, read.solenoid))
     kept = is_reading | np.append(True, np.any(np.diff(valves) != 0.0, axis=0))
@@ -111,7 +113,7 @@ def plant(recording: StageRecording, started: Findings) -> Found:
         """As the benchmark `calibrate.py` defines them; `place` as the fit moves it."""
         moved = problem.moved(replace(fit.point, deviation=dict(zip(keys, place, strict=False))))
         value = {c.name: c.parameters[0].to_model(x) for c, x in zip(causes, place[len(keys) :], strict=True)}
-        full_kPa, ambient_kPa = plan.believed.pneumatics.full_kPa, STANDARD_PRESSURE_KPA
+        full_kPa, ambient_kPa = plan.user_config.pneumatics.full_kPa, STANDARD_PRESSURE_KPA
         growth = value.get("cv_compliance", 0.0) * (plan.top_kPa + ambient_kPa)
         start = value["evp_dead_zone"] + 0.5 * value["evp_hysteresis"]
         reference = (690.0 + ambient_kPa) / 690.0 * full_kPa / (full_kPa + ambient_kPa)

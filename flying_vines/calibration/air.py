@@ -173,28 +173,28 @@ def _columns(readings: Readings, top_kPa: float) -> dict[str, Array]:
 # The reservoir's volume.
 
 
-def _reservoir_volume(believed_L: float) -> MeasuredQuantity:
+def _reservoir_volume(assumed_L: float) -> MeasuredQuantity:
     return MeasuredQuantity(
-        "reservoir_volume_L", "bottle's volume", "L", believed=believed_L, key=RESERVOIR_KEY
+        "reservoir_volume_L", "bottle's volume", "L", assumed=assumed_L, key=RESERVOIR_KEY
     )
 
 
-def given_volume(reservoir_L: float, believed_L: float) -> MeasuredQuantity:
+def given_volume(reservoir_L: float, assumed_L: float) -> MeasuredQuantity:
     """As a person weighed it."""
     estimate = Estimate(reservoir_L, GIVEN_VOLUME_SD * reservoir_L)
-    return _reservoir_volume(believed_L).measured(estimate, "as you gave it")
+    return _reservoir_volume(assumed_L).measured(estimate, "as you gave it")
 
 
-def believed_volume(believed_L: float) -> MeasuredQuantity:
+def assumed_volume(assumed_L: float) -> MeasuredQuantity:
     """Not measured: the profile's number is used."""
-    return _reservoir_volume(believed_L).unknown(
+    return _reservoir_volume(assumed_L).unknown(
         "from the profile; an error scales all volumes, and all resistances inversely"
     )
 
 
-def vessel_volume(vessel: VineAir, vessel_L: float, believed_L: float) -> Result:
+def vessel_volume(vessel: VineAir, vessel_L: float, assumed_L: float) -> Result:
     """From a rigid vessel of known volume with its hose."""
-    found = _reservoir_volume(believed_L)
+    found = _reservoir_volume(assumed_L)
     ratio = vessel.balance.values["volume"]
     if ratio.low <= 0.0:
         return Result((found.unknown("the bottle's pressure did not fall when the vessel was filled"),))
@@ -251,7 +251,7 @@ def volumes(vine: VineAir) -> Result:
         "cv_volume_L",
         "vine's effective volume",
         "L",
-        believed=known.pneumatics.cv_volume_L,
+        assumed=known.pneumatics.cv_volume_L,
         key="pneumatics.cv_volume_L",
     )
     if litres.low > 0.0:
@@ -281,7 +281,7 @@ def venturi(vine: VineAir, ran_s: float) -> MeasuredQuantity:
         "dvp_flow_resistance_kPa_s_per_SL",
         "Venturi's supply valve",
         "kPa·s/SL",
-        believed=p.dvp_flow_resistance_kPa_s_per_SL,
+        assumed=p.dvp_flow_resistance_kPa_s_per_SL,
         key="pneumatics.dvp_flow_resistance_kPa_s_per_SL",
     )
     if ran_s < MIN_VENTURI_S:

@@ -395,7 +395,7 @@ class Calibrator:
     def _need_zero(self) -> None:
         """With a larger zero the pressure limits would not protect the vine."""
         zero = self.findings.estimate("cv_zero_kPa")
-        if zero is not None and abs(zero.value) > self.plan.believed.checks.zero_kPa:
+        if zero is not None and abs(zero.value) > self.plan.user_config.checks.zero_kPa:
             raise _Stopped(
                 f"the vented vine reads {zero.value:.1f} kPa: set cv_zero_kPa of the firmware as proposed, "
                 "and calibrate again"
@@ -408,7 +408,7 @@ class Calibrator:
         return self._snapshot.reservoir_kPa >= self._needed_kPa(air_kPa)
 
     def _needed_kPa(self, air_kPa: float) -> float:
-        return air_kPa + self.plan.top_kPa + self.plan.believed.interlocks.reserve_kPa
+        return air_kPa + self.plan.top_kPa + self.plan.user_config.interlocks.reserve_kPa
 
     def _need_air(self, air_kPa: float) -> None:
         if not self._air_lasts(air_kPa):

@@ -1,4 +1,4 @@
-"""The diagnosis of a calibration's flight, with the measured numbers as the believed rig.
+"""The diagnosis of a calibration's flight, from a rig file with the measured numbers.
 
 Needs the extra `analysis`.
 """
@@ -38,18 +38,18 @@ class CalibrationDiagnosis:
 
 
 def diagnosed(
-    flight: Path, believed: Path, numbers: PneumaticsConfig, progress: Progress
+    flight: Path, rig_file: Path, numbers: PneumaticsConfig, progress: Progress
 ) -> CalibrationDiagnosis:
-    """Report and rig are written to the folder of the `believed` rig file.
+    """Report and rig are written to the folder of `rig_file`.
 
     Raises `CaseError` if nothing in the flight can be diagnosed.
     """
-    case = _beginning(read_flight(flight, believed))
+    case = _beginning(read_flight(flight, rig_file))
     verdict = diagnose(case, progress=progress)
-    report = write_report(verdict, case, believed.parent / REPORT)[0]
+    report = write_report(verdict, case, rig_file.parent / REPORT)[0]
     if not verdict.named:
         return CalibrationDiagnosis(verdict, report, None, False)
-    rig = believed.parent / EXTENDED
+    rig = rig_file.parent / EXTENDED
     rig.write_text(true_rig_text(extended_rig(case.rig, verdict)), encoding="utf-8")
     predicts = verdict.held_out.gain[0] > 0.0
     return CalibrationDiagnosis(verdict, report, rig, predicts and bool(load_calibration(rig, numbers).used))

@@ -112,7 +112,7 @@ class CalibrationRun:
     """The outcome, and the proposed settings of the firmware."""
 
     outcome: CalibrationOutcome
-    believed: PneumaticsConfig
+    pneumatics: PneumaticsConfig
     """From the rig file if the profile names one."""
     interrupted: bool
     firmware: Mapping[str, float]

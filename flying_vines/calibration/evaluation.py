@@ -37,8 +37,8 @@ class StageRecording:
             case "vessel":
                 litres = self.plan.request.vessel_L
                 assert litres is not None
-                believed_L = self.plan.believed.pneumatics.reservoir_volume_L
-                return air.vessel_volume(self._vine, litres, believed_L)
+                assumed_L = self.plan.user_config.pneumatics.reservoir_volume_L
+                return air.vessel_volume(self._vine, litres, assumed_L)
         vine = self._vine
         results = [Result((self._reservoir_volume,)), air.bottle_leak(vine)]
         if self.stage != "bottle_leak":
@@ -61,23 +61,23 @@ class StageRecording:
         plan = self.plan
         ambient_kPa = self.ambient_kPa if np.isfinite(self.ambient_kPa) else STANDARD_PRESSURE_KPA
         volume = self._reservoir_volume
-        known = Estimate(volume.believed or 1.0, 0.0)
+        known = Estimate(volume.assumed or 1.0, 0.0)
         if volume.value is not None and volume.low is not None and volume.high is not None:
             known = Estimate.of_interval(volume.value, volume.low, volume.high)
         return air.vine_air(
             self._less_zero,
-            air.AirInputs(plan.believed.pneumatics, known, plan.top_kPa, plan.settling_s, ambient_kPa),
+            air.AirInputs(plan.user_config.pneumatics, known, plan.top_kPa, plan.settling_s, ambient_kPa),
         )
 
     @property
     def _reservoir_volume(self) -> MeasuredQuantity:
-        """As measured, given, or believed."""
-        believed_L = self.plan.believed.pneumatics.reservoir_volume_L
+        """As measured, given, or assumed."""
+        assumed_L = self.plan.user_config.pneumatics.reservoir_volume_L
         found = self.findings.get("reservoir_volume_L")
         if found is not None:
             return found
         given_L = self.plan.request.bottle_volume_L
-        return air.believed_volume(believed_L) if given_L is None else air.given_volume(given_L, believed_L)
+        return air.assumed_volume(assumed_L) if given_L is None else air.given_volume(given_L, assumed_L)
 
     @property
     def _pairs(self) -> tuple[tuple[float, float], ...]:

@@ -70,7 +70,7 @@ def thinned(column: Array) -> Array:
 
 @dataclass(frozen=True)
 class MeasuredQuantity:
-    """A quantity: the believed value, and the measured value with its 95 % interval."""
+    """A quantity: the assumed value, and the measured value with its 95 % interval."""
 
     name: str
     what: str
@@ -78,7 +78,7 @@ class MeasuredQuantity:
     value: float | None = None
     low: float | None = None
     high: float | None = None
-    believed: float | None = None
+    assumed: float | None = None
     note: str = ""
     """A qualification, or the reason why it was not measured."""
     key: str | None = None
@@ -105,14 +105,14 @@ class MeasuredQuantity:
         return f"{self.value:.{digits}f}", f"{self.low:.{digits}f} … {self.high:.{digits}f}"
 
     def change(self) -> str:
-        """Measured against believed, as text."""
-        if self.value is None or self.believed is None:
+        """Measured against assumed, as text."""
+        if self.value is None or self.assumed is None:
             return ""
-        if self.low is not None and self.high is not None and self.low <= self.believed <= self.high:
-            return "as believed"
-        if self.believed == 0.0:
+        if self.low is not None and self.high is not None and self.low <= self.assumed <= self.high:
+            return "as assumed"
+        if self.assumed == 0.0:
             return f"{self.value:+.3g}"
-        return f"{self.value / self.believed - 1.0:+.1%}"
+        return f"{self.value / self.assumed - 1.0:+.1%}"
 
 
 @dataclass(frozen=True)

@@ -27,18 +27,18 @@ def least_squares(
     def jacobian() -> Array:
         return np.array([(residual(place + d) - left) / d.sum() for d in np.diag(difference)]).T
 
-    slopes = jacobian()
+    derivatives = jacobian()
     for _ in range(MAX_STEPS):
-        normal = slopes.T @ slopes
-        move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slopes.T @ left)
+        normal = derivatives.T @ derivatives
+        move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), derivatives.T @ left)
         tried = np.clip(place - move, low, high)
         tried_left = residual(tried)
         gained = float(left @ left - tried_left @ tried_left)
         if gained > 0.0:
             place, left, damping = tried, tried_left, 0.1 * damping
-            slopes = jacobian()
+            derivatives = jacobian()
         else:
             damping *= 10.0
         if damping > MAX_DAMPING or 0.0 < gained < MIN_GAIN:
             break
-    return place, slopes
+    return place, derivatives

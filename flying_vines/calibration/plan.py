@@ -49,7 +49,7 @@ MAX_HOLD_S = 10.0
 SETTLED_SHARE = 0.65
 """Share of a hold after which compressed gas has cooled; the hold grows with the vine's volume."""
 VOLUME_FACTOR = 4.0
-"""How much larger or smaller than believed the vine may be."""
+"""How much larger or smaller than assumed the vine may be."""
 MAX_VOLUME_FACTOR = 10.0
 BENT_MARGIN_S = 30.0
 """Added to the longest movement for `max_bent_s`."""
@@ -99,11 +99,11 @@ class Stage:
 
 @dataclass(frozen=True)
 class CalibrationPlan:
-    """`config` is the derived profile that moves the vine, `believed` the user's own."""
+    """`config` is the derived profile that moves the vine, `user_config` the user's own."""
 
     stages: tuple[Stage, ...]
     config: Config
-    believed: Config
+    user_config: Config
     request: CalibrationRequest
     hold_s: float
     """Time at each level, and vented time after each movement."""

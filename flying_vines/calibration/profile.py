@@ -59,7 +59,7 @@ def _up_to(max_kPa: float, curve: Sequence[tuple[float, float]]) -> Sequence[tup
 
 
 def is_precise(finding: MeasuredQuantity) -> bool:
-    """True if it may replace the believed value."""
+    """True if it may replace the assumed value."""
     value, low, high = finding.value, finding.low, finding.high
     if value is None or low is None or high is None:
         return False

@@ -64,8 +64,8 @@ async def calibrate(
     Args:
         save: save the proposed settings in the firmware.
     """
-    believed, context = load_context(profile)
-    plan = planned(believed, request)
+    config, context = load_context(profile)
+    plan = planned(config, request)
     address = parse_address(profile.config.firmware.link)
     stopped = asyncio.Event()
     for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -81,7 +81,7 @@ async def calibrate(
         saves = save and bool(wanted) and outcome.ended.outcome == "done"
         if saves:
             await talk_about_settings(address, wanted, stopped)
-    return CalibrationRun(outcome, believed.pneumatics, stopped.is_set(), wanted, saves)
+    return CalibrationRun(outcome, config.pneumatics, stopped.is_set(), wanted, saves)
 
 
 async def _run(

@@ -196,9 +196,9 @@ class _BalanceFit:
         design = self._design(heat)
         whole = design
         if heat is not None:
-            slopes = [(self._design(heat + d) - design) @ best / _STEP for d in _STEP * np.eye(3)]
+            derivatives = [(self._design(heat + d) - design) @ best / _STEP for d in _STEP * np.eye(3)]
             prior = np.hstack([np.zeros((3, design.shape[1])), np.diag(1.0 / _HEAT_SD)])
-            whole = np.vstack([np.hstack([design, np.array(slopes).T]), prior])
+            whole = np.vstack([np.hstack([design, np.array(derivatives).T]), prior])
         fitted = self._model(heat) @ best
         residual = (self._bins.reservoir_kPa - fitted)[self._bins.counts] / self._bins.noise_kPa
         n = len(self._names)

@@ -1,9 +1,9 @@
 """The results of a calibration on the terminal and as files, in the folder `calibration` of its flight.
 
 findings.json        every quantity with its interval; the typed angles; the proposals for the firmware
-calibrated.toml      the user's profile with the measured values; believed.toml: the profile as it was
+calibrated.toml      the user's profile with the measured values; profile-before.toml: the profile as it was
 calibration.html     table and pictures in one page; each picture as SVG and PNG beside it
-believed-rig.toml    the measured numbers as a rig file; rig.toml: with the causes that the diagnosis names
+measured-rig.toml    the measured numbers as a rig file; rig.toml: with the causes that the diagnosis names
 diagnosis/           the report of the diagnosis
 """
 
@@ -61,15 +61,15 @@ def write_results(
     ended = outcome.ended
     content = {"outcome": ended.outcome, "sentence": ended.sentence, **findings.as_json()}
     _write(folder / "findings.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
-    _write(folder / "believed.toml", profile.text)
+    _write(folder / "profile-before.toml", profile.text)
     changed = list(changes(findings, profile.config.limits.max_kPa))
     for finding in findings.findings:
         if finding.key in NUMBERS and finding.value is not None and not is_precise(finding):
             terminal.warn(f"{finding.what}: not precise enough; the profile keeps its value")
     if changed and profile.config.pneumatics.rig:
-        changed = [*_instead_of_rig(profile.config.pneumatics.rig, run.believed, changed), *changed]
+        changed = [*_instead_of_rig(profile.config.pneumatics.rig, run.pneumatics, changed), *changed]
     numbers = with_numbers(profile.config, changed).pneumatics
-    rig_file = folder / "believed-rig.toml"
+    rig_file = folder / "measured-rig.toml"
     _write(rig_file, rig_text(numbers, findings))
     places = [folder / "calibrated.toml"]
     if in_place and profile.path is not None:
@@ -126,10 +126,10 @@ def _draw(outcome: CalibrationOutcome, folder: Path, terminal: CalibrationTermin
 
 
 def _diagnose(
-    outcome: CalibrationOutcome, believed: Path, numbers: PneumaticsConfig, terminal: CalibrationTerminal
+    outcome: CalibrationOutcome, rig_file: Path, numbers: PneumaticsConfig, terminal: CalibrationTerminal
 ) -> Path | None:
     """The rig file that the profile should name; None if there is none."""
-    command = f"flying-vines diagnose --from-log {outcome.folder} --rig {believed}"
+    command = f"flying-vines diagnose --from-log {outcome.folder} --rig {rig_file}"
     try:
         from flying_vines.calibration.diagnosis import diagnosed
         from flying_vines.identification.recording import CaseError
@@ -138,7 +138,7 @@ def _diagnose(
         return None
     try:
         with terminal.working() as progress:
-            diagnosis = diagnosed(outcome.folder, believed, numbers, progress)
+            diagnosis = diagnosed(outcome.folder, rig_file, numbers, progress)
     except CaseError as error:
         terminal.warn(f"No diagnosis: {error}")
         return None
@@ -174,11 +174,11 @@ def _write_profiles(
 
 
 def _instead_of_rig(
-    name: str, believed: PneumaticsConfig, changed: list[ProfileChange]
+    name: str, pneumatics: PneumaticsConfig, changed: list[ProfileChange]
 ) -> Iterator[ProfileChange]:
     """A rig file has priority over the profile: remove it, and keep its other numbers in the profile."""
     yield ProfileChange("pneumatics", "rig", "", "it would have priority over these numbers")
     measured = {change.name for change in changed}
     for key in RIG_KEYS:
         if key not in measured:
-            yield ProfileChange("pneumatics", key, getattr(believed, key), f"as in {name}")
+            yield ProfileChange("pneumatics", key, getattr(pneumatics, key), f"as in {name}")

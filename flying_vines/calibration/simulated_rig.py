@@ -56,17 +56,17 @@ def calibrate(
     """Calibrate the rig of a file, or a likely one. Raises `CalibrateError`, `RigError`, `OSError`."""
     if request.vessel_L is not None:
         raise CalibrateError("--vessel-L needs a person who changes a hose; it does not work with --fake")
-    believed, context = load_context(profile)
-    plan = planned(believed, request)
+    config, context = load_context(profile)
+    plan = planned(config, request)
     phlosar = SimulatedPhlosar(
         load_true_rig(rig) if rig else None,
         {"telemetry_Hz": EVERY_STEP_HZ},
-        reservoir_kPa=0.0 if request.bottle_empty else believed.pneumatics.full_kPa,
+        reservoir_kPa=0.0 if request.bottle_empty else config.pneumatics.full_kPa,
     )
     terminal.introduce(plan)
     with _interruptions() as interrupted, terminal.live():
         outcome = _run(plan, context, phlosar, out, terminal, interrupted)
-        return CalibrationRun(outcome, believed.pneumatics, interrupted(), {}, False)
+        return CalibrationRun(outcome, config.pneumatics, interrupted(), {}, False)
 
 
 @contextmanager
@@ -107,7 +107,7 @@ def _run(
             answer = f"{angles.read(phlosar.cv_kPa):.1f}"
         elif asked.number > 1:
             # The first question is for the empty reservoir, which it is; the second asks to fill it.
-            phlosar.fill(plan.believed.pneumatics.full_kPa)
+            phlosar.fill(plan.user_config.pneumatics.full_kPa)
         driver.carry_out(calibrator.answer(world.now, asked, answer))
 
     def evaluate(task: EvaluationTask) -> None:

@@ -197,12 +197,12 @@ class CalibrationTerminal:
 def findings_table(findings: Findings) -> Table:
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
     table.add_column("quantity", overflow="fold")
-    for name in ("believed", "measured", "95 % interval", "change"):
+    for name in ("assumed", "measured", "95 % interval", "change"):
         table.add_column(name, justify="right")
     for finding in findings.findings:
-        believed = "" if finding.believed is None else f"{finding.believed:.4g}"
+        assumed = "" if finding.assumed is None else f"{finding.assumed:.4g}"
         unit = f", {finding.unit}" if finding.unit else ""
-        table.add_row(f"{finding.what}{unit}", believed, *finding.texts(), finding.change())
+        table.add_row(f"{finding.what}{unit}", assumed, *finding.texts(), finding.change())
     return table
 
 

@@ -177,10 +177,10 @@ def _refined(
         return np.append((air - expected(q)) / sd, (PLAY_PRIOR[0] - q[0]) / PLAY_PRIOR[1])
 
     low, high = np.array([0.0, 0.0, -np.inf]), np.array([PLAYS[-1], STARTS[-1], np.inf])
-    q, slopes = least_squares(residual, best, low, high, np.array([0.005, 0.0005, 1e-4]))
+    q, jacobian = least_squares(residual, best, low, high, np.array([0.005, 0.0005, 1e-4]))
     left = residual(q)[:-1]
     spread = max(1.0, float(left @ left) / max(1, len(air) - 3))
-    covariance = np.linalg.pinv(slopes.T @ slopes) * spread
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * spread
     play_sd, start_sd, gain_sd = np.sqrt(np.diag(covariance))
     if start_sd > MAX_START_SD:
         return "the inflations were too much alike to separate start and gain"
@@ -206,7 +206,7 @@ def inflation_valve(readings: Readings, vine: VineAir) -> Result:
         "evp_flow_resistance_kPa_s_per_SL",
         "inflation valve, fully open",
         "kPa·s/SL",
-        believed=p.evp_flow_resistance_kPa_s_per_SL,
+        assumed=p.evp_flow_resistance_kPa_s_per_SL,
         key="pneumatics.evp_flow_resistance_kPa_s_per_SL",
     )
     fit = fit_valve(readings, vine)

@@ -43,7 +43,7 @@ def mean_at_rest(column: Array) -> tuple[Estimate, bool]:
 def cv_zero(vented: Readings) -> Result:
     """Zero of the vine's sensor, and the noise of both sensors."""
     zero, steady = mean_at_rest(vented.cv_kPa)
-    finding = MeasuredQuantity("cv_zero_kPa", "vine's sensor at no pressure", "kPa", believed=0.0)
+    finding = MeasuredQuantity("cv_zero_kPa", "vine's sensor at no pressure", "kPa", assumed=0.0)
     proposals: tuple[SettingProposal, ...] = ()
     if steady and abs(zero.value) > max(MIN_CV_ZERO_KPA, 2.0 * zero.sd):
         why = f"the vented vine reads {zero.value:+z.2f} kPa"
@@ -63,7 +63,7 @@ def cv_zero(vented: Readings) -> Result:
 def reservoir_zero(empty: Readings) -> Result:
     """Zero of the reservoir's sensor, from readings of the open, empty reservoir."""
     zero, steady = mean_at_rest(empty.reservoir_kPa)
-    finding = MeasuredQuantity("reservoir_zero_kPa", "bottle's sensor at no pressure", "kPa", believed=0.0)
+    finding = MeasuredQuantity("reservoir_zero_kPa", "bottle's sensor at no pressure", "kPa", assumed=0.0)
     if not steady:
         return Result((finding.unknown(UNSTEADY),))
     proposals: tuple[SettingProposal, ...] = ()

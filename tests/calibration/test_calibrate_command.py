@@ -67,7 +67,7 @@ def test_the_written_profile_is_valid(
     assert numbers.cv_volume_L == pytest.approx(volume_L, rel=0.02)
     assert "was 0.3, measured" in written.read_text()
     assert configuration.load(folder / "vine.toml").pneumatics.cv_volume_L == 0.3
-    assert (written.parent / "believed.toml").read_text() == (folder / "vine.toml").read_text()
+    assert (written.parent / "profile-before.toml").read_text() == (folder / "vine.toml").read_text()
 
 
 def test_it_writes_a_flight(

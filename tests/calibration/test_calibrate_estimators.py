@@ -222,7 +222,7 @@ def test_slow_telemetry_does_not_measure_the_valve(seen: tuple[Readings, VineAir
 def test_a_vessel_of_known_volume_measures_the_reservoir(seen: tuple[Readings, VineAir]) -> None:
     _, vine = seen
     (found,) = air.vessel_volume(vine, 0.15, 1.7).findings
-    assert found.value == pytest.approx(RESERVOIR_L, rel=0.04) and found.believed == 1.7
+    assert found.value == pytest.approx(RESERVOIR_L, rel=0.04) and found.assumed == 1.7
 
 
 @given(width=st.floats(0.0, 0.2), commands=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=30))

@@ -45,7 +45,7 @@ def test_the_page_holds_every_quantity_and_asks_nobody(tmp_path: Path) -> None:
     findings = Findings(
         (
             MeasuredQuantity(
-                "cv_volume_L", "vine's <volume>", "L", 0.1043, 0.102, 0.1066, believed=0.1, note="scales"
+                "cv_volume_L", "vine's <volume>", "L", 0.1043, 0.102, 0.1066, assumed=0.1, note="scales"
             ),
         )
     )

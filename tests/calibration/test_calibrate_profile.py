@@ -35,7 +35,7 @@ FOUND = Findings(
             0.104321,
             0.1021,
             0.10664,
-            believed=0.1,
+            assumed=0.1,
             key="pneumatics.cv_volume_L",
         ),
         MeasuredQuantity("vine_leak", "the vine's leak", "kPa·s/SL", note="none seen"),
