@@ -6,9 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from flying_vines.cli.common import (
-    file_errors,
-)
+from flying_vines.cli.common import file_errors
 from flying_vines.config import config as configuration
 
 

@@ -6,10 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from flying_vines.cli.common import (
-    fail,
-    known_rig,
-)
+from flying_vines.cli.common import fail, known_rig
 from flying_vines.config import config as configuration
 
 

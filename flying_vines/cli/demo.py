@@ -7,11 +7,7 @@ import asyncio
 from pathlib import Path
 from typing import Any
 
-from flying_vines.cli.common import (
-    FLIGHTS,
-    add_cause_option,
-    file_errors,
-)
+from flying_vines.cli.common import FLIGHTS, add_cause_option, file_errors
 
 
 def add(commands: Any) -> None:

@@ -7,11 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from flying_vines.cli.common import (
-    file_errors,
-    needs_analysis,
-    show_found,
-)
+from flying_vines.cli.common import file_errors, needs_analysis, show_found
 
 
 def add(commands: Any) -> None:

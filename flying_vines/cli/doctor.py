@@ -64,7 +64,7 @@ async def _run(arguments: argparse.Namespace) -> int:
     from flying_vines.doctor.finding import may_fly
     from flying_vines.doctor.look import profile
     from flying_vines.doctor.show import as_json, asking, last_line, show
-    from flying_vines.doctor.vehicle_probe import Radio
+    from flying_vines.doctor.vehicle_probe import SwitchFacts
     from flying_vines.service.service import check_plugins
 
     async with AsyncExitStack() as stack:
@@ -87,7 +87,7 @@ async def _run(arguments: argparse.Namespace) -> int:
         switch = examined.config.switch
         with console.status(f"Listening to both links for {arguments.seconds:g} s") as status:
 
-            def ask(radio: Radio) -> None:
+            def ask(radio: SwitchFacts) -> None:
                 status.update(asking(radio, switch.channel, switch.positions))
 
             found = await examine(

@@ -10,11 +10,7 @@ from pathlib import Path
 from time import time
 from typing import Any
 
-from flying_vines.cli.common import (
-    add_cause_option,
-    fail,
-    read_mission,
-)
+from flying_vines.cli.common import add_cause_option, fail, read_mission
 
 
 def add(commands: Any) -> None:

@@ -52,17 +52,19 @@ def _import(arguments: argparse.Namespace) -> int:
 
 
 def _proposal(path: Path, first: Proposal | None, options: argparse.Namespace, folder: Path) -> Proposal:
-    """How a file is imported: by its kept answers, the options, and what a person says on the terminal."""
+    """How a file is imported: by its saved answers, the options, and what a person says on the terminal."""
     from rich.console import Console
 
     from flying_vines.identification.importing import answers as answers_file
     from flying_vines.identification.importing.runs import answers_of_similar, propose
     from flying_vines.identification.importing.show import show
 
-    kept = answers_file.answers_path(path)
-    if not kept.exists() and (folder / kept.name).exists():
-        kept = folder / kept.name
-    said = answers_of_similar(path, first) if first and not kept.exists() else answers_file.read_answers(kept)
+    saved = answers_file.answers_path(path)
+    if not saved.exists() and (folder / saved.name).exists():
+        saved = folder / saved.name
+    said = (
+        answers_of_similar(path, first) if first and not saved.exists() else answers_file.read_answers(saved)
+    )
     for text in options.column:
         answers_file.with_column(said, answers_file.column_said(text))
     proposal = propose(path, said, dict(answers_file.volume_said(text) for text in options.volume_L))
@@ -72,15 +74,17 @@ def _proposal(path: Path, first: Proposal | None, options: argparse.Namespace, f
             _ask(path, question, proposal.answers)
         proposal = propose(path, proposal.answers)
         show(proposal, Console())
-    if not kept.exists() or not answers_file.same_answers(proposal.answers, answers_file.read_answers(kept)):
+    if not saved.exists() or not answers_file.same_answers(
+        proposal.answers, answers_file.read_answers(saved)
+    ):
         try:
-            answers_file.write_answers(kept, proposal.answers, proposal.missing)
+            answers_file.write_answers(saved, proposal.answers, proposal.missing)
         except OSError:
-            kept = folder / kept.name
-            answers_file.write_answers(kept, proposal.answers, proposal.missing)
+            saved = folder / saved.name
+            answers_file.write_answers(saved, proposal.answers, proposal.missing)
     if proposal.missing:
-        fail(answers_file.missing_line(path, proposal.missing[0], kept))
-    print(f"Answers  {kept}")
+        fail(answers_file.missing_line(path, proposal.missing[0], saved))
+    print(f"Answers  {saved}")
     return proposal
 
 
@@ -101,7 +105,7 @@ def _ask(path: Path, question: ImportQuestion, answers: Answers) -> None:
 
 
 def _draw(proposal: Proposal, folder: Path) -> None:
-    """Draw the runs beside the data, or in the case folder if that is not possible."""
+    """Draw the runs into the folder of the data, or into the case folder if that is not possible."""
     if find_spec("matplotlib") is None:
         return
     from flying_vines.identification.importing.show import draw

@@ -112,12 +112,12 @@ def _installation(arguments: argparse.Namespace) -> InstallPlan:
     if root == THIS_MACHINE:
         # Folders and users of an image cannot be checked from here.
         check_reachable(read, _reader(user))
-    kept_in = PersistentState.of(profile, config).parameters.parent
+    state_folder = PersistentState.of(profile, config).parameters.parent
     wanted = [
         *([] if arguments.config else [fresh]),
         *([files.users()] if user == files.USER else []),
         files.rule(UsbBoard.parse(arguments.port_id)),
-        files.unit(program.command, user, profile, read, kept_in),
+        files.unit(program.command, user, profile, read, state_folder),
     ]
     changes = installing(wanted, root)
     remarks = [

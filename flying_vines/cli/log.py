@@ -10,13 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flying_vines.cli.bad_input import bad_input
-from flying_vines.cli.common import file_errors, needs_analysis
+from flying_vines.cli.common import FLIGHTS, file_errors, needs_analysis
 
 if TYPE_CHECKING:
     from flying_vines.record.reader import FlightLog
 
-FLIGHTS = Path("flights")
-DIFFERENT = 1
 PICTURES = (".png", ".pdf", ".svg")
 
 
@@ -160,23 +158,3 @@ def _bundle(log: FlightLog, arguments: argparse.Namespace) -> int:
     names = bundle(log, text.getvalue(), path)
     print(f"Wrote {path}: {', '.join(names)}")
     return 0
-
-
-def replay_again(recording: Path, config: Path | None, as_json: bool) -> int:
-    """`flying-vines replay` of a flight log. Exit status 1 if the core's answers differ from the flight's."""
-    from rich.console import Console
-
-    from flying_vines.cli.log_tables import show_again
-    from flying_vines.config import config as configuration
-    from flying_vines.record.reader import FlightLog, LogError
-    from flying_vines.simulation.replay import replay_flight
-
-    profile = configuration.load(config) if config else None
-    try:
-        again = replay_flight(FlightLog(recording), profile)
-    except LogError as error:
-        return bad_input(str(error))
-    show_again(again, as_json, Console())
-    if again.damage:
-        print(f"flying-vines: {again.damage}", file=sys.stderr)
-    return DIFFERENT if again.differences else 0

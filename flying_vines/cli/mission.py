@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from flying_vines.cli.bad_input import BAD_INPUT, bad_input
+from flying_vines.cli.common import known_rig
 from flying_vines.config.address import FORMS
 
 if TYPE_CHECKING:
@@ -232,20 +233,13 @@ def _check(arguments: argparse.Namespace) -> int:
 
 def _report(arguments: argparse.Namespace, flies: bool = False) -> Report:
     from flying_vines.config import config as configuration
-    from flying_vines.physics.rig import RigError
     from flying_vines.supply import nominal
-    from flying_vines.supply.known_rig import load_calibration
-    from missions.mission import MissionError
     from missions.review import review
 
     config = configuration.load_or_default(arguments.config)
     name, items, kind, home = _items(arguments, config)
-    rig: Path | None = arguments.rig
-    rig = rig or configuration.rig_named(config, arguments.config)
-    try:
-        belief = load_calibration(rig, config.pneumatics).belief if rig else nominal(config.pneumatics)
-    except RigError as error:
-        raise MissionError(str(error)) from None
+    known = known_rig(config, arguments.config, arguments.rig)
+    belief = known.belief if known else nominal(config.pneumatics)
     reservoir_kPa = arguments.reservoir_kPa
     if reservoir_kPa is None:
         reservoir_kPa = config.pneumatics.full_kPa
@@ -255,7 +249,7 @@ def _report(arguments: argparse.Namespace, flies: bool = False) -> Report:
     from flying_vines.physics.plant.true_rig import load_true_rig
     from flying_vines.simulation.mission_flight import with_flight
 
-    return with_flight(report, config, reservoir_kPa, load_true_rig(rig) if rig else None)
+    return with_flight(report, config, reservoir_kPa, load_true_rig(known.path) if known else None)
 
 
 def _items(

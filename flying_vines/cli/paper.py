@@ -6,12 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from flying_vines.cli.common import (
-    file_errors,
-    needs_analysis,
-    progress_bar,
-    show_found,
-)
+from flying_vines.cli.common import file_errors, needs_analysis, progress_bar, show_found
 
 
 def add(commands: Any) -> None:

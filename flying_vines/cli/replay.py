@@ -9,17 +9,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flying_vines.cli import log as log_command
-from flying_vines.cli.common import (
-    fail,
-    file_errors,
-    known_rig,
-    read_mission,
-)
+from flying_vines.cli.bad_input import bad_input
+from flying_vines.cli.common import fail, file_errors, known_rig, read_mission
 from flying_vines.config import config as configuration
 
 if TYPE_CHECKING:
     from flying_vines.core.events import Action
+
+DIFFERENT = 1
 
 
 def add(commands: Any) -> None:
@@ -51,7 +48,7 @@ def _replay(arguments: argparse.Namespace) -> int:
     if recording.is_dir() or recording.suffix == ".mcap":
         if arguments.mission or arguments.parameters or arguments.pace:
             fail("--mission, --parameters and --pace are for a .tlog; a flight log contains its own")
-        return log_command.replay_again(recording, arguments.config, arguments.json)
+        return _replay_flight(recording, arguments.config, arguments.json)
     config = configuration.load_or_default(arguments.config)
     known = known_rig(config, arguments.config)
     mission = read_mission(arguments.mission)
@@ -89,6 +86,25 @@ def _replay(arguments: argparse.Namespace) -> int:
             file=sys.stderr,
         )
     return 0
+
+
+def _replay_flight(recording: Path, config: Path | None, as_json: bool) -> int:
+    """Replay a flight log. Exit status 1 if the core's answers differ from the flight's."""
+    from rich.console import Console
+
+    from flying_vines.cli.log_tables import show_again
+    from flying_vines.record.reader import FlightLog, LogError
+    from flying_vines.simulation.replay import replay_flight
+
+    profile = configuration.load(config) if config else None
+    try:
+        again = replay_flight(FlightLog(recording), profile)
+    except LogError as error:
+        return bad_input(str(error))
+    show_again(again, as_json, Console())
+    if again.damage:
+        print(f"flying-vines: {again.damage}", file=sys.stderr)
+    return DIFFERENT if again.differences else 0
 
 
 def _shower(live: bool) -> Callable[[Action], None]:

@@ -43,16 +43,16 @@ def _run(arguments: argparse.Namespace) -> int:
     config = configuration.parse(text, str(arguments.config))
     check_plugins(config)
     known = known_rig(config, arguments.config, arguments.rig)
-    kept = PersistentState.of(arguments.config, config)
+    state = PersistentState.of(arguments.config, config)
     with file_errors(arguments.config, ParameterFileError, SigningKeyError, PageTokenError):
-        signing, clock_problem = kept.read_signing(config)
+        signing, clock_problem = state.read_signing(config)
         remembered = Remembered(
-            kept,
-            kept.read_parameters(config),
-            kept.disarmed,
-            kept.read_learned(),
+            state,
+            state.read_parameters(config),
+            state.disarmed,
+            state.read_learned(),
             signing,
-            kept.read_page_token(config),
+            state.read_page_token(config),
         )
     try:
         numbers = known.belief.pneumatics if known else config.pneumatics
@@ -74,7 +74,7 @@ def _run(arguments: argparse.Namespace) -> int:
     lines += [f"Parameter {parameter} = {value:g}" for parameter, value in remembered.parameters.items()]
     if clock_problem:
         lines.append(clock_problem)
-    page = _page_line(config, kept, remembered.page_token, console) if config.page.port else ""
+    page = _page_line(config, state, remembered.page_token, console) if config.page.port else ""
     if page:
         lines.append(page)
     for line in lines:
@@ -88,12 +88,12 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _page_line(config: Config, kept: PersistentState, page_token: str, console: Console) -> str:
+def _page_line(config: Config, state: PersistentState, page_token: str, console: Console) -> str:
     """The page's address. Its token is shown only on a terminal, because others may read a log."""
     from flying_vines.gateway.page_token import address, watching
 
     if page_token and not console.is_terminal:
-        return f"Page {address(config.page)}, token in {kept.page_token}"
+        return f"Page {address(config.page)}, token in {state.page_token}"
     if page_token:
         only_watches = f"; to watch only: token {watching(page_token)}"
         return f"Page {address(config.page, page_token)}{only_watches}"

@@ -7,12 +7,7 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
-from flying_vines.cli.common import (
-    add_cause_option,
-    fail,
-    file_errors,
-    needs_analysis,
-)
+from flying_vines.cli.common import add_cause_option, fail, file_errors, needs_analysis
 
 
 def add(commands: Any) -> None:

@@ -7,11 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flying_vines.cli.common import (
-    file_errors,
-    needs_analysis,
-    show_found,
-)
+from flying_vines.cli.common import file_errors, needs_analysis, show_found
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -345,10 +345,10 @@ def parse(text: str, source: str, recorded: bool = False) -> Config:
         inside: Key = ()
         for name, profile in _profiles_of(raw):
             inside = ("profiles", name)
-            kept, own = with_own_segments(profile, SEGMENTS)
-            msgspec.convert(kept, PressureProfile)
+            rest, own = with_own_segments(profile, SEGMENTS)
+            msgspec.convert(rest, PressureProfile)
             if own:
-                raw["profiles"][name] = put_in(kept, own)
+                raw["profiles"][name] = put_in(rest, own)
         inside = ()
         config = msgspec.convert(raw, Config)
     except PluginError as error:

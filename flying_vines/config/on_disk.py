@@ -13,16 +13,16 @@ def put(path: Path, text: str) -> None:
     Creates a missing folder. Raises `OSError` if any step fails; then the old file is unchanged.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    number, beside = mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    number, temporary = mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
         with os.fdopen(number, "w", encoding="utf-8") as file:
             file.write(text)
             file.flush()
             os.fchmod(number, 0o644)
             os.fsync(number)
-        Path(beside).replace(path)
+        Path(temporary).replace(path)
     except BaseException:
-        Path(beside).unlink(missing_ok=True)
+        Path(temporary).unlink(missing_ok=True)
         raise
     sync_folder(path.parent)
 

@@ -79,8 +79,8 @@ def with_own_segments(profile: Any, built_in: Collection[str]) -> tuple[Any, dic
     if not replaced:
         return profile, {}
     placeholder = {"kind": "hold", "for_s": 1.0}
-    kept = [placeholder if index in replaced else segment for index, segment in enumerate(segments)]
-    return {**profile, "segments": kept}, replaced
+    filled = [placeholder if index in replaced else segment for index, segment in enumerate(segments)]
+    return {**profile, "segments": filled}, replaced
 
 
 def put_in(profile: Any, replaced: Mapping[int, Sequence[Any]]) -> Any:

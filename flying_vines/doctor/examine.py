@@ -32,7 +32,7 @@ from flying_vines.doctor.look import disk as folders
 from flying_vines.doctor.look import machine as computer
 from flying_vines.doctor.look.clock import Clock, when
 from flying_vines.doctor.look.profile import ServiceProfile
-from flying_vines.doctor.vehicle_probe import Radio
+from flying_vines.doctor.vehicle_probe import SwitchFacts
 from flying_vines.doctor.vehicle_watch import TICK_S, VehicleWatch
 from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampFile
 
@@ -40,7 +40,7 @@ MOVING_S = 20.0
 """Time for the user to move the switch through all its positions."""
 
 Report = Callable[[Sequence[DoctorFinding]], None]
-RadioQuestion = Callable[[Radio], None]
+RadioQuestion = Callable[[SwitchFacts], None]
 """Asks the user to move the switch and shows its state; called repeatedly."""
 
 
@@ -143,7 +143,7 @@ def _service(running: Sequence[Process], holders: Sequence[Process]) -> DoctorFi
     return service.check(running, [p for p in running if p.pid in holding or processes.secretive(p)])
 
 
-async def _move_switch(watch: VehicleWatch, positions: int, ask: RadioQuestion) -> Radio:
+async def _move_switch(watch: VehicleWatch, positions: int, ask: RadioQuestion) -> SwitchFacts:
     """Ask the user to move the switch until all positions were seen, or for `MOVING_S`. Returns its state."""
     ends_s = watch.t + MOVING_S
     while True:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import socket
 import time
 from collections.abc import AsyncIterator, Sequence
 from contextlib import ExitStack, asynccontextmanager
@@ -12,7 +11,7 @@ import msgspec
 
 from flying_vines.config.config import Config
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.autopilot_server import AutopilotServer
+from flying_vines.simulation.autopilot_server import AutopilotServer, free_udp_port
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
 
@@ -31,7 +30,7 @@ async def between(
     config: Config, autopilot: FakeAutopilot, phlosar: SimulatedPhlosar | None
 ) -> AsyncIterator[Config]:
     """The profile, linked to these two, which run until the block ends. Without `phlosar` its link stays."""
-    companion_port = _free_udp_port()
+    companion_port = free_udp_port()
     vehicle = f"udpin:127.0.0.1:{companion_port}"
     server = AutopilotServer(autopilot, ("127.0.0.1", companion_port))
     with ExitStack() as stack:
@@ -64,10 +63,3 @@ async def _ended(tasks: Sequence[asyncio.Task[None]]) -> None:
     for ended in await asyncio.gather(*tasks, return_exceptions=True):
         if isinstance(ended, BaseException) and not isinstance(ended, asyncio.CancelledError):
             raise ended
-
-
-def _free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from flying_vines.doctor.finding import DoctorFinding, FindingLevel, may_fly, summary
-from flying_vines.doctor.vehicle_probe import Radio
+from flying_vines.doctor.vehicle_probe import SwitchFacts
 
 LABEL_WIDTH = 20
 _SYMBOLS: dict[FindingLevel, tuple[str, str, str]] = {
@@ -54,7 +54,7 @@ def as_json(findings: Sequence[DoctorFinding]) -> dict[str, Any]:
     return {"may_fly": may_fly(findings), "summary": summary(findings), "findings": [*map(asdict, findings)]}
 
 
-def asking(radio: Radio, channel: int, positions: Sequence[str]) -> str:
+def asking(radio: SwitchFacts, channel: int, positions: Sequence[str]) -> str:
     """The prompt while the user moves the switch."""
     if radio.problem is not None:
         now = radio.problem

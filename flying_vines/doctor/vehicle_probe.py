@@ -50,7 +50,7 @@ class StreamFacts:
 
 
 @dataclass(frozen=True, slots=True)
-class Radio:
+class SwitchFacts:
     """The switch's channel."""
 
     problem: str | None
@@ -101,7 +101,7 @@ class VehicleFacts:
     """The autopilot signs its messages."""
     answers: bool = False
     """The autopilot has answered a request of ours."""
-    radio: Radio = Radio("no RC_CHANNELS yet")
+    radio: SwitchFacts = SwitchFacts("no RC_CHANNELS yet")
     mission: Mapping[int, MissionItem] | None = None
     """None if it was not read."""
     ahead_s: float | None = None
@@ -257,11 +257,11 @@ class VehicleProbe:
         """Our system id: the vehicle's, or a guess until it is known."""
         return self._state.system_id or self._config.vehicle.system_id or 1
 
-    def radio(self, t: float) -> Radio:
+    def radio(self, t: float) -> SwitchFacts:
         """The present state of the switch."""
         autopilot = self._state.autopilot
         watched = self._radio.by_receiver or not autopilot.needs_rc_status
-        return Radio(
+        return SwitchFacts(
             self._radio.problem(t),
             self._radio.switch_us,
             self._switch.position,

@@ -226,18 +226,15 @@ class Files:
             on_disk.put(self._folder / RIG, began.rig)
         self._write_about()
         self._mcap = McapFile(self._file, TOPICS, f"flying-vines {version_of('flying-vines')}")
-        believed = msgspec.to_builtins(nominal_rig(began.pneumatics))
         start = Start(
-            *(
-                t,
-                began.profile,
-                began.rig,
-                began.parameters,
-                began.disarmed,
-                began.learned,
-                believed,
-                continues,
-            )
+            t=t,
+            profile=began.profile,
+            rig=began.rig,
+            parameters=began.parameters,
+            disarmed=began.disarmed,
+            learned=began.learned,
+            believed=msgspec.to_builtins(nominal_rig(began.pneumatics)),
+            continues=continues,
         )
         self.add(entry_of_state(start))
         self.sync()

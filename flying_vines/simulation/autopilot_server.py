@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 from collections.abc import Callable, Sequence
 from typing import cast
 
@@ -208,3 +209,11 @@ def _listening(at: str | SocketAddress) -> SocketAddress:
     address = parse_address(f"tcp:{place}")
     assert isinstance(address, NetworkAddress)
     return address.host, address.port
+
+
+def free_udp_port() -> int:
+    """A port of this computer that nobody uses."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port

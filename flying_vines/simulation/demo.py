@@ -7,7 +7,6 @@ met and each kind of trigger occurs exactly as often as the script causes it.
 from __future__ import annotations
 
 import asyncio
-import socket
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,7 +28,7 @@ from flying_vines.record.reader import FlightLog
 from flying_vines.record.recorder import FlightStart, Recorder
 from flying_vines.service.service import Service
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.autopilot_server import AutopilotServer
+from flying_vines.simulation.autopilot_server import AutopilotServer, free_udp_port
 from flying_vines.simulation.ground_station import GroundStation
 from flying_vines.simulation.phlosar.mishaps import Hole
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
@@ -37,10 +36,9 @@ from flying_vines.terminal import vine_sketch as sketch
 from flying_vines.terminal.screen import LiveView, event_line
 from flying_vines.vehicle.component.telemetry import VALUE_NAMES
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.reference_vehicle import ARDUPILOT_HOME
 from flying_vines.vehicle.notice import Notice, Severity
 
-HOME = (-35.363262, 149.165237)
-NORTH_DEG_PER_M = 1 / 111_320
 POLL_S = 0.05
 SWITCH_CHANNEL = 9
 LOW, MIDDLE, HIGH = 1000, 1500, 2000
@@ -48,7 +46,7 @@ CRUISE_M = 6.0
 LEAK = Hole(bore_mm=4.0)
 EMPTY_KPA = 30.0
 MIN_WIDTH_FOR_VINE = 110
-"""From this terminal width on, the vine is drawn beside the live view."""
+"""From this terminal width on, the vine is drawn next to the live view."""
 
 
 @dataclass
@@ -140,8 +138,8 @@ def demo_mission() -> list[MissionItem]:
 
 
 def _position(seq: int, command: int, north_m: float, altitude_m: float, frame: int = 3) -> MissionItem:
-    latitude = HOME[0] + north_m * NORTH_DEG_PER_M
-    return MissionItem(seq, command, (0.0, 0.0, 0.0, 0.0, latitude, HOME[1], altitude_m), frame=frame)
+    latitude, longitude = ARDUPILOT_HOME.global_deg(north_m, 0.0)
+    return MissionItem(seq, command, (0.0, 0.0, 0.0, 0.0, latitude, longitude, altitude_m), frame=frame)
 
 
 def _switch(pulse_us: int) -> Callable[[World], None]:
@@ -181,10 +179,6 @@ def _told(text: str, within_s: float) -> Expectation:
 
 def _open_leak(w: World) -> None:
     w.phlosar.mishaps.bottle = LEAK
-
-
-def _unseen_move(w: World) -> None:
-    w.autopilot.set_rc(SWITCH_CHANNEL, HIGH)
 
 
 SCRIPT = (
@@ -228,7 +222,7 @@ SCRIPT = (
         ),
     ),
     DemoStep(14.5, "RC is lost", lambda w: w.autopilot.lose_rc("frozen"), (_lost("rc", 2.0), _vented(3.0))),
-    DemoStep(16.0, "The pilot moves the switch, unseen", _unseen_move, ()),
+    DemoStep(16.0, "The pilot moves the switch, unseen", _switch(HIGH), ()),
     DemoStep(
         16.5,
         "RC returns",
@@ -289,7 +283,7 @@ async def fly(
     """Fly the script in real time; log and picture go to `out`. `page`: serve the status page."""
     ground = GroundStation()
     ground_port = await ground.listen()
-    companion_port = _free_udp_port()
+    companion_port = free_udp_port()
     phlosar = SimulatedPhlosar(rig, reservoir_kPa=690.0)
     autopilot = FakeAutopilot("ardupilot", mission=demo_mission(), rc_failsafe_mode=None)
     autopilot.set_rc(SWITCH_CHANNEL, LOW)
@@ -429,10 +423,3 @@ def summary(flight: DemoFlight) -> Table:
             Text("ok", style="green") if met is not None else Text("FAILED", style="bold red"),
         )
     return table
-
-
-def _free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port

@@ -19,7 +19,7 @@ from service_bench import on_bench
 from flying_vines.config import config as configuration
 from flying_vines.doctor.finding import DoctorFinding
 from flying_vines.doctor.show import asking, last_line, show
-from flying_vines.doctor.vehicle_probe import Radio
+from flying_vines.doctor.vehicle_probe import SwitchFacts
 from flying_vines.simulation.autopilot import FakeAutopilot
 
 pytestmark = real_time
@@ -61,12 +61,12 @@ def test_on_a_terminal_lines_keep_within_it_and_have_signs() -> None:
 
 
 def test_whoever_moves_the_switch_sees_what_was_seen() -> None:
-    seen = Radio(None, 1504, 1, frozenset({0, 1}))
+    seen = SwitchFacts(None, 1504, 1, frozenset({0, 1}))
     text = asking(seen, 9, ("straight", "bend-half", "bend-full"))
     assert "channel 9" in text
     assert "1 ✓ 2 ✓ 3 …" in text
     assert "1504 µs, position 2" in text
-    assert "radio failsafe" in asking(Radio("radio failsafe"), 9, ("", ""))
+    assert "radio failsafe" in asking(SwitchFacts("radio failsafe"), 9, ("", ""))
 
 
 def test_on_fakes_it_is_well_and_needs_nothing_else(

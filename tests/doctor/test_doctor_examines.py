@@ -31,7 +31,7 @@ from flying_vines.doctor.fakes import linked
 from flying_vines.doctor.finding import may_fly
 from flying_vines.doctor.look import profile
 from flying_vines.doctor.look.profile import ServiceProfile
-from flying_vines.doctor.vehicle_probe import Radio
+from flying_vines.doctor.vehicle_probe import SwitchFacts
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.vehicle.mavlink.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S
 
@@ -58,7 +58,7 @@ def after_a_watchdog() -> SimulatedPhlosar:
 def moved_through_all(vehicle: Vehicle) -> RadioQuestion:
     """Somebody who does what he is asked for."""
 
-    def ask(radio: Radio) -> None:
+    def ask(radio: SwitchFacts) -> None:
         unseen = min({0, 1, 2} - radio.seen, default=0)
         vehicle.set_rc(9, (1000, 1500, 2000)[unseen])
 

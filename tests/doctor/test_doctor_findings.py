@@ -37,7 +37,7 @@ from flying_vines.doctor.checks.service import Process
 from flying_vines.doctor.finding import DoctorFinding, FindingText, may_fly, summary
 from flying_vines.doctor.firmware_probe import FirmwareFacts
 from flying_vines.doctor.radio_test import RadioLearned, Sign, TransmitterLoss
-from flying_vines.doctor.vehicle_probe import Radio, StreamFacts, VehicleFacts
+from flying_vines.doctor.vehicle_probe import SwitchFacts, StreamFacts, VehicleFacts
 from flying_vines.supply import CyclesLeft
 from flying_vines.vehicle.mavlink.signing import RefusedFrames
 from flying_vines.vehicle.mission.item import MissionItem
@@ -87,7 +87,7 @@ VEHICLE = VehicleFacts(
     streams=tuple(STREAMS.values()),
     ahead_s=0.1,
 )
-SWITCH = Radio(None, 1004, 0, frozenset({0}))
+SWITCH = SwitchFacts(None, 1004, 0, frozenset({0}))
 REFUSED = RefusedFrames(unsigned=7)
 
 RC_STATUS = Sign("RC status", 1.1, "RC status (present, enabled, health) 1 1 1 → 0 1 0")
@@ -303,7 +303,7 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (vehicle.NO_KEY_NEEDED, of_vehicle(signs=True, answers=True)),
     (vehicle.NOT_SIGNED, of_vehicle()),
     (radio.NOT_USED, of_switch(config=changed("switch", positions=("", "")))),
-    (radio.NOT_HEARD, [radio.check(None, CONFIG, False)]),
+    (radio.NO_AUTOPILOT, [radio.check(None, CONFIG, False)]),
     (radio.NOT_TRUSTED, of_switch(problem="radio failsafe")),
     (radio.HIDES_LOSS, of_switch(hides_loss="FS_THR_ENABLE 0")),
     (radio.BENDS_LATE, of_switch(bends_late=True)),
@@ -314,7 +314,7 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (radio.SOME_SEEN, of_switch(asked=True, seen=frozenset({0, 2}))),
     (radio.NEVER_MOVED, of_switch(asked=True)),
     (mission.NOT_READ, mission.check(None, True, CONFIG)),
-    (mission.NOT_HEARD, mission.check(None, False, CONFIG)),
+    (mission.NO_AUTOPILOT, mission.check(None, False, CONFIG)),
     (mission.NONE, of_mission()),
     (mission.NO_VINE, of_mission(HOME, WAYPOINT)),
     (mission.UNDERSTOOD, of_mission(HOME, (SCRIPT, 1.0, 40.0))),

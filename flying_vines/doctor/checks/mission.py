@@ -16,7 +16,7 @@ NOT_READ = FindingText(
     "it could not be read, so its items would not move the vine",
     "try again with more --seconds; check whether a ground station is uploading",
 )
-NOT_HEARD = FindingText("mission", "skipped", "not read: no autopilot was found")
+NO_AUTOPILOT = FindingText("mission", "skipped", "not read: no autopilot was found")
 NONE = FindingText("mission", "good", "the vehicle has no mission")
 NO_VINE = FindingText("mission", "good", "{items} items, none for the vine")
 UNDERSTOOD = FindingText("mission", "good", "{items} items; for the vine: {vine}")
@@ -31,7 +31,7 @@ NOT_UNDERSTOOD = FindingText(
 def check(mission: Mapping[int, MissionItem] | None, found: bool, config: Config) -> list[DoctorFinding]:
     """`mission` is None if it was not read; `found` is True if there is an autopilot."""
     if not found:
-        return [NOT_HEARD()]
+        return [NO_AUTOPILOT()]
     if mission is None:
         return [NOT_READ()]
     if not mission:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from flying_vines.config.config import Config
 from flying_vines.doctor.finding import DoctorFinding, FindingText
-from flying_vines.doctor.vehicle_probe import Radio
+from flying_vines.doctor.vehicle_probe import SwitchFacts
 from flying_vines.vehicle.radio.switch import BOUNDARIES_US
 
 NOT_USED = FindingText("RC switch", "skipped", "no position has a profile")
-NOT_HEARD = FindingText("RC switch", "skipped", "not checked: no autopilot was found")
+NO_AUTOPILOT = FindingText("RC switch", "skipped", "not checked: no autopilot was found")
 NOT_TRUSTED = FindingText(
     "RC switch",
     "bad",
@@ -57,14 +57,14 @@ NEVER_MOVED = FindingText(
 )
 
 
-def check(radio: Radio | None, config: Config, asked: bool) -> DoctorFinding:
+def check(radio: SwitchFacts | None, config: Config, asked: bool) -> DoctorFinding:
     """`asked`: the user was asked to move the switch. `radio` is None if no autopilot was found."""
     switch = config.switch
     channel, count = switch.channel, len(switch.positions)
     if not any(switch.positions):
         return NOT_USED()
     if radio is None:
-        return NOT_HEARD()
+        return NO_AUTOPILOT()
     if radio.problem is not None:
         return NOT_TRUSTED(channel=channel, why=radio.problem)
     if radio.hides_loss:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import platform
 import shutil
 import subprocess
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from flying_vines.doctor.checks.machine import MachineFacts
+from flying_vines.record.about import version_of
 
 MEMORY = Path("/proc/meminfo")
 THROTTLED = Path("/sys/devices/platform/soc/soc:firmware/get_throttled")
@@ -18,7 +18,7 @@ TIMEOUT_S = 2.0
 
 def facts() -> MachineFacts:
     return MachineFacts(
-        version=_version(),
+        version=version_of("flying-vines"),
         python=platform.python_version(),
         system=f"{platform.system()} {platform.release()}",
         machine=platform.machine(),
@@ -26,13 +26,6 @@ def facts() -> MachineFacts:
         throttled=_throttled(),
         hottest_C=_hottest_C(),
     )
-
-
-def _version() -> str:
-    try:
-        return version("flying-vines")
-    except PackageNotFoundError:
-        return "of unknown version"
 
 
 def _free_MB() -> float | None:
