@@ -81,7 +81,7 @@ class Actuator(Protocol):
     """
 
     name: str
-    """Of the device, for people: printable ASCII, at most 16 characters."""
+    """The device's name, for people: printable ASCII, at most 16 characters."""
     max_kPa: float
     max_rate_kPa_per_s: float
     dead_man_ms: int
@@ -95,7 +95,7 @@ class Actuator(Protocol):
         """Called every 20 ms while the vine bends, with 0…`max_kPa` (gauge)."""
 
     def readings(self, data: bytes) -> Iterable[Reading]:
-        """The readings that end within `data`: any bytes, in any pieces. An incomplete one is kept."""
+        """The readings that end within `data`: bytes in any pieces. An incomplete one waits for the rest."""
 
 
 class ActuatorLine:
@@ -131,7 +131,7 @@ class ActuatorLine:
 
     def restart(self) -> None:
         self._nonce: int | None = None
-        """Of a greeting without answer."""
+        """The nonce of a greeting that is not answered yet."""
         self._number = 0
         self._setpoint_kPa = 0.0
 

@@ -149,23 +149,23 @@ def _why_refused(case: CheckedMission, item: MissionItem, result: int) -> str:
     return f"{refuses}; for '{intent}' use {described(instead)}"
 
 
-def _altered(case: CheckedMission, item: MissionItem, kept: MissionItem) -> Iterator[MissionFinding]:
+def _altered(case: CheckedMission, item: MissionItem, stored: MissionItem) -> Iterator[MissionFinding]:
     """Numbers that the autopilot's storage changes."""
     sent = list(item.params)
     if item.command in _YAW_MAY_BE_NAN and math.isnan(sent[3]):
-        sent[3] = kept.params[3]
-    if abs(sent[6] - kept.params[6]) < CENTIMETRE_M:
-        sent[6] = kept.params[6]
-    if same_numbers(sent, kept.params):
+        sent[3] = stored.params[3]
+    if abs(sent[6] - stored.params[6]) < CENTIMETRE_M:
+        sent[6] = stored.params[6]
+    if same_numbers(sent, stored.params):
         return
     changes = ", ".join(
         f"param{number} {a:g} becomes {b:g}"
-        for number, (a, b) in enumerate(zip(sent, kept.params, strict=True), start=1)
+        for number, (a, b) in enumerate(zip(sent, stored.params, strict=True), start=1)
         if not same_numbers((a,), (b,))
     )
     stores = f"{case.name} stores other numbers: {changes}"
     meant, _ = case.rules.for_command(item.command, item.params)
-    means, _ = case.rules.for_command(kept.command, kept.params)
+    means, _ = case.rules.for_command(stored.command, stored.params)
     if meant is None or meant == means:
         yield case.warning(item, stores)
         return

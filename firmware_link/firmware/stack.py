@@ -225,7 +225,7 @@ def _pushed(registers: str) -> int:
 
 
 def _section_sizes(elf: Path) -> dict[str, int]:
-    """Of what takes flash or the memory of the variables."""
+    """Sizes of the sections in flash and in the variables' memory."""
     lines = _run("size", "-A", elf).splitlines()
     fields = [line.split() for line in lines if line.startswith(".")]
     without = (".debug", ".ARM.attributes", ".comment", ".bss.dma", ".bss.extram")

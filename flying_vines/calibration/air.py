@@ -219,7 +219,7 @@ def bottle_leak(vine: VineAir) -> Result:
         _resistance(resistance, at_kPa, flow),
     )
     read = bins.reservoir_kPa - vine.balance.cold_kPa
-    kept = vine.balance.without(*bins.columns)
+    unused_kPa = vine.balance.without(*bins.columns)
     chart = Chart(
         "bottle",
         "The bottle's pressure",
@@ -228,7 +228,12 @@ def bottle_leak(vine: VineAir) -> Result:
         (
             Series("readings", "points", bins.t_s, bins.reservoir_kPa),
             Series("fitted", "line", bins.t_s, vine.balance.fitted_kPa),
-            Series("at ambient temperature", "line", bins.t_s, read - (kept - np.mean(kept))),
+            Series(
+                "at ambient temperature",
+                "line",
+                bins.t_s,
+                read - (unused_kPa - np.mean(unused_kPa)),
+            ),
         ),
         f"leak {rate.value:.3f} kPa/s ({rate.low:.3f} … {rate.high:.3f})",
     )
@@ -325,7 +330,7 @@ def _staircase(vine: VineAir) -> Chart:
     """Air that each inflation has taken against its pressure."""
     known, bins = vine.known, vine.balance.bins
     others = [name for name in bins.columns if name not in ("volume", "growth", "pouch", "refill")]
-    kept_kPa = vine.balance.without(*others)
+    rest_kPa = vine.balance.without(*others)
     first: list[tuple[float, float]] = []
     later: list[tuple[float, float]] = []
     rests: list[float] = []
@@ -337,12 +342,12 @@ def _staircase(vine: VineAir) -> Chart:
     holding &= ~(np.append(falls, False) | np.append(False, falls))
     for k in np.flatnonzero(bins.counts):
         if bins.cv_kPa[k] < FLAT_KPA:
-            rests = [*rests[-24:], kept_kPa[k]]
+            rests = [*rests[-24:], rest_kPa[k]]
             base_kPa = float(np.mean(rests))
         elif np.isfinite(base_kPa) and holding[k]:
             rests = []
             inflation = first if pouch[k] > 0.5 and refill[k] < 0.5 else later
-            inflation.append((bins.cv_kPa[k], (base_kPa - kept_kPa[k]) * vine.SL_per_kPa))
+            inflation.append((bins.cv_kPa[k], (base_kPa - rest_kPa[k]) * vine.SL_per_kPa))
     line = np.linspace(0.0, known.top_kPa, 50)
     air = np.array([vine.air_SL(0.0, float(kPa)) for kPa in line])
     pouch_SL, refill_SL = (vine.balance.values[name].value * vine.SL_per_kPa for name in ("pouch", "refill"))

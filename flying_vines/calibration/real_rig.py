@@ -113,7 +113,7 @@ async def _run(
         try:
             await asyncio.to_thread(state.store_disarmed, disarmed)
         except PersistentStateError as error:
-            service.say(Severity.WARNING, f"disarming not kept: {error}")
+            service.say(Severity.WARNING, f"disarming not saved: {error}")
 
     def take(action: Action) -> None:
         driver.actions.append(action)

@@ -81,7 +81,7 @@ class Balance:
     """p ϑ: change of the reading by the gas temperature; negative if the gas is cold."""
 
     covariance: Array
-    """Of all parameters, in the order of the columns."""
+    """Covariance of all parameters, in the order of the columns."""
 
     def weighted_sum(self, weights: Mapping[str, float]) -> Estimate:
         names = list(self.bins.columns)

@@ -32,7 +32,7 @@ BENDS = "another kind of bend"
 class _Told:
     t: float
     low: float
-    """Cycles of the whole filling. Minus infinity if 0 was told, because 0 does not say how much air is missing."""
+    """Cycles of the whole filling. Minus infinity if 0 was told: 0 does not say how much air is missing."""
     high: float
     basis: Basis
 

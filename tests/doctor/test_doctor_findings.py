@@ -37,7 +37,7 @@ from flying_vines.doctor.checks.service import Process
 from flying_vines.doctor.finding import DoctorFinding, FindingText, may_fly, summary
 from flying_vines.doctor.firmware_probe import FirmwareFacts
 from flying_vines.doctor.radio_test import RadioLearned, Sign, TransmitterLoss
-from flying_vines.doctor.vehicle_probe import SwitchFacts, StreamFacts, VehicleFacts
+from flying_vines.doctor.vehicle_probe import StreamFacts, SwitchFacts, VehicleFacts
 from flying_vines.supply import CyclesLeft
 from flying_vines.vehicle.mavlink.signing import RefusedFrames
 from flying_vines.vehicle.mission.item import MissionItem

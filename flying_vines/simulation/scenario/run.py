@@ -71,26 +71,26 @@ def simulate(rig: Rig | TrueRig, run: RunKind, seed: int = 1, *, index: int = 0)
     Raises `ScenarioError` if the run needs a control volume and the rig has none.
     """
     rig = rig if isinstance(rig, TrueRig) else TrueRig(rig)
-    believed, there = rig.nominal, rig.setup
+    nominal, setup = rig.nominal, rig.setup
     pattern = random.Random(f"{seed} {index} pattern")
     command = command_of(run, pattern)
-    if believed.cv is None and run.needs_cv:
+    if nominal.cv is None and run.needs_cv:
         raise ScenarioError(f"runs[{index}]: {run.label} needs a control volume, and the rig has no [cv]")
-    if believed.pump is not None and command is not None:
+    if nominal.pump is not None and command is not None:
         raise ScenarioError(
             f"runs[{index}]: {run.label} needs the regulator of the valves, and the rig has a pump; "
             'use runs of kind "openings"'
         )
     controller: _Controller
-    if command is None or believed.cv is None:
+    if command is None or nominal.cv is None:
         valves = valves_of(run, pattern)
         assert valves is not None, "a run either regulates or moves the valves"
         controller = _OpenLoop(valves)
     else:
-        controller = _ClosedLoop(believed, believed.cv, run, command)
-    plant = Simulator(there.plant, at_rest(there.plant, run.reservoir_kPa, 0.0))
+        controller = _ClosedLoop(nominal, nominal.cv, run, command)
+    plant = Simulator(setup.plant, at_rest(setup.plant, run.reservoir_kPa, 0.0))
     true = plant.conditions
-    sense = _Senses(there, random.Random(f"{seed} {index} noise"), true)
+    sense = _Senses(setup, random.Random(f"{seed} {index} noise"), true)
     reading = sense(true)
     steps = FIRMWARE_HZ // run.sample_rate_Hz
     rows: list[tuple[float, ...]] = []
@@ -111,7 +111,7 @@ def simulate(rig: Rig | TrueRig, run: RunKind, seed: int = 1, *, index: int = 0)
             reading = sense(true)
             if step < first + steps:
                 controller.watch(step / FIRMWARE_HZ, reading)
-    return _recorded(run, believed, np.array(rows, dtype=np.float64).T, controller.faults)
+    return _recorded(run, nominal, np.array(rows, dtype=np.float64).T, controller.faults)
 
 
 def simulate_scenario(rig: Rig | TrueRig, scenario: Scenario, seed: int = 1) -> tuple[ScenarioRun, ...]:
@@ -140,8 +140,8 @@ class _Reading(NamedTuple):
 class _Senses:
     """The sensors, read once per tick."""
 
-    def __init__(self, there: Setup, noise: random.Random, true: Conditions) -> None:
-        self._cv, self._reservoir = there.cv_sensor, there.reservoir_sensor
+    def __init__(self, setup: Setup, noise: random.Random, true: Conditions) -> None:
+        self._cv, self._reservoir = setup.cv_sensor, setup.reservoir_sensor
         self._seen_cv, self._seen_reservoir = rested(true.line_kPa), rested(true.reservoir_kPa)
         self._gauss = noise.gauss
 
