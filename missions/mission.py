@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -16,6 +15,7 @@ from flying_vines.config.toml_text import (
     located,
     not_finite,
     one_line,
+    parsed,
     place,
     read_text,
 )
@@ -106,12 +106,7 @@ def load(path: Path) -> tuple[Mission, str]:
 
 def parse(text: str, source: str) -> Mission:
     """Check a mission's text; errors name it as `source`."""
-    try:
-        raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise MissionError(f"{source}: not TOML: {error}") from None
-    except RecursionError:
-        raise MissionError(f"{source}: not TOML: nested too deeply") from None
+    raw = parsed(text, source, MissionError)
     for key in not_finite(raw):
         raise MissionError(f"{place(text, source, key)}: {dotted(key)}: is not a finite number")
     try:

@@ -32,7 +32,7 @@ def test_home_is_a_place_or_the_simulators() -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("name = ", "m.toml: not TOML"),
+        ("name = ", "m.toml:1: not TOML"),
         ("[takeoff]\naltitude_m = 10\n", "m.toml: 'waypoints' is missing"),
         (
             HEAD + waypoint("").replace("north_m", "nort_m"),

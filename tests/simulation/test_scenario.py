@@ -102,7 +102,6 @@ PRBS = RUN + 'kind = "prbs"\nduration_s = 1\n'
     [
         ("", "runs: is missing"),
         ("runs = []", "runs: expected array of length >= 1"),
-        ("runs = [", "not TOML: "),
         ("runs = 3", "runs: expected array, got int"),
         (BENDS + "[other]\n", "other: unknown key"),
         ("nam = 'x'\n" + BENDS, "nam: unknown key; did you mean 'name'?"),
@@ -161,6 +160,11 @@ def test_what_is_wrong_is_one_line_with_file_and_key(text: str, says: str) -> No
     sentence = str(raised.value)
     assert sentence.startswith(f"mine.toml: {says}")
     assert sentence.isprintable()
+
+
+def test_a_text_that_is_not_toml_is_an_error_with_its_line() -> None:
+    with pytest.raises(ScenarioError, match=r"^mine\.toml:1: not TOML: "):
+        parse_scenario("runs = [", "mine.toml")
 
 
 def test_files_that_are_none(tmp_path: Path) -> None:

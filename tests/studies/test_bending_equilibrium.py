@@ -201,7 +201,7 @@ def test_the_drawn_axis_fits_the_sides_that_were_computed() -> None:
         ('kind = "pouch_motor"', 'kind = "pouch"', "actuator.kind: give one of pouch_motor, fpam, cpam"),
         ("count = 9", "count = 9.5", "actuator.count: expected int, got float"),
         ("width_mm = 31", "width_mm = nan", "actuator.width_mm: is not a finite number"),
-        ("[body]", "[body", "my.toml: not TOML"),
+        ("[body]", "[body", "my.toml:8: not TOML"),
     ],
 )
 def test_a_description_that_is_none_is_one_line(old: str, new: str, says: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import re
-import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, get_args
@@ -12,7 +11,7 @@ from typing import Annotated, Any, get_args
 import msgspec
 from msgspec import Meta
 
-from flying_vines.config.toml_text import dotted, not_finite, one_line, read_text
+from flying_vines.config.toml_text import dotted, not_finite, one_line, parsed, read_text
 from flying_vines.simulation.scenario.kinds import RunKind, ScenarioSegment, Valves
 
 _EXAMPLES = resources.files("flying_vines.simulation.scenario") / "examples"
@@ -52,12 +51,7 @@ def load_scenario(source: Path | str) -> Scenario:
 
 def parse_scenario(text: str, source: str) -> Scenario:
     """Check a scenario's text; errors name it as `source`."""
-    try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ScenarioError(f"{source}: not TOML: {error}") from None
-    except RecursionError:
-        raise ScenarioError(f"{source}: not TOML: nested too deeply") from None
+    content = parsed(text, source, ScenarioError)
     for key in not_finite(content):
         raise ScenarioError(f"{source}: {dotted(key)}: is not a finite number")
     try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, get_args
@@ -10,7 +9,7 @@ from typing import Annotated, get_args
 import msgspec
 from msgspec import Meta
 
-from flying_vines.config.toml_text import explained, located, not_finite, one_line, read_text
+from flying_vines.config.toml_text import explained, located, not_finite, one_line, parsed, read_text
 from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
 from flying_vines.studies.bending.body import Body
 from flying_vines.studies.bending.cpam import Cpam
@@ -69,10 +68,7 @@ def load_vine(source: Path | str) -> BendingVine:
 
 def parse_vine(text: str, source: str) -> BendingVine:
     """The vine in the text of a description; `source` is its name in errors."""
-    try:
-        content = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise VineError(f"{source}: not TOML: {error}") from None
+    content = parsed(text, source, VineError)
     for key in not_finite(content):
         raise VineError(located(text, source, key, "is not a finite number"))
     try:

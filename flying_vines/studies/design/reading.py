@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from typing import Any
 
 import msgspec
 
 from flying_vines.config.config import ConfigError
-from flying_vines.config.toml_text import explained, located
+from flying_vines.config.toml_text import explained, located, parsed
 
 
 def decode(text: str, source: str, kind: Any, known: Sequence[str] = ()) -> Any:
@@ -23,10 +22,7 @@ def decode(text: str, source: str, kind: Any, known: Sequence[str] = ()) -> Any:
 
     Raises `ConfigError`.
     """
-    try:
-        raw = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise ConfigError(f"{source}: not TOML: {error}") from None
+    raw = parsed(text, source, ConfigError)
     try:
         return msgspec.convert(raw, kind)
     except msgspec.ValidationError as error:
