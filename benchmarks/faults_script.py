@@ -7,11 +7,10 @@ from random import Random
 from typing import NamedTuple
 
 from faults_flight import ACTUATOR, LIMIT, PULSES_US, SCRIPT_MESSAGE, SWITCH, RefereedFlight, Setup
-from random_mishaps import draw_mishap
 from referee import Foul
 
 from flying_vines.simulation.autopilot.receiver import LOSSES, RcLoss, RcSource
-from flying_vines.simulation.phlosar.mishaps import Hole, StuckAt
+from flying_vines.simulation.phlosar.mishaps import Hole, StuckAt, draw_mishap
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import AutopilotKind
 

@@ -19,7 +19,6 @@ from hypothesis import note, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from needed import needs_compiler
-from random_mishaps import DRAWN
 
 from firmware_link import host, protocol
 from firmware_link.protocol import Setpoint, Vent
@@ -30,7 +29,7 @@ from flying_vines.core.safety import LossEnded, ResponseNeeded, Ruling
 from flying_vines.simulation.autopilot import AutopilotKind, RcSource
 from flying_vines.simulation.autopilot.receiver import LOSSES
 from flying_vines.simulation.phlosar.firmware import Firmware
-from flying_vines.simulation.phlosar.mishaps import PLACES, Filled, StuckAt
+from flying_vines.simulation.phlosar.mishaps import DRAWN, PLACES, Filled, StuckAt
 from flying_vines.simulation.phlosar.regulator import Drive
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vine.intent import BendTo, StartProfile

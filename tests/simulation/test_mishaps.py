@@ -6,7 +6,6 @@ from random import Random
 from statistics import pstdev
 
 import pytest
-from random_mishaps import DRAWN, draw_mishap
 from still_board import StillBoard
 
 from firmware_link.protocol import PROTOCOL_VERSION, Codec, Fault, Hello, Mode, Setpoint, Telemetry, Vent
@@ -19,6 +18,7 @@ from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Rig, Sensors
 from flying_vines.simulation.phlosar import mishaps
 from flying_vines.simulation.phlosar.mishaps import (
+    DRAWN,
     PLACES,
     Drifting,
     Filled,
@@ -42,6 +42,7 @@ from flying_vines.simulation.phlosar.mishaps import (
     StuckAt,
     Unpowered,
     WatchdogReset,
+    draw_mishap,
 )
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.phlosar.regulator import SAFE, Drive
