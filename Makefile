@@ -19,6 +19,8 @@ demo: $(VENV)/.demo
 	$(BIN)/flying-vines demo
 
 test: LONG = -m "not long"
+# Bytecode is kept whatever the environment says: pytest rewrites each test, and tests start hundreds of processes.
+test test-all: export PYTHONDONTWRITEBYTECODE :=
 test test-all: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
