@@ -180,7 +180,7 @@ def test_a_refill_and_a_burst_are_told_once_each() -> None:
 
 
 def test_the_number_after_a_jump_agrees_with_that_at_the_jump() -> None:
-    """The number at a burst may be far too low, because the leak is unknown then. The next one must agree with it."""
+    """The number at a burst may be far too low, as the leak is unknown then. The next must agree with it."""
     bench = Bench()
     told = Told(bench)
     told.rest(6.0)
