@@ -58,7 +58,8 @@ RIGID = dataclasses.replace(EVERYTHING, cv_shape=None)
 @pytest.mark.parametrize(
     ("effects", "cv_L", "seconds"),
     [
-        pytest.param(EVERYTHING, 0.1, 45.0, id="everything"),
+        pytest.param(EVERYTHING, 0.1, 8.0, id="everything"),
+        pytest.param(EVERYTHING, 0.1, 45.0, id="everything, long", marks=pytest.mark.long),
         pytest.param(RIGID, 0.5, 8.0, id="rigid half litre"),
         pytest.param(COMPLIANT, 0.1, 8.0, id="compliant without tube"),
         pytest.param(Effects(), 0.1, 45.0, id="baseline"),

@@ -192,10 +192,6 @@ def rc_bits(message: Any) -> tuple[bool, ...]:
     return tuple(bool(getattr(message, f"onboard_control_sensors_{name}") & RC_RECEIVER) for name in sensors)
 
 
-def switch_and_rssi(message: Any) -> tuple[int, int]:
-    return message.chan9_raw, message.rssi
-
-
 def assert_same_radio(
     fake: list[Heard], real: list[Heard], rc_s: float, bits_s: float, view: Callable[[Any], object]
 ) -> None:

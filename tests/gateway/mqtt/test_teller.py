@@ -219,12 +219,12 @@ def test_whatever_a_core_makes_can_be_told() -> None:
     for second, intent in enumerate(wanted, start=1):
         watch(world.advance(float(second)))
         watch(world.feed(Asked(float(second), "calibration", intent)))
-    watch(world.advance(60.0))
+    watch(world.advance(12.0))
     assert set(made) == {"decision", "notice"}
     told: list[str] = [event.__struct_config__.tag for event in tell_all(vehicle.events)]  # type: ignore[misc]
     assert told == made
-    vehicle.take(60.0, SnapshotMessage(raw(world.core.snapshot(60.0))))
-    _, state, reservoir = vehicle.due(now(60.0))
+    vehicle.take(12.0, SnapshotMessage(raw(world.core.snapshot(12.0))))
+    _, state, reservoir = vehicle.due(now(12.0))
     assert read(state)["doing"] == "vented"
     assert read(reservoir)["reservoir_kPa"] > 100.0
 
