@@ -34,6 +34,7 @@ from .native import (
     SUPPLY_COUNTS,
     Mistake,
     assert_found,
+    fields,
     with_mistake,
 )
 from .once import made_once
@@ -60,47 +61,34 @@ BOARDS = (
 
 
 class Pin(ctypes.Structure):
-    _fields_ = (
-        ("level", ctypes.c_uint8),
-        ("output", ctypes.c_uint8),
-        ("pwm", ctypes.c_uint8),
-        ("pwm_value", ctypes.c_uint16),
-        ("pwm_Hz", ctypes.c_float),
+    _fields_ = fields(
+        """
+        u8 level output pwm
+        u16 pwm_value
+        float pwm_Hz
+        """
     )
 
 
 class State(ctypes.Structure):
-    _fields_ = (
-        ("now_us", ctypes.c_uint32),
-        ("pins", Pin * 40),
-        ("analog", ctypes.c_uint16 * 40),
-        ("noise", ctypes.c_uint16),
-        ("conversion_us", ctypes.c_uint32),
-        ("was_reset", ctypes.c_uint8),
-        ("watchdog_us", ctypes.c_uint32),
-        ("fed_us", ctypes.c_uint32),
-        ("feeds", ctypes.c_uint32),
-        ("watchdog_on", ctypes.c_uint8),
-        ("memory", ctypes.c_uint8 * 1080),
-        ("memory_writes", ctypes.c_uint32),
-        ("memory_us", ctypes.c_uint32),
-        ("timer_us", ctypes.c_uint32),
-        ("priority", ctypes.c_uint8),
-        ("step_hangs", ctypes.c_uint8),
-        ("systicks", ctypes.c_uint32),
-        ("idles", ctypes.c_uint32),
-        ("off_while_idle", ctypes.c_uint8),
-        ("dtr", ctypes.c_uint8),
-        ("usb_stalled", ctypes.c_uint8),
-        ("baud", ctypes.c_uint32),
-        ("waited_for_host_us", ctypes.c_uint32),
-        ("incoming_size", ctypes.c_uint32),
-        ("outgoing_size", ctypes.c_uint32),
-        ("in_flight", ctypes.c_uint32),
-        ("unsent", ctypes.c_uint32),
-        ("incoming", ctypes.c_uint8 * 4096),
-        ("outgoing", ctypes.c_uint8 * 65536),
-        ("order", ctypes.c_char * 64),
+    _fields_ = fields(
+        """
+        u32 now_us
+        Pin pins[40]
+        u16 analog[40] noise
+        u32 conversion_us
+        u8 was_reset
+        u32 watchdog_us fed_us feeds
+        u8 watchdog_on memory[1080]
+        u32 memory_writes memory_us timer_us
+        u8 priority step_hangs
+        u32 systicks idles
+        u8 off_while_idle dtr usb_stalled
+        u32 baud waited_for_host_us incoming_size outgoing_size in_flight unsent
+        u8 incoming[4096] outgoing[65536]
+        char order[64]
+        """,
+        Pin=Pin,
     )
 
 

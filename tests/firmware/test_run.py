@@ -34,6 +34,7 @@ from .native import (
     SUPPLY_COUNTS,
     Mistake,
     assert_found,
+    fields,
     library,
     with_mistake,
 )
@@ -45,30 +46,19 @@ IMAGE_SIZE = 82
 
 
 class Board(ctypes.Structure):
-    _fields_ = (
-        ("now_us", ctypes.c_uint32),
-        ("read_us", ctypes.c_uint32),
-        ("memory_us", ctypes.c_uint32),
-        ("serial_us", ctypes.c_uint32),
-        ("timer_stopped", ctypes.c_uint8),
-        ("readings", ctypes.c_uint16 * 3),
-        ("evp_duty", ctypes.c_uint16),
-        ("dvp_duty", ctypes.c_uint16),
-        ("solenoid", ctypes.c_uint8),
-        ("light", ctypes.c_uint8),
-        ("steps", ctypes.c_uint32),
-        ("fed", ctypes.c_uint32),
-        ("memory_writes", ctypes.c_uint32),
-        ("memory", ctypes.c_uint8 * 1080),
-        ("power_cut_after", ctypes.c_uint32),
-        ("regulated_while_writing", ctypes.c_uint8),
-        ("bootloader_requested", ctypes.c_uint8),
-        ("waiting_for_bootloader", ctypes.c_uint8),
-        ("incoming_size", ctypes.c_uint32),
-        ("outgoing_size", ctypes.c_uint32),
-        ("outgoing_room", ctypes.c_uint32),
-        ("incoming", ctypes.c_uint8 * 4096),
-        ("outgoing", ctypes.c_uint8 * 4096),
+    _fields_ = fields(
+        """
+        u32 now_us read_us memory_us serial_us
+        u8 timer_stopped
+        u16 readings[3] evp_duty dvp_duty
+        u8 solenoid light
+        u32 steps fed memory_writes
+        u8 memory[1080]
+        u32 power_cut_after
+        u8 regulated_while_writing bootloader_requested waiting_for_bootloader
+        u32 incoming_size outgoing_size outgoing_room
+        u8 incoming[4096] outgoing[4096]
+        """
     )
 
 
