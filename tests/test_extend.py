@@ -1,4 +1,4 @@
-"""Parts of installed packages, and `examples/our_lab`, which has one of each kind."""
+"""Plugins from installed packages, and `examples/our_lab`, which has one of each kind."""
 
 from __future__ import annotations
 

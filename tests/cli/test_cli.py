@@ -1,4 +1,4 @@
-"""The commands as a person types them: what they print, and their exit status."""
+"""Commands as a person types them: output and exit status."""
 
 from __future__ import annotations
 

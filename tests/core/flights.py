@@ -1,4 +1,4 @@
-"""Flights in simulated time, as the tests of the core begin them, and what came of them."""
+"""Simulated flights for the tests of the core, and readers of their actions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frames with a good CRC that say what no sensor can, and everything that one can."""
+"""Telemetry frames with a valid CRC and impossible readings, and all possible readings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An error that nobody expects, anywhere in the core, is a commanded shutdown."""
+"""An unexpected error anywhere in the core is a commanded shutdown."""
 
 from __future__ import annotations
 

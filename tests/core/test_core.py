@@ -1,4 +1,4 @@
-"""The whole decision machine, flown in simulated time between a fake autopilot and a simulated phloSAR."""
+"""The whole core in simulated time between a simulated autopilot and a simulated phloSAR."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A board that repeats itself, does not do what it is told, or restarts again and again."""
+"""A board that repeats its telemetry, ignores commands, or restarts again and again."""
 
 from __future__ import annotations
 

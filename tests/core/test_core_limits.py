@@ -1,4 +1,4 @@
-"""What bounds a bend when RC comes and goes, and who may bend at all by a command."""
+"""The time limits of a bend while RC is lost and returns, and who may bend by a command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The link to the autopilot dies, or carries only part: who is alive, and what the pilot reads."""
+"""The link to the autopilot is lost fully or partly: what is reported alive, and what the pilot reads."""
 
 from __future__ import annotations
 

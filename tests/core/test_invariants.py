@@ -1,7 +1,6 @@
-"""What must never happen, held by a referee: in flights that hypothesis thinks up, and in ones that cheat.
+"""A referee finds no foul in random flights, and finds every foul of cheating services and firmware.
 
-The referee is only worth something if it sees what it should: below, services and firmware that do each of
-the forbidden things are caught by it, in flights in which the real ones are not.
+In each flight of a cheat the real service and firmware have no foul.
 """
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+"""Safety alone: interlocks, limits, losses and latched faults."""
+
 from __future__ import annotations
 
 import dataclasses

@@ -1,4 +1,4 @@
-"""Somebody asks for a bend and nothing moves until a fresh request: when this is said, and what it says."""
+"""The notice that a bend is requested in vain: when it comes and what it says."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tree of docs/architecture.md is the project: each module, or its folder, is there, and nothing else."""
+"""The tree in docs/architecture.md lists every module or its folder, and nothing else."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every line that the doctor can say: said of the facts that call for it, and of no others."""
+"""The doctor prints each line for the facts that call for it, and for no others."""
 
 from __future__ import annotations
 

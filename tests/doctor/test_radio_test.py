@@ -1,4 +1,4 @@
-"""What the guided radio test learns of real receivers and autopilots, and of fakes in simulated time."""
+"""What the guided radio test finds about real receivers and autopilots, and about simulated ones."""
 
 from __future__ import annotations
 

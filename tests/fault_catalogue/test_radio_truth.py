@@ -1,4 +1,4 @@
-"""Flights that show whether the service believes only what is true: each shall end without a foul.
+"""The referee finds no foul in flights in which radio and mission mislead the service.
 
 Each of them is a witness against one belief: a service that goes by it is called by the referee. What RC
 really does on PX4, and what ArduPilot hides, is in `tests/data/recordings/README.md`.

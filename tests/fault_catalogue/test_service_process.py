@@ -1,4 +1,4 @@
-"""Faults of the companion and its files: the real service as a process, real sockets, a serial port path."""
+"""Faults of the companion and its files: the service as a process, with real sockets and a serial port."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parts of the firmware as a library for this machine, so that a test can be their surroundings."""
+"""Compiles parts of the firmware as a library, so that a test can simulate the hardware around them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The whole sketch on a simulated Teensy: what the board layer promises, on each board."""
+"""The whole sketch on a simulated Teensy: what the board layer guarantees on each board."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The core on this machine: how it is built, and what lies between its wires and pressures."""
+"""The core's library on this computer: its build, and the conversions between counts and pressures."""
 
 from __future__ import annotations
 

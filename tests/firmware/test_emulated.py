@@ -1,4 +1,4 @@
-"""The core's object code on emulated processors: the same results as on this machine, and fast enough."""
+"""The core's object code on emulated processors gives the same results as here, and is fast enough."""
 
 from __future__ import annotations
 

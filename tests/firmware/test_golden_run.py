@@ -1,4 +1,4 @@
-"""The golden run on this machine, and that it reaches what it is there for."""
+"""The core repeats the golden run on this computer, and the run covers what it should."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The sketch as it is flashed: built for each board with the maker's core, its size, stack and layout."""
+"""The sketch as it is flashed: built for each board with the maker's core; size, stack and layout."""
 
 from __future__ import annotations
 

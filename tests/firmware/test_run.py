@@ -1,4 +1,4 @@
-"""The main loop and the step on a board of variables: timing, watchdog, and what is stored when."""
+"""The main loop and the step on simulated hardware: timing, watchdog, and when settings are stored."""
 
 from __future__ import annotations
 

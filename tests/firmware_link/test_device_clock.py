@@ -1,4 +1,4 @@
-"""Which telemetry is new, by the board's own clock: what repeats, stands, runs back or leaps is not."""
+"""Which telemetry is new by the board's clock, and which is repeated, frozen or out of order."""
 
 from __future__ import annotations
 

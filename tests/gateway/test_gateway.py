@@ -1,4 +1,4 @@
-"""The gateway's process: kept alive whatever becomes of it, and never waited for."""
+"""The gateway's process is restarted whatever happens, and the service never waits for it."""
 
 from __future__ import annotations
 

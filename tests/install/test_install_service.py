@@ -1,4 +1,4 @@
-"""What `install-service` writes below a folder, undoes, and refuses; the unit as systemd itself reads it."""
+"""The files that `install-service` writes, removes and refuses; systemd itself reads the unit."""
 
 from __future__ import annotations
 

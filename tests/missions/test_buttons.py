@@ -1,4 +1,4 @@
-"""The buttons for QGroundControl: it takes the file, and each button asks for what is written on it."""
+"""QGroundControl accepts the button file, and each button requests what its label says."""
 
 from __future__ import annotations
 

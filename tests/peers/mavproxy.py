@@ -1,4 +1,4 @@
-"""MAVProxy as a person uses it: a process of its own that is typed to and read."""
+"""MAVProxy as a process that is typed to and read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""MAVProxy, typed to as a person would, behind the fake autopilot that the service is a companion of.
+"""MAVProxy with typed commands behind the simulated autopilot that the service is connected to.
 
 One MAVProxy for each kind of autopilot, as it takes seconds to start; every test says first whom it talks to.
 """

@@ -1,4 +1,4 @@
-"""mavsdk, which is none of ours, as a ground station beside the real service and a fake autopilot."""
+"""mavsdk as a ground station beside the real service and a simulated autopilot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The fast integrator agrees with scipy's stiff one and with itself in small steps; and its speed."""
+"""The fast integrator agrees with scipy's stiff one and with itself in finer steps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the recorder writes, and what becomes of it when the disk does not do as it should."""
+"""What the recorder writes, and what happens if the disk fails."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The fake autopilot against what real ones were recorded to do."""
+"""The simulated autopilot behaves as real ones were observed to."""
 
 from __future__ import annotations
 

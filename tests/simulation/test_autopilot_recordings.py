@@ -1,4 +1,4 @@
-"""The fake does what real autopilots were recorded to do: the same kinds of messages, in the same order."""
+"""The simulated autopilot sends the kinds of messages of real recordings, in the same order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The compiled closed loop is the regulator on the Simulator, float by float."""
+"""The compiled closed loop gives the same floats as the regulator on the Simulator."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What goes wrong with the hardware, goes wrong as it says: and no air is made or lost by it."""
+"""Each simulated hardware fault has its described effect, and none makes or loses air."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The simulated phloSAR: it regulates, repeats itself bit for bit, and survives its hosts."""
+"""The simulated phloSAR regulates, is deterministic, and survives its hosts."""
 
 from __future__ import annotations
 

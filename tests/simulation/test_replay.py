@@ -1,4 +1,4 @@
-"""Recordings of a real ArduCopter and a real PX4, against the timelines of what was done to them."""
+"""The core on recordings of a real ArduCopter and PX4 decides as their logs of stimuli say."""
 
 from __future__ import annotations
 

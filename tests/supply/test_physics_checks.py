@@ -1,4 +1,4 @@
-"""The physics checks: silent on healthy rigs, and each one names its mishap within its time."""
+"""The physics checks are silent on healthy rigs, and each one finds its fault in time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a person is told of the air: no leap without an event, and nothing learned from half a movement."""
+"""The air that a person reads: no jump without an event, and nothing learned from half a movement."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How old what arrives is, by the autopilot's clock."""
+"""The age of messages by the autopilot's clock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands: for whom they are, which are copies, and what their sender is told."""
+"""Commands: whom they are for, which are copies, and what their sender is answered."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What we send unasked: steady, spread out, short, and nothing twice; and how the parts hang together."""
+"""What we send unasked is steady, spread out, short and never repeated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Transports over real sockets and a pseudo-terminal: both directions, and back by themselves."""
+"""Links over real sockets and a pseudo-terminal carry both directions and reconnect by themselves."""
 
 from __future__ import annotations
 

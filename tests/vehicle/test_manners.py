@@ -1,4 +1,4 @@
-"""Manners: no text that another program takes for its own, no reaction to echoes, a word on a taken id."""
+"""Behaviour towards other programs: own texts only, no reaction to echoes, a notice about a taken id."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The book of the mission: read over a poor link, and read anew whenever it may be another one."""
+"""The stored mission is read over a poor link, and read again whenever it may have changed."""
 
 from __future__ import annotations
 

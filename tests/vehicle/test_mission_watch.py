@@ -1,4 +1,4 @@
-"""Which mission items ran: told by ArduPilot's texts, by its progress where texts are lost, and by PX4."""
+"""Which mission items ran: by ArduPilot's texts, by its progress if texts are lost, and by PX4."""
 
 from __future__ import annotations
 

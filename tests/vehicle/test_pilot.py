@@ -1,4 +1,4 @@
-"""The pilot's switch, on a radio whose truth is known: what bends the vine, what does not, and how late."""
+"""The pilot's switch on a radio with known truth: what bends the vine, what does not, and how late."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What any component is asked: who it is, for a message, how often, whether it is there."""
+"""What we answer any component: identity, a message, a rate, a ping."""
 
 from __future__ import annotations
 

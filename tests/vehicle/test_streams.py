@@ -1,4 +1,4 @@
-"""Streams: asked for one by one, again where they stay away, and named when they never come."""
+"""Streams are requested one by one, again if they do not come, and reported if they never come."""
 
 from __future__ import annotations
 

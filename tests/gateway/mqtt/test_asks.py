@@ -1,4 +1,4 @@
-"""What may be asked for over the broker: what is listed, just now, once, and a vent before all else."""
+"""Requests over the broker: only listed ones, recent ones, once each, and a vent before all others."""
 
 from __future__ import annotations
 

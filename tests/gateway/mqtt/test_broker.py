@@ -1,4 +1,4 @@
-"""Vehicles on a real broker: what others read of them and may ask for, and a broker that comes and goes."""
+"""Vehicles on a real broker: what others read and may request, and a broker that goes and returns."""
 
 from __future__ import annotations
 

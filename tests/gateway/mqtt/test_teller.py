@@ -1,4 +1,4 @@
-"""What the broker is told: states as they come, events in order and all, or it says how many are lost."""
+"""What the broker gets: the latest states, and all events in order or the number of lost ones."""
 
 from __future__ import annotations
 

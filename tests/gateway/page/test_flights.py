@@ -1,4 +1,4 @@
-"""The flights of the log folder over real sockets: listed, downloaded, and nothing else."""
+"""The flights of the log folder over real sockets: listed and downloaded, and no other file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page of the real service, asked over its socket; a browser is not needed for that."""
+"""The page of the real service over its socket, without a browser."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page over real sockets: what it serves, whom it lets in, and what it does under attack."""
+"""The page over real sockets: what it serves, to whom, and under attack."""
 
 from __future__ import annotations
 
