@@ -381,7 +381,7 @@ def test_who_does_not_cheat_has_no_foul(cheat: Cheat) -> None:
 
 
 def test_a_limit_that_is_too_high_is_seen_at_the_vine() -> None:
-    """The true pressure is over the firmware's limit, and to mend what is whole has excused nothing."""
+    """The true pressure is above the firmware's limit, and repairing an intact part excuses nothing."""
     flight = RefereedFlight(Setup(), board=Firmware({"cv_limit_kPa": 60.0}))
     bent(flight)
     flight.heal("bottle")
@@ -510,7 +510,7 @@ class TestAnyFlight(AnyFlight.TestCase):  # type: ignore[misc, valid-type]
 @needs_compiler
 @pytest.mark.parametrize("seed", [1, 2, 3, 5641])
 def test_flights_of_the_campaign(seed: int) -> None:
-    """A few of those that benchmarks/faults.py flies by the thousand."""
+    """Some of the flights that benchmarks/faults.py flies by the thousand."""
     outcome = fly(draw(seed))
     assert outcome.fouls == (), outcome.timeline
 

@@ -296,7 +296,7 @@ def test_a_button_that_is_heard_late_bends_nothing(kind: AutopilotKind, process:
 
 
 def test_a_vent_from_before_a_fault_does_not_clear_it() -> None:
-    """A link held it back until a companion was there that had heard nothing before."""
+    """A link delays the vent until a new companion is there that had received nothing before."""
     flight = airborne(Setup("px4", has_rc=False))
     flight.arm_pneumatics()
     flight.bend_to(20.0)

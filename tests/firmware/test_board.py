@@ -214,7 +214,7 @@ def test_the_valves_are_off_before_anything_else(teensy: Teensy) -> None:
 
 
 def test_the_watchdog_runs_from_the_reset_on(teensy: Teensy) -> None:
-    """Also while Teensyduino starts."""
+    """It also runs while Teensyduino starts."""
     assert not teensy.early_hook()
     assert teensy.hang(2500, with_interrupts=False)
 
@@ -246,7 +246,7 @@ def test_the_largest_duty_cycle_is_not_taken_for_none(teensy: Teensy) -> None:
 
 @pytest.mark.parametrize("counts", [5958, 12345, 29789, 53600])
 def test_the_converter_has_sixteen_bits(teensy: Teensy, counts: int) -> None:
-    """Of a Teensy 4's 12 bits, the sum of 16."""
+    """A Teensy 4 adds 16 conversions of 12 bits."""
     teensy.start()
     teensy.greet()
     teensy.state.analog[RESERVOIR] = counts
@@ -293,7 +293,7 @@ def test_a_main_loop_that_hangs_is_vented_and_then_reset(teensy: Teensy) -> None
 
 
 def test_a_step_that_hangs_is_vented_or_reset_within_0p26_s(teensy: Teensy) -> None:
-    """With its interrupts on: a Teensy 4 vents then, and its watchdog resets it later."""
+    """Interrupts are on: a Teensy 4 vents then, and its watchdog resets it later."""
     teensy.start()
     teensy.regulate()
     begin_us, ticks = teensy.state.now_us, teensy.state.systicks
@@ -507,7 +507,7 @@ MUTANTS = {
 @pytest.mark.long
 @pytest.mark.parametrize("what", MUTANTS)
 def test_a_mistake_in_the_layer_is_found(what: str, tmp_path: Path) -> None:
-    """By at least one of the tests above, on a Teensy 4.0 or LC."""
+    """At least one of the tests above fails, on a Teensy 4.0 or LC."""
     sketch = with_mistake(SKETCH, MUTANTS[what], tmp_path / "phlosar")
     model = BOARDS[2 if what.startswith("LC") else 0]
     made = compiled(model, tmp_path, sketch)

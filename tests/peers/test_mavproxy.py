@@ -148,7 +148,7 @@ async def test_what_is_for_the_autopilot_is_not_for_us(flight: Flight) -> None:
 
 
 async def test_texts_are_printed_when_mavproxy_looks_at_all_components(flight: Flight) -> None:
-    """Locked on to the autopilot, as it starts, it has them and does not print them."""
+    """By default it looks at the autopilot only, and does not print our texts."""
     ground = flight.ground
     ground.type("set target_component 0")
     flight.phlosar.reset_firmware()
@@ -199,7 +199,7 @@ async def test_parameters_are_fetched_set_and_kept_within_their_bounds(flight: F
 
 
 async def test_signed_commands_are_obeyed_and_those_of_another_key_are_not(tmp_path: Path) -> None:
-    """The passphrase in our key file and the one typed to MAVProxy make the same key."""
+    """The passphrase in our key file and the one typed into MAVProxy make the same key."""
     file = tmp_path / "key"
     file.write_text("passphrase: vines-over-the-lake\n")
     file.chmod(0o600)

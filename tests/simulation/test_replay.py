@@ -247,7 +247,7 @@ def test_the_recorded_plan_file_agrees_with_the_download() -> None:
 
 
 def test_what_a_stalled_link_and_a_halted_process_heard_late_bends_nothing() -> None:
-    """Item 2 was carried out 7.5 s late at 79.1, and 4.5 s late at 96.1."""
+    """Item 2 ran 7.5 s late at 79.1 s, and 4.5 s late at 96.1 s."""
     actions = replayed("ardupilot_override_and_late_texts")
     found = [d for d in decisions(actions, "mission_item") if d.t < 100.0]
     assert [(d.what["seq"], d.intent, d.safety) for d in found] == [

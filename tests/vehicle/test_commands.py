@@ -339,7 +339,7 @@ def test_what_is_remembered_stays_bounded() -> None:
 
 
 def test_a_vent_is_done_each_time_and_a_repeat_of_it_clears_nothing() -> None:
-    """It may come long after: what has come to light since, its sender may not have seen."""
+    """Its sender may not have seen what happened since the first one."""
     bench = Bench()
     for confirmation in range(2):
         bench.take(10.0 + confirmation, command(USER_4, (0.0,), confirmation))

@@ -383,7 +383,7 @@ def test_a_count_beyond_reason_is_not_asked_for() -> None:
 
 
 def test_px4_is_asked_strictly_in_turn_and_again_from_the_start_where_it_breaks_off() -> None:
-    """As PX4's mission manager has it: the next item, or the last one again; all else ends the transfer."""
+    """PX4 gives the next item or the last one again; any other request ends the transfer."""
     items = mission(12)
     book = MissionBook()
     dice = random.Random(4)

@@ -746,7 +746,7 @@ def test_a_command_of_px4_is_the_item_with_its_numbers() -> None:
 
 @pytest.mark.parametrize("current", [0, 2, 6, 12])
 def test_of_equal_items_none_is_named(current: int) -> None:
-    """MISSION_CURRENT is stale after a jump: 12 was said for 23."""
+    """MISSION_CURRENT is stale after a jump: PX4 sent 12 while item 23 ran."""
     nan = float("nan")
     watch = px4(actuator(2, 1.0), actuator(6, 1.0), actuator(11, 0.5), current=current)
     assert ran(watch, 187, (1.0, nan, nan, nan, 0.0, 0.0, 0.0)).seq is None
@@ -762,7 +762,7 @@ def test_a_command_that_the_book_does_not_have_keeps_its_own_numbers() -> None:
 
 @pytest.mark.parametrize(("confirmation", "late"), [(0, False), (1, False), (2, True), (3, True)])
 def test_how_old_the_first_copy_is_that_arrives(confirmation: int, late: bool) -> None:
-    """PX4's repeats come half a second, or at first a second, apart."""
+    """PX4's repeats are half a second apart, the first one a second."""
     execution = px4(actuator(3, 0.5), current=3).command(10.0, 187, actuator(3, 0.5).params, confirmation)
     assert execution is not None
     assert (execution.age_s > LATE_S) == late

@@ -152,7 +152,7 @@ def test_a_bend_on_px4_waits_until_the_status_would_have_told_of_a_loss() -> Non
 
 
 def test_a_bend_waits_longer_where_px4_has_just_reported_its_health() -> None:
-    """It reports no more often than each 2 s: what happens to RC meanwhile is told later."""
+    """It reports its health at most every 2 s, so a loss in between is reported later."""
     radio = Radio(preset={9: 2000}, bits_after_s=2.6)
     radio.sensors = 0x20
     radio.run(0.3)
@@ -272,7 +272,7 @@ def test_a_receiver_that_knows_its_signal_tells_of_a_loss_before_the_status() ->
 
 
 def test_a_receiver_that_reports_no_signal_is_lost_whatever_the_status_says() -> None:
-    """CRSF frames go on with a link quality of 0: PX4's status stays good."""
+    """CRSF frames continue with a link quality of 0, and PX4's status stays good."""
     radio = Radio(rssi=53, rssi_when_lost=0, bits_after_s=100.0, preset={9: 2000})
     radio.lose(10.0)
     assert radio.pilot.radio.problem(radio.now_s) == "the receiver hears no transmitter"
@@ -281,7 +281,7 @@ def test_a_receiver_that_reports_no_signal_is_lost_whatever_the_status_says() ->
 
 
 def test_a_receiver_without_a_failsafe_flag_must_not_bend_the_vine() -> None:
-    """PX4 then shows no loss at all; `flying-vines doctor --radio` finds it."""
+    """PX4 shows no loss at all then; `flying-vines doctor --radio` finds it."""
     radio = Radio(failsafe="hidden", preset={9: 2000}, bits_after_s=100.0)
     radio.lose(5.0)
     assert radio.bends == []
@@ -453,7 +453,7 @@ def test_a_switch_that_moves_as_its_override_is_released_was_not_moved(channel: 
 
 @pytest.mark.parametrize(("channel", "pulse_us"), [(9, 0), (9, 65535), (8, 65535), (8, 1000)])
 def test_what_releases_no_override_leaves_the_pilots_moves_to_him(channel: int, pulse_us: int) -> None:
-    """0 releases the first eight channels alone, and an override that goes on ends later."""
+    """0 releases the first eight channels only, and an override that continues ends later."""
     radio = Radio("ardupilot", channel=channel)
     radio.override(pulse_us)
     radio.move(2, 1.0)
@@ -549,7 +549,7 @@ def test_what_hides_a_loss_is_told_once() -> None:
 
 
 def test_a_single_message_with_the_throttle_in_failsafe_is_a_loss() -> None:
-    """Nobody looks between it and the next. What the switch read in it counts for nothing."""
+    """What the switch read in this message counts for nothing."""
     radio = Radio("ardupilot")
     radio.move(2)
     radio.sticks[2] = 900

@@ -173,7 +173,7 @@ def test_no_bytes_make_it_fail(payload: bytes, retained: bool) -> None:
     )
 )
 def test_whoever_asks_how_nothing_is_done_twice_or_late(said: list[tuple[str, int, float, float]]) -> None:
-    """Each a command, an id, its age and how long it is after the one before; some come late, some again."""
+    """Each row: a command, an id, its age and the time since the one before; some are late or repeated."""
     asks = Asks(ALL, 5.0)
     now = NOW
     done: list[tuple[str, float]] = []

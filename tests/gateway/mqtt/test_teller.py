@@ -153,7 +153,7 @@ def test_more_than_are_kept_are_lost_and_counted() -> None:
 
 @given(st.lists(st.sampled_from(["happens", "told", "told meanwhile"]), max_size=60), st.integers(1, 4))
 def test_whatever_happens_every_event_is_told_once_in_order_or_counted(steps: list[str], most: int) -> None:
-    """`told meanwhile`: events come between an event's leaving and the broker's receipt."""
+    """`told meanwhile`: events between sending an event and the broker's receipt."""
     events = Events("event", "run", most)
     made, told, lost = 0, [], 0
 
@@ -188,7 +188,7 @@ def test_whatever_happens_every_event_is_told_once_in_order_or_counted(steps: li
 
 
 def test_what_a_later_service_tells_does_not_end_the_connection() -> None:
-    """A field that is new is left out; a kind that is not known is not for the broker."""
+    """Unknown fields are left out, and unknown kinds are not published."""
     vehicle = teller()
     vehicle.take(1.0, Happened("stretched", msgspec.Raw(b'{"t": 1.0}')))
     vehicle.take(
