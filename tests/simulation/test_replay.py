@@ -87,7 +87,7 @@ def vents(actions: list[Action]) -> list[float]:
     ("name", "bent_s", "losses_s"),
     [
         ("px4_sbus_failsafe", [29.36, 76.89], [32.25, 50.40, 69.21, 79.8, 97.9, 116.8]),
-        ("px4_crsf_loss", [28.58, 63.08], [31.5, 49.6, 66.1, 84.2]),
+        pytest.param(*("px4_crsf_loss", [28.58, 63.08], [31.5, 49.6, 66.1, 84.2]), marks=pytest.mark.long),
     ],
 )
 def test_on_px4_only_what_the_pilot_holds_bends_and_every_loss_vents(
