@@ -112,12 +112,3 @@ def test_finer_steps_change_less_than_a_hundredth_of_a_kilopascal() -> None:
         worst = max(worst, difference_kPa(usual.conditions, fine.conditions))
     print(f"{worst:.1e} kPa")
     assert worst < 0.01
-
-
-def test_the_same_commands_give_the_same_floats() -> None:
-    plant = Plant(Rig(), likely_effects())
-    first, second = Simulator(plant), Simulator(plant)
-    for command in switching(2.0, 3):
-        first.advance(command)
-        second.advance(command)
-    assert first.state == second.state
