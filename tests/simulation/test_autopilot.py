@@ -462,17 +462,6 @@ def test_without_a_receiver_since_boot_there_are_no_channels() -> None:
     assert rc_health(world.companion.of("SYS_STATUS")[-1])
 
 
-def test_a_flight_may_go_on_after_rc_loss() -> None:
-    world = World(FakeAutopilot("ardupilot", mission=plan(TAKEOFF, (93, 30), LAND), rc_failsafe_mode=None))
-    world.companion.hello()
-    world.autopilot.start_mission()
-    world.on(10.0)
-    world.autopilot.lose_rc()
-    world.on(2.0)
-    assert world.companion.texts()[-1] == "Radio Failsafe - Continuing Auto Mode"
-    assert world.autopilot.mode_name == "AUTO"
-
-
 @pytest.mark.parametrize(
     ("parameters", "how", "told"),
     [
