@@ -830,13 +830,14 @@ class Px4Air:
     def lose_frames(self) -> None:
         self._mav.seq = (self._mav.seq + 3) % 256
 
-    def reaches(self, seq: int) -> None:
+    def reaches(self, seq: int, for_s: float = 0.0) -> None:
+        """And this time passes."""
         self.send(mavlink.MAVLink_mission_item_reached_message(seq))
+        self.wait(for_s)
 
     def command(self, item: MissionItem, confirmation: int = 0) -> None:
         execution = self.watch.command(self.t, item.command, item.params, confirmation)
-        if execution is not None:
-            self.found.append(execution)
+        self.found += [execution] if execution is not None else []
 
     def wait(self, for_s: float) -> None:
         for _ in range(round(for_s / TICK_S)):
@@ -886,22 +887,18 @@ def test_an_item_whose_command_came_is_not_carried_out_again(reached_first: bool
     air = Px4Air(*PX4_PLAN)
     for item in (BENT, STRAIGHT):
         if reached_first:
-            air.reaches(item.seq)
-            air.wait(0.02)
+            air.reaches(item.seq, 0.02)
         air.command(item)
         for _ in range(10):
-            air.reaches(item.seq)
-            air.wait(1.0)
+            air.reaches(item.seq, 1.0)
     assert air.seqs() == [2, 4]
 
 
 def test_a_winch_is_told_as_reached_long_after_its_command() -> None:
     air = Px4Air(*PX4_PLAN)
     air.command(PX4_PLAN[6])
-    air.reaches(5)
-    air.wait(20.0)
-    air.reaches(6)
-    air.wait(5.0)
+    air.reaches(5, 20.0)
+    air.reaches(6, 5.0)
     assert air.seqs() == [6]
 
 
@@ -911,10 +908,8 @@ def test_a_second_pass_whose_command_was_lost_counts() -> None:
         air.reaches(3)
         if heard:
             air.command(STRAIGHT)
-        air.reaches(4)
-        air.wait(5.0)
-        air.reaches(5)
-        air.wait(5.0)
+        air.reaches(4, 5.0)
+        air.reaches(5, 5.0)
     assert air.seqs() == [4, 4]
 
 
@@ -926,20 +921,17 @@ def test_what_a_later_item_has_overtaken_is_not_made_up_for() -> None:
     air.command(burst)
     air.reaches(2)  # as a gripper's command comes before what was reached in front of it
     air.wait(0.02)
-    air.reaches(3)
-    air.wait(5.0)
+    air.reaches(3, 5.0)
     assert air.seqs() == [3]
 
 
 def test_what_waits_for_its_command_is_overtaken_by_a_later_one_and_by_a_person() -> None:
     air = Px4Air(*PX4_PLAN)
-    air.reaches(2)
-    air.wait(0.1)
+    air.reaches(2, 0.1)
     air.command(STRAIGHT)
     air.wait(5.0)
     assert air.seqs() == [4]
-    air.reaches(2)
-    air.wait(0.1)
+    air.reaches(2, 0.1)
     air.watch.forget(air.t)
     air.wait(5.0)
     assert air.seqs() == [4]
@@ -959,39 +951,33 @@ def test_what_was_reached_before_the_mission_was_read_is_not_told_by_its_repeat(
     air.send(identified(len(PX4_PLAN), 78))
     air.command(STRAIGHT)
     for _ in range(4):
-        air.reaches(4)
-        air.wait(1.0)
+        air.reaches(4, 1.0)
     air.send(mavlink.MAVLink_mission_count_message(1, 191, len(PX4_PLAN), 0))
     for one in PX4_PLAN:
         air.send(item_message(one))
     assert air.book.fresh
     air.reaches(5)
-    air.reaches(4)
-    air.wait(4.0)
+    air.reaches(4, 4.0)
     assert len(air.found) == 1
 
 
 def test_a_mission_that_may_be_another_one_lends_no_numbers() -> None:
     air = Px4Air(*PX4_PLAN, mission_id=0)
-    air.reaches(4)
-    air.wait(4.0)
+    air.reaches(4, 4.0)
     assert [(e.seq, e.params) for e in air.found] == [(4, None)]
     air = Px4Air(*PX4_PLAN)
     air.send(identified(len(PX4_PLAN), 78))
-    air.reaches(4)
-    air.wait(4.0)
+    air.reaches(4, 4.0)
     assert air.found == []  # nor is it known what item 4 is
 
 
 def test_how_late_what_was_reached_may_be_is_told_where_frames_were_lost() -> None:
     air = Px4Air(*PX4_PLAN)
-    air.reaches(1)
-    air.wait(1.0)
+    air.reaches(1, 1.0)
     air.reaches(1)
     air.lose_frames()
     air.wait(3.0)
-    air.reaches(2)
-    air.wait(1.0)
+    air.reaches(2, 1.0)
     assert air.seqs() == [2]
     assert air.found[0].age_s == pytest.approx(3.3, abs=0.05)
 
@@ -1001,7 +987,6 @@ def test_the_number_of_a_repeated_item_is_told_where_it_was_reached_first() -> N
     air = Px4Air(*PX4_PLAN[:6], again, PX4_PLAN[7])
     air.command(BENT)
     air.wait(5.0)
-    air.reaches(6)
-    air.wait(0.01)
+    air.reaches(6, 0.01)
     air.command(again)
     assert air.seqs() == [None, 6]
