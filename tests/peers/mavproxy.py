@@ -64,6 +64,11 @@ class MavProxy:
             await asyncio.sleep(0.02)
         return match
 
+    async def answers(self, line: str, pattern: str, again: str = "") -> re.Match[str]:
+        """Type a line and wait for what matches."""
+        self.type(line)
+        return await self.sees(pattern, again)
+
 
 @asynccontextmanager
 async def mavproxy(port: int, folder: Path) -> AsyncIterator[MavProxy]:
