@@ -1,5 +1,5 @@
 # make demo   flies a scripted flight on embedded fakes, over real sockets and a real serial port path
-# make test   style, types and tests: four and a half minutes on two cores
+# make test   style, types and the tests that guard most for their time
 # make test-all   and the long tests: whole flights, other programs, every command of the guides
 # make tools  what tests need beside Python: compilers, a chip to emulate, a browser (else they skip)
 
