@@ -1,5 +1,5 @@
 # make demo   flies a scripted flight on embedded fakes, over real sockets and a real serial port path
-# make test   style, types and tests: four and a half minutes on two cores
+# make test   style, types and the tests that guard most for their time
 # make test-all   and the long tests: whole flights, other programs, every command of the guides
 # make tools  what tests need beside Python: compilers, a chip to emulate, a browser (else they skip)
 
@@ -19,6 +19,8 @@ demo: $(VENV)/.demo
 	$(BIN)/flying-vines demo
 
 test: LONG = -m "not long"
+# Bytecode is kept whatever the environment says: pytest rewrites each test, and tests start hundreds of processes.
+test test-all: export PYTHONDONTWRITEBYTECODE :=
 test test-all: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .

@@ -1,4 +1,4 @@
-"""How true the cycles left are: random rigs that the estimate does not know, flown until the bottle is empty.
+"""Error of the cycles left: random rigs that the estimate does not know, flown until the reservoir is empty.
 
     .venv/bin/python benchmarks/cycles_left.py [--rigs N] [--calibrated N] [--first SEED] [--jobs N] [--each]
         [--check]

@@ -1,4 +1,4 @@
-"""What a diagnosis is worth to the cycles that are left: rigs with hidden causes, believed and extended.
+"""Gain of a diagnosis for the cycles left: rigs with hidden causes, by believed and by extended rig file.
 
 Each rig is recorded for a minute, in four runs, and diagnosed from that. Then it flies until its bottle is
 empty, and two estimates watch: one starts from the believed rig, the other from what `diagnose --write-rig`

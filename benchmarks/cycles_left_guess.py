@@ -1,4 +1,4 @@
-"""What was said of the cycles left at one moment, what then happened, and how near that is over many rigs."""
+"""A prediction of the cycles left and what happened, and the errors over many rigs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How often `flying-vines diagnose` is right: a proving ground of hidden effects, and what else there is.
+"""How often `flying-vines diagnose` is right about rigs with hidden effects, beside other methods.
 
     python benchmarks/discrepancy.py --cases 100 --results results.jsonl    # goes on where it was stopped
     python benchmarks/discrepancy.py --cases 12 --tiers clear,null --peers --results results.jsonl

@@ -1,4 +1,4 @@
-"""Many cases in worker processes: drawn, written, looked at, and what came of it.
+"""Many cases in worker processes: drawn, written, diagnosed, and their outcomes.
 
 Each worker has its share of the cores, and sees no others: what a case takes does not depend on how many
 workers there are. Its simulation is compiled before the clock runs.

@@ -1,4 +1,4 @@
-"""What is kept of a case: what was hidden, what was said of it, what that cost. One line of JSON each."""
+"""The outcome of a case as one line of JSON: what was hidden, the verdict, and its cost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a user would have instead of `flying-vines diagnose`, by name, on the same case.
+"""Other methods on the same case, by name.
 
 Each takes a case and gives as much of a verdict as it has: a cause, or `unexplained` where it can only say
 that something is there, further causes, an error on unseen data.

@@ -1,4 +1,4 @@
-"""What the companion pays for each thing that can be switched on.
+"""What each part of the service costs the companion.
 
     .venv/bin/python benchmarks/everything_on.py [--rounds N] [--flips N]
 

@@ -1,4 +1,4 @@
-"""Random flights with random faults, one or two each, under a referee: it must never have a foul to call.
+"""Random flights with one or two random faults each, under a referee that must find no foul.
 
     python benchmarks/faults.py --flights 10000 --jobs 2
     python benchmarks/faults.py --seed 4711                   one flight, and all that happened in it

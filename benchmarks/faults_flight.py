@@ -1,4 +1,4 @@
-"""A flight under a referee: what pilot, mission, ground station and world do to it, and what that allows.
+"""A flight under a referee: what pilot, mission, ground station and world do, and what that permits.
 
 Each verb does one thing to the simulated world, and tells the referee what follows from it: that a bend was
 asked for, or by when the vine must be left alone. How long the service may take to notice something is

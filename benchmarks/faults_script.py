@@ -1,4 +1,4 @@
-"""A whole random flight out of one integer: who flies it, what is asked of the vine, and what goes wrong."""
+"""A whole random flight from one integer: who flies it, the requests, and the faults."""
 
 from __future__ import annotations
 

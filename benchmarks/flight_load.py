@@ -1,4 +1,4 @@
-"""What an autopilot in flight says on a companion's link: 500 messages a second, as bytes, on a schedule."""
+"""The load of an autopilot in flight on a companion's link: 500 messages a second as bytes, on a schedule."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether strangers on the page and the broker can hold up the switch.
+"""Whether attackers of the page and the broker can delay the switch.
 
     .venv/bin/python benchmarks/hostile.py [--one-core] [--gateway-nice 0 5 19] [--rounds N] [--flips N]
 

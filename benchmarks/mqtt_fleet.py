@@ -1,4 +1,4 @@
-"""How far one mosquitto carries a fleet: simulated vehicles on one broker, doubled until something gives.
+"""How many vehicles one mosquitto carries: simulated vehicles on one broker, doubled until it fails.
 
     .venv/bin/python benchmarks/mqtt_fleet.py [--vehicles 1000] [--rate-Hz 2] [--seconds 10] [--most 32000]
 

@@ -1,4 +1,4 @@
-"""What a process costs: processor time and memory from Linux's /proc, and the time of its imports."""
+"""The cost of a process: processor time and memory from Linux's /proc, and the time of its imports."""
 
 from __future__ import annotations
 

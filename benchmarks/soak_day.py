@@ -1,4 +1,4 @@
-"""Flights without end, as a script over any world, and the tally of triggers against motions."""
+"""Flights without end as a script over any world, and the count of triggers against motions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Strangers who mean no good: all that can be thrown at the page and at the broker, as fast as it goes.
+"""Attackers of the page and the broker: every attack, as fast as possible.
 
 One process of its own, a thread and an address of this machine for each attacker. Nothing of this is to have
 any effect, so an attacker counts what he sent, and whether he ever got what he wanted.

@@ -1,4 +1,4 @@
-"""The service with whatever can be switched on, flown by the switch, and the people who look on meanwhile."""
+"""The service with any of its parts switched on, flown by the switch, and its viewers."""
 
 from __future__ import annotations
 

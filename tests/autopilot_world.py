@@ -1,4 +1,4 @@
-"""A fake autopilot in simulated time between a companion and a ground station, and what real ones said."""
+"""A simulated autopilot between a companion and a ground station in simulated time, and real recordings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Valid MAVLink frames with nonsense in them, and bytes that are no frames, from anyone to anyone."""
+"""Valid MAVLink frames with random content, and bytes that are no frames, from any sender to any receiver."""
 
 from __future__ import annotations
 

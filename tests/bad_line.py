@@ -1,4 +1,4 @@
-"""A serial line that does all that a line can do wrong, and a host and a firmware that talk over it."""
+"""A serial line with every kind of error between a host and a firmware."""
 
 from __future__ import annotations
 

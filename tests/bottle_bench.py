@@ -1,4 +1,4 @@
-"""A bottle in front of the estimate, without a plant: what it loses and how it cools is known exactly."""
+"""Telemetry of a reservoir with known leak and cooling for the estimate, without the plant."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Any method of anything in the core made to raise, at a moment."""
+"""Makes a method of any object in the core raise at a given time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Worlds for a calibrator: a core with a simulated phloSAR, and one without any physics."""
+"""A core with a simulated phloSAR for a calibrator, and a world without physics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command, as the tests give it."""
+"""Runs a command in this process and returns its exit status and output."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The process that a service keeps for page and broker."""
+"""Finds the gateway's process of a service."""
 
 from __future__ import annotations
 

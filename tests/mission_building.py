@@ -1,4 +1,4 @@
-"""Missions for the tests, from texts as people write them to what is said of them."""
+"""Missions for tests, from text to the printed report."""
 
 from __future__ import annotations
 

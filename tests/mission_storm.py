@@ -1,4 +1,4 @@
-"""A mission flown by the fake autopilot behind a bad link, and what the vehicle's side sees of it."""
+"""A mission of the simulated autopilot behind a bad link, and what the vehicle's side sees."""
 
 from __future__ import annotations
 

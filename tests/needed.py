@@ -1,4 +1,4 @@
-"""Programs that not every machine has: a test that needs one is skipped, and says what to install."""
+"""Programs that not every computer has: a test that needs one is skipped and says what to install."""
 
 from __future__ import annotations
 

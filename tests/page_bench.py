@@ -1,4 +1,4 @@
-"""A page on a bench: served in this process, and the service's end of its feed held by the test."""
+"""A page that is served in this process; the test holds the service's end of its feed."""
 
 from __future__ import annotations
 

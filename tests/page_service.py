@@ -1,4 +1,4 @@
-"""The real service with its page, as a process of its own between the fakes."""
+"""The real service with its page as a process between the stand-ins."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A PARAM_VALUE as it comes out of a decoder, which makes the name a text."""
+"""A PARAM_VALUE as a decoder returns it, with its name as text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How long a test waits for what another task, thread or process is to bring about."""
+"""Waiting for another task, thread or process."""
 
 from __future__ import annotations
 

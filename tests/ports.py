@@ -1,4 +1,4 @@
-"""Ports of this machine for tests, several of which look for one at the same time."""
+"""Free ports for tests that run at the same time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tests in which service and fakes live in real time, of which a machine with too much to do has none."""
+"""Marks tests of service and stand-ins in real time, which are repeated on an overloaded computer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Flights in simulated time with a recorder that sees what the service's would see."""
+"""Flights in simulated time with a recorder, as in the service."""
 
 from __future__ import annotations
 

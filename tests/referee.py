@@ -1,4 +1,4 @@
-"""A referee at the valves of a simulated phloSAR: what must never happen, whoever is to blame.
+"""A referee at the valves of a simulated phloSAR: what must never happen, whatever the cause.
 
 It goes by facts alone: the bytes that reach the board, what its sensors say and its valves are told, the true
 pressures, and what whoever directs the flight knows to have happened. What the service or the firmware

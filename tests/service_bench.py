@@ -1,4 +1,4 @@
-"""Two fakes on a bench, on real sockets and a real serial port path, and a service to be tested between."""
+"""Two stand-ins on real sockets and a serial port, and a service between them."""
 
 from __future__ import annotations
 

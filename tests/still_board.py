@@ -1,4 +1,4 @@
-"""A board that is there, writes down what it is given, and tells its valves always the same."""
+"""A board that records its input and always sends the same valve outputs."""
 
 from __future__ import annotations
 

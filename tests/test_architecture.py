@@ -1,4 +1,4 @@
-"""An import goes from a room to a lower one, and no modules import each other in a circle."""
+"""Imports only go from a room to a lower one, and no modules import each other in a circle."""
 
 from __future__ import annotations
 

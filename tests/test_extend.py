@@ -1,4 +1,4 @@
-"""Parts of installed packages, and `examples/our_lab`, which has one of each kind."""
+"""Plugins from installed packages, and `examples/our_lab`, which has one of each kind."""
 
 from __future__ import annotations
 
@@ -201,7 +201,7 @@ def test_each_broken_promise_is_found(
 
 
 def test_an_actuator_whose_setpoint_fails_vents(our_lab: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The line raises; the service then writes `vent`, which needs no code of the package."""
+    """The package's `line` raises; the service then writes `vent`, which needs no code of the package."""
     conf = config.parse(PUMP, "p.toml")
     line = line_to(conf.firmware)
     from our_lab.air_pump import AirPump

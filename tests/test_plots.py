@@ -1,4 +1,4 @@
-"""The vine in a flight's picture and in the live view."""
+"""The vine in a flight's figure and in the live view."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A whole calibration of a random rig with every effect, against its true values."""
+"""A calibration of a random rig with every effect agrees with its true values."""
 
 from __future__ import annotations
 

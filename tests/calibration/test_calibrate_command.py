@@ -33,7 +33,7 @@ COMMAND = (sys.executable, "-m", "flying_vines")
 
 @pytest.fixture(scope="module")
 def fake(tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.CompletedProcess[str], Path]:
-    """A calibration of two stages on a simulated rig, and the folder in which it ran."""
+    """A calibration of two stages on a simulated rig, and the folder in which it ran; 15 s of CPU time."""
     folder = tmp_path_factory.mktemp("calibrated")
     profile = folder / "vine.toml"
     profile.write_text(configuration.default_text().replace("cv_volume_L = 0.1 ", "cv_volume_L = 0.3 "))
@@ -44,6 +44,7 @@ def fake(tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.Completed
     return ended, folder
 
 
+@pytest.mark.long
 def test_it_shows_stages_and_results(
     fake: tuple[subprocess.CompletedProcess[str], Path],
 ) -> None:
@@ -53,6 +54,7 @@ def test_it_shows_stages_and_results(
         assert text in ended.stdout
 
 
+@pytest.mark.long
 def test_the_written_profile_is_valid(
     fake: tuple[subprocess.CompletedProcess[str], Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -70,6 +72,7 @@ def test_the_written_profile_is_valid(
     assert (written.parent / "profile-before.toml").read_text() == (folder / "vine.toml").read_text()
 
 
+@pytest.mark.long
 def test_it_writes_a_flight(
     fake: tuple[subprocess.CompletedProcess[str], Path],
 ) -> None:
@@ -84,6 +87,7 @@ def test_it_writes_a_flight(
     assert last.fields["solenoid"]
 
 
+@pytest.mark.long
 def test_it_writes_a_page_with_pictures(fake: tuple[subprocess.CompletedProcess[str], Path]) -> None:
     _, folder = fake
     (page,) = folder.glob("flights/*/calibration/calibration.html")
@@ -152,7 +156,10 @@ def test_with_numpy_alone_it_measures_and_tells_what_is_missing(tmp_path: Path) 
     assert "No pictures: " in ended.stdout
     assert "is missing: pip install 'flying-vines[analysis]'" in ended.stdout
     assert "Then: flying-vines diagnose --from-log flights/" in ended.stdout
-    assert len(list(tmp_path.glob("flights/*/calibration/findings.json"))) == 1
+    (findings,) = tmp_path.glob("flights/*/calibration/findings.json")
+    flight = findings.parent.parent
+    asked = {entry.fields["trigger"] for entry in FlightLog(flight).entries((DECISION,))}
+    assert asked == {"calibration"}
 
 
 def test_without_numpy_it_is_one_line(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The estimators on readings whose truth is known, without a simulated rig."""
+"""The estimators on readings with known truth, without a simulated rig."""
 
 from __future__ import annotations
 

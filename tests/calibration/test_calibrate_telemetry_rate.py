@@ -1,4 +1,4 @@
-"""The telemetry's rate during a calibration, and after it."""
+"""The telemetry rate during and after a calibration."""
 
 from __future__ import annotations
 

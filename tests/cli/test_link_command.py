@@ -1,4 +1,4 @@
-"""`flying-vines link`: what it prints, and how it ends."""
+"""`flying-vines link`: output and exit status."""
 
 from __future__ import annotations
 

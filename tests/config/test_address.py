@@ -1,4 +1,4 @@
-"""Where a link goes: every form, and everything that is none."""
+"""Addresses of links: every valid form, and the errors of invalid ones."""
 
 from __future__ import annotations
 

@@ -222,10 +222,6 @@ def test_wrong_types_and_values(text: str, line: int, key: str, reason: str) -> 
 @pytest.mark.parametrize(
     ("text", "line", "key"),
     [
-        ("[limits]\nmax_kPa = {}", 2, "limits.max_kPa"),
-        ("[limits]\nmax_bent_s = {}", 2, "limits.max_bent_s"),
-        ("[interlocks]\nreserve_kPa = {}", 2, "interlocks.reserve_kPa"),
-        ("[telemetry]\nrate_Hz = {}", 2, "telemetry.rate_Hz"),
         ("[[items]]\ncommand = 'winch'\nprofile = 'straight'\nscale = {}", 4, "items[0].scale"),
         ("[vine]\ncurve = [[0, 0], [5, {}]]", 1, "vine"),
         ("[profiles.x]\nsegments = [{{ kind = 'step', to_kPa = {} }}]", 2, "profiles.x.segments[0].to_kPa"),
@@ -243,7 +239,7 @@ def test_every_number_of_every_table_must_be_one() -> None:
     for table in TABLES:
         for key, value in msgspec.structs.asdict(getattr(built_in, table)).items():
             if isinstance(value, float):
-                for number in ("nan", "inf"):
+                for number in ("nan", "inf", "-inf"):
                     assert mistake(f"[{table}]\n{key} = {number}")[:2] == (2, f"{table}.{key}")
 
 
@@ -414,13 +410,13 @@ def parses_or_is_refused(text: str) -> None:
 
 
 @given(st.dictionaries(st.one_of(st.sampled_from(KEYS), st.text(max_size=5)), values, max_size=6))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_any_toml_parses_or_is_refused_in_one_line(tables: dict[str, Any]) -> None:
     parses_or_is_refused("\n".join(f"{toml(key)} = {toml(value)}" for key, value in tables.items()))
 
 
 @given(table=st.sampled_from(TABLES), data=st.data())
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 def test_any_value_of_any_key_parses_or_is_refused(table: str, data: st.DataObject) -> None:
     fields = getattr(config.default(), table).__struct_fields__
     keys = data.draw(st.dictionaries(st.sampled_from(fields), st.one_of(scalars, values), max_size=3))
@@ -429,19 +425,19 @@ def test_any_value_of_any_key_parses_or_is_refused(table: str, data: st.DataObje
 
 
 @given(st.lists(st.dictionaries(st.sampled_from(SEGMENT_KEYS), scalars, max_size=5), max_size=4))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_any_segments_parse_or_are_refused(parts: list[dict[str, Any]]) -> None:
     parses_or_is_refused(f"{PROFILES}\n[profiles.x]\nsegments = {toml(parts)}")
 
 
 @given(st.text(max_size=200))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=50, deadline=None)
 def test_any_text_parses_or_is_refused(text: str) -> None:
     parses_or_is_refused(text)
 
 
 @given(at=st.integers(0, 20_000), length=st.integers(0, 40), put=st.text(max_size=10))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_any_slip_in_the_built_in_profile_parses_or_is_refused(at: int, length: int, put: str) -> None:
     whole = config.default_text()
     at %= len(whole)

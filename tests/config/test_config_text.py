@@ -1,4 +1,4 @@
-"""A configuration written down and read again."""
+"""A configuration that is written and read again is the same."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One value of a profile replaced: it is read as the new one, and nothing else has changed."""
+"""Replacing one value of a profile changes this value and nothing else."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frames with a good CRC that say what no sensor can, and everything that one can."""
+"""Telemetry frames with a valid CRC and impossible readings, and all possible readings."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_a_sensor_that_says_what_none_can_is_a_fault_that_a_person_clears(field:
         {"setpoint_kPa": 474.0, "cv_kPa": -54.0, "reservoir_kPa": 2262.0},
     ],
 )
-@pytest.mark.parametrize("frames", [1, 50])
+@pytest.mark.parametrize("frames", [pytest.param(1, marks=pytest.mark.long), 50])
 def test_whatever_else_a_frame_says_the_flight_goes_on_or_the_vine_is_vented(
     frames: int, values: dict[str, float]
 ) -> None:

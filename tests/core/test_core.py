@@ -1,4 +1,4 @@
-"""The whole decision machine, flown in simulated time between a fake autopilot and a simulated phloSAR."""
+"""The whole core in simulated time between a simulated autopilot and a simulated phloSAR."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def test_where_a_bend_s_cost_cannot_be_told_it_is_refused(monkeypatch: pytest.Mo
 
 
 def test_a_vehicle_that_is_armed_as_its_rc_is_lost_has_rc(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A flight without RC is one that was armed without it."""
+    """A flight counts as one without RC only if it was armed without RC."""
     flight = airborne()
     vehicle, t = flight.core._vehicle, flight.world.now
     monkeypatch.setattr(vehicle.state, "armed", False)

@@ -1,4 +1,4 @@
-"""Arming the pneumatics, as a ground station commands it."""
+"""A ground station arms and disarms the pneumatics."""
 
 from __future__ import annotations
 

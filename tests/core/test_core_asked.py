@@ -1,4 +1,4 @@
-"""What page and broker may ask for, how late, and which faults they clear: rules of the core."""
+"""Requests of page and broker: what they may request, how late, and which faults they clear."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A board that repeats itself, does not do what it is told, or restarts again and again."""
+"""A board that repeats its telemetry, ignores commands, or restarts again and again."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def test_telemetry_whose_clock_does_not_go_on_is_lost(change: Change) -> None:
 
 
 def test_a_counter_that_stands_while_the_clock_goes_on_is_no_loss() -> None:
-    """The clock says that the frame is new: the counter only counts what was lost."""
+    """The board's clock says whether a frame is new; the counter only counts losses."""
     flight = bent()
     heard = protocol.Codec()
     flight.world.from_phlosar = lambda data: b"".join(protocol.encode(m, 7) for m in heard.decode(data))
@@ -197,7 +197,7 @@ def test_it_is_found_within_0p35_s_of_a_vent() -> None:
 
 
 def test_two_answers_that_are_late_one_after_the_other_are_no_fault() -> None:
-    """Each is late by less than is allowed; together they are later."""
+    """Each answer is late by less than the limit, and only both together exceed it."""
     flight = bent()
     says(flight, lambda telemetry: dataclasses.replace(telemetry, mode=Mode.VENT))
     actions = run_for(flight, 0.25)

@@ -1,4 +1,4 @@
-"""Valid MAVLink messages of every type with nonsense in them, random bytes, and hostile firmware messages."""
+"""Valid MAVLink messages of every type with random content, random bytes, and hostile firmware messages."""
 
 from __future__ import annotations
 

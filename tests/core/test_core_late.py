@@ -1,4 +1,4 @@
-"""Nothing bends late, nor with the numbers of a mission that has been replaced."""
+"""No bend is late, and none uses the numbers of a replaced mission."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What bounds a bend when RC comes and goes, and who may bend at all by a command."""
+"""The time limits of a bend while RC is lost and returns, and who may bend by a command."""
 
 from __future__ import annotations
 
@@ -110,6 +110,7 @@ def test_a_hold_command_is_a_fresh_wish() -> None:
     assert not is_bent(flight)
 
 
+@pytest.mark.long
 @settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.lists(st.tuples(st.booleans(), st.floats(0.1, 6.0)), min_size=1, max_size=8))
 def test_no_losses_and_returns_stretch_a_bend(history: list[tuple[bool, float]]) -> None:

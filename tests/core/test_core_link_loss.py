@@ -1,4 +1,4 @@
-"""The link to the autopilot dies, or carries only part: who is alive, and what the pilot reads."""
+"""The link to the autopilot is lost fully or partly: what is reported alive, and what the pilot reads."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_a_silent_link_is_told_once_and_once_when_it_is_back(for_s: float) -> No
 
 
 def test_a_link_is_back_with_the_first_heartbeat() -> None:
-    """Frames prove the autopilot alive; after a long silence nobody knows yet whether it is armed."""
+    """Frames prove that the autopilot is alive, but only a heartbeat says whether it is armed."""
     flight = bent()
     flight.autopilot.mute(8.0)
     lives(flight, 7.9)
@@ -128,7 +128,7 @@ def test_a_switch_that_moved_while_the_link_was_dead_bends_nothing() -> None:
 
 
 def test_any_frame_of_the_autopilot_proves_it_alive() -> None:
-    """Heartbeats lost for four seconds are no lost autopilot while everything else comes."""
+    """Without heartbeats for four seconds the autopilot is not lost while other frames come."""
     flight = bent()
     without(flight, HEARTBEAT)
     actions = lives(flight, 3.9)
@@ -157,7 +157,7 @@ def test_without_heartbeats_nobody_knows_whether_it_is_armed_and_the_vine_vents(
 
 
 def test_nothing_that_was_heard_of_the_radio_outlives_a_silent_autopilot() -> None:
-    """It may be another one that comes back."""
+    """Another autopilot may answer after the silence."""
     flight = bent()
     flight.autopilot.mute(6.0)
     lives(flight, 2.5)

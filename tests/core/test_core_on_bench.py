@@ -1,4 +1,4 @@
-"""Bench mode: a person tries the vine on the ground, and what ends that."""
+"""Bench mode: a person tries the vine on the ground, and what ends the mode."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parameters that a pilot sets, through the whole machine: in force at once, kept, and never in mid-bend."""
+"""Parameters that a pilot sets are in force at once, saved, and never change during a bend."""
 
 from __future__ import annotations
 

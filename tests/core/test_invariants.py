@@ -1,7 +1,6 @@
-"""What must never happen, held by a referee: in flights that hypothesis thinks up, and in ones that cheat.
+"""A referee finds no foul in random flights, and finds every foul of cheating services and firmware.
 
-The referee is only worth something if it sees what it should: below, services and firmware that do each of
-the forbidden things are caught by it, in flights in which the real ones are not.
+In each flight of a cheat the real service and firmware have no foul.
 """
 
 from __future__ import annotations
@@ -382,7 +381,7 @@ def test_who_does_not_cheat_has_no_foul(cheat: Cheat) -> None:
 
 
 def test_a_limit_that_is_too_high_is_seen_at_the_vine() -> None:
-    """The true pressure is over the firmware's limit, and to mend what is whole has excused nothing."""
+    """The true pressure is above the firmware's limit, and repairing an intact part excuses nothing."""
     flight = RefereedFlight(Setup(), board=Firmware({"cv_limit_kPa": 60.0}))
     bent(flight)
     flight.heal("bottle")
@@ -511,7 +510,7 @@ class TestAnyFlight(AnyFlight.TestCase):  # type: ignore[misc, valid-type]
 @needs_compiler
 @pytest.mark.parametrize("seed", [1, 2, 3, 5641])
 def test_flights_of_the_campaign(seed: int) -> None:
-    """A few of those that benchmarks/faults.py flies by the thousand."""
+    """Some of the flights that benchmarks/faults.py flies by the thousand."""
     outcome = fly(draw(seed))
     assert outcome.fouls == (), outcome.timeline
 

@@ -1,3 +1,5 @@
+"""Safety alone: interlocks, limits, losses and latched faults."""
+
 from __future__ import annotations
 
 import dataclasses
@@ -207,7 +209,7 @@ def test_losses_that_come_and_go_are_not_held_longer_than_one() -> None:
 
 
 def test_a_lost_autopilot_is_never_held() -> None:
-    """Altitude and armed are lost with it."""
+    """Altitude and arming are unknown then."""
     machine = safety(losses=config.LossesConfig(on_rc_loss="hold"))
     (entered,) = machine.watch(0.0, but(BENT, autopilot_age_s=3.1))
     assert isinstance(entered, ResponseNeeded) and entered.response == "vent"
@@ -279,7 +281,7 @@ def test_a_board_that_does_not_move_is_deaf_and_one_that_does_not_vent_latches()
     )
 )
 def test_no_losses_stretch_what_may_be_held_or_bent(history: list[tuple[str, float]]) -> None:
-    """A vine as the core moves it: a loss holds or vents, a trigger bends where nothing is lost."""
+    """A model of the core: a loss holds or vents the vine, and a trigger bends it if nothing is lost."""
     held_at_most_s, bent_at_most_s, tick_s = 3.0, 12.0, 0.02
     machine = safety(
         losses=config.LossesConfig(on_rc_loss="hold", hold_at_most_s=held_at_most_s),

@@ -1,4 +1,4 @@
-"""Somebody asks for a bend and nothing moves until a fresh request: when this is said, and what it says."""
+"""The notice that a bend is requested in vain: when it comes and what it says."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ class Oracle:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_it_is_said_whenever_somebody_asks_in_vain_and_never_otherwise(seed: int) -> None:
-    """Random moves, requests and losses. Every profile of the switch stays bent, so its position asks."""
+    """Random moves, requests and losses; every profile of the switch keeps the vine bent."""
     draw = random.Random(seed)
     flight = airborne()
     oracle, waited = Oracle(), 0

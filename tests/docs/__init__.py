@@ -1,1 +1,1 @@
-"""The guides: what they state of commands and keys is the code's, and what they point to is there."""
+"""The guides agree with the code, and their links and commands work."""

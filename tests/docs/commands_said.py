@@ -1,8 +1,8 @@
-"""The commands that the guides give, each with where it stands, as a person would type it.
+r"""The commands in the guides, each with its place, as a person types them.
 
 - A fenced block of `sh`: each line. A fenced block without a language: each line behind a `$ `.
 - An indented block: each line that begins with a program. A span of code: that which begins with a program.
-- What follows ` # ` is a comment. `\\` at a line's end continues it.
+- What follows ` # ` is a comment. `\` at a line's end continues it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Runs the notebook of docs/ without Jupyter, and writes what its cells print and draw into it.
+"""Runs the notebook of docs/ without Jupyter and writes the output of its cells into it.
 
 .venv/bin/python tests/docs/notebook.py
 """

@@ -1,4 +1,4 @@
-"""What the pages speak of as there, by its name: profiles, rigs, recorded cases, flights, missions."""
+"""The files that the guides name: profiles, rigs, recorded cases, flights, missions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A scratch folder in which a page's commands are run one after the other, and what they need around them.
+"""A scratch folder in which the commands of one page run in order, and the programs that they need.
 
 Each command of ours is a process of its own, forked from one that has imported it already. What lasts is
 started, seen to be up, and interrupted. Where it needs a vehicle, a phloSAR or a service, one is there.

@@ -1,4 +1,4 @@
-"""The tree of docs/architecture.md is the project: each module, or its folder, is there, and nothing else."""
+"""The tree in docs/architecture.md lists every module or its folder, and nothing else."""
 
 from __future__ import annotations
 
@@ -36,6 +36,6 @@ def test_every_module_has_its_place_in_the_tree(package: str) -> None:
 
 @pytest.mark.parametrize("name", sorted(NAMED))
 def test_what_the_tree_names_is_there(name: str) -> None:
-    """Under whatever folder: the tree says that by its lines."""
+    """The tree's indentation gives the folder of each module."""
     found = (path for package in PACKAGES for path in ROOT.glob(f"{package}/**/{name.rstrip('/')}"))
     assert name.rstrip("/") in PACKAGES or next(found, None), f"docs/architecture.md names {name}"

@@ -1,4 +1,4 @@
-"""Every hazard has a cause, something that prevents it, and a test that exists."""
+"""Every hazard has a cause, a measure against it, and a test that exists."""
 
 from __future__ import annotations
 

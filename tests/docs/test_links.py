@@ -1,4 +1,4 @@
-"""Every link of the guides leads to a file and a heading that are there, and every guide can be found."""
+"""Every link of the guides leads to a file and heading that exist, and every guide is linked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The notebook of docs/ runs, and shows what its cells print today."""
+"""The notebook of docs/ runs, and its stored output is the present one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The public Python interface: its names, its page, and that it is imported lazily."""
+"""The public Python interface: its names, its page, and lazy imports."""
 
 from __future__ import annotations
 

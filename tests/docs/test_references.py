@@ -1,4 +1,4 @@
-"""The references have all that the code has, an example of each command, and ranges that hold."""
+"""The reference tables have everything in the code, an example of each command, and true ranges."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every Python snippet of README.md and docs/ runs as printed, in a folder with the files that it reads."""
+"""Every Python snippet of README.md and docs/ runs in a folder with the files that it reads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""All that the doctor can say."""
+"""All lines that the doctor can print."""
 
 from __future__ import annotations
 

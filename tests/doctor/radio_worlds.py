@@ -1,4 +1,4 @@
-"""The guided radio test on real recordings, with somebody who presses Enter at given times."""
+"""The guided radio test on real recordings, with a person who presses Enter at given times."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`flying-vines doctor`: what it prints on a terminal, in a pipe and as an object, and how it ends."""
+"""`flying-vines doctor`: output on a terminal, in a pipe and as JSON, and exit status."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The doctor between real sockets and ports: what it says of healthy fakes, and of each that is not."""
+"""The doctor on real sockets and ports: findings about healthy and faulty stand-ins."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every line that the doctor can say: said of the facts that call for it, and of no others."""
+"""The doctor prints each line for the facts that call for it, and for no others."""
 
 from __future__ import annotations
 
@@ -465,7 +465,7 @@ def test_a_receiver_is_safe_where_the_service_is_told_before_it_bends(
 
 
 def test_on_ardupilot_nothing_waits_for_a_preset_that_is_told_late() -> None:
-    """Its status tells 0.9 s after the jump, the switch acts after `debounce_s`."""
+    """ArduPilot's status changes 0.9 s after the jump, and the switch acts after `debounce_s`."""
     late = of_receiver(autopilot="ardupilot", losses=(PRESET,))
     assert any(says(receiver.BENDS, finding) for finding in late)
     assert not may_fly(late)

@@ -1,4 +1,4 @@
-"""What the doctor reads off this machine: processes, ports, disk, clock, broker, a profile's files."""
+"""What the doctor reads from this computer: processes, ports, disk, clock, broker, a profile's files."""
 
 from __future__ import annotations
 

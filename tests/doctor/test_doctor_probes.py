@@ -1,4 +1,4 @@
-"""What the doctor makes of what it hears: rates, silences, who is asked when, and readings at rest."""
+"""What the doctor derives from messages: rates, silences, whom to ask when, and readings at rest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`flying-vines doctor --radio`: what it prints, what it writes into the profile, and how it ends."""
+"""`flying-vines doctor --radio`: output, changes of the profile, and exit status."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the guided radio test learns of real receivers and autopilots, and of fakes in simulated time."""
+"""What the guided radio test finds about real receivers and autopilots, and about simulated ones."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_px4_with_an_sbus_receiver_that_has_a_preset_in_the_bent_position() -> N
 
 
 def test_one_held_loss_may_be_a_preset_in_that_very_position() -> None:
-    """README: held loss at 32.25, ch9 stays 2000. Then the pulse width is right of both."""
+    """README: held loss at 32.25, ch9 stays 2000. A receiver with this preset sends the same."""
     (loss,) = run_on("px4_sbus_failsafe", 28, 47, presses=(32.25,), target=2).learned.losses
     assert (loss.held, loss.lost_us, kinds(loss)) == (True, 1999, ["RC status"])
     assert loss.shown_after_s == pytest.approx(1.02, abs=0.1)

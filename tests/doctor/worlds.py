@@ -1,4 +1,4 @@
-"""Vehicles and phloSARs with something wrong with them, on real sockets and pseudo-terminals."""
+"""Vehicles and phloSARs with faults, on real sockets and pseudo-terminals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A black box between the firmware and its valves: when they were safe, to the millisecond of the board."""
+"""Records the valve outputs between firmware and plant, to the millisecond of the board."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How each fault of the catalogue is brought about in simulated time, and how it is over."""
+"""How each fault of the catalogue begins and ends in simulated time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The service as a process of its own, between a fake autopilot and a board whose valves are watched."""
+"""The service as a process between a simulated autopilot and a board with recorded valves."""
 
 from __future__ import annotations
 

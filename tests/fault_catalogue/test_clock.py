@@ -1,4 +1,4 @@
-"""The companion's clock jumps, as date or NTP set it, while its messages are signed with its timestamps."""
+"""The companion's clock jumps while its messages are signed with its timestamps."""
 
 from __future__ import annotations
 

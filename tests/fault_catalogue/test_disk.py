@@ -1,4 +1,4 @@
-"""The disk is gone in flight: whatever is asked of it fails."""
+"""Every access to the disk fails in flight."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every fault of the catalogue that simulated time can bring about, in a flight whose valves are watched."""
+"""Every fault of the catalogue in simulated time, in a flight with recorded valves."""
 
 from __future__ import annotations
 

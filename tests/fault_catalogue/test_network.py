@@ -1,4 +1,4 @@
-"""Faults of what lies beyond the vehicle: the real service, its gateway's process and a real broker."""
+"""Network faults: the real service, its gateway process and a real broker."""
 
 from __future__ import annotations
 

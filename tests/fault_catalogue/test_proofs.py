@@ -1,4 +1,4 @@
-"""Every row of the catalogue has its proof."""
+"""Every row of the catalogue has its test."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Flights that show whether the service believes only what is true: each shall end without a foul.
+"""The referee finds no foul in flights in which radio and mission mislead the service.
 
 Each of them is a witness against one belief: a service that goes by it is called by the referee. What RC
 really does on PX4, and what ArduPilot hides, is in `tests/data/recordings/README.md`.
@@ -296,7 +296,7 @@ def test_a_button_that_is_heard_late_bends_nothing(kind: AutopilotKind, process:
 
 
 def test_a_vent_from_before_a_fault_does_not_clear_it() -> None:
-    """A link held it back until a companion was there that had heard nothing before."""
+    """A link delays the vent until a new companion is there that had received nothing before."""
     flight = airborne(Setup("px4", has_rc=False))
     flight.arm_pneumatics()
     flight.bend_to(20.0)

@@ -1,4 +1,4 @@
-"""Faults of the companion and its files: the real service as a process, real sockets, a serial port path."""
+"""Faults of the companion and its files: the service as a process, with real sockets and a serial port."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ async def test_the_dead_man_behind_the_real_service(served: Served) -> None:
 
 
 async def test_a_flight_goes_on_whatever_happens_around_it(served: Served) -> None:
-    """To its profile, its disk, and by a second copy of the service that somebody starts."""
+    """The profile and the disk fail, and somebody starts a second copy of the service."""
     await served.serve()
     assert served.process is not None
     served.bend_full()
@@ -176,7 +176,7 @@ def _count(served: Served, text: str) -> int:
 
 
 async def test_a_frozen_terminal_holds_nobody_up(served: Served) -> None:
-    """Nobody reads the other end of this one."""
+    """Nobody reads the other end of this terminal."""
     ours, its = os.openpty()
     try:
         await served.serve(terminal=its)

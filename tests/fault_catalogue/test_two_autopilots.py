@@ -1,4 +1,4 @@
-"""Two autopilots on one link, and nobody said which one carries the vine."""
+"""Two autopilots on one link, and no system id is configured."""
 
 from __future__ import annotations
 

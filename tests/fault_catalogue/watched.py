@@ -1,4 +1,4 @@
-"""A flight in simulated time with a black box at its valves, and what its pilot reads."""
+"""A flight in simulated time with recorded valves, and the texts that its pilot reads."""
 
 from __future__ import annotations
 

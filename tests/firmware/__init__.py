@@ -1,1 +1,1 @@
-"""The firmware, tested: its core, its image for the chip, and the machines that run it."""
+"""Tests of the firmware: its core, its image for the chip, and simulated and emulated boards."""

@@ -1,4 +1,4 @@
-"""What several tests of the firmware begin with."""
+"""Fixtures of several tests of the firmware."""
 
 from __future__ import annotations
 

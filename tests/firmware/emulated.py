@@ -1,4 +1,4 @@
-"""The core's object code on QEMU's processors: a golden run, with its instructions counted."""
+"""Runs the core's object code on QEMU's processors through a golden run and counts its instructions."""
 
 from __future__ import annotations
 

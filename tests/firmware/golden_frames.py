@@ -1,4 +1,4 @@
-"""Conversations out of the protocol's golden vectors: each host's frame, and what leads to each device's."""
+"""Conversations with every golden vector: each host frame, and a cause for each device frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The golden run: a conversation with the firmware's core, counts in and duty cycles out, step by step.
+"""The golden run: a recorded conversation with the firmware's core, counts in and duty cycles out.
 
 `golden_run.txt.xz` is what the core did when it was recorded (see `record_golden_run`). Whatever runs the
 core has to do the same again, to the last bit. It is text, for people who look for a difference: a line per

@@ -1,4 +1,4 @@
-"""Parts of the firmware as a library for this machine, so that a test can be their surroundings."""
+"""Compiles parts of the firmware as a library, so that a test can simulate the hardware around them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import shutil
 import subprocess
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import pytest
 from needed import host_compiler
@@ -42,6 +42,25 @@ def library(folder: Path, *sources: Path, flags: tuple[str, ...] = ()) -> ctypes
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return ctypes.CDLL(str(made))
+
+
+_TYPES: dict[str, Any] = {
+    "u8": ctypes.c_uint8,
+    "u16": ctypes.c_uint16,
+    "u32": ctypes.c_uint32,
+    "char": ctypes.c_char,
+    "float": ctypes.c_float,
+}
+
+
+def fields(text: str, **others: Any) -> list[tuple[str, Any]]:
+    """Of a C structure: each line a type and its fields, as in `u8 dtr memory[1080]`."""
+    found = []
+    for kind, *names in map(str.split, text.strip().splitlines()):
+        for name, _, size in (name.rstrip("]").partition("[") for name in names):
+            one = (_TYPES | others)[kind]
+            found.append((name, one * int(size) if size else one))
+    return found
 
 
 class Mistake(NamedTuple):

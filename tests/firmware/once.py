@@ -1,4 +1,4 @@
-"""What takes seconds to make is made once, also when several processes run the tests."""
+"""Builds a slow artefact once for all test processes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The whole sketch on a simulated Teensy: what the board layer promises, on each board."""
+"""The whole sketch on a simulated Teensy: what the board layer guarantees on each board."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ from .native import (
     SUPPLY_COUNTS,
     Mistake,
     assert_found,
+    fields,
     with_mistake,
 )
 from .once import made_once
@@ -60,47 +61,34 @@ BOARDS = (
 
 
 class Pin(ctypes.Structure):
-    _fields_ = (
-        ("level", ctypes.c_uint8),
-        ("output", ctypes.c_uint8),
-        ("pwm", ctypes.c_uint8),
-        ("pwm_value", ctypes.c_uint16),
-        ("pwm_Hz", ctypes.c_float),
+    _fields_ = fields(
+        """
+        u8 level output pwm
+        u16 pwm_value
+        float pwm_Hz
+        """
     )
 
 
 class State(ctypes.Structure):
-    _fields_ = (
-        ("now_us", ctypes.c_uint32),
-        ("pins", Pin * 40),
-        ("analog", ctypes.c_uint16 * 40),
-        ("noise", ctypes.c_uint16),
-        ("conversion_us", ctypes.c_uint32),
-        ("was_reset", ctypes.c_uint8),
-        ("watchdog_us", ctypes.c_uint32),
-        ("fed_us", ctypes.c_uint32),
-        ("feeds", ctypes.c_uint32),
-        ("watchdog_on", ctypes.c_uint8),
-        ("memory", ctypes.c_uint8 * 1080),
-        ("memory_writes", ctypes.c_uint32),
-        ("memory_us", ctypes.c_uint32),
-        ("timer_us", ctypes.c_uint32),
-        ("priority", ctypes.c_uint8),
-        ("step_hangs", ctypes.c_uint8),
-        ("systicks", ctypes.c_uint32),
-        ("idles", ctypes.c_uint32),
-        ("off_while_idle", ctypes.c_uint8),
-        ("dtr", ctypes.c_uint8),
-        ("usb_stalled", ctypes.c_uint8),
-        ("baud", ctypes.c_uint32),
-        ("waited_for_host_us", ctypes.c_uint32),
-        ("incoming_size", ctypes.c_uint32),
-        ("outgoing_size", ctypes.c_uint32),
-        ("in_flight", ctypes.c_uint32),
-        ("unsent", ctypes.c_uint32),
-        ("incoming", ctypes.c_uint8 * 4096),
-        ("outgoing", ctypes.c_uint8 * 65536),
-        ("order", ctypes.c_char * 64),
+    _fields_ = fields(
+        """
+        u32 now_us
+        Pin pins[40]
+        u16 analog[40] noise
+        u32 conversion_us
+        u8 was_reset
+        u32 watchdog_us fed_us feeds
+        u8 watchdog_on memory[1080]
+        u32 memory_writes memory_us timer_us
+        u8 priority step_hangs
+        u32 systicks idles
+        u8 off_while_idle dtr usb_stalled
+        u32 baud waited_for_host_us incoming_size outgoing_size in_flight unsent
+        u8 incoming[4096] outgoing[65536]
+        char order[64]
+        """,
+        Pin=Pin,
     )
 
 
@@ -226,7 +214,7 @@ def test_the_valves_are_off_before_anything_else(teensy: Teensy) -> None:
 
 
 def test_the_watchdog_runs_from_the_reset_on(teensy: Teensy) -> None:
-    """Also while Teensyduino starts."""
+    """It also runs while Teensyduino starts."""
     assert not teensy.early_hook()
     assert teensy.hang(2500, with_interrupts=False)
 
@@ -258,7 +246,7 @@ def test_the_largest_duty_cycle_is_not_taken_for_none(teensy: Teensy) -> None:
 
 @pytest.mark.parametrize("counts", [5958, 12345, 29789, 53600])
 def test_the_converter_has_sixteen_bits(teensy: Teensy, counts: int) -> None:
-    """Of a Teensy 4's 12 bits, the sum of 16."""
+    """A Teensy 4 adds 16 conversions of 12 bits."""
     teensy.start()
     teensy.greet()
     teensy.state.analog[RESERVOIR] = counts
@@ -305,7 +293,7 @@ def test_a_main_loop_that_hangs_is_vented_and_then_reset(teensy: Teensy) -> None
 
 
 def test_a_step_that_hangs_is_vented_or_reset_within_0p26_s(teensy: Teensy) -> None:
-    """With its interrupts on: a Teensy 4 vents then, and its watchdog resets it later."""
+    """Interrupts are on: a Teensy 4 vents then, and its watchdog resets it later."""
     teensy.start()
     teensy.regulate()
     begin_us, ticks = teensy.state.now_us, teensy.state.systicks
@@ -519,7 +507,7 @@ MUTANTS = {
 @pytest.mark.long
 @pytest.mark.parametrize("what", MUTANTS)
 def test_a_mistake_in_the_layer_is_found(what: str, tmp_path: Path) -> None:
-    """By at least one of the tests above, on a Teensy 4.0 or LC."""
+    """At least one of the tests above fails, on a Teensy 4.0 or LC."""
     sketch = with_mistake(SKETCH, MUTANTS[what], tmp_path / "phlosar")
     model = BOARDS[2 if what.startswith("LC") else 0]
     made = compiled(model, tmp_path, sketch)

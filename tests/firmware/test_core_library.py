@@ -1,4 +1,4 @@
-"""The core on this machine: how it is built, and what lies between its wires and pressures."""
+"""The core's library on this computer: its build, and the conversions between counts and pressures."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_a_cache_that_cannot_be_written_is_named(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.parametrize("target", TARGETS)
 def test_the_prebuilt_libraries_are_of_these_sources(target: str) -> None:
-    """Where this fails: pip install 'flying-vines[firmware]', and build them anew as `core_library` says."""
+    """If this fails: pip install 'flying-vines[firmware]', and build them as `core_library` says."""
     assert core_library.sources_digest().encode() in core_library.prebuilt(target).read_bytes()
 
 

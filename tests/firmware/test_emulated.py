@@ -1,4 +1,4 @@
-"""The core's object code on emulated processors: the same results as on this machine, and fast enough."""
+"""The core's object code on emulated processors gives the same results as here, and is fast enough."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def frame_type(frame: bytes) -> int:
 
 
 def test_a_control_step_has_time_to_spare(program: Program, golden: Run) -> None:
-    """With what a port brings and takes meanwhile: up to one frame."""
+    """This includes what the port transfers meanwhile: up to one frame."""
     assert len(golden.ticked) == len(STEPS)
     usual = [
         (ticked.instructions, step)
@@ -74,7 +74,7 @@ def test_a_control_step_has_time_to_spare(program: Program, golden: Run) -> None
 
 
 def test_instructions_are_counted_right(program: Program, golden: Run, tmp_path: Path) -> None:
-    """By the emulator's clock as by a trace of each instruction, but for what the counting itself takes."""
+    """The emulator's clock and a trace of each instruction agree, except for the cost of counting."""
     assert abs(golden.thousand - 1000) <= 3
     part = next(part for part in PARTS if part.name == "watchdog")
     counted = [ticked.instructions for ticked in run(program, part.told, tmp_path).ticked]

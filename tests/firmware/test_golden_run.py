@@ -1,4 +1,4 @@
-"""The golden run on this machine, and that it reaches what it is there for."""
+"""The core repeats the golden run on this computer, and the run covers what it should."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_it_reaches_all_that_the_valves_do() -> None:
 
 
 def test_it_reaches_odd_times() -> None:
-    """The clock's wrap while regulating, late steps, and telemetry in each of a second's thousand steps."""
+    """The clock wraps while regulating, steps are late, and telemetry falls on each step of a second."""
     pairs = [pair for part in PARTS for pair in itertools.pairwise(part.steps)]
     assert any(b.now_us < a.now_us for a, b in pairs)
     assert max((b.now_us - a.now_us) & 0xFFFFFFFF for a, b in pairs) > 300_000

@@ -1,4 +1,4 @@
-"""The sketch as it is flashed: built for each board with the maker's core, its size, stack and layout."""
+"""The sketch as it is flashed: built for each board with the maker's core; size, stack and layout."""
 
 from __future__ import annotations
 
@@ -68,14 +68,14 @@ def function(images: Path, board: str, name: str) -> tuple[int, str]:
 def test_it_is_built_for_the_board_and_fits(
     images: Path, needs: dict[str, dict[str, int]], board: str
 ) -> None:
-    """Without a warning in our own files; the linker script is the maker's."""
+    """Our own files have no warning; the linker script is the maker's."""
     assert 15_000 < needs[board]["flash"] < 48 * 1024
     assert 300 < needs[board]["stack"] < needs[board]["room"] / 2
     assert (images / board / "phlosar.hex").read_text().startswith(":")
 
 
 def test_the_guide_says_what_it_needs(needs: dict[str, dict[str, int]]) -> None:
-    """To a tenth: another release of the compiler makes other code."""
+    """Within a tenth, because compiler releases differ."""
     rows = re.findall(
         r"^\| Teensy (4\.0|4\.1|LC) \| ([\d,]+) \| ([\d,]+) \| ([\d,]+) \| ([\d,]+) \|",
         GUIDE.read_text(),
@@ -91,7 +91,7 @@ def test_the_guide_says_what_it_needs(needs: dict[str, dict[str, int]]) -> None:
 
 @pytest.mark.parametrize("board", BOARDS)
 def test_the_frames_are_those_that_the_compiler_tells(images: Path, stack: ModuleType, board: str) -> None:
-    """Of our functions."""
+    """This holds for our own functions."""
     told: dict[str, int] = {}
     for path in (images / board / "phlosar").rglob("*.ci"):
         for title, size in re.findall(
@@ -120,7 +120,7 @@ def test_our_files_use_no_heap_and_no_exceptions(images: Path, board: str) -> No
 
 @pytest.mark.parametrize("board", BOARDS)
 def test_nothing_runs_while_a_conversion_is_awaited(images: Path, board: str) -> None:
-    """`yield` is ours, and empty."""
+    """Our `yield` replaces the maker's and is empty."""
     assert function(images, board, "yield")[1].split()[1:3] == ["bx", "lr"]
 
 
@@ -133,7 +133,7 @@ def test_what_runs_before_the_memory_is_there_stays_in_flash(images: Path, board
 
 @pytest.mark.parametrize("board", ["teensy40", "teensy41"])
 def test_no_product_and_sum_are_one_instruction(images: Path, board: str) -> None:
-    """They would round once, and the golden runs would hold for other boards only."""
+    """A fused instruction rounds once, so the golden runs would differ between boards."""
     listing = run("arm-none-eabi-objdump", "-d", "--no-show-raw-insn", elf(images, board))
     assert re.search(r"\tvfn?m[as]", listing) is None
 
@@ -174,7 +174,7 @@ def test_what_has_no_bound_is_refused(tmp_path: Path, stack: ModuleType, said: s
 
 
 def test_a_chain_of_calls_is_added_up(tmp_path: Path, stack: ModuleType) -> None:
-    """Of a listing made by hand: the deeper of two calls counts, a branch out of a function is a call."""
+    """A listing made by hand: the deeper of two calls counts, and a branch out of a function is a call."""
     listing = (
         "00000100 <main>:\n 100:\tpush\t{r4-r7, lr}\n 102:\tsub\tsp, #12\n"
         " 104:\tbl\t200 <f>\n 108:\tbl\t300 <g>\n"
@@ -206,7 +206,7 @@ def test_another_board_is_refused_with_the_names_of_those_it_knows(define: str) 
 @pytest.mark.parametrize("standard", ["gnu++14", "gnu++17"])
 @pytest.mark.parametrize("define", ["-DARDUINO_TEENSY40", "-DARDUINO_TEENSY41", "-D__MKL26Z64__"])
 def test_the_sketch_compiles_without_the_makers_core(standard: str, define: str) -> None:
-    """Against declarations, where that core is not at hand."""
+    """It compiles against declarations if the maker's core is not installed."""
     sources = sorted(path for path in SKETCH.rglob("*.cpp"))
     flags = [f"-std={standard}", *STRICT, "-DARDUINO=10819", define, "-I", str(STUB)]
     sketches = (SKETCH / "phlosar.ino", *(SKETCH / "examples").rglob("*.ino"))

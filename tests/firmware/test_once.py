@@ -1,4 +1,4 @@
-"""Programs that several tests need are made once."""
+"""An artefact that several tests need is built once."""
 
 from __future__ import annotations
 

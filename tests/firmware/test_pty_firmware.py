@@ -1,4 +1,4 @@
-"""The real core as a program behind a pseudo-terminal, and the real host at the other end of the line."""
+"""The real core as a program behind a pseudo-terminal, with the real host at the other end."""
 
 from __future__ import annotations
 

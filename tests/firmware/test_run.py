@@ -1,4 +1,4 @@
-"""The main loop and the step on a board of variables: timing, watchdog, and what is stored when."""
+"""The main loop and the step on simulated hardware: timing, watchdog, and when settings are stored."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ from .native import (
     SUPPLY_COUNTS,
     Mistake,
     assert_found,
+    fields,
     library,
     with_mistake,
 )
@@ -45,30 +46,19 @@ IMAGE_SIZE = 82
 
 
 class Board(ctypes.Structure):
-    _fields_ = (
-        ("now_us", ctypes.c_uint32),
-        ("read_us", ctypes.c_uint32),
-        ("memory_us", ctypes.c_uint32),
-        ("serial_us", ctypes.c_uint32),
-        ("timer_stopped", ctypes.c_uint8),
-        ("readings", ctypes.c_uint16 * 3),
-        ("evp_duty", ctypes.c_uint16),
-        ("dvp_duty", ctypes.c_uint16),
-        ("solenoid", ctypes.c_uint8),
-        ("light", ctypes.c_uint8),
-        ("steps", ctypes.c_uint32),
-        ("fed", ctypes.c_uint32),
-        ("memory_writes", ctypes.c_uint32),
-        ("memory", ctypes.c_uint8 * 1080),
-        ("power_cut_after", ctypes.c_uint32),
-        ("regulated_while_writing", ctypes.c_uint8),
-        ("bootloader_requested", ctypes.c_uint8),
-        ("waiting_for_bootloader", ctypes.c_uint8),
-        ("incoming_size", ctypes.c_uint32),
-        ("outgoing_size", ctypes.c_uint32),
-        ("outgoing_room", ctypes.c_uint32),
-        ("incoming", ctypes.c_uint8 * 4096),
-        ("outgoing", ctypes.c_uint8 * 4096),
+    _fields_ = fields(
+        """
+        u32 now_us read_us memory_us serial_us
+        u8 timer_stopped
+        u16 readings[3] evp_duty dvp_duty
+        u8 solenoid light
+        u32 steps fed memory_writes
+        u8 memory[1080]
+        u32 power_cut_after
+        u8 regulated_while_writing bootloader_requested waiting_for_bootloader
+        u32 incoming_size outgoing_size outgoing_room
+        u8 incoming[4096] outgoing[4096]
+        """
     )
 
 
@@ -200,7 +190,7 @@ def test_what_is_set_is_stored_once_and_not_while_regulating(running: Running) -
 
 
 def test_a_setpoint_waits_until_the_settings_are_stored(running: Running) -> None:
-    """Writing stops the interrupts: no valve may be open meanwhile."""
+    """Writing disables the interrupts, so no valve may be open meanwhile."""
     board = running.board
     running.greet()
     # In one packet and the next.
@@ -265,7 +255,7 @@ def test_a_power_cut_while_storing_keeps_the_older_settings(
 
 
 def test_no_two_copies_have_bytes_in_one_sector(built: Path, tmp_path: Path) -> None:
-    """A Teensy 4.0's memory: 4 bytes each of 15 sectors in turn. Erasing one must not cost the other copy."""
+    """A Teensy 4.0 uses 4 bytes of 15 sectors in turn; erasing one must not destroy the other copy."""
     first = with_limit(built, tmp_path, b"\xff" * 1080, 25.0)
     second = with_limit(built, tmp_path, first, 24.0)
     sectors = [
@@ -323,7 +313,7 @@ def test_a_main_loop_that_hangs_starves_the_watchdog_and_the_dead_man_vents(runn
 
 
 def test_late_steps_do_not_feed_the_watchdog(running: Running) -> None:
-    """A pause is not caught up with, and eight steps on time have to follow."""
+    """Missed steps are not made up for, and eight steps on time must follow."""
     board = running.board
     running.run(50)
     board.timer_stopped = 1
@@ -361,7 +351,7 @@ def test_the_clock_may_wrap(running: Running) -> None:
 
 
 def test_the_light_flashes_on_when_the_clock_wraps(running: Running) -> None:
-    """A flash too many would be another fault."""
+    """One flash more would mean another fault."""
     board = running.board
     running.bring_near_wrap(ms=5000)
     board.read_us = 0
@@ -390,7 +380,7 @@ def test_the_valves_are_safe_while_the_bootloader_is_awaited(running: Running) -
 
 
 def test_what_no_host_takes_is_lost_frame_by_frame(running: Running) -> None:
-    """A port that takes 7 bytes now and then: no frame comes in parts, or mixed with another."""
+    """A port that takes 7 bytes now and then gets no partial and no mixed frame."""
     running.room = 7
     received = running.run(3000)
     for stall_ms in (1000, 333, 777):

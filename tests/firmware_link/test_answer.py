@@ -1,4 +1,4 @@
-"""What kind of silence meets a greeting."""
+"""The reason that is given if a board does not answer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Host and firmware over lines that lose, spoil, double, swap and cut: safe at every step, back at once."""
+"""Host and firmware on lines with losses, errors, copies and cuts: always safe, and back at once."""
 
 from __future__ import annotations
 

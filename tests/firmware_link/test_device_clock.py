@@ -1,4 +1,4 @@
-"""Which telemetry is new, by the board's own clock: what repeats, stands, runs back or leaps is not."""
+"""Which telemetry is new by the board's clock, and which is repeated, frozen or out of order."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_a_clock_that_does_not_go_on_makes_no_telemetry_fresh(clock_ms: Callable
 
 @pytest.mark.parametrize("leap_ms", [100, 990, 60_000, 3_600_000])
 def test_a_clock_that_leaps_with_each_message_makes_none_fresh(leap_ms: int) -> None:
-    """The physics checks know nothing over a gap in the board's clock: they would be off."""
+    """Otherwise the physics checks, which skip gaps in the board's clock, would be off."""
     session = flown()
     oldest_after(session, lambda t: 6000 + round((t - 1.0) / PERIOD_S) * (10 + leap_ms), 1.01, 1.0)
     assert session.telemetry_age(2.0) > STALE_S or leap_ms == 100
@@ -99,7 +99,7 @@ def test_a_leap_that_lasts_is_believed_from_the_second_message_on() -> None:
 
 
 def test_a_backlog_is_as_old_as_the_board_says() -> None:
-    """We stood still for 0.8 s: what waited comes at once, oldest first."""
+    """The host paused for 0.8 s: what waited comes at once, oldest first."""
     session = flown()
     ages = []
     for i in range(1, 81):
@@ -111,7 +111,7 @@ def test_a_backlog_is_as_old_as_the_board_says() -> None:
 
 
 def test_a_board_that_stood_still_once_is_fresh_again() -> None:
-    """As an emulated one on a busy computer; a real one restarts instead."""
+    """An emulated board on a busy computer pauses; a real one restarts instead."""
     session = flown()
     oldest_after(session, lambda t: round(1000 * t) + 5000 - 2000, 3.0, 4.0)
     assert session.telemetry_age(7.0) <= 0.02
@@ -122,7 +122,7 @@ millis = st.integers(0, FULL_MS - 1)
 
 @given(millis, st.lists(st.tuples(st.integers(1, 900), st.integers(0, 300)), min_size=1, max_size=60))
 def test_a_true_clock_is_always_new(began_ms: int, steps: list[tuple[int, int]]) -> None:
-    """Over any wrap, any loss of messages and any delay on the way that keeps their order."""
+    """This holds over any wrap, any losses and any delay that keeps the order."""
     came, made_ms, came_s = [], 0, 0.0
     for step_ms, delay_ms in steps:
         made_ms += step_ms
@@ -135,7 +135,7 @@ def test_a_true_clock_is_always_new(began_ms: int, steps: list[tuple[int, int]])
 def test_each_time_is_new_once_however_often_and_in_what_order_it_comes(
     began_ms: int, sent: list[int]
 ) -> None:
-    """What is new is later than all before it: no frame of the past makes telemetry fresh again."""
+    """Only a time later than all before it is new, so no old frame makes telemetry fresh again."""
     clock = DeviceClock()
     latest = -1
     for i, number in enumerate(sent):

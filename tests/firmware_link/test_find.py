@@ -1,4 +1,4 @@
-"""A board is found by what it is, and what is not there is told in a sentence."""
+"""A board is found by its USB id, and a missing one gives one sentence."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Framing: what goes in comes out, and nothing else does."""
+"""Framing returns what was framed, and nothing else."""
 
 from __future__ import annotations
 

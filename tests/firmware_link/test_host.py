@@ -1,4 +1,4 @@
-"""The host session: handshake, repetition, and what ends them. No time passes here."""
+"""The host session without a clock: handshake, repetition, and what ends them."""
 
 from __future__ import annotations
 

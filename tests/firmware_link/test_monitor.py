@@ -1,4 +1,4 @@
-"""The monitor sees every byte, and never commands."""
+"""The monitor reads every byte and never sends a command."""
 
 from __future__ import annotations
 

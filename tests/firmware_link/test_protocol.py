@@ -1,4 +1,4 @@
-"""Messages: the golden vectors, both ways, and whatever else may arrive."""
+"""Messages: the golden vectors in both directions, and invalid input."""
 
 from __future__ import annotations
 

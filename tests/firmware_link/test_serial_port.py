@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import tty
 from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 
 import pytest
 import serial
+from pseudo_terminal import Terminal
 from real_time import real_time
 from serial.tools.list_ports_common import ListPortInfo
 
@@ -59,28 +59,6 @@ class Watch:
                 await self._changed.wait()
 
 
-class Terminal:
-    """The device's end of a pseudo-terminal behind a link of fixed name."""
-
-    def __init__(self, link: Path) -> None:
-        self.device, host = os.openpty()
-        tty.setraw(host)
-        os.set_blocking(self.device, False)
-        link.unlink(missing_ok=True)
-        link.symlink_to(os.ttyname(host))
-        self._host = host
-        self._link = link
-
-    def pull_out(self) -> None:
-        self.unplug()
-        self._link.unlink()
-
-    def unplug(self) -> None:
-        for descriptor in (self.device, self._host):
-            with contextlib.suppress(OSError):
-                os.close(descriptor)
-
-
 @pytest.fixture
 def link(tmp_path: Path) -> Path:
     return tmp_path / "port"
@@ -104,6 +82,15 @@ async def running(port: SerialPort | FirmwareLink | PtyPhlosar) -> AsyncIterator
             await asyncio.wait_for(task, TIMEOUT_S)
 
 
+@contextlib.asynccontextmanager
+async def opened(link: Path) -> AsyncIterator[tuple[SerialPort, Watch]]:
+    watch = Watch()
+    port = SerialPort(str(link), 115200, watch.on_bytes, watch.on_state)
+    async with running(port):
+        await watch.until(lambda: port.connected)
+        yield port, watch
+
+
 async def eventually(satisfied: Callable[[], bool]) -> None:
     for _ in range(1000):
         if satisfied():
@@ -112,26 +99,13 @@ async def eventually(satisfied: Callable[[], bool]) -> None:
     raise TimeoutError
 
 
-async def read_from(descriptor: int, count: int) -> bytes:
-    data = b""
-    async with asyncio.timeout(TIMEOUT_S):
-        while len(data) < count:
-            with contextlib.suppress(BlockingIOError):
-                data += os.read(descriptor, 65536)
-            await asyncio.sleep(0)
-    return data
-
-
 async def test_bytes_both_ways(link: Path, terminal: Terminal) -> None:
-    watch = Watch()
-    port = SerialPort(str(link), 115200, watch.on_bytes, watch.on_state)
-    async with running(port):
-        await watch.until(lambda: port.connected)
+    async with opened(link) as (port, watch):
         os.write(terminal.device, bytes(range(256)))
         await watch.until(lambda: len(watch.data) == 256)
         assert watch.data == bytes(range(256))
         assert port.write(bytes(range(256)))
-        assert await read_from(terminal.device, 256) == bytes(range(256))
+        assert await terminal.read(256) == bytes(range(256))
     assert not port.connected
     assert not port.write(b"late")
     assert port.dropped_bytes == 4
@@ -139,10 +113,7 @@ async def test_bytes_both_ways(link: Path, terminal: Terminal) -> None:
 
 
 async def test_it_comes_back_after_being_unplugged(link: Path, terminal: Terminal) -> None:
-    watch = Watch()
-    port = SerialPort(str(link), 115200, watch.on_bytes, watch.on_state)
-    async with running(port):
-        await watch.until(lambda: port.connected)
+    async with opened(link) as (port, watch):
         terminal.pull_out()
         await watch.until(lambda: len(watch.states) == 3)
         assert "was lost" in watch.states[1][1]
@@ -150,15 +121,12 @@ async def test_it_comes_back_after_being_unplugged(link: Path, terminal: Termina
         again = Terminal(link)
         await watch.until(lambda: port.connected)
         assert port.write(b"hello again")
-        assert await read_from(again.device, 11) == b"hello again"
+        assert await again.read(11) == b"hello again"
     again.unplug()
 
 
 async def test_writing_to_a_port_that_was_pulled_out_is_survived(link: Path, terminal: Terminal) -> None:
-    watch = Watch()
-    port = SerialPort(str(link), 115200, watch.on_bytes, watch.on_state)
-    async with running(port):
-        await watch.until(lambda: port.connected)
+    async with opened(link) as (port, watch):
         terminal.pull_out()
         port.write(b"into the void")
         await watch.until(lambda: not port.connected)
@@ -181,30 +149,24 @@ async def test_to_a_wedged_reader_nobody_waits_and_what_is_stale_is_not_kept(
     link: Path, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(serial_port, "STALE_S", 0.02)
-    watch = Watch()
-    port = SerialPort(str(link), 115200, watch.on_bytes, watch.on_state)
-    async with running(port):
-        await watch.until(lambda: port.connected)
+    async with opened(link) as (port, _):
         sent = await wedge(port)
         await asyncio.sleep(0.05)
         assert port.write(b"fresh 1\n")
         assert port.write(b"fresh 2\n")
         dropped = port.dropped_bytes
-        came = await read_from(terminal.device, len(sent) - dropped + 16)
+        came = await terminal.read(len(sent) - dropped + 16)
         # In order and whole; what waited for too long is missing, and the newest is not.
         assert sent.startswith(came[:-16])
         assert len(came) % 8 == 0
         assert came.endswith(b"fresh 1\nfresh 2\n")
         assert port.dropped_bytes == dropped > 0
         assert port.write(b"and on")
-        assert await read_from(terminal.device, 6) == b"and on"
+        assert await terminal.read(6) == b"and on"
 
 
 async def test_a_burst_beyond_all_measure_keeps_the_newest(link: Path, terminal: Terminal) -> None:
-    watch = Watch()
-    port = SerialPort(str(link), 115200, watch.on_bytes, watch.on_state)
-    async with running(port):
-        await watch.until(lambda: port.connected)
+    async with opened(link) as (port, _):
         # No time passes, so nothing is stale: the bound alone holds.
         written = 0
         for _ in range(100):
@@ -214,16 +176,13 @@ async def test_a_burst_beyond_all_measure_keeps_the_newest(link: Path, terminal:
         assert port.write(b"newest")
         kept = written + MAX_QUEUED_BYTES + 1 + 6 - port.dropped_bytes
         assert MAX_QUEUED_BYTES - 1024 <= kept <= MAX_QUEUED_BYTES + KERNEL_BYTES
-        assert (await read_from(terminal.device, kept)).endswith(b"newest")
+        assert (await terminal.read(kept)).endswith(b"newest")
 
 
 async def test_what_was_still_to_be_sent_when_the_port_went_is_counted(
     link: Path, terminal: Terminal
 ) -> None:
-    watch = Watch()
-    port = SerialPort(str(link), 115200, watch.on_bytes, watch.on_state)
-    async with running(port):
-        await watch.until(lambda: port.connected)
+    async with opened(link) as (port, watch):
         for _ in range(100):
             port.write(b"x" * 1024)
         dropped = port.dropped_bytes
@@ -293,7 +252,7 @@ async def test_half_a_frame_of_whoever_was_here_before_costs_no_greeting(
     host = FirmwareLink(str(link), watch.on_event, watch.on_state)
     async with running(host):
         greeting = FRAME_END + Codec().encode(Hello(PROTOCOL_VERSION, 1))
-        first = await read_from(terminal.device, len(greeting))
+        first = await terminal.read(len(greeting))
     assert first == greeting
     firmware.receive(first)
     answers = Codec().decode(firmware.take_output())

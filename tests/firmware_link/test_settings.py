@@ -1,4 +1,4 @@
-"""Settings are read in full before one is changed, and nothing is changed that the firmware does not have."""
+"""Settings are all read before one is changed, and unknown ones are refused."""
 
 from __future__ import annotations
 

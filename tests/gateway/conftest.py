@@ -1,4 +1,4 @@
-"""A broker that runs, and somebody who reads all that is on it."""
+"""A running broker, and a subscriber of all its topics."""
 
 from __future__ import annotations
 

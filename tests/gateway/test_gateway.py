@@ -1,4 +1,4 @@
-"""The gateway's process: kept alive whatever becomes of it, and never waited for."""
+"""The gateway's process is restarted whatever happens, and the service never waits for it."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ async def test_a_gateway_that_is_killed_leaves_its_last_will_and_comes_back(
 
 
 async def test_a_gateway_whose_service_was_killed_says_so(broker: Broker, people: Onlooker) -> None:
-    """Nobody is left to end it: it does so itself, in good order."""
+    """It ends by itself and in good order."""
     service = Service(broker=broker.url, name="heron")
     async with service.living():
         await people.until(f"{BASE}/status", status="online")
@@ -206,7 +206,7 @@ async def test_a_gateway_that_dies_at_once_is_told_once(
 async def test_a_page_that_fails_is_served_again_and_the_broker_does_not_notice(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """In the gateway's own process."""
+    """Both are in the gateway's process."""
     page_serve, starts, served, told = page.serve, [0], asyncio.Event(), []
 
     async def fails_twice(feed: Feed) -> None:
@@ -313,7 +313,7 @@ async def test_a_flood_of_vents_is_a_few_vents_and_each_is_answered(played: Call
 
 
 async def test_a_vent_that_waits_comes_by_itself(played: Callable[[str], None]) -> None:
-    """What bent the vine in between is not to stay because somebody had vented just before."""
+    """A bend between two vents must not remain because the second vent was too soon."""
     played(
         "hear()\n"
         "for number in range(3): say(Request(number, ('page', 'broker')[number % 2], 'vent'))\n"
@@ -327,7 +327,7 @@ async def test_a_vent_that_waits_comes_by_itself(played: Callable[[str], None]) 
 async def test_when_it_was_made_and_what_was_seen_goes_on_to_the_service(
     played: Callable[[str], None],
 ) -> None:
-    """One vent for many clears what any of them has seen."""
+    """A combined vent clears what any of its senders has seen."""
     played(
         "hear()\n"
         "say(Request(1, 'page', 'hold', made_at=3.25, seen_at=3.0))\n"
@@ -342,7 +342,7 @@ async def test_when_it_was_made_and_what_was_seen_goes_on_to_the_service(
 
 
 async def test_what_happens_before_the_gateway_reads_is_told_in_order(played: Callable[[str], None]) -> None:
-    """The profile first; of more events than are kept, the last."""
+    """The profile comes first; of too many events the last ones are kept."""
     played(
         "kinds = [type(hear()).__name__]\n"
         "texts = []\n"

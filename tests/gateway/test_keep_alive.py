@@ -1,4 +1,4 @@
-"""What ends is started again, and people are told once."""
+"""A task that ends is started again, and people are told once."""
 
 from __future__ import annotations
 

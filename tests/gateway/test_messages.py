@@ -1,4 +1,4 @@
-"""What service and gateway tell each other: read as it was said, and refused where it cannot be done."""
+"""Messages between service and gateway are read as they were sent, or refused."""
 
 from __future__ import annotations
 

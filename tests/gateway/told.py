@@ -1,4 +1,4 @@
-"""What a gateway is told in tests: a profile, snapshots and events as the service makes them."""
+"""Input of a gateway for tests: a profile, snapshots and events as the service makes them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `install-service` writes below a folder, undoes, and refuses; the unit as systemd itself reads it."""
+"""The files that `install-service` writes, removes and refuses; systemd itself reads the unit."""
 
 from __future__ import annotations
 
@@ -321,7 +321,7 @@ def test_the_program_is_where_its_python_is() -> None:
 def test_the_machine_itself_is_changed_only_with_what_it_can_reach(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As root on a real machine, with a program that its service could not start."""
+    """Root on a real computer, with a program that the service could not start."""
     monkeypatch.setattr(os, "geteuid", lambda: 0)
     lost = InstalledProgram(("/tmp/venv/bin/flying-vines",), (Path("/tmp/venv/bin/flying-vines"),))
     monkeypatch.setattr(InstalledProgram, "here", lambda: lost)

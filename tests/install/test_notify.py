@@ -1,4 +1,4 @@
-"""What the service's manager is told, over real datagram sockets as systemd's is."""
+"""What the service tells systemd, over real datagram sockets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The wheel and the sdist: that they hold everything, and that the wheel runs where the sources are not."""
+"""The wheel and the sdist are complete, and the wheel runs without the sources."""
 
 from __future__ import annotations
 

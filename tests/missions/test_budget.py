@@ -1,4 +1,4 @@
-"""Pressure and air along a mission, and that the service itself flies it so."""
+"""Pressure and air along a mission agree with a simulated flight of the service."""
 
 from __future__ import annotations
 

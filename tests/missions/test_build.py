@@ -1,4 +1,4 @@
-"""From a person's text to items: what each autopilot gets, and that it means the same once stored."""
+"""From a mission's text to items: each autopilot's items have the same meaning once stored."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The buttons for QGroundControl: it takes the file, and each button asks for what is written on it."""
+"""QGroundControl accepts the button file, and each button requests what its label says."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_buttons_follow_the_profile() -> None:
 
 
 def test_a_rule_that_never_applies_gets_no_button() -> None:
-    """An earlier rule takes the numbers of the one for `reach`."""
+    """An earlier rule takes the numbers of the rule for `reach`."""
     config = changed(
         ('match = { param1 = 2 }\nprofile = "reach"', 'match = { param1 = 0 }\nprofile = "reach"')
     )

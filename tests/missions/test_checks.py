@@ -1,4 +1,4 @@
-"""Each thing that can be wrong with a mission, said in one sentence that names the item and what to do."""
+"""Each mistake in a mission gives one sentence that names the item and what to do."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The script for ArduPilot, run by a Lua of the same version against a stand-in for ArduPilot's interface."""
+"""The script for ArduPilot in Lua of the same version, with a stand-in for ArduPilot's interface."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`flying-vines mission`: what it prints, writes and ends with, and the examples that come along."""
+"""`flying-vines mission`: output, files and exit status, and the examples."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A mission's TOML file: what is read, and errors that name file, line and key."""
+"""A mission's TOML file: content, and errors with file, line and key."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The example plans as mavsdk reads them, whose importer is none of ours: the same items."""
+"""mavsdk's own importer reads the same items from the example plans."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""QGroundControl's .plan files: written as it writes them, read as it reads them."""
+"""QGroundControl's .plan files are written and read as QGroundControl does it."""
 
 from __future__ import annotations
 

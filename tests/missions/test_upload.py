@@ -1,4 +1,4 @@
-"""What an upload looks at before and after the vehicle has the mission."""
+"""What an upload checks before and after the vehicle has the mission."""
 
 from __future__ import annotations
 

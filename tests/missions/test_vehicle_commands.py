@@ -1,4 +1,4 @@
-"""`mission upload`, `watch` and `download` on the command line: what is wrong is said in one line."""
+"""`mission upload`, `watch` and `download`: each error is one line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The listener on mavsdk's threads, without mavsdk; and links in its words."""
+"""The listener on mavsdk's threads, without mavsdk; and links in mavsdk's notation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a mission that is watched says of itself, from messages alone."""
+"""What `mission watch` reports, from messages alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""QGC WPL 110 files: what is read, what is refused, and that writing loses nothing."""
+"""QGC WPL 110 files: content, errors, and writing without loss."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Programs that others wrote, as peers of the service."""
+"""Other people's programs as peers of the service."""

@@ -1,4 +1,4 @@
-"""MAVProxy as a person uses it: a process of its own that is typed to and read."""
+"""MAVProxy as a process that is typed to and read."""
 
 from __future__ import annotations
 
@@ -63,6 +63,11 @@ class MavProxy:
                 self.type(again)
             await asyncio.sleep(0.02)
         return match
+
+    async def answers(self, line: str, pattern: str, again: str = "") -> re.Match[str]:
+        """Type a line and wait for what matches."""
+        self.type(line)
+        return await self.sees(pattern, again)
 
 
 @asynccontextmanager

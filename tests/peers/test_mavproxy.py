@@ -1,4 +1,4 @@
-"""MAVProxy, typed to as a person would, behind the fake autopilot that the service is a companion of.
+"""MAVProxy with typed commands behind the simulated autopilot that the service is connected to.
 
 One MAVProxy for each kind of autopilot, as it takes seconds to start; every test says first whom it talks to.
 """
@@ -104,64 +104,50 @@ async def test_the_gauge_is_seen_by_the_name_of_each_value(flight: Flight) -> No
 async def test_commands_move_the_vine_and_are_answered_in_words(flight: Flight) -> None:
     ground = flight.ground
     ground.type("vehicle 1:191")
-    ground.type("long 31011 30")
-    await ground.sees("Got COMMAND_ACK: USER_2: ACCEPTED")
+    await ground.answers("long 31011 30", "Got COMMAND_ACK: USER_2: ACCEPTED")
     await flight.value("BEND_DEG", lambda value: value == pytest.approx(30, abs=3))
-    ground.type("long 31012 500")
-    await ground.sees("AP: Vine: 500 kPa limited to 20.7 kPa")
+    await ground.answers("long 31012 500", "AP: Vine: 500 kPa limited to 20.7 kPa")
     await ground.sees("Got COMMAND_ACK: USER_3: ACCEPTED")
-    ground.type("long 31011 95")
-    await ground.sees("AP: Vine: refused bend .*95 deg is outside")
+    await ground.answers("long 31011 95", "AP: Vine: refused bend .*95 deg is outside")
     await ground.sees("Got COMMAND_ACK: USER_2: DENIED")
-    ground.type("long 31010 7")
-    await ground.sees("Got COMMAND_ACK: USER_1: DENIED")
-    ground.type("long USER_4 0")
-    await ground.sees("Got COMMAND_ACK: USER_4: ACCEPTED")
+    await ground.answers("long 31010 7", "Got COMMAND_ACK: USER_1: DENIED")
+    await ground.answers("long USER_4 0", "Got COMMAND_ACK: USER_4: ACCEPTED")
     await until(lambda: flight.phlosar.cv_kPa < 1, "it is vented")
 
 
 async def test_disarmed_pneumatics_bend_for_nobody_until_they_are_armed(flight: Flight) -> None:
     ground = flight.ground
     ground.type("vehicle 1:191")
-    ground.type("long 31013 2")
-    await ground.sees("Got COMMAND_ACK: USER_4: ACCEPTED")
-    ground.type("long 31011 20")
-    await ground.sees("Got COMMAND_ACK: USER_2: DENIED")
+    await ground.answers("long 31013 2", "Got COMMAND_ACK: USER_4: ACCEPTED")
+    await ground.answers("long 31011 20", "Got COMMAND_ACK: USER_2: DENIED")
     await ground.sees("AP: Vine: refused bend 20 deg: the pneumatics are disarmed")
-    ground.type("long 31013 3")
-    await ground.sees("Got COMMAND_ACK: USER_4: ACCEPTED")
-    ground.type("long 31011 20")
-    await ground.sees("Got COMMAND_ACK: USER_2: ACCEPTED")
-    ground.type("long 31013 0")
-    await ground.sees("Got COMMAND_ACK: USER_4: ACCEPTED")
+    await ground.answers("long 31013 3", "Got COMMAND_ACK: USER_4: ACCEPTED")
+    await ground.answers("long 31011 20", "Got COMMAND_ACK: USER_2: ACCEPTED")
+    await ground.answers("long 31013 0", "Got COMMAND_ACK: USER_4: ACCEPTED")
 
 
 async def test_what_is_for_the_autopilot_is_not_for_us(flight: Flight) -> None:
     """MAVProxy addresses the autopilot unless told otherwise."""
     flight.ground.type("vehicle 1:1")
-    flight.ground.type("long 31011 30")
-    await flight.ground.sees("Got COMMAND_ACK: USER_2: UNSUPPORTED")
+    await flight.ground.answers("long 31011 30", "Got COMMAND_ACK: USER_2: UNSUPPORTED")
     flight.ground.type("vehicle 1:191")
-    flight.ground.type("long 31014 9")
-    await flight.ground.sees("Got COMMAND_ACK: USER_5: DENIED")
+    await flight.ground.answers("long 31014 9", "Got COMMAND_ACK: USER_5: DENIED")
     assert flight.phlosar.cv_kPa < 1
 
 
 async def test_texts_are_printed_when_mavproxy_looks_at_all_components(flight: Flight) -> None:
-    """Locked on to the autopilot, as it starts, it has them and does not print them."""
+    """By default it looks at the autopilot only, and does not print our texts."""
     ground = flight.ground
     ground.type("set target_component 0")
     flight.phlosar.reset_firmware()
     await ground.sees("AP: Vine: phloSAR restarted")
-    ground.type("vehicle 1:191")
-    await ground.sees("Got COMMAND_ACK: USER_5: ACCEPTED", again="long USER_5 1")
+    await ground.answers("vehicle 1:191", "Got COMMAND_ACK: USER_5: ACCEPTED", again="long USER_5 1")
     ground.type("vehicle 1:1")
     since = len(ground.text)
     flight.phlosar.reset_firmware(watchdog=True)
     await ground.sees("STATUSTEXT {.*text : Vine: firmware fault: watchdog", again="status STATUSTEXT")
     assert "AP: Vine" not in ground.text[since:]
-    ground.type("vehicle 1:191")
-    await ground.sees("Got COMMAND_ACK: USER_5: ACCEPTED", again="long USER_5 1")
+    await ground.answers("vehicle 1:191", "Got COMMAND_ACK: USER_5: ACCEPTED", again="long USER_5 1")
 
 
 async def test_a_plan_with_vine_items_is_loaded_and_listed(flight: Flight) -> None:
@@ -176,8 +162,7 @@ async def test_a_plan_with_vine_items_is_loaded_and_listed(flight: Flight) -> No
     ground.type(f"wp load {plan}")
     await ground.sees(f"Sent all {len(items)} waypoints")
     await ground.sees("Got MISSION_ACK: TYPE_MISSION: ACCEPTED")
-    ground.type("wp list")
-    await ground.sees("Saved waypoints to way.txt")
+    await ground.answers("wp list", "Saved waypoints to way.txt")
     listed = re.findall(rf"\n{carrier} .* p1={NUMBER} p2={NUMBER}", ground.answer)
     assert [[float(p1), float(p2)] for p1, p2 in listed] == [[float(p1), float(p2)] for p1, p2 in bends]
 
@@ -190,30 +175,27 @@ async def test_parameters_are_fetched_set_and_kept_within_their_bounds(flight: F
     ground.type("param show VINE*")
     names = ".*".join(sorted(setting.name for setting in SETTINGS))
     await ground.sees(f"(?s){names}")
-    ground.type("param set VINE_MAX_BENT_S 45")
-    await ground.sees("AP: Vine: VINE_MAX_BENT_S is 45, was 120")
-    ground.type("param fetch VINE_MAX_BENT_S")
-    await ground.sees(r"VINE_MAX_BENT_S\s+= 45\.0")
-    ground.type("param set VINE_MAX_BENT_S 500")
-    await ground.sees("AP: Vine: VINE_MAX_BENT_S stays 45: 500 is outside 1 to 120")
+    await ground.answers("param set VINE_MAX_BENT_S 45", "AP: Vine: VINE_MAX_BENT_S is 45, was 120")
+    await ground.answers("param fetch VINE_MAX_BENT_S", r"VINE_MAX_BENT_S\s+= 45\.0")
+    await ground.answers(
+        "param set VINE_MAX_BENT_S 500", "AP: Vine: VINE_MAX_BENT_S stays 45: 500 is outside 1 to 120"
+    )
 
 
 async def test_signed_commands_are_obeyed_and_those_of_another_key_are_not(tmp_path: Path) -> None:
-    """The passphrase in our key file and the one typed to MAVProxy make the same key."""
+    """The passphrase in our key file and the one typed into MAVProxy make the same key."""
     file = tmp_path / "key"
     file.write_text("passphrase: vines-over-the-lake\n")
     file.chmod(0o600)
     async with flying("ardupilot", tmp_path, read_key(file)) as flight:
         ground = flight.ground
         await ground.sees("online system 1")
-        ground.type("signing key some-other-words")
-        await ground.sees("Setup signing key")
+        await ground.answers("signing key some-other-words", "Setup signing key")
         ground.type("set target_component 191")
         ground.type("long 31011 30")
         await asyncio.sleep(1.5)
         assert ground.printed("COMMAND_ACK") is None
         assert flight.phlosar.cv_kPa < 1
-        ground.type("signing key vines-over-the-lake")
-        await ground.sees("Setup signing key")
+        await ground.answers("signing key vines-over-the-lake", "Setup signing key")
         await ground.sees("Got COMMAND_ACK: USER_2: ACCEPTED", again="long 31011 30")
         await until(lambda: flight.phlosar.cv_kPa > 8, "it is bent")

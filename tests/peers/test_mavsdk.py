@@ -1,4 +1,4 @@
-"""mavsdk, which is none of ours, as a ground station beside the real service and a fake autopilot."""
+"""mavsdk as a ground station beside the real service and a simulated autopilot."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ async def test_nobody_there_is_said_in_one_line() -> None:
 
 
 async def test_what_mavsdk_may_still_call_outlives_it() -> None:
-    """Else the process crashes now and then: interrupted on a busy machine, 8 of 300 did."""
+    """Otherwise the process crashes sometimes: 8 of 300 interrupted runs on a busy computer."""
     async with bare(FakeAutopilot("px4")) as link, vehicle(link) as peer:
         assert await peer.command(511, 42.0, 200_000.0) == 0
         answer = weakref.ref(peer._direct._callbacks[-1])

@@ -1,4 +1,4 @@
-"""The gas of a rig reaches the energy balance and the choked flows."""
+"""The rig's gas enters the energy balance and the choked flows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hysteresis in flight: each angle has one pressure for each direction, and displays show the bend."""
+"""Hysteresis in flight: each angle has one pressure per direction, and displays show the bend."""
 
 from __future__ import annotations
 

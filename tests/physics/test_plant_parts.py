@@ -29,7 +29,7 @@ from flying_vines.physics.plant.flow import (
     flow_SL_per_s,
     iso6358_matching,
 )
-from flying_vines.physics.plant.likely import DVP, likely_effects
+from flying_vines.physics.plant.likely import DVP
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.rates import flows
 from flying_vines.physics.plant.simulator import Simulator
@@ -319,14 +319,3 @@ def test_thin_air_makes_less_vacuum() -> None:
         simulator.advance(Inputs(0.0, 1.0, True))
     assert simulator.conditions.reservoir_kPa > 600.0
     assert simulator.conditions.cv_kPa == pytest.approx(-55.0 * 79.5 / ALPHA_KPA, rel=1e-3)
-
-
-def test_everything_together_works_as_a_phlosar_does() -> None:
-    simulator = Simulator(Plant(Rig(), likely_effects()))
-    for _ in range(1500):
-        simulator.advance(Inputs(0.8, 0.0, False))
-    assert simulator.conditions.cv_kPa > 20.0
-    for _ in range(1500):
-        simulator.advance(Inputs(0.0, 1.0, True))
-    assert simulator.conditions.cv_kPa < 0.0
-    assert 500.0 < simulator.conditions.reservoir_kPa < 690.0

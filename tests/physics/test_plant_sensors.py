@@ -1,4 +1,4 @@
-"""Readings of a true pressure."""
+"""Readings of a true pressure: errors, lag, noise and range."""
 
 from __future__ import annotations
 

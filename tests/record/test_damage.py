@@ -1,4 +1,4 @@
-"""Logs that were cut off, or of which parts are damaged, are read as far as they are whole."""
+"""Logs that are cut off or damaged are read as far as they are intact."""
 
 from __future__ import annotations
 

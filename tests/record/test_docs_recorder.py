@@ -1,4 +1,4 @@
-"""The page on the recorder names every topic, and none that there is not."""
+"""The page on the recorder names every topic and no other."""
 
 from __future__ import annotations
 

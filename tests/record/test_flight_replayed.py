@@ -1,4 +1,4 @@
-"""A flight's log, asked again: the same answers, and what is said when they are not."""
+"""The core gives a recorded flight's answers again, and differences are reported."""
 
 from __future__ import annotations
 

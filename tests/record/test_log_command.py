@@ -1,4 +1,4 @@
-"""`flying-vines log`: what it prints and writes, and what it says when it cannot."""
+"""`flying-vines log`: output, files and errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the recorder writes, and what becomes of it when the disk does not do as it should."""
+"""What the recorder writes, and what happens if the disk fails."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def assert_fits(value: Any, schema: Schema, where: str) -> None:
 
 
 def test_viewers_can_read_every_schema() -> None:
-    """Foxglove wants one word for a type, properties of every object, and plain items of arrays."""
+    """Foxglove needs one word for a type, properties of every object, and plain items of arrays."""
 
     def look(schema: Schema, where: str) -> None:
         assert schema["type"] in ("number", "integer", "string", "boolean", "object", "array"), where

@@ -1,4 +1,4 @@
-"""What survives the service, through the real service: parameters, disarmed pneumatics, the signing clock."""
+"""What survives a restart of the real service: parameters, disarmed pneumatics, the signing clock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The real service over real sockets and a real serial port path, between the fakes."""
+"""The real service with real sockets and a serial port, between the stand-ins."""
 
 from __future__ import annotations
 

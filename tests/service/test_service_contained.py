@@ -1,4 +1,4 @@
-"""What fails around the core of a running service: links, tasks, bytes and files."""
+"""Failures around the core of a running service: links, tasks, bytes and files."""
 
 from __future__ import annotations
 

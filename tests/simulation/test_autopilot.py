@@ -1,4 +1,4 @@
-"""The fake autopilot against what real ones were recorded to do."""
+"""The simulated autopilot behaves as real ones were observed to."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 from autopilot_world import (
     LAND,
-    STREAMS_HZ,
     TAKEOFF,
     WAYPOINT,
     World,
@@ -28,6 +27,15 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.simulation.autopilot import AutopilotKind, FakeAutopilot, MissionRefused, RcLoss
 from flying_vines.vehicle.mission.item import MissionItem
+
+
+def streaming(autopilot: FakeAutopilot, for_s: float) -> World:
+    """A companion has requested streams, and has received them for this time."""
+    world = World(autopilot)
+    world.request_streams()
+    world.on(for_s)
+    return world
+
 
 # ArduPilot's mission quirks
 
@@ -47,36 +55,25 @@ def test_of_two_do_items_the_second_text_comes_after_the_next_nav_item() -> None
     assert second - first == pytest.approx(0.006)
 
 
-def test_after_the_last_waypoint_only_the_first_do_item_runs_and_after_land_none() -> None:
-    world = flown(plan(TAKEOFF, WAYPOINT, (217, 1), (217, 2)))
-    assert [done.seq for _, done in world.autopilot.payload_log] == [3]
-    world = flown(plan(TAKEOFF, LAND, (217, 1)))
-    assert not world.autopilot.armed
-    assert world.autopilot.payload_log == []
-
-
-def test_a_payload_item_in_front_runs_on_the_ground_and_twice_more_after_landing() -> None:
-    world = flown(plan((217, 1, 40), TAKEOFF, LAND))
-    assert not world.autopilot.armed
-    assert [done.seq for _, done in world.autopilot.payload_log] == [1, 1, 1]
-
-
-def test_a_waypoint_followed_by_an_item_with_reached_loses_its_own() -> None:
-    world = flown(plan(TAKEOFF, WAYPOINT, (178, 0, 5, -1), (93, 1), LAND))
-    assert [message.seq for message in world.companion.of("MISSION_ITEM_REACHED")] == [1, 3, 4]
-
-
-def test_do_jump_runs_an_item_again_under_the_same_seq() -> None:
-    world = flown(plan(TAKEOFF, WAYPOINT, (217, 1, 40), (93, 1), (177, 2, 2), LAND), 90.0)
-    assert [done.seq for _, done in world.autopilot.payload_log] == [3, 3, 3]
-    assert not world.autopilot.armed
-
-
-def test_a_do_item_behind_a_condition_is_dropped_if_the_waypoint_comes_first() -> None:
-    world = flown(plan(TAKEOFF, WAYPOINT, (112, 60), (217, 1), (93, 1), LAND))
-    assert world.autopilot.payload_log == []
-    world = flown(plan(TAKEOFF, WAYPOINT, (112, 1.5), (217, 1), (93, 4), LAND))
-    assert [done.seq for _, done in world.autopilot.payload_log] == [4]
+@pytest.mark.parametrize(
+    ("commands", "ran"),
+    [
+        # After the last waypoint only the first DO item runs, and none after the landing.
+        ((TAKEOFF, WAYPOINT, (217, 1), (217, 2)), [3]),
+        ((TAKEOFF, LAND, (217, 1)), []),
+        # A payload item in front runs on the ground, and twice more after the landing.
+        (((217, 1, 40), TAKEOFF, LAND), [1, 1, 1]),
+        # DO_JUMP runs an item again under the same number.
+        ((TAKEOFF, WAYPOINT, (217, 1, 40), (93, 1), (177, 2, 2), LAND), [3, 3, 3]),
+        # A DO item behind a condition is dropped if the waypoint comes first.
+        ((TAKEOFF, WAYPOINT, (112, 60), (217, 1), (93, 1), LAND), []),
+        ((TAKEOFF, WAYPOINT, (112, 1.5), (217, 1), (93, 4), LAND), [4]),
+    ],
+)
+def test_which_do_items_run(commands: tuple[tuple[float, ...], ...], ran: list[int]) -> None:
+    world = flown(plan(*commands), 90.0)
+    assert [done.seq for _, done in world.autopilot.payload_log] == ran
+    assert world.autopilot.armed is (LAND not in commands)
 
 
 def test_loiter_and_back_restarts_only_the_nav_item_and_set_current_fires_a_do_item_again() -> None:
@@ -272,9 +269,7 @@ def test_px4_tells_of_another_mission_by_its_id() -> None:
 
 @pytest.mark.parametrize("both_ways", [False, True])
 def test_a_stalled_link_delivers_all_at_once(both_ways: bool) -> None:
-    world = World(FakeAutopilot("ardupilot"))
-    world.request_streams()
-    world.on(1.0)
+    world = streaming(FakeAutopilot("ardupilot"), 1.0)
     world.companion.forget()
     world.autopilot.stall(3.0, both_ways=both_ways)
     world.on(1.0)
@@ -370,9 +365,7 @@ def test_named_values_and_texts_reach_the_ground_station_unchanged(kind: Autopil
 
 
 def test_a_stream_has_the_rate_asked_for_and_stops() -> None:
-    world = World(FakeAutopilot("ardupilot"))
-    world.request_streams()
-    world.on(10.0)
+    world = streaming(FakeAutopilot("ardupilot"), 10.0)
     assert {name: len(world.companion.of(name)) for name in ("RC_CHANNELS", "SYS_STATUS", "ATTITUDE")} == {
         "RC_CHANNELS": 100,
         "SYS_STATUS": 20,
@@ -400,9 +393,7 @@ def test_a_message_is_sent_once_on_request_and_an_unknown_one_refused() -> None:
 
 
 def test_the_sequence_counts_up_per_link_without_a_gap() -> None:
-    world = World(FakeAutopilot("ardupilot"))
-    world.request_streams()
-    world.on(30.0)
+    world = streaming(FakeAutopilot("ardupilot"), 30.0)
     sequence = [frame[4] for frame in world.companion.frames]
     assert len(sequence) > 600
     assert sequence == [index % 256 for index in range(len(sequence))]
@@ -437,9 +428,7 @@ def test_an_upload_right_after_boot_finds_no_space_and_ready_is_said_later() -> 
 
 
 def test_muted_links_carry_nothing_either_way_and_the_gap_shows() -> None:
-    world = World(FakeAutopilot("ardupilot"))
-    world.request_streams()
-    world.on(1.0)
+    world = streaming(FakeAutopilot("ardupilot"), 1.0)
     last = world.companion.frames[-1][4]
     world.companion.forget()
     world.autopilot.mute(3.0)
@@ -455,9 +444,7 @@ def test_muted_links_carry_nothing_either_way_and_the_gap_shows() -> None:
 
 
 def test_without_a_receiver_since_boot_there_are_no_channels() -> None:
-    world = World(FakeAutopilot("ardupilot", rc_present=False))
-    world.request_streams()
-    world.on(1.0)
+    world = streaming(FakeAutopilot("ardupilot", rc_present=False), 1.0)
     channels = world.companion.of("RC_CHANNELS")[0]
     assert (channels.chancount, channels.chan9_raw) == (0, 0)
     assert not rc_health(world.companion.of("SYS_STATUS")[0])
@@ -468,24 +455,11 @@ def test_without_a_receiver_since_boot_there_are_no_channels() -> None:
     assert rc_health(world.companion.of("SYS_STATUS")[-1])
 
 
-def test_a_flight_may_go_on_after_rc_loss() -> None:
-    world = World(FakeAutopilot("ardupilot", mission=plan(TAKEOFF, (93, 30), LAND), rc_failsafe_mode=None))
-    world.companion.hello()
-    world.autopilot.start_mission()
-    world.on(10.0)
-    world.autopilot.lose_rc()
-    world.on(2.0)
-    assert world.companion.texts()[-1] == "Radio Failsafe - Continuing Auto Mode"
-    assert world.autopilot.mode_name == "AUTO"
-
-
 @pytest.mark.parametrize(
     ("parameters", "how", "told"),
     [
         ({}, "frozen", True),
         ({}, "jump", True),
-        ({"FS_THR_ENABLE": 0}, "frozen", False),
-        ({"FS_THR_ENABLE": 0}, "jump", False),
         ({"RC_FS_TIMEOUT": 8}, "frozen", False),
         ({"RC_FS_TIMEOUT": 8}, "jump", True),
         ({"RC_OPTIONS": 4}, "frozen", False),
@@ -507,19 +481,6 @@ def test_ardupilot_may_ignore_overrides() -> None:
     world.gcs.say(mavlink.MAVLink_rc_channels_override_message(1, 1, *(65535,) * 8, 2000, *(0,) * 9))
     world.on(1.0)
     assert {message.chan9_raw for message in world.companion.of("RC_CHANNELS")} == {1000}
-
-
-def test_px4_reports_its_health_no_oftener_than_each_two_seconds() -> None:
-    world = World(FakeAutopilot("px4", receiver="sbus"))
-    world.request_streams(STREAMS_HZ | {1: 10})
-    world.on(5.0)
-    world.autopilot.stir_health()
-    world.autopilot.lose_rc()
-    world.on(1.9)
-    assert not world.autopilot.tells_rc_lost
-    world.on(0.2)
-    assert world.autopilot.tells_rc_lost
-    assert not rc_health(world.companion.of("SYS_STATUS")[-1])
 
 
 def test_stimuli_that_make_no_sense_are_refused() -> None:

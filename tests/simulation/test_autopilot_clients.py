@@ -1,4 +1,4 @@
-"""What real clients need of the fake: parameters, files, overrides, forwarding, signatures, missions."""
+"""What real clients need: parameters, files, overrides, forwarding, signatures, missions."""
 
 from __future__ import annotations
 

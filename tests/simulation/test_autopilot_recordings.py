@@ -1,4 +1,4 @@
-"""The fake does what real autopilots were recorded to do: the same kinds of messages, in the same order."""
+"""The simulated autopilot sends the kinds of messages of real recordings, in the same order."""
 
 from __future__ import annotations
 
@@ -190,10 +190,6 @@ def rc_bits(message: Any) -> tuple[bool, ...]:
     """Present, enabled, health."""
     sensors = "present", "enabled", "health"
     return tuple(bool(getattr(message, f"onboard_control_sensors_{name}") & RC_RECEIVER) for name in sensors)
-
-
-def switch_and_rssi(message: Any) -> tuple[int, int]:
-    return message.chan9_raw, message.rssi
 
 
 def assert_same_radio(

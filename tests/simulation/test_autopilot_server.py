@@ -1,4 +1,4 @@
-"""The fake autopilot on real sockets, UDP and TCP."""
+"""The simulated autopilot on real sockets, UDP and TCP."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The compiled closed loop is the regulator on the Simulator, float by float."""
+"""The compiled closed loop gives the same floats as the regulator on the Simulator."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_it_is_the_regulator_on_the_simulator(name: str) -> None:
 
 
 def test_it_holds_what_the_whole_firmware_holds() -> None:
-    """With frames, telemetry, a converter and single precision, on the same rig."""
+    """The firmware has frames, telemetry, a converter and single precision, on the same rig."""
     run = closed_loop(PLANTS["baseline"], [SetpointChange(0.1, 12.0, 60.0)], 1.5, record_every=1)
     phlosar = SimulatedPhlosar(TrueRig(Rig()))
     host, pressures = Codec(), []

@@ -1,4 +1,4 @@
-"""What the runs ask for over time."""
+"""The commands of the scenario runs over time."""
 
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+"""Typed lines that fly the simulated autopilot and break the simulated phloSAR."""
+
 from __future__ import annotations
 
 import asyncio

@@ -1,4 +1,4 @@
-"""The firmware: handshake, dead-man, latches, settings, and what must never happen."""
+"""The firmware's core: handshake, dead-man, latches, settings, regulator, and what must never happen."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The simulated phloSAR: it regulates, repeats itself bit for bit, and survives its hosts."""
+"""The simulated phloSAR regulates, is deterministic, and survives its hosts."""
 
 from __future__ import annotations
 
@@ -125,15 +125,6 @@ def test_time_does_not_go_back() -> None:
     assert phlosar.now_s == 0.5
 
 
-def test_a_host_that_falls_silent_is_outlived() -> None:
-    flight = Flight(SimulatedPhlosar())
-    flight.command(Regulate(20.0, 50.0))
-    flight.fly(1.0)
-    flight.phlosar.advance(flight.t + 1.0)
-    assert flight.phlosar.firmware.faults == Fault.DEAD_MAN
-    assert flight.phlosar.cv_kPa < 0.1
-
-
 def test_a_reset_keeps_the_air() -> None:
     flight = Flight(SimulatedPhlosar())
     flight.command(Regulate(20.0, 50.0))
@@ -177,13 +168,6 @@ def test_a_bottle_filled_by_hand_keeps_its_temperature() -> None:
     assert phlosar.reservoir_kPa == pytest.approx(600.0)
     phlosar.advance(1.0)
     assert phlosar.reservoir_kPa == pytest.approx(600.0)
-
-
-def test_an_overfilled_reservoir_is_reported() -> None:
-    phlosar = SimulatedPhlosar()
-    phlosar.fill(800.0)
-    phlosar.advance(0.01)
-    assert phlosar.firmware.faults == Fault.RESERVOIR_OVERPRESSURE
 
 
 def readings(phlosar: SimulatedPhlosar) -> list[float]:

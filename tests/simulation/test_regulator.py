@@ -1,4 +1,4 @@
-"""The regulator on rigs as they probably are: it arrives, stays, and does not swing about the setpoint."""
+"""The regulator on likely rigs reaches the setpoint, stays there, and does not oscillate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings of a real ArduCopter and a real PX4, against the timelines of what was done to them."""
+"""The core on recordings of a real ArduCopter and PX4 decides as their logs of stimuli say."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def vents(actions: list[Action]) -> list[float]:
     ("name", "bent_s", "losses_s"),
     [
         ("px4_sbus_failsafe", [29.36, 76.89], [32.25, 50.40, 69.21, 79.8, 97.9, 116.8]),
-        ("px4_crsf_loss", [28.58, 63.08], [31.5, 49.6, 66.1, 84.2]),
+        pytest.param(*("px4_crsf_loss", [28.58, 63.08], [31.5, 49.6, 66.1, 84.2]), marks=pytest.mark.long),
     ],
 )
 def test_on_px4_only_what_the_pilot_holds_bends_and_every_loss_vents(
@@ -247,7 +247,7 @@ def test_the_recorded_plan_file_agrees_with_the_download() -> None:
 
 
 def test_what_a_stalled_link_and_a_halted_process_heard_late_bends_nothing() -> None:
-    """Item 2 was carried out 7.5 s late at 79.1, and 4.5 s late at 96.1."""
+    """Item 2 ran 7.5 s late at 79.1 s, and 4.5 s late at 96.1 s."""
     actions = replayed("ardupilot_override_and_late_texts")
     found = [d for d in decisions(actions, "mission_item") if d.t < 100.0]
     assert [(d.what["seq"], d.intent, d.safety) for d in found] == [

@@ -1,4 +1,4 @@
-"""Runs: the closed loop, the recording, and that the one can be replayed from the other."""
+"""Scenario runs: the closed loop, the recording, and the recorded openings give the pressures again."""
 
 from __future__ import annotations
 

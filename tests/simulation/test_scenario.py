@@ -1,4 +1,4 @@
-"""Scenario files: what is read, and what is said about the ones that cannot be."""
+"""Scenario files: content and errors."""
 
 from __future__ import annotations
 

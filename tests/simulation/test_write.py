@@ -1,4 +1,4 @@
-"""The case folder and the command that makes it."""
+"""The case folder, and the command that writes it."""
 
 from __future__ import annotations
 

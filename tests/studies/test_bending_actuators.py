@@ -1,4 +1,4 @@
-"""The actuators alone: closed forms, virtual work, and more pull with more pressure."""
+"""The actuators alone: closed forms, virtual work, and more force at more pressure."""
 
 from __future__ import annotations
 

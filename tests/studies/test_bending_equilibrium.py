@@ -49,7 +49,7 @@ def test_half_wrinkled_the_moment_is_eight_tenths_of_collapse() -> None:
 
 
 def test_the_wall_integrated_numerically_bears_the_actuators_pull() -> None:
-    """The closed forms against a sum over the wall: tension where it is stretched, none where it is not."""
+    """The closed forms agree with a sum over the wall, which has tension only where it is stretched."""
     found = bend(load_vine("pouch"))
     body, i = found.vine.body, 150
     r, stiffness = body.radius_m, body.stiffness_N_per_m

@@ -1,4 +1,4 @@
-"""`flying-vines design`: what it prints, draws and refuses."""
+"""`flying-vines design`: output, figures and errors."""
 
 from __future__ import annotations
 

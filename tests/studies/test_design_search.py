@@ -1,4 +1,4 @@
-"""The Pareto front: no choice is better in both criteria than one in it."""
+"""The Pareto front: no choice is better in both criteria than one on it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The diagnosis of the paper's data: what it must find, and what it must leave open."""
+"""The diagnosis of the paper's data finds what it must, and leaves open what it must."""
 
 from __future__ import annotations
 

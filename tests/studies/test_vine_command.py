@@ -1,4 +1,4 @@
-"""`flying-vines vine` and `vine fit`: what they print, draw and refuse."""
+"""`flying-vines vine` and `vine fit`: output, figures and errors."""
 
 from __future__ import annotations
 

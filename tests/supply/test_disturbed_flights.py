@@ -1,4 +1,4 @@
-"""A few flights of `benchmarks/cycles_left_told.py`: leaks, cut-off moves, refills, losses and restarts."""
+"""Some flights of `benchmarks/cycles_left_told.py`: leaks, cut-off moves, refills, losses and restarts."""
 
 from __future__ import annotations
 

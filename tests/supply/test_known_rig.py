@@ -1,4 +1,4 @@
-"""A diagnosed rig before its flight: what its causes do to the air, and what they are worth."""
+"""A diagnosed rig before its flight: the effect of its causes on the air, and their benefit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The physics checks: silent on healthy rigs, and each one names its mishap within its time."""
+"""The physics checks are silent on healthy rigs, and each one finds its fault in time."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ def test_a_healthy_rig_is_not_accused_by_telemetry_of_10_Hz(cv_volume_L: float, 
 
 
 def test_readings_that_are_the_same_by_chance_are_no_stuck_sensor() -> None:
-    """Three of 10 Hz are 0.2 s."""
+    """Three equal readings at 10 Hz last 0.2 s."""
     checks = checks_of()
     opening = dataclasses.replace(HELD, setpoint_kPa=19.0, evp_opening=0.7)
     told = [

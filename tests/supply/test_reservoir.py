@@ -1,3 +1,5 @@
+"""The reservoir estimate alone, on telemetry with known truth."""
+
 from __future__ import annotations
 
 import math

@@ -1,4 +1,4 @@
-"""The estimate on the high-fidelity plant under the firmware's regulator: three rigs that it does not know.
+"""The estimate on the high-fidelity plant with the firmware's regulator, on three rigs that it does not know.
 
 `benchmarks/cycles_left.py` does the same with hundreds.
 """

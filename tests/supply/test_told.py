@@ -1,4 +1,4 @@
-"""What a person is told of the air: no leap without an event, and nothing learned from half a movement."""
+"""The air that a person reads: no jump without an event, and nothing learned from half a movement."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def test_a_slower_rhythm_with_a_leak_says_why_the_number_falls() -> None:
 
 
 def test_intervals_of_two_minutes_have_a_value_in_common_with_no_event() -> None:
-    """A bend suddenly takes half as much air again: the filter was sure, and is wrong."""
+    """A bend suddenly takes half as much air again, while the filter is sure of less."""
     told = Told(Bench(cost_kPa=6.1))
     told.rest(6.0)
     lefts = told.bend(12)
@@ -152,7 +152,7 @@ def test_intervals_of_two_minutes_have_a_value_in_common_with_no_event() -> None
 
 
 def test_below_the_floor_0_stays_0_without_an_event() -> None:
-    """0 is told for any amount of air below the floor. So a change of that amount is no leap."""
+    """Any amount of air below the floor is shown as 0, so a change of that amount is no jump."""
     told = Told(Bench(start_kPa=300.0))
     told.rest(6.0)
     told.bend(4)
@@ -180,7 +180,7 @@ def test_a_refill_and_a_burst_are_told_once_each() -> None:
 
 
 def test_the_number_after_a_jump_agrees_with_that_at_the_jump() -> None:
-    """The number at a burst may be far too low: the leak is unknown then. The next one must agree with it."""
+    """With the leak unknown the number at a burst may be far too low, but the next one agrees with it."""
     bench = Bench()
     told = Told(bench)
     told.rest(6.0)

@@ -1,4 +1,4 @@
-"""The live view in small terminals: of a fault and of the latest events nothing is cut."""
+"""The live view in small terminals: a fault and the latest events are shown in full."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the page's messages become on a terminal: pure, message by message."""
+"""How the page's messages are shown on a terminal, message by message."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The vine in a terminal: to be seen bent, in braille and in ASCII."""
+"""The vine's bend in a terminal, in braille and in ASCII."""
 
 from __future__ import annotations
 

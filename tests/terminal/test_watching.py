@@ -1,4 +1,4 @@
-"""`flying-vines watch` as a process, on a pipe and on a terminal, of a page that the test serves."""
+"""`flying-vines watch` as a process, on a pipe and on a terminal, with a page of the test."""
 
 from __future__ import annotations
 

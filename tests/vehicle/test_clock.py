@@ -1,4 +1,4 @@
-"""How old what arrives is, by the autopilot's clock."""
+"""The age of messages by the autopilot's clock."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_where_no_clock_is_heard_nothing_is_late() -> None:
 
 @pytest.mark.parametrize("stamp_first", [True, False])
 def test_what_was_sent_before_we_were_started_is_as_old_as_its_neighbours(stamp_first: bool) -> None:
-    """The first of its messages may have waited as long as what comes with it."""
+    """The first message may have waited as long as those that come with it."""
     line = Line()
     if stamp_first:
         line.stamp(-3.0, 0.0)
@@ -92,7 +92,7 @@ def test_the_first_of_a_burst_waits_for_the_stamp_behind_it() -> None:
 
 
 def test_of_a_burst_whose_end_was_lost_the_beginning_is_still_old() -> None:
-    """A process stood still for longer than its buffer holds."""
+    """A process paused for longer than its buffer lasts."""
     line = Line()
     line.stream(10.0)
     line.stamp(10.1, 16.0)
@@ -203,7 +203,7 @@ def test_a_clock_that_begins_at_zero_again_after_49_days_is_no_reboot() -> None:
 
 
 def test_what_another_sends_after_a_silence_may_be_as_old_as_that() -> None:
-    """The autopilot's own frames, which tell how old, come behind it."""
+    """The autopilot's own frames, which tell the age, come after it."""
     line = Line()
     line.stream(10.0)
     mark = line.clock.mark(17.0)
@@ -230,7 +230,7 @@ def test_a_reboot_leaves_what_was_late_before_it_late() -> None:
 @given(seed=st.integers(0, 2**32), every_s=st.floats(0.02, 1.0), stall_s=st.floats(0.0, 12.0))
 @settings(max_examples=150, deadline=None)
 def test_never_a_young_item_and_always_an_old_one(seed: int, every_s: float, stall_s: float) -> None:
-    """Streams of any spacing up to a second, a link that is late by up to 0.3 s and stalls once."""
+    """Streams of any spacing up to a second on a link that is late by up to 0.3 s and stalls once."""
     dice = random.Random(seed)
     sent: list[tuple[float, bool]] = []
     t = 0.0

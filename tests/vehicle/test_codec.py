@@ -1,4 +1,4 @@
-"""Bytes to messages: any chunking, any garbage, copies, losses, both protocol versions."""
+"""Bytes to messages: any chunking, noise, copies, losses, both protocol versions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands: for whom they are, which are copies, and what their sender is told."""
+"""Commands: whom they are for, which are copies, and what their sender is answered."""
 
 from __future__ import annotations
 
@@ -96,62 +96,75 @@ class Bench:
         return [answer.result for answer in self.answers]
 
 
-def test_copies_of_px4_count_once_and_each_is_answered() -> None:
+def copies(
+    confirmations: Sequence[int], every_s: float = 0.5, params: Sequence[float] = (0.5,)
+) -> list[tuple[float, MavlinkMessage]]:
+    """As PX4 repeats a mission item."""
+    return [(10.0 + every_s * one, published(params=params, confirmation=one)) for one in confirmations]
+
+
+@pytest.mark.parametrize(
+    ("heard", "intents"),
+    [
+        # Copies count once, at any pace, and also where the first ones are lost.
+        (copies(range(4)), [BendTo(30.0)]),
+        (copies(range(4), every_s=0.001), [BendTo(30.0)]),
+        (copies(range(1, 4)), [BendTo(30.0)]),
+        (copies(range(2, 4)), [BendTo(30.0)]),
+        (copies((3,)), [BendTo(30.0)]),
+        (copies(range(4), params=(0.0,)), [BendTo(0.0)]),
+        # Numbers that are not given do not hide a copy.
+        (copies(range(4), params=(0.5, NAN, NAN, NAN)), [BendTo(30.0)]),
+        # A first copy that was overtaken is still a copy.
+        (
+            [
+                (10.0, published(confirmation=1)),
+                (10.0 + LATE_S / 2, published()),
+                (10.9, published(confirmation=2)),
+            ],
+            [BendTo(30.0)],
+        ),
+        # A new execution counts although it is like the last, also where its first copy was lost.
+        (
+            [
+                (t + 0.1 * repeat, published(confirmation=repeat))
+                for t in (10.0, 10.4, 14.0, 200.0)
+                for repeat in range(2)
+            ],
+            [BendTo(30.0)] * 4,
+        ),
+        ([(10.0, published(confirmation=1)), (10.4 + LATE_S, published())], [BendTo(30.0)] * 2),
+        # Other numbers are another command.
+        (
+            [(10.0, published(params=(0.5,))), (10.6, published(params=(0.25,), confirmation=1))],
+            [BendTo(30.0), BendTo(15.0)],
+        ),
+        # A ground station repeats after three seconds; a person who presses again is heard again.
+        ([(10.0 + 3.0 * i, command(USER_2, (20.0,), i)) for i in range(3)], [BendTo(20.0)]),
+        ([(t, command(USER_1, (2.0,))) for t in (10.0, 10.8, 12.0)], [StartProfile("reach")] * 3),
+        # Two stations are no copies of each other.
+        (
+            [(10.0, command(USER_2, (20.0,))), (10.1, command(USER_2, (20.0,), 1, sender=(254, 190)))],
+            [BendTo(20.0)] * 2,
+        ),
+        # A repeat long after is a command of its own.
+        (
+            [(10.0, published()), (10.1 + PX4_REPEAT_S + LATE_S, published(confirmation=1))],
+            [BendTo(30.0)] * 2,
+        ),
+    ],
+)
+def test_copies_count_once_and_each_is_answered(
+    heard: list[tuple[float, MavlinkMessage]], intents: list[object]
+) -> None:
     bench = Bench()
-    for confirmation in range(4):
-        bench.take(10.0 + 0.5 * confirmation, published(confirmation=confirmation))
-    assert [trigger.intent for trigger in bench.triggers] == [BendTo(30.0)]
-    assert bench.results() == [ACCEPTED] * 4
-    assert {(a.command, a.target_system, a.target_component) for a in bench.answers} == {(ACTUATOR, 1, 1)}
-
-
-def test_copies_back_to_back() -> None:
-    bench = Bench()
-    for confirmation in range(4):
-        bench.take(10.0 + 0.001 * confirmation, published(confirmation=confirmation))
-    assert len(bench.triggers) == 1
-    assert len(bench.answers) == 4
-
-
-@pytest.mark.parametrize("first", [1, 2, 3])
-def test_when_the_first_copies_are_lost_the_next_one_counts(first: int) -> None:
-    bench = Bench()
-    for confirmation in range(first, 4):
-        bench.take(10.0 + 0.5 * confirmation, published(confirmation=confirmation))
-    assert len(bench.triggers) == 1
-    assert len(bench.answers) == 4 - first
-
-
-def test_a_first_copy_that_was_overtaken_is_still_a_copy() -> None:
-    bench = Bench()
-    bench.take(10.0, published(confirmation=1))
-    bench.take(10.0 + LATE_S / 2, published(confirmation=0))
-    bench.take(10.9, published(confirmation=2))
-    assert len(bench.triggers) == 1
-    assert bench.results() == [ACCEPTED] * 3
-
-
-def test_a_new_execution_counts_although_it_is_like_the_last() -> None:
-    bench = Bench()
-    for t in (10.0, 10.4, 14.0, 200.0):
-        bench.take(t, published())
-        bench.take(t + 0.1, published(confirmation=1))
-    assert len(bench.triggers) == 4
-    assert len(bench.answers) == 8
-
-
-def test_a_new_execution_after_one_whose_first_copy_was_lost() -> None:
-    bench = Bench()
-    bench.take(10.0, published(confirmation=1))
-    bench.take(10.0 + LATE_S + 0.4, published(confirmation=0))
-    assert len(bench.triggers) == 2
-
-
-def test_other_numbers_are_another_command() -> None:
-    bench = Bench()
-    bench.take(10.0, published(params=(0.5,)))
-    bench.take(10.6, published(params=(0.25,), confirmation=1))
-    assert [trigger.intent for trigger in bench.triggers] == [BendTo(30.0), BendTo(15.0)]
+    for t, message in heard:
+        bench.take(t, message)
+    assert [trigger.intent for trigger in bench.triggers] == intents
+    assert bench.results() == [ACCEPTED] * len(heard)
+    assert [(a.command, a.target_system, a.target_component) for a in bench.answers] == [
+        (m.command, m.get_srcSystem(), m.get_srcComponent()) for _, m in heard
+    ]
 
 
 def test_a_refused_item_is_refused_in_each_copy() -> None:
@@ -159,37 +172,6 @@ def test_a_refused_item_is_refused_in_each_copy() -> None:
     for confirmation in range(3):
         bench.take(10.0 + 0.5 * confirmation, published(confirmation=confirmation))
     assert bench.results() == [DENIED] * 3
-
-
-def test_a_ground_station_that_repeats_after_three_seconds_gets_its_answer_again() -> None:
-    bench = Bench()
-    for confirmation in range(3):
-        bench.take(10.0 + 3.0 * confirmation, command(USER_2, (20.0,), confirmation))
-    assert [trigger.intent for trigger in bench.triggers] == [BendTo(20.0)]
-    assert bench.results() == [ACCEPTED] * 3
-    assert {(a.target_system, a.target_component) for a in bench.answers} == {STATION}
-
-
-def test_a_person_who_presses_again_is_heard_again() -> None:
-    bench = Bench()
-    for t in (10.0, 10.8, 12.0):
-        bench.take(t, command(USER_1, (2.0,)))
-    assert len(bench.triggers) == 3
-    assert all(trigger.by_person for trigger in bench.triggers)
-
-
-def test_two_stations_are_no_copies_of_each_other() -> None:
-    bench = Bench()
-    bench.take(10.0, command(USER_2, (20.0,)))
-    bench.take(10.1, command(USER_2, (20.0,), 1, sender=(254, 190)))
-    assert len(bench.triggers) == 2
-
-
-def test_a_repeat_long_after_is_a_command_of_its_own() -> None:
-    bench = Bench()
-    bench.take(10.0, published())
-    bench.take(10.0 + PX4_REPEAT_S + LATE_S + 0.1, published(confirmation=1))
-    assert len(bench.triggers) == 2
 
 
 @pytest.mark.parametrize("target", [(1, 1), (1, 154), (2, US), (2, 0), (7, 1)])
@@ -331,14 +313,6 @@ def test_all_seven_numbers_count(param: int) -> None:
     assert isinstance(whole, Trigger) and whole.intent == BendTo(12.0)
 
 
-def test_numbers_that_are_not_given_do_not_hide_a_copy() -> None:
-    bench = Bench()
-    for confirmation in range(4):
-        bench.take(10.0 + 0.5 * confirmation, published(ACTUATOR, (0.5, NAN, NAN, NAN), confirmation))
-    assert len(bench.triggers) == 1
-    assert len(bench.answers) == 4
-
-
 def test_the_other_form_of_a_command_is_the_same_to_us() -> None:
     bench = Bench()
     numbers = (USER_2, 0, 0, 15.0, 0.0, 0.0, 0.0, 0, 0, 0.0)
@@ -365,20 +339,12 @@ def test_what_is_remembered_stays_bounded() -> None:
 
 
 def test_a_vent_is_done_each_time_and_a_repeat_of_it_clears_nothing() -> None:
-    """It may come long after: what has come to light since, its sender may not have seen."""
+    """Its sender may not have seen what happened since the first one."""
     bench = Bench()
     for confirmation in range(2):
         bench.take(10.0 + confirmation, command(USER_4, (0.0,), confirmation))
     assert [trigger.intent for trigger in bench.triggers] == [VentVine(), VentVine()]
     assert [trigger.by_person for trigger in bench.triggers] == [True, False]
-
-
-def test_copies_of_an_item_that_lets_air_out_count_once() -> None:
-    bench = Bench()
-    for confirmation in range(4):
-        bench.take(10.0 + 0.5 * confirmation, published(params=(0.0,), confirmation=confirmation))
-    assert [trigger.intent for trigger in bench.triggers] == [BendTo(0.0)]
-    assert bench.results() == [ACCEPTED] * 4
 
 
 def test_a_repeat_of_an_item_that_is_history_is_answered_and_not_carried_out() -> None:

@@ -1,4 +1,4 @@
-"""What we send unasked: steady, spread out, short, and nothing twice; and how the parts hang together."""
+"""What we send unasked is steady, spread out, short and never repeated."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_five_values_each_twice_a_second_never_two_at_once() -> None:
 def test_named_values_come_at_the_rate_that_is_asked(
     rate_Hz: float, jitter_s: float, known: int, seed: int
 ) -> None:
-    """Whatever the ticks do: counted from tick to tick, 1.84 a second came for 2."""
+    """With intervals counted from tick to tick, 1.84 a second came instead of 2."""
     values, random = NamedValues(1.0 / rate_Hz), Random(seed)
     told = {name: value if i < known else math.nan for i, (name, value) in enumerate(VALUES.items())}
     sent = Counter(
@@ -121,7 +121,7 @@ def test_other_rates_are_kept_too(rate_Hz: float) -> None:
 
 
 def test_a_slow_radio_has_room_for_us() -> None:
-    """A 57600 baud radio carries about 5000 B/s for everybody; of ours a pilot wants a few hundred."""
+    """A 57600 baud radio carries about 5000 B/s in total; we use a few hundred."""
     ours, sender = component(), MavlinkCodec(1, US)
     sent = [
         sender.encode(message, 1)
@@ -355,7 +355,7 @@ def test_parameters_are_not_shown_unasked_on_a_px4() -> None:
 
 
 def test_under_load_all_leaves_in_pairs() -> None:
-    """A list of parameters, a flood of commands, a text and the values, all at once."""
+    """A parameter list, many commands, a text and the values, all at once."""
     link = Link()
     link.wait(2.0)
     link.sent.clear()
@@ -382,7 +382,7 @@ def test_under_load_all_leaves_in_pairs() -> None:
 def test_in_flight_all_that_we_send_leaves_in_pairs(
     kind: AutopilotKind, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The whole machine, from the first heartbeat on: requests, mission, parameters, commands and values."""
+    """The whole core, from the first heartbeat: requests, mission, parameters, commands and values."""
     flight = SimulatedFlight(config.default(), FakeAutopilot(kind))
     handle = flight.core.handle
     left: list[tuple[float, MavlinkMessage]] = []

@@ -1,4 +1,4 @@
-"""Where frames begin and end: between noise, after lost bytes, within what claims to be longer."""
+"""Where frames begin and end: in noise, after lost bytes, and with a wrong length."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""FUEL_STATUS against what pymavlink's own generator makes of the message's definition."""
+"""FUEL_STATUS agrees with pymavlink's own generator from the message's definition."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Messages that nobody here acts on are passed over early: which those are must not go stale."""
+"""The list of messages that are handled is complete; all others are skipped early."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Transports over real sockets and a pseudo-terminal: both directions, and back by themselves."""
+"""Links over real sockets and a pseudo-terminal carry both directions and reconnect by themselves."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import os
 import tracemalloc
-import tty
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ports import free_port
+from pseudo_terminal import Terminal
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from firmware_link import serial_port
@@ -519,35 +519,6 @@ async def test_a_host_that_does_not_exist_gives_a_sentence_for_udp_too(kind: str
         await watched.until(lambda: bool(watched.states))
         assert watched.states[0][0] is False
         assert watched.states[0][1].startswith(f"{kind}:a..b:5760: ")
-
-
-class Terminal:
-    """The device's end of a pseudo-terminal behind a name that stays."""
-
-    def __init__(self, name: Path) -> None:
-        self.device, self._host = os.openpty()
-        tty.setraw(self._host)
-        os.set_blocking(self.device, False)
-        name.unlink(missing_ok=True)
-        name.symlink_to(os.ttyname(self._host))
-
-    async def read(self, size: int) -> bytes:
-        readable, loop, data = asyncio.Event(), asyncio.get_running_loop(), b""
-        loop.add_reader(self.device, readable.set)
-        try:
-            async with asyncio.timeout(TIMEOUT_S):
-                while len(data) < size:
-                    await readable.wait()
-                    readable.clear()
-                    with contextlib.suppress(BlockingIOError):
-                        data += os.read(self.device, size - len(data))
-        finally:
-            loop.remove_reader(self.device)
-        return data
-
-    def pull_out(self) -> None:
-        for descriptor in (self.device, self._host):
-            os.close(descriptor)
 
 
 async def test_serial_both_ways_and_back_after_it_was_pulled_out(tmp_path: Path) -> None:

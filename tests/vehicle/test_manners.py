@@ -1,4 +1,4 @@
-"""Manners: no text that another program takes for its own, no reaction to echoes, a word on a taken id."""
+"""Behaviour towards other programs: own texts only, no reaction to echoes, a notice about a taken id."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_any_text_is_made_harmless(text: str) -> None:
 @given(NASTY)
 @settings(max_examples=100, deadline=None)
 def test_no_chunk_begins_with_what_others_look_for(text: str) -> None:
-    """Some show each chunk by itself."""
+    """Some ground stations show each chunk alone."""
     ours = Component(config.default())
     ours.say(0.0, 4, text)
     for i in range(20):
@@ -132,7 +132,7 @@ def test_nothing_that_the_code_says_has_to_be_broken() -> None:
 
 
 def test_notices_begin_with_who_speaks() -> None:
-    """In the code as on the ground station."""
+    """This holds for the texts in the code and for those sent."""
     here = Path(flying_vines.__file__).parent
     notices = []
     for file in [*here.glob("core/*.py"), *here.glob("vehicle/**/*.py")]:
@@ -191,7 +191,7 @@ def test_a_clash_is_seen_on_the_link_and_only_there() -> None:
 
 @pytest.mark.parametrize("sender", [(1, 1), (1, 191)])
 def test_our_values_sent_back_mean_nothing(sender: tuple[int, int]) -> None:
-    """PX4 sends what it hears as NAMED_VALUE_FLOAT on, as its own and cut to nine characters."""
+    """PX4 repeats each NAMED_VALUE_FLOAT as its own, with a name of nine characters."""
     vehicle = Vehicle(config.default())
     vehicle.handle(0.0, heard(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3), (1, 1)))
     for i, name in enumerate([b"RES_KPA", b"CYC_LEFT", b"CV_KPA", b"CMD_KPA", b"BEND_DEG"]):

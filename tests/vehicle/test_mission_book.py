@@ -1,4 +1,4 @@
-"""The book of the mission: read over a poor link, and read anew whenever it may be another one."""
+"""The stored mission is read over a poor link, and read again whenever it may have changed."""
 
 from __future__ import annotations
 
@@ -102,6 +102,10 @@ class Autopilot:
         else:
             self.deliver(item_message(self.items[request.seq]))
 
+    def reads_within(self, for_s: float) -> None:
+        self.run(for_s)
+        assert self.has_read()
+
     def has_read(self) -> bool:
         return self.book.fresh and dict(self.book.items) == {one.seq: one for one in self.items}
 
@@ -109,8 +113,7 @@ class Autopilot:
 @pytest.mark.parametrize("size", [0, 1, 2, 50])
 def test_a_mission_is_read_at_once_and_then_left_alone(size: int) -> None:
     autopilot = Autopilot(mission(size))
-    autopilot.run(2.0)
-    assert autopilot.has_read()
+    autopilot.reads_within(2.0)
     assert autopilot.acknowledged == 1  # PX4 tells every ground station where it is missing, at none as well
     assert autopilot.requests == size + 1
     autopilot.run(60.0)
@@ -120,8 +123,7 @@ def test_a_mission_is_read_at_once_and_then_left_alone(size: int) -> None:
 @pytest.mark.parametrize("seed", range(10))
 def test_lost_requests_and_replies_only_cost_time(seed: int) -> None:
     autopilot = Autopilot(mission(12), loss=0.3, seed=seed)
-    autopilot.run(60.0)
-    assert autopilot.has_read()
+    autopilot.reads_within(60.0)
 
 
 def test_replies_that_come_twice_and_late_do_no_harm() -> None:
@@ -175,8 +177,7 @@ def test_degrees_and_metres_come_out_of_their_integers() -> None:
 def read(size: int = 12) -> Autopilot:
     autopilot = Autopilot(mission(size))
     autopilot.total = size - 1  # as ArduPilot counts, without home
-    autopilot.run(10.0)
-    assert autopilot.has_read()
+    autopilot.reads_within(10.0)
     return autopilot
 
 
@@ -185,8 +186,7 @@ def test_another_total_in_flight() -> None:
     autopilot.items, autopilot.total = mission(15, angle_deg=-20.0), 14
     autopilot.run(0.2)
     assert not autopilot.book.fresh
-    autopilot.run(2.0)
-    assert autopilot.has_read()
+    autopilot.reads_within(2.0)
 
 
 def test_an_upload_whose_totals_come_bit_by_bit_is_read_when_it_is_over() -> None:
@@ -198,8 +198,7 @@ def test_an_upload_whose_totals_come_bit_by_bit_is_read_when_it_is_over() -> Non
     assert autopilot.requests == before
     assert not autopilot.book.fresh
     autopilot.items = mission(20)
-    autopilot.run(2.0)
-    assert autopilot.has_read()
+    autopilot.reads_within(2.0)
     assert autopilot.requests == before + 21
 
 
@@ -210,8 +209,7 @@ def test_the_same_total_with_another_mission_id() -> None:
         autopilot.run(2.0)  # also soon after a reading
         assert autopilot.has_read()
         autopilot.items, autopilot.mission_id = mission(9, angle_deg), autopilot.mission_id + 1
-    autopilot.run(2.0)
-    assert autopilot.has_read()
+    autopilot.reads_within(2.0)
 
 
 def test_the_same_total_that_only_the_text_tells() -> None:
@@ -221,8 +219,7 @@ def test_the_same_total_that_only_the_text_tells() -> None:
     assert autopilot.book.fresh
     autopilot.deliver(text("Flight plan received"))
     assert not autopilot.book.fresh
-    autopilot.run(2.0)
-    assert autopilot.has_read()
+    autopilot.reads_within(2.0)
 
 
 def test_another_text_tells_nothing() -> None:
@@ -306,8 +303,7 @@ def test_an_upload_shows_in_the_number_of_items_that_is_saved_each_time() -> Non
         value = mavlink.MAVLink_param_value_message(b"MIS_TOTAL", total, 4, 1000, 65535)
         autopilot.deliver(sent(value))
     assert not autopilot.book.fresh
-    autopilot.run(3.0)
-    assert autopilot.has_read()
+    autopilot.reads_within(3.0)
     for name, total in ((b"MIS_TOTAL", 12), (b"MIS_RESTART", 0)):
         autopilot.deliver(sent(mavlink.MAVLink_param_value_message(name, total, 4, 1000, 65535)))
     assert autopilot.book.fresh
@@ -322,8 +318,7 @@ def test_while_somebody_uploads_the_book_is_not_trusted() -> None:
     denied = mavlink.MAVLink_mission_ack_message(1, 191, mavlink.MAV_MISSION_DENIED, 0)
     autopilot.deliver(sent(denied))
     assert not autopilot.book.fresh
-    autopilot.run(3.0)
-    assert autopilot.has_read()
+    autopilot.reads_within(3.0)
 
 
 def test_a_change_that_shows_while_the_book_is_read_again_starts_the_reading_anew() -> None:
@@ -335,8 +330,7 @@ def test_a_change_that_shows_while_the_book_is_read_again_starts_the_reading_ane
     autopilot.items = mission(12, angle_deg=5.0)
     autopilot.run(0.2)
     assert not autopilot.book.fresh
-    autopilot.run(3.0)
-    assert autopilot.has_read()
+    autopilot.reads_within(3.0)
 
 
 def test_what_runs_soon_is_read_first() -> None:
@@ -383,7 +377,7 @@ def test_a_count_beyond_reason_is_not_asked_for() -> None:
 
 
 def test_px4_is_asked_strictly_in_turn_and_again_from_the_start_where_it_breaks_off() -> None:
-    """As PX4's mission manager has it: the next item, or the last one again; all else ends the transfer."""
+    """PX4 gives the next item or the last one again; any other request ends the transfer."""
     items = mission(12)
     book = MissionBook()
     dice = random.Random(4)

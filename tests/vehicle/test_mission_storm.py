@@ -1,4 +1,4 @@
-"""Missions flown over bad links and interfered with by the fake autopilot: items are seen once, or missed."""
+"""Missions over bad links, with interference: each item is seen once or missed."""
 
 from __future__ import annotations
 

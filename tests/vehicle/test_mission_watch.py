@@ -1,4 +1,4 @@
-"""Which mission items ran: told by ArduPilot's texts, by its progress where texts are lost, and by PX4."""
+"""Which mission items ran: by ArduPilot's texts, by its progress if texts are lost, and by PX4."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ WP, TAKEOFF, LAND, DELAY, SCRIPT, GRIPPER, WINCH = 16, 22, 21, 93, 217, 211, 426
 CONDITION_DELAY, JUMP, SERVO, SPEED = 112, 177, 183, 178
 NAMES = {
     WP: "WP", TAKEOFF: "Takeoff", LAND: "Land", DELAY: "Delay", SCRIPT: "Scripting", GRIPPER: "Gripper",
-    WINCH: "Winch", SERVO: "SetServo", CONDITION_DELAY: "CondDelay", JUMP: "Jump",
+    WINCH: "Winch", SERVO: "SetServo", SPEED: "ChangeSpeed", CONDITION_DELAY: "CondDelay", JUMP: "Jump",
 }  # fmt: skip
 NAV = {WP, TAKEOFF, LAND, DELAY}
 PAYLOAD = {SCRIPT, GRIPPER, WINCH}
@@ -147,6 +147,30 @@ class Air:
     def payloads(self) -> list[int | None]:
         return [execution.seq for execution in self.found if execution.command in PAYLOAD]
 
+    def tell(self, story: str) -> None:
+        """`at 2`: the item that is flown. `gap`: a lost frame. `runs 3 lost`: its text does not arrive."""
+        for step in story.split(", "):
+            match step.split():
+                case ["at", seq]:
+                    self.current(int(seq))
+                case ["reached", seq, *lost]:
+                    self.reaches(int(seq), lost == ["lost"], lost == ["lost"])
+                case ["runs", seq, *lost]:
+                    self.runs(int(seq), lost=lost == ["lost"])
+                case ["gap"]:
+                    self.text("another", lost=True)
+                case [seconds, "s"]:
+                    self.wait(float(seconds))
+                case _:
+                    raise ValueError(step)
+
+
+def having_read(items: list[MissionItem]) -> Air:
+    """The book was read from the autopilot."""
+    air = Air([], given_beforehand=False)
+    air.give_book(items)
+    return air
+
 
 def certain(execution: Execution | None) -> Execution:
     assert execution is not None
@@ -168,16 +192,6 @@ def test_each_text_is_one_execution_with_its_numbers() -> None:
     air.current(5)
     air.wait(30.0)
     assert air.payloads() == [3, 4]
-
-
-def test_an_item_that_runs_again_is_told_again() -> None:
-    air = Air(PLAN)
-    for _ in range(3):  # DO_JUMP, or a pilot's choice of the item
-        air.runs(3)
-        air.wait(5.0)
-    air.runs(3)
-    air.runs(3)
-    assert air.payloads() == [3] * 5
 
 
 @pytest.mark.parametrize(
@@ -203,12 +217,9 @@ def test_a_lost_text_is_made_up_for_once(reached_lost: bool, text_lost: bool) ->
     air.current(2)
     air.wait(5.0)
     air.reaches(2, reached_lost, text_lost)
-    air.runs(3, lost=True)
-    air.runs(5)
-    air.runs(4, lost=True)
-    air.current(5)
+    air.tell("runs 3 lost, runs 5, runs 4 lost, at 5")
     assert air.payloads() == []
-    air.wait(WAIT_FOR_TEXT_S + 0.1)
+    air.tell(TOO_LATE)
     assert air.payloads() == [3, 4]
     assert air.found[-1].params == PLAN[4].params
     for _ in range(50):
@@ -217,173 +228,70 @@ def test_a_lost_text_is_made_up_for_once(reached_lost: bool, text_lost: bool) ->
     assert air.payloads() == [3, 4]
 
 
-def test_what_was_made_up_for_is_not_made_up_for_again_by_a_jump_to_and_fro() -> None:
-    air = Air(PLAN)
-    air.current(2)
-    air.reaches(2)
-    air.runs(3)
-    air.runs(4, lost=True)
-    air.current(5)
-    air.wait(WAIT_FOR_TEXT_S + 0.1)
-    for seq in (2, 5):
-        air.runs(seq)
-        air.current(seq)
-        air.wait(0.5)
-    air.wait(10.0)
-    assert air.payloads() == [3, 4]
+LOOP = mission(WP, TAKEOFF, WP, WP, SCRIPT, JUMP, GRIPPER, WP, LAND)
+LOOP[5] = MissionItem(5, JUMP, (2.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+BEFORE_A_SPEED = mission(WP, TAKEOFF, WP, SCRIPT, SPEED, WP, LAND)
+PASS, LOST_PASS = (f"at 2, 20 s, reached 2, runs 3{lost}, runs 4{lost}, at 5, 20 s" for lost in ("", " lost"))
+TOO_LATE = f"{WAIT_FOR_TEXT_S + 0.1} s"
 
 
-def test_only_the_lost_one_of_two_is_made_up_for() -> None:
-    air = Air(PLAN)
-    air.current(2)
-    air.reaches(2)
-    air.runs(3)
-    air.runs(4, lost=True)
-    air.wait(0.2)
-    air.current(5)
-    air.wait(10.0)
-    assert air.payloads() == [3, 4]
-
-
-def test_a_text_that_comes_late_is_not_made_up_for() -> None:
-    air = Air(PLAN)
-    air.current(2)
-    air.reaches(2)
-    air.text("another", lost=True)
-    air.current(5)
-    air.wait(0.9)
-    air.runs(3)
-    air.runs(4)
-    air.wait(10.0)
-    assert air.payloads() == [3, 4]
-
-
-def test_without_a_lost_frame_an_item_that_was_not_told_did_not_run() -> None:
-    air = Air(PLAN)
-    air.current(2)
-    air.reaches(2)
-    air.current(5)
-    air.wait(10.0)
-    assert air.payloads() == []
-
-
-def test_a_jump_runs_nothing_between() -> None:
-    air = Air(PLAN)
-    air.current(2)
-    air.wait(5.0)
-    air.text("lost", lost=True)
-    air.runs(7)
-    air.current(7)
-    air.wait(10.0)
-    assert air.payloads() == []
-
-
-def test_a_jump_right_after_a_waypoint_runs_only_what_the_waypoint_ran() -> None:
-    air = Air(PLAN)
-    air.current(2)
-    air.wait(5.0)
-    air.reaches(2)
-    air.runs(3)
-    air.runs(4)
-    air.wait(0.1)
-    air.runs(7, lost=True)  # the pilot's choice, before MISSION_CURRENT ever said 5
-    air.current(7)
-    air.wait(10.0)
-    assert air.payloads() == [3, 4]
-
-
-def test_what_comes_to_light_after_a_later_item_is_history() -> None:
-    air = Air(PLAN)
-    air.current(2)
-    air.reaches(2)
-    air.runs(3, lost=True)
-    air.runs(4)
-    air.current(5)
-    air.wait(10.0)
-    assert air.payloads() == [4]
-
-
-def test_an_item_that_is_no_vine_item_makes_no_history() -> None:
-    air = Air(mission(WP, TAKEOFF, WP, SCRIPT, SPEED, WP, LAND))
-    air.current(2)
-    air.reaches(2)
-    air.runs(3, lost=True)
-    air.runs(4, "ChangeSpeed")
-    air.current(5)
-    air.wait(10.0)
-    assert air.payloads() == [3]
-
-
-def test_a_jump_long_after_a_waypoint_runs_nothing() -> None:
-    air = Air(PLAN)
-    air.current(2)
-    air.reaches(2)
-    air.wait(3.5)
-    air.text("lost", lost=True)
-    air.current(5)
-    air.wait(10.0)
-    assert air.payloads() == []
-
-
-def test_the_second_pass_of_a_loop_is_made_up_for_too() -> None:
-    air = Air(PLAN)
-    for lost in (False, True, True, False):
-        air.current(2)
-        air.wait(20.0)
-        air.reaches(2)
-        air.runs(3, lost=lost)
-        air.runs(4, lost=lost)
-        air.current(5)
-        air.wait(20.0)
-    assert air.payloads() == [3, 4] * 4
+@pytest.mark.parametrize(
+    ("items", "story", "ran"),
+    [
+        # DO_JUMP, or a pilot's choice of the item: what runs again is told again.
+        (PLAN, "runs 3, 5 s, runs 3, 5 s, runs 3, 5 s, runs 3, runs 3", [3] * 5),
+        # A jump to and fro does not make up for an item again.
+        (
+            PLAN,
+            "at 2, reached 2, runs 3, runs 4 lost, at 5, "
+            f"{TOO_LATE}, runs 2, at 2, 0.5 s, runs 5, at 5, 0.5 s, 10 s",
+            [3, 4],
+        ),
+        # Only the lost one of two is made up for.
+        (PLAN, "at 2, reached 2, runs 3, runs 4 lost, 0.2 s, at 5, 10 s", [3, 4]),
+        # A text that comes late is not made up for.
+        (PLAN, "at 2, reached 2, gap, at 5, 0.9 s, runs 3, runs 4, 10 s", [3, 4]),
+        # Without a lost frame an item that was not told did not run.
+        (PLAN, "at 2, reached 2, at 5, 10 s", []),
+        # A jump runs nothing between; right after a waypoint only what the waypoint ran; later nothing.
+        (PLAN, "at 2, 5 s, gap, runs 7, at 7, 10 s", []),
+        (PLAN, "at 2, 5 s, reached 2, runs 3, runs 4, 0.1 s, runs 7 lost, at 7, 10 s", [3, 4]),
+        (PLAN, "at 2, reached 2, 3.5 s, gap, at 5, 10 s", []),
+        # What comes to light after a later vine item is history; other items make no history.
+        (PLAN, "at 2, reached 2, runs 3 lost, runs 4, at 5, 10 s", [4]),
+        (BEFORE_A_SPEED, "at 2, reached 2, runs 3 lost, runs 4, at 5, 10 s", [3]),
+        # The second pass of a loop is made up for, too.
+        (PLAN, ", ".join((PASS, LOST_PASS, LOST_PASS, PASS)), [3, 4] * 4),
+        # A loop is left and taken after what stands before its jump.
+        (
+            LOOP,
+            "at 3, 10 s, reached 3, runs 4 lost, at 2, 10 s, at 3, 10 s, reached 3, runs 4 lost, at 7, 10 s",
+            [4, 4],
+        ),
+        # Of a waypoint that was left at once only the first item is certain.
+        (PLAN, "at 2, reached 2, runs 3 lost, runs 4 lost, at 5, 0.2 s, at 7, 10 s", [3]),
+        # The end of a waypoint that is told again moves nothing.
+        (PLAN, "at 2, reached 2, runs 3, runs 4, 0.8 s, reached 2, gap, at 5, 10 s", [3, 4]),
+    ],
+)
+def test_which_items_ran_by_texts_and_by_progress(
+    items: list[MissionItem], story: str, ran: list[int]
+) -> None:
+    air = Air(items)
+    air.tell(story)
+    assert air.payloads() == ran
 
 
 @pytest.mark.parametrize("conditional", [112, 113, 114, 115, 177, 601])
 def test_items_behind_a_condition_are_never_guessed(conditional: int) -> None:
     air = Air(mission(WP, TAKEOFF, WP, SCRIPT, conditional, GRIPPER, WP, LAND))
-    air.current(2)
-    air.reaches(2)
-    air.text("lost", lost=True)
-    air.current(6)
-    air.wait(10.0)
-    assert air.payloads() == [3]
-
-
-def test_a_loop_is_left_and_taken_after_what_stands_before_its_jump() -> None:
-    items = mission(WP, TAKEOFF, WP, WP, SCRIPT, JUMP, GRIPPER, WP, LAND)
-    items[5] = MissionItem(5, JUMP, (2.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-    air = Air(items)
-    for following in (2, 7):
-        air.current(3)
-        air.wait(10.0)
-        air.reaches(3)
-        air.runs(4, lost=True)
-        air.current(following)
-        air.wait(10.0)
-    assert air.payloads() == [4, 4]
-
-
-def test_of_a_waypoint_that_was_left_at_once_only_the_first_item_is_certain() -> None:
-    air = Air(PLAN)
-    air.current(2)
-    air.reaches(2)
-    air.runs(3, lost=True)
-    air.runs(4, lost=True)
-    air.current(5)
-    air.wait(0.2)
-    air.current(7)
-    air.wait(10.0)
+    air.tell("at 2, reached 2, gap, at 6, 10 s")
     assert air.payloads() == [3]
 
 
 def test_a_mission_that_was_left_at_the_waypoint_ran_only_the_first_item_for_certain() -> None:
     air = Air(PLAN)
-    air.current(2)
-    air.reaches(2)
-    air.runs(3, lost=True)
-    air.runs(4, lost=True)
-    air.current(5)
-    air.wait(0.2)
+    air.tell("at 2, reached 2, runs 3 lost, runs 4 lost, at 5, 0.2 s")
     air.send(mavlink.MAVLink_mission_current_message(5, 8, 2, 0))
     air.wait(10.0)
     assert air.payloads() == [3]
@@ -391,17 +299,11 @@ def test_a_mission_that_was_left_at_the_waypoint_ran_only_the_first_item_for_cer
 
 def test_an_item_that_reports_its_end_needs_no_text() -> None:
     air = Air(mission(WP, TAKEOFF, WP, WINCH, WP, LAND))
-    air.current(2)
-    air.reaches(2, lost=True, text_lost=True)
-    air.runs(3, lost=True)
+    air.tell("at 2, reached 2 lost, runs 3 lost")
     air.reaches(3, text_lost=True)
-    air.current(4)
-    air.wait(10.0)
+    air.tell("at 4, 10 s")
     assert air.payloads() == [3]
-    air.runs(3)  # and with its text it is still one
-    air.reaches(3)
-    air.text("another", lost=True)
-    air.wait(10.0)
+    air.tell("runs 3, reached 3, gap, 10 s")  # and with its text it is still one
     assert air.payloads() == [3, 3]
 
 
@@ -411,33 +313,15 @@ def test_a_copy_of_a_frame_that_comes_late_is_no_second_execution() -> None:
     assert air.payloads() == [3]
 
 
-def test_the_end_of_a_waypoint_that_is_told_again_moves_nothing() -> None:
-    air = Air(PLAN)
-    air.current(2)
-    air.reaches(2)
-    air.runs(3)
-    air.runs(4)
-    air.wait(0.8)
-    air.reaches(2)
-    air.text("another", lost=True)
-    air.current(5)
-    air.wait(10.0)
-    assert air.payloads() == [3, 4]
-
-
 def handed_over(air: Air, params: tuple[float, ...]) -> Execution | None:
     return air.watch.command(air.t, CARRIERS["user_1"], params, 0)
 
 
 def test_what_a_script_handed_over_is_not_made_up_for() -> None:
     air = Air(PLAN)
-    air.current(2)
-    air.reaches(2)
-    air.runs(3, lost=True)
+    air.tell("at 2, reached 2, runs 3 lost")
     air.found.append(certain(handed_over(air, PLAN[3].params)))
-    air.runs(4)
-    air.current(5)
-    air.wait(10.0)
+    air.tell("runs 4, at 5, 10 s")
     assert air.payloads() == [3, 4]
 
 
@@ -453,8 +337,7 @@ def test_a_script_that_had_to_repeat_is_still_the_same_item() -> None:
 
 
 def test_nothing_overtakes_an_item_that_waits_for_its_numbers() -> None:
-    air = Air([], given_beforehand=False)
-    air.give_book(PLAN)
+    air = having_read(PLAN)
     air.runs(3)
     air.runs(4)
     air.send(item_message(PLAN[4]))
@@ -465,8 +348,7 @@ def test_nothing_overtakes_an_item_that_waits_for_its_numbers() -> None:
 
 
 def test_a_text_beyond_the_book_has_it_read_again() -> None:
-    air = Air([], given_beforehand=False)
-    air.give_book(PLAN[:3])
+    air = having_read(PLAN[:3])
     air.runs(3, "Scripting")
     assert not air.book.fresh
     air.give_book(PLAN)
@@ -486,12 +368,8 @@ def test_a_flood_of_texts_is_not_kept() -> None:
 
 
 def test_a_book_that_changes_meanwhile_is_not_guessed_from() -> None:
-    air = Air(PLAN, given_beforehand=False)
-    air.give_book(PLAN)
-    air.current(2)
-    air.reaches(2)
-    air.runs(3, lost=True)
-    air.current(5)
+    air = having_read(PLAN)
+    air.tell("at 2, reached 2, runs 3 lost, at 5")
     air.text("Flight plan received")
     air.give_book(mission(WP, TAKEOFF, WP, WINCH, WINCH, WP, WINCH, WP, LAND))
     air.wait(10.0)
@@ -508,8 +386,7 @@ def test_an_item_needs_no_book() -> None:
 
 
 def test_a_mission_of_the_same_length_that_nobody_told_of_gives_its_own_numbers() -> None:
-    air = Air([], given_beforehand=False)
-    air.give_book(PLAN)
+    air = having_read(PLAN)
     other = [replace(one, params=(1.0, -11.0, 0.0, 0.0, 0.0, 0.0, 0.0)) for one in PLAN]
     air.stores(other)
     air.runs(3)
@@ -522,8 +399,7 @@ def test_a_mission_of_the_same_length_that_nobody_told_of_gives_its_own_numbers(
 
 
 def test_an_answer_from_before_an_item_ran_is_not_its() -> None:
-    air = Air([], given_beforehand=False)
-    air.give_book(PLAN)
+    air = having_read(PLAN)
     air.send(item_message(PLAN[3]))
     air.runs(3)
     air.wait(GIVE_UP_S - 0.1)
@@ -532,8 +408,7 @@ def test_an_answer_from_before_an_item_ran_is_not_its() -> None:
 
 
 def test_a_request_that_is_lost_is_repeated_soon() -> None:
-    air = Air([], given_beforehand=False)
-    air.give_book(PLAN)
+    air = having_read(PLAN)
     air.runs(3)
     air.wait(ASK_AGAIN_S / 2)
     air.stores(PLAN)
@@ -543,8 +418,7 @@ def test_a_request_that_is_lost_is_repeated_soon() -> None:
 
 
 def test_an_item_that_the_autopilot_does_not_confirm_has_no_numbers() -> None:
-    air = Air([], given_beforehand=False)
-    air.give_book(PLAN)
+    air = having_read(PLAN)
     air.runs(3)
     air.wait(GIVE_UP_S + 0.1)
     assert [(e.command, e.seq, e.item, e.params) for e in air.found] == [(SCRIPT, 3, None, None)]
@@ -554,8 +428,7 @@ def test_an_item_that_the_autopilot_does_not_confirm_has_no_numbers() -> None:
 
 
 def test_an_answer_of_another_kind_is_not_the_item_that_ran() -> None:
-    air = Air([], given_beforehand=False)
-    air.give_book(PLAN)
+    air = having_read(PLAN)
     air.stores(mission(WP, TAKEOFF, WP, GRIPPER, GRIPPER, WP, WP, WP, LAND))
     air.runs(3, "Scripting")
     air.wait(GIVE_UP_S + 0.1)
@@ -579,15 +452,10 @@ def test_a_mission_with_an_identity_lends_its_numbers_where_no_answer_comes() ->
 
 @pytest.mark.parametrize("replaced", [False, True])
 def test_what_was_made_up_for_is_confirmed_as_well(replaced: bool) -> None:
-    air = Air([], given_beforehand=False)
-    air.give_book(PLAN)
+    air = having_read(PLAN)
     other = [replace(one, params=(1.0, -11.0, 0.0, 0.0, 0.0, 0.0, 0.0)) for one in PLAN]
     air.stores(other if replaced else PLAN)
-    air.current(2)
-    air.reaches(2)
-    air.runs(3, lost=True)
-    air.runs(4, lost=True)
-    air.current(5)
+    air.tell("at 2, reached 2, runs 3 lost, runs 4 lost, at 5")
     air.wait(WAIT_FOR_TEXT_S + GIVE_UP_S + 0.1)
     wanted = [None, None] if replaced else [PLAN[3].params, PLAN[4].params]
     assert [(e.seq, e.params) for e in air.found] == list(zip((3, 4), wanted, strict=True))
@@ -598,15 +466,9 @@ def test_what_was_made_up_for_is_confirmed_as_well(replaced: bool) -> None:
 
 def test_a_text_that_comes_after_its_item_was_made_up_for_is_no_second_execution() -> None:
     air = Air(PLAN)
-    air.current(2)
-    air.reaches(2)
-    air.text("another", lost=True)
-    air.current(5)
-    air.wait(WAIT_FOR_TEXT_S + 0.3)
+    air.tell(f"at 2, reached 2, gap, at 5, {WAIT_FOR_TEXT_S + 0.3} s")
     assert air.payloads() == [3, 4]
-    air.runs(3)
-    air.wait(5.0)
-    air.runs(3)
+    air.tell("runs 3, 5 s, runs 3")
     assert air.payloads() == [3, 4, 3]
 
 
@@ -619,8 +481,7 @@ def test_without_an_answer_the_kind_is_told_and_the_numbers_are_not() -> None:
 
 
 def test_a_name_against_the_book_has_it_read_again() -> None:
-    air = Air([], given_beforehand=False)
-    air.give_book(PLAN)
+    air = having_read(PLAN)
     air.runs(3, "Winch")
     assert air.found == []
     assert not air.book.fresh
@@ -635,8 +496,7 @@ def test_a_name_against_the_book_has_it_read_again() -> None:
 
 
 def test_a_waypoints_name_on_a_payload_items_number_runs_no_payload() -> None:
-    air = Air([], given_beforehand=False)
-    air.give_book(PLAN)
+    air = having_read(PLAN)
     air.runs(3, "WP")
     assert not air.book.fresh
     air.give_book(mission(WP, TAKEOFF, WP, WP, SCRIPT, LAND))
@@ -645,8 +505,7 @@ def test_a_waypoints_name_on_a_payload_items_number_runs_no_payload() -> None:
 
 
 def test_a_name_that_stays_against_the_book_is_told_without_numbers_and_asked_about_once() -> None:
-    air = Air([], given_beforehand=False)
-    air.give_book(PLAN)
+    air = having_read(PLAN)
     air.runs(3, "Winch")
     air.wait(0.6)
     air.give_book(PLAN)
@@ -657,8 +516,7 @@ def test_a_name_that_stays_against_the_book_is_told_without_numbers_and_asked_ab
 
 
 def test_a_name_that_nobody_knows_is_believed_when_the_autopilot_confirms_it() -> None:
-    air = Air([], given_beforehand=False)
-    air.give_book(PLAN)
+    air = having_read(PLAN)
     air.runs(3, "ScriptMsg")
     assert air.found == []
     air.send(item_message(PLAN[3]))
@@ -888,7 +746,7 @@ def test_a_command_of_px4_is_the_item_with_its_numbers() -> None:
 
 @pytest.mark.parametrize("current", [0, 2, 6, 12])
 def test_of_equal_items_none_is_named(current: int) -> None:
-    """MISSION_CURRENT is stale after a jump: 12 was said for 23."""
+    """MISSION_CURRENT is stale after a jump: PX4 sent 12 while item 23 ran."""
     nan = float("nan")
     watch = px4(actuator(2, 1.0), actuator(6, 1.0), actuator(11, 0.5), current=current)
     assert ran(watch, 187, (1.0, nan, nan, nan, 0.0, 0.0, 0.0)).seq is None
@@ -904,7 +762,7 @@ def test_a_command_that_the_book_does_not_have_keeps_its_own_numbers() -> None:
 
 @pytest.mark.parametrize(("confirmation", "late"), [(0, False), (1, False), (2, True), (3, True)])
 def test_how_old_the_first_copy_is_that_arrives(confirmation: int, late: bool) -> None:
-    """PX4's repeats come half a second, or at first a second, apart."""
+    """PX4's repeats are half a second apart, the first one a second."""
     execution = px4(actuator(3, 0.5), current=3).command(10.0, 187, actuator(3, 0.5).params, confirmation)
     assert execution is not None
     assert (execution.age_s > LATE_S) == late
@@ -972,13 +830,14 @@ class Px4Air:
     def lose_frames(self) -> None:
         self._mav.seq = (self._mav.seq + 3) % 256
 
-    def reaches(self, seq: int) -> None:
+    def reaches(self, seq: int, for_s: float = 0.0) -> None:
+        """And this time passes."""
         self.send(mavlink.MAVLink_mission_item_reached_message(seq))
+        self.wait(for_s)
 
     def command(self, item: MissionItem, confirmation: int = 0) -> None:
         execution = self.watch.command(self.t, item.command, item.params, confirmation)
-        if execution is not None:
-            self.found.append(execution)
+        self.found += [execution] if execution is not None else []
 
     def wait(self, for_s: float) -> None:
         for _ in range(round(for_s / TICK_S)):
@@ -1028,22 +887,18 @@ def test_an_item_whose_command_came_is_not_carried_out_again(reached_first: bool
     air = Px4Air(*PX4_PLAN)
     for item in (BENT, STRAIGHT):
         if reached_first:
-            air.reaches(item.seq)
-            air.wait(0.02)
+            air.reaches(item.seq, 0.02)
         air.command(item)
         for _ in range(10):
-            air.reaches(item.seq)
-            air.wait(1.0)
+            air.reaches(item.seq, 1.0)
     assert air.seqs() == [2, 4]
 
 
 def test_a_winch_is_told_as_reached_long_after_its_command() -> None:
     air = Px4Air(*PX4_PLAN)
     air.command(PX4_PLAN[6])
-    air.reaches(5)
-    air.wait(20.0)
-    air.reaches(6)
-    air.wait(5.0)
+    air.reaches(5, 20.0)
+    air.reaches(6, 5.0)
     assert air.seqs() == [6]
 
 
@@ -1053,10 +908,8 @@ def test_a_second_pass_whose_command_was_lost_counts() -> None:
         air.reaches(3)
         if heard:
             air.command(STRAIGHT)
-        air.reaches(4)
-        air.wait(5.0)
-        air.reaches(5)
-        air.wait(5.0)
+        air.reaches(4, 5.0)
+        air.reaches(5, 5.0)
     assert air.seqs() == [4, 4]
 
 
@@ -1068,20 +921,17 @@ def test_what_a_later_item_has_overtaken_is_not_made_up_for() -> None:
     air.command(burst)
     air.reaches(2)  # as a gripper's command comes before what was reached in front of it
     air.wait(0.02)
-    air.reaches(3)
-    air.wait(5.0)
+    air.reaches(3, 5.0)
     assert air.seqs() == [3]
 
 
 def test_what_waits_for_its_command_is_overtaken_by_a_later_one_and_by_a_person() -> None:
     air = Px4Air(*PX4_PLAN)
-    air.reaches(2)
-    air.wait(0.1)
+    air.reaches(2, 0.1)
     air.command(STRAIGHT)
     air.wait(5.0)
     assert air.seqs() == [4]
-    air.reaches(2)
-    air.wait(0.1)
+    air.reaches(2, 0.1)
     air.watch.forget(air.t)
     air.wait(5.0)
     assert air.seqs() == [4]
@@ -1101,39 +951,33 @@ def test_what_was_reached_before_the_mission_was_read_is_not_told_by_its_repeat(
     air.send(identified(len(PX4_PLAN), 78))
     air.command(STRAIGHT)
     for _ in range(4):
-        air.reaches(4)
-        air.wait(1.0)
+        air.reaches(4, 1.0)
     air.send(mavlink.MAVLink_mission_count_message(1, 191, len(PX4_PLAN), 0))
     for one in PX4_PLAN:
         air.send(item_message(one))
     assert air.book.fresh
     air.reaches(5)
-    air.reaches(4)
-    air.wait(4.0)
+    air.reaches(4, 4.0)
     assert len(air.found) == 1
 
 
 def test_a_mission_that_may_be_another_one_lends_no_numbers() -> None:
     air = Px4Air(*PX4_PLAN, mission_id=0)
-    air.reaches(4)
-    air.wait(4.0)
+    air.reaches(4, 4.0)
     assert [(e.seq, e.params) for e in air.found] == [(4, None)]
     air = Px4Air(*PX4_PLAN)
     air.send(identified(len(PX4_PLAN), 78))
-    air.reaches(4)
-    air.wait(4.0)
+    air.reaches(4, 4.0)
     assert air.found == []  # nor is it known what item 4 is
 
 
 def test_how_late_what_was_reached_may_be_is_told_where_frames_were_lost() -> None:
     air = Px4Air(*PX4_PLAN)
-    air.reaches(1)
-    air.wait(1.0)
+    air.reaches(1, 1.0)
     air.reaches(1)
     air.lose_frames()
     air.wait(3.0)
-    air.reaches(2)
-    air.wait(1.0)
+    air.reaches(2, 1.0)
     assert air.seqs() == [2]
     assert air.found[0].age_s == pytest.approx(3.3, abs=0.05)
 
@@ -1143,7 +987,6 @@ def test_the_number_of_a_repeated_item_is_told_where_it_was_reached_first() -> N
     air = Px4Air(*PX4_PLAN[:6], again, PX4_PLAN[7])
     air.command(BENT)
     air.wait(5.0)
-    air.reaches(6)
-    air.wait(0.01)
+    air.reaches(6, 0.01)
     air.command(again)
     assert air.seqs() == [None, 6]

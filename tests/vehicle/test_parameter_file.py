@@ -1,4 +1,4 @@
-"""The file of parameters: written whole or not at all, read with errors that name the line, never lost."""
+"""The parameter file is written whole or not at all, and its errors name the line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The settings as MAVLink parameters: listed, read, set within the profile's bounds, or refused and why."""
+"""Settings as MAVLink parameters: listed, read, set within the profile's bounds, or refused with a reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Payloads become the same messages as pymavlink itself makes of them, for every type of the dialect."""
+"""Payloads become the same messages as with pymavlink, for every type of the dialect."""
 
 from __future__ import annotations
 

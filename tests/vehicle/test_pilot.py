@@ -1,4 +1,4 @@
-"""The pilot's switch, on a radio whose truth is known: what bends the vine, what does not, and how late."""
+"""The pilot's switch on a radio with known truth: what bends the vine, what does not, and how late."""
 
 from __future__ import annotations
 
@@ -77,19 +77,22 @@ class Radio:
         channels_us[self.channel - 1] = pulse_us
         self.pilot.override(self.now_s, mavlink.MAVLink_rc_channels_override_message(1, 1, *channels_us))
 
-    def move(self, position: int) -> None:
+    def move(self, position: int, for_s: float = 0.0) -> None:
         self.sticks[self.channel - 1] = PULSES_US[position]
+        self.run(for_s)
 
-    def lose(self) -> None:
+    def lose(self, for_s: float = 0.0) -> None:
         self.lost_at = self.now_s
         for number, pulse_us in (self.preset or {}).items():
             self.received[number - 1] = pulse_us
+        self.run(for_s)
 
-    def restore(self) -> None:
+    def restore(self, for_s: float = 0.0) -> None:
         assert self.lost_at is not None
         if self.now_s - self.lost_at >= self.bits_after_s:
             self.good_bits_at = self.now_s + BITS_BACK_S
         self.lost_at = None
+        self.run(for_s)
 
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds / PERIOD_S)):
@@ -143,37 +146,31 @@ class Radio:
 def test_a_bend_on_px4_waits_until_the_status_would_have_told_of_a_loss() -> None:
     radio = Radio()
     moved_s = radio.now_s
-    radio.move(2)
-    radio.run(5.0)
+    radio.move(2, 5.0)
     (bent_s,) = radio.bends
     assert 1.6 <= bent_s - moved_s <= 1.85
 
 
 def test_a_bend_waits_longer_where_px4_has_just_reported_its_health() -> None:
-    """It reports no more often than each 2 s: what happens to RC meanwhile is told later."""
+    """It reports its health at most every 2 s, so a loss in between is reported later."""
     radio = Radio(preset={9: 2000}, bits_after_s=2.6)
     radio.sensors = 0x20
     radio.run(0.3)
-    radio.lose()
-    radio.run(6.0)
+    radio.lose(6.0)
     assert radio.bends == []
-    radio.restore()
-    radio.run(4.0)
+    radio.restore(4.0)
     radio.sensors = 0
     moved_s = radio.now_s
-    radio.move(2)
-    radio.run(5.0)
+    radio.move(2, 5.0)
     (bent_s,) = radio.bends
     assert 3.6 <= bent_s - moved_s <= 3.85
 
 
 def test_straightening_on_px4_waits_for_nothing() -> None:
     radio = Radio()
-    radio.move(2)
-    radio.run(3.0)
+    radio.move(2, 3.0)
     moved_s = radio.now_s
-    radio.move(0)
-    radio.run(0.3)
+    radio.move(0, 0.3)
     assert radio.asked[-1][1:] == ("straight", False)
     assert radio.asked[-1][0] - moved_s <= 0.25
     assert not any(isinstance(output, Straightened) for _, output in radio.outputs)
@@ -187,8 +184,7 @@ def test_a_receiver_known_to_do_no_harm_bends_at_once(
 ) -> None:
     radio = Radio(failsafe=failsafe)
     moved_s = radio.now_s
-    radio.move(2)
-    radio.run(5.0)
+    radio.move(2, 5.0)
     (bent_s,) = radio.bends
     assert bent_s - moved_s <= 0.25
 
@@ -215,10 +211,8 @@ def test_no_preset_bends_the_vine_however_long_it_lasts(
         failsafe = "unknown"
     radio = Radio(failsafe=failsafe, preset=preset, bits_after_s=bits_after_s, rssi=rssi)
     for _ in range(repeats):
-        radio.lose()
-        radio.run(lasts_s)
-        radio.restore()
-        radio.run(pause_s)
+        radio.lose(lasts_s)
+        radio.restore(pause_s)
     radio.run(4.0)
     assert radio.bends == []
 
@@ -237,8 +231,7 @@ def test_a_switch_that_moved_while_rc_was_lost_bends_nothing(
     radio.run(min(moved_after_s, lasts_s))
     radio.move(2)
     radio.run(lasts_s - min(moved_after_s, lasts_s))
-    radio.restore()
-    radio.run(4.0)
+    radio.restore(4.0)
     assert radio.bends == []
     assert any("moved while RC was lost, move it again" in text for text in radio.told)
 
@@ -247,10 +240,8 @@ def test_a_switch_that_moved_while_rc_was_lost_bends_nothing(
 def test_no_position_bends_that_is_left_too_soon(dwells: list[tuple[int, float]]) -> None:
     radio = Radio()
     for position, for_s in dwells:
-        radio.move(position)
-        radio.run(for_s)
-        radio.move(0)
-        radio.run(0.1)
+        radio.move(position, for_s)
+        radio.move(0, 0.1)
     radio.run(3.0)
     assert radio.bends == []
 
@@ -260,8 +251,7 @@ def test_every_move_of_the_pilot_counts_once(positions: list[int]) -> None:
     radio = Radio()
     wanted, before = [], 0
     for position in positions:
-        radio.move(position)
-        radio.run(2.5)
+        radio.move(position, 2.5)
         if position != before:
             wanted.append(("straight", "bend-half", "bend-full")[position])
         before = position
@@ -270,35 +260,30 @@ def test_every_move_of_the_pilot_counts_once(positions: list[int]) -> None:
 
 def test_rc_by_a_ground_station_needs_no_receiver_and_is_said() -> None:
     radio = Radio(by_station=True)
-    radio.move(2)
-    radio.run(0.3)
+    radio.move(2, 0.3)
     assert len(radio.bends) == 1
     assert radio.told_at_start == ["Vine: RC comes from a ground station"]
 
 
 def test_a_receiver_that_knows_its_signal_tells_of_a_loss_before_the_status() -> None:
     radio = Radio(rssi=61)
-    radio.lose()
-    radio.run(0.75)
+    radio.lose(0.75)
     assert radio.pilot.radio.problem(radio.now_s) == "the receiver hears no transmitter"
 
 
 def test_a_receiver_that_reports_no_signal_is_lost_whatever_the_status_says() -> None:
-    """CRSF frames go on with a link quality of 0: PX4's status stays good."""
+    """CRSF frames continue with a link quality of 0, and PX4's status stays good."""
     radio = Radio(rssi=53, rssi_when_lost=0, bits_after_s=100.0, preset={9: 2000})
-    radio.lose()
-    radio.run(10.0)
+    radio.lose(10.0)
     assert radio.pilot.radio.problem(radio.now_s) == "the receiver hears no transmitter"
-    radio.restore()
-    radio.run(4.0)
+    radio.restore(4.0)
     assert radio.bends == []
 
 
 def test_a_receiver_without_a_failsafe_flag_must_not_bend_the_vine() -> None:
-    """PX4 then shows no loss at all; `flying-vines doctor --radio` finds it."""
+    """PX4 shows no loss at all then; `flying-vines doctor --radio` finds it."""
     radio = Radio(failsafe="hidden", preset={9: 2000}, bits_after_s=100.0)
-    radio.lose()
-    radio.run(5.0)
+    radio.lose(5.0)
     assert radio.bends == []
     (refused,) = [output for _, output in radio.outputs if isinstance(output, Trigger)]
     assert "receiver_failsafe" in refused.problem
@@ -310,19 +295,16 @@ def test_several_channels_that_jump_with_the_switch_are_no_pilot(
 ) -> None:
     radio = Radio(autopilot, failsafe="hold")
     radio.sticks[:4] = [1100, 1900, 1000, 1500]
-    radio.move(2)
-    radio.run(4.0)
+    radio.move(2, 4.0)
     assert radio.bends == []
     assert radio.told == ["Vine: switch ch9 moved with other channels, move it again"]
 
 
 def test_channels_that_jump_still_straighten_but_clear_nothing() -> None:
     radio = Radio("ardupilot")
-    radio.move(2)
-    radio.run(1.0)
+    radio.move(2, 1.0)
     radio.sticks[:4] = [1100, 1900, 1000, 1500]
-    radio.move(0)
-    radio.run(1.0)
+    radio.move(0, 1.0)
     assert radio.asked[-1][1:] == ("straight", False)
 
 
@@ -341,30 +323,24 @@ def test_where_ardupilot_hides_a_loss_the_switch_straightens_only() -> None:
     radio = Radio("ardupilot")
     radio.hear(param_value("FS_THR_ENABLE", 0.0))
     assert radio.told == ["Vine: FS_THR_ENABLE 0 hides RC loss: switch cannot bend"]
-    radio.move(2)
-    radio.run(1.0)
+    radio.move(2, 1.0)
     (refused,) = [output for _, output in radio.outputs if isinstance(output, Trigger)]
     assert refused.intent is None
     assert "FS_THR_ENABLE 0" in refused.problem
-    radio.move(0)
-    radio.run(1.0)
+    radio.move(0, 1.0)
     assert radio.asked[-1][1] == "straight"
     radio.hear(param_value("FS_THR_ENABLE", 1.0))
     assert "can bend" in radio.told[-1]
-    radio.move(2)
-    radio.run(1.0)
+    radio.move(2, 1.0)
     assert len(radio.bends) == 1
 
 
 def overridden(radio: Radio, ends_after_s: float) -> None:
     """The pilot bends, a ground station vents; then it overrides the switch, and the override ends."""
-    radio.move(2)
-    radio.run(1.0)
+    radio.move(2, 1.0)
     radio.pilot.others_asked(straightened=True)
-    radio.move(0)
-    radio.run(ends_after_s)
-    radio.move(2)
-    radio.run(1.0)
+    radio.move(0, ends_after_s)
+    radio.move(2, 1.0)
 
 
 def test_an_override_that_ends_bends_nothing_again() -> None:
@@ -372,10 +348,8 @@ def test_an_override_that_ends_bends_nothing_again() -> None:
     overridden(radio, 7.0)
     assert len(radio.bends) == 1
     assert radio.told[-1] == "Vine: switch ch9 is back where it was, move it again"
-    radio.move(0)
-    radio.run(1.0)
-    radio.move(2)
-    radio.run(1.0)
+    radio.move(0, 1.0)
+    radio.move(2, 1.0)
     assert len(radio.bends) == 2, "a fresh move counts"
 
 
@@ -399,16 +373,14 @@ def test_an_override_that_we_hear_end_is_no_move_in_either_direction() -> None:
     radio = Radio("ardupilot")
     radio.override(1000)
     radio.run(3.0)
-    radio.move(2)
-    radio.run(1.0)
+    radio.move(2, 1.0)
     assert radio.bends == []
     assert radio.told[-1] == "Vine: switch ch9 moved as an override ended, move it again"
 
 
 def test_a_bend_that_waits_is_overtaken_by_what_others_ask() -> None:
     radio = Radio()
-    radio.move(2)
-    radio.run(1.0)
+    radio.move(2, 1.0)
     radio.pilot.others_asked(straightened=True)
     radio.run(4.0)
     assert radio.bends == []
@@ -424,27 +396,21 @@ def test_a_switch_that_comes_back_from_a_preset_bends_nothing_again(
     preset: int, lasts_s: float, failsafe: Literal["unknown"] | int, vented: bool
 ) -> None:
     radio = Radio(preset={9: preset}, failsafe=failsafe if preset == 1000 else "unknown")
-    radio.move(2)
-    radio.run(3.0)
+    radio.move(2, 3.0)
     assert len(radio.bends) == 1
     if vented:
         radio.pilot.others_asked(straightened=True)
-    radio.lose()
-    radio.run(lasts_s)
-    radio.restore()
-    radio.run(5.0)
+    radio.lose(lasts_s)
+    radio.restore(5.0)
     assert len(radio.bends) == 1
-    radio.move(0)
-    radio.run(2.5)
-    radio.move(2)
-    radio.run(3.0)
+    radio.move(0, 2.5)
+    radio.move(2, 3.0)
     assert len(radio.bends) == 2, "a fresh move counts"
 
 
 def test_what_came_after_a_straightening_is_not_seen_to_by_it() -> None:
     radio = Radio()
-    radio.move(2)
-    radio.run(3.0)
+    radio.move(2, 3.0)
     radio.move(0)
     moved_s = radio.now_s
     radio.run(3.0)
@@ -454,8 +420,7 @@ def test_what_came_after_a_straightening_is_not_seen_to_by_it() -> None:
 
 def test_a_loss_overtakes_a_bend_that_waits() -> None:
     radio = Radio()
-    radio.move(2)
-    radio.run(1.0)
+    radio.move(2, 1.0)
     radio.pilot.overtaken()
     radio.run(3.0)
     assert radio.bends == []
@@ -463,8 +428,7 @@ def test_a_loss_overtakes_a_bend_that_waits() -> None:
 
 def test_without_a_status_a_bend_is_refused_and_said() -> None:
     radio = Radio()
-    radio.move(2)
-    radio.run(0.5)
+    radio.move(2, 0.5)
     radio.run_without_status(10.0)
     (refused,) = [output for _, output in radio.outputs if isinstance(output, Trigger)]
     assert refused.problem == "the autopilot does not confirm RC, move it again"
@@ -473,8 +437,7 @@ def test_without_a_status_a_bend_is_refused_and_said() -> None:
 def test_a_gap_that_nobody_saw_is_a_loss() -> None:
     radio = Radio("ardupilot")
     radio.steps += 120  # our process stood still
-    radio.move(2)
-    radio.run(3.0)
+    radio.move(2, 3.0)
     assert radio.bends == []
     assert "moved while RC was lost" in radio.told[-1]
 
@@ -483,52 +446,43 @@ def test_a_gap_that_nobody_saw_is_a_loss() -> None:
 def test_a_switch_that_moves_as_its_override_is_released_was_not_moved(channel: int, pulse_us: int) -> None:
     radio = Radio("ardupilot", channel=channel)
     radio.override(pulse_us)
-    radio.move(2)
-    radio.run(1.0)
+    radio.move(2, 1.0)
     assert radio.bends == []
     assert radio.told[-1] == f"Vine: switch ch{channel} moved as an override ended, move it again"
 
 
 @pytest.mark.parametrize(("channel", "pulse_us"), [(9, 0), (9, 65535), (8, 65535), (8, 1000)])
 def test_what_releases_no_override_leaves_the_pilots_moves_to_him(channel: int, pulse_us: int) -> None:
-    """0 releases the first eight channels alone, and an override that goes on ends later."""
+    """0 releases the first eight channels only, and an override that continues ends later."""
     radio = Radio("ardupilot", channel=channel)
     radio.override(pulse_us)
-    radio.move(2)
-    radio.run(1.0)
+    radio.move(2, 1.0)
     assert len(radio.bends) == 1
 
 
 def test_after_somebody_else_has_bent_the_vine_the_switch_counts_as_before() -> None:
     radio = Radio("ardupilot")
-    radio.move(2)
-    radio.run(1.0)
+    radio.move(2, 1.0)
     radio.pilot.others_asked(straightened=False)
-    radio.move(0)
-    radio.run(7.0)
-    radio.move(2)
-    radio.run(1.0)
+    radio.move(0, 7.0)
+    radio.move(2, 1.0)
     assert len(radio.bends) == 2
 
 
 def test_a_second_straightening_does_not_hide_an_override_that_ends() -> None:
     radio = Radio("ardupilot")
-    radio.move(2)
-    radio.run(1.0)
+    radio.move(2, 1.0)
     radio.pilot.others_asked(straightened=True)
-    radio.move(0)
-    radio.run(1.0)
+    radio.move(0, 1.0)
     radio.pilot.others_asked(straightened=True)
     radio.run(6.0)
-    radio.move(2)
-    radio.run(1.0)
+    radio.move(2, 1.0)
     assert len(radio.bends) == 1
 
 
 def test_a_switch_that_is_set_up_anew_forgets_the_bend_that_waits() -> None:
     radio = Radio()
-    radio.move(2)
-    radio.run(1.0)
+    radio.move(2, 1.0)
     switch = msgspec.structs.replace(radio.profile.switch, debounce_s=0.3)
     radio.pilot.configure(msgspec.structs.replace(radio.profile, switch=switch))
     radio.run(5.0)
@@ -537,8 +491,7 @@ def test_a_switch_that_is_set_up_anew_forgets_the_bend_that_waits() -> None:
 
 def test_another_parameter_leaves_the_bend_that_waits() -> None:
     radio = Radio()
-    radio.move(2)
-    radio.run(1.0)
+    radio.move(2, 1.0)
     radio.pilot.configure(msgspec.structs.replace(radio.profile, limits=config.LimitsConfig(max_bent_s=5.0)))
     radio.run(3.0)
     assert len(radio.bends) == 1
@@ -546,20 +499,16 @@ def test_another_parameter_leaves_the_bend_that_waits() -> None:
 
 def test_a_preset_does_not_bring_back_a_bend_that_was_overtaken() -> None:
     radio = Radio(preset={9: 1000})
-    radio.move(2)
-    radio.run(1.0)
+    radio.move(2, 1.0)
     radio.pilot.overtaken()
-    radio.lose()
-    radio.run(0.9)
-    radio.restore()
-    radio.run(5.0)
+    radio.lose(0.9)
+    radio.restore(5.0)
     assert radio.bends == []
 
 
 def test_where_nothing_is_heard_the_switch_stands_nowhere_and_no_bend_waits() -> None:
     radio = Radio()
-    radio.move(2)
-    radio.run(1.0)
+    radio.move(2, 1.0)
     for _ in range(200):
         radio.steps += 1
         radio.outputs.extend((radio.now_s, output) for output in radio.pilot.tick(radio.now_s))
@@ -569,8 +518,7 @@ def test_where_nothing_is_heard_the_switch_stands_nowhere_and_no_bend_waits() ->
 
 def test_without_a_status_a_straightening_is_not_refused_afterwards() -> None:
     radio = Radio()
-    radio.move(2)
-    radio.run(3.0)
+    radio.move(2, 3.0)
     radio.move(0)
     radio.run_without_status(10.0)
     assert [name for _, name, _ in radio.asked] == ["bend-full", "straight"]
@@ -579,8 +527,7 @@ def test_without_a_status_a_straightening_is_not_refused_afterwards() -> None:
 def test_on_ardupilot_the_status_says_nothing_of_what_its_parameters_hide() -> None:
     radio = Radio("ardupilot", by_station=True)
     radio.hear(param_value("FS_THR_ENABLE", 0.0))
-    radio.move(2)
-    radio.run(1.0)
+    radio.move(2, 1.0)
     assert radio.bends == []
 
 
@@ -588,8 +535,7 @@ def test_a_receiver_that_px4_does_not_use_is_refused_and_a_ground_station_is_not
     for by_station, bends in ((False, 0), (True, 1)):
         radio = Radio(by_station=by_station)
         radio.hear(param_value("COM_RC_IN_MODE", 1.0))
-        radio.move(2)
-        radio.run(3.0)
+        radio.move(2, 3.0)
         assert len(radio.bends) == bends
 
 
@@ -603,7 +549,7 @@ def test_what_hides_a_loss_is_told_once() -> None:
 
 
 def test_a_single_message_with_the_throttle_in_failsafe_is_a_loss() -> None:
-    """Nobody looks between it and the next. What the switch read in it counts for nothing."""
+    """What the switch read in this message counts for nothing."""
     radio = Radio("ardupilot")
     radio.move(2)
     radio.sticks[2] = 900
@@ -621,24 +567,18 @@ def test_a_single_message_with_the_throttle_in_failsafe_is_a_loss() -> None:
 
 def test_after_a_loss_the_switch_may_go_where_it_stood_before() -> None:
     radio = Radio("ardupilot")
-    radio.move(2)
-    radio.run(1.0)
-    radio.lose()
-    radio.run(2.0)
+    radio.move(2, 1.0)
+    radio.lose(2.0)
     radio.move(0)
-    radio.restore()
-    radio.run(3.0)
-    radio.move(2)
-    radio.run(1.0)
+    radio.restore(3.0)
+    radio.move(2, 1.0)
     assert len(radio.bends) == 2
 
 
 def test_a_glitch_only_delays_a_bend_that_waits() -> None:
     radio = Radio()
-    radio.move(2)
-    radio.run(1.0)
-    radio.move(0)
-    radio.run(PERIOD_S)
+    radio.move(2, 1.0)
+    radio.move(0, PERIOD_S)
     radio.move(2)
     glitched_s = radio.now_s
     radio.run(4.0)
@@ -648,12 +588,9 @@ def test_a_glitch_only_delays_a_bend_that_waits() -> None:
 
 def test_a_straightening_that_was_the_receivers_is_no_move_to_hold() -> None:
     radio = Radio(preset={9: 1000})
-    radio.move(2)
-    radio.run(3.0)
-    radio.lose()
-    radio.run(0.9)
-    radio.restore()
-    radio.run(5.0)
+    radio.move(2, 3.0)
+    radio.lose(0.9)
+    radio.restore(5.0)
     assert radio.told == ["Vine: switch ch9 is back where it was, move it again"]
 
 
@@ -662,49 +599,39 @@ HOLD_ON = "Vine: hold switch ch9 for 1.6 s to bend"
 
 def test_a_position_that_is_left_too_soon_asks_for_nothing_and_the_pilot_reads_why() -> None:
     radio = Radio(vented=True)
-    radio.move(2)
-    radio.run(0.5)
-    radio.move(0)
-    radio.run(3.0)
+    radio.move(2, 0.5)
+    radio.move(0, 3.0)
     assert radio.told == [HOLD_ON]
     assert radio.asked == []
 
 
 def test_from_a_bend_to_another_and_back_too_soon_asks_for_nothing() -> None:
     radio = Radio()
-    radio.move(1)
-    radio.run(3.0)
-    radio.move(2)
-    radio.run(0.5)
-    radio.move(1)
-    radio.run(3.0)
+    radio.move(1, 3.0)
+    radio.move(2, 0.5)
+    radio.move(1, 3.0)
     assert radio.told == [HOLD_ON]
     assert [name for _, name, _ in radio.asked] == ["bend-half"]
 
 
 def test_while_another_bends_the_vine_a_position_that_is_left_too_soon_straightens_it() -> None:
     radio = Radio()
-    radio.move(2)
-    radio.run(0.5)
-    radio.move(0)
-    radio.run(3.0)
+    radio.move(2, 0.5)
+    radio.move(0, 3.0)
     assert [name for _, name, _ in radio.asked] == ["straight"]
 
 
 def test_a_bend_that_waits_gives_way_to_another_position() -> None:
     radio = Radio()
-    radio.move(1)
-    radio.run(0.5)
-    radio.move(2)
-    radio.run(3.0)
+    radio.move(1, 0.5)
+    radio.move(2, 3.0)
     assert [name for _, name, _ in radio.asked] == ["bend-full"]
 
 
 @pytest.mark.parametrize("steps", range(8))
 def test_the_status_that_tells_of_a_loss_confirms_no_bend(steps: int) -> None:
     radio = Radio()
-    radio.move(2)
-    radio.run(steps * PERIOD_S)
+    radio.move(2, steps * PERIOD_S)
     radio.lose()
     lost_s = radio.now_s
     radio.run(4.0)
@@ -716,6 +643,5 @@ def test_before_the_switch_is_believed_others_may_ask() -> None:
     radio.pilot.forget()
     radio.pilot.others_asked(straightened=True)
     radio.run(3.0)
-    radio.move(2)
-    radio.run(1.0)
+    radio.move(2, 1.0)
     assert len(radio.bends) == 1

@@ -1,4 +1,4 @@
-"""What the autopilot's parameters say of its RC failsafe: asked for, read, and what follows."""
+"""The autopilot's parameters of its RC failsafe: requested, read, and their consequences."""
 
 from __future__ import annotations
 

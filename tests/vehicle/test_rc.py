@@ -1,4 +1,4 @@
-"""Every sign that the pilot's radio is lost, alone and as real autopilots show them."""
+"""Every sign that RC is lost, alone and as real autopilots show it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Repeats of a command and copies of a frame are told from a new command that says the same."""
+"""Repeats of a command and copies of a frame are told apart from a new equal command."""
 
 from __future__ import annotations
 

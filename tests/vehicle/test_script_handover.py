@@ -1,4 +1,4 @@
-"""A script on ArduPilot hands over what the status text announces as well: one execution, in any order."""
+"""A script on ArduPilot hands over an item that a status text announces as well: one execution."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Signing: what is believed and what is not, and timestamps that never fall or come twice."""
+"""Signing: which frames are believed, and timestamps that never fall or repeat."""
 
 from __future__ import annotations
 

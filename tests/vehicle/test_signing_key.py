@@ -1,4 +1,4 @@
-"""The key's file and the timestamp's: what is taken, what is refused and with which words, what survives."""
+"""The key file and the timestamp file: what is accepted, what is refused and how, what survives."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whom we serve, and what its clock, height and heartbeats tell."""
+"""Which autopilot we serve, and what its clock, height and heartbeats say."""
 
 from __future__ import annotations
 

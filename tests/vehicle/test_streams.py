@@ -1,4 +1,4 @@
-"""Streams: asked for one by one, again where they stay away, and named when they never come."""
+"""Streams are requested one by one, again if they do not come, and reported if they never come."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ def test_a_late_refusal_is_of_no_request() -> None:
 
 
 def test_nothing_is_missing_on_a_link_that_is_silent_and_just_after() -> None:
-    """A dead link is told elsewhere, once: not as streams that are missing."""
+    """A dead link is reported once, and not as missing streams."""
     autopilot = Autopilot()
     autopilot.run(10.0)
     granted, autopilot.granted = autopilot.granted, set()

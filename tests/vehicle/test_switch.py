@@ -1,4 +1,4 @@
-"""The switch acts on moves that were seen, and on nothing else."""
+"""The switch acts on observed moves and on nothing else."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What leaves when: never a burst, what matters first, nothing lost that need not be."""
+"""The transmit queue sends no bursts, important messages first, and loses nothing without need."""
 
 from __future__ import annotations
 

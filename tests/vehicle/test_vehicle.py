@@ -1,4 +1,4 @@
-"""The vehicle's side as a whole: who is served, what is asked, and what of it becomes a trigger."""
+"""The vehicle side as a whole: which autopilot is served, what is requested, and which triggers result."""
 
 from __future__ import annotations
 

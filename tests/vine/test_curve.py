@@ -1,4 +1,4 @@
-"""Bend angle against pressure: there and back, dead zones, and curves that are none."""
+"""Bend angle and pressure: there and back, dead zones, and invalid curves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Profiles over time: continuous, never too steep, and true to what they say of themselves."""
+"""Profiles over time are continuous, never too steep, and have the length and end that they state."""
 
 from __future__ import annotations
 

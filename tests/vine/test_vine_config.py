@@ -1,4 +1,4 @@
-"""The table [vine]: hysteresis is checked where it stands, and swings are judged with it."""
+"""The table [vine]: hysteresis is checked there, and swings are judged with it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Brokers for tests, each a process of its own: mosquitto, and amqtt, which comes with Python's packages."""
+"""Brokers for tests as processes: mosquitto, and amqtt from PyPI."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Vehicles on a real broker: what others read of them and may ask for, and a broker that comes and goes."""
+"""Vehicles on a real broker: what others read and may request, and a broker that goes and returns."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ async def test_nothing_may_be_asked_for_unless_it_is_switched_on(broker: Broker,
 
 
 async def test_what_was_asked_before_the_vehicle_came_is_not_done(broker: Broker, people: Onlooker) -> None:
-    """Retained by the broker, or kept for a client of that name."""
+    """The broker retained the request, or kept it for a client of that name."""
     await people.say(f"{BASE}/ask", ask("retained"), retain=True)
     async with flying(broker=broker.url, name="heron", commands=("vent",)):
         await people.until(f"{BASE}/status", status="online")
@@ -318,7 +318,7 @@ async def test_a_broker_that_knows_no_mqtt_5(tmp_path: Path, monkeypatch: pytest
 async def test_a_connection_that_misses_its_cancellation_does_not_outlive_its_service(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """As `asyncio.wait_for` may lose it, in the library, when an answer comes in the same turn."""
+    """The library's `asyncio.wait_for` may lose a cancellation if an answer comes in the same turn."""
     cancelled = []
 
     async def deaf(self: connection.Connection, health: health.Health) -> Exception:

@@ -1,4 +1,4 @@
-"""The [mqtt] table: every mistake is found before flying, and says which key and what to do."""
+"""The table [mqtt]: every mistake is found before a flight and names the key and what to do."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page on MQTT shows what is sent: its topics, its payloads, and the schema that lies beside it."""
+"""The page on MQTT shows the topics, payloads and schema that are sent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What people read of the broker, once for each thing that goes wrong, and how patiently it is looked for."""
+"""What people read about the broker, once for each kind of failure, and how often it is tried."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the broker is told: states as they come, events in order and all, or it says how many are lost."""
+"""What the broker gets: the latest states, and all events in order or the number of lost ones."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ def test_more_than_are_kept_are_lost_and_counted() -> None:
 
 @given(st.lists(st.sampled_from(["happens", "told", "told meanwhile"]), max_size=60), st.integers(1, 4))
 def test_whatever_happens_every_event_is_told_once_in_order_or_counted(steps: list[str], most: int) -> None:
-    """`told meanwhile`: events come between an event's leaving and the broker's receipt."""
+    """`told meanwhile`: events between sending an event and the broker's receipt."""
     events = Events("event", "run", most)
     made, told, lost = 0, [], 0
 
@@ -188,7 +188,7 @@ def test_whatever_happens_every_event_is_told_once_in_order_or_counted(steps: li
 
 
 def test_what_a_later_service_tells_does_not_end_the_connection() -> None:
-    """A field that is new is left out; a kind that is not known is not for the broker."""
+    """Unknown fields are left out, and unknown kinds are not published."""
     vehicle = teller()
     vehicle.take(1.0, Happened("stretched", msgspec.Raw(b'{"t": 1.0}')))
     vehicle.take(
@@ -219,12 +219,12 @@ def test_whatever_a_core_makes_can_be_told() -> None:
     for second, intent in enumerate(wanted, start=1):
         watch(world.advance(float(second)))
         watch(world.feed(Asked(float(second), "calibration", intent)))
-    watch(world.advance(60.0))
+    watch(world.advance(12.0))
     assert set(made) == {"decision", "notice"}
     told: list[str] = [event.__struct_config__.tag for event in tell_all(vehicle.events)]  # type: ignore[misc]
     assert told == made
-    vehicle.take(60.0, SnapshotMessage(raw(world.core.snapshot(60.0))))
-    _, state, reservoir = vehicle.due(now(60.0))
+    vehicle.take(12.0, SnapshotMessage(raw(world.core.snapshot(12.0))))
+    _, state, reservoir = vehicle.due(now(12.0))
     assert read(state)["doing"] == "vented"
     assert read(reservoir)["reservoir_kPa"] > 100.0
 

@@ -1,4 +1,4 @@
-"""What may be asked for over the broker: what is listed, just now, once, and a vent before all else."""
+"""Requests over the broker: only listed ones, recent ones, once each, and a vent before all others."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ def test_no_bytes_make_it_fail(payload: bytes, retained: bool) -> None:
     )
 )
 def test_whoever_asks_how_nothing_is_done_twice_or_late(said: list[tuple[str, int, float, float]]) -> None:
-    """Each a command, an id, its age and how long it is after the one before; some come late, some again."""
+    """Each row: a command, an id, its age and the time since the one before; some are late or repeated."""
     queue = RequestQueue(ALL, 5.0)
     now = NOW
     done: list[tuple[str, float]] = []

@@ -1,4 +1,4 @@
-"""Vehicles on a broker: the gateway's part of them, between a real broker and a service that is played."""
+"""Vehicles on a broker: the gateway between a real broker and a simulated service."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who may come in: by the request's headers alone."""
+"""Who may open the page, by the request's headers alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page in a real browser, of the real service between the fakes: pressed, cut off, back, reloaded."""
+"""The page of the real service in a real browser: buttons, lost connection, return, reload."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How many may be there, how often they may ask, and what the page remembers."""
+"""Limits of connections and requests, and what the page remembers."""
 
 from __future__ import annotations
 

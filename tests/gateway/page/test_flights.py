@@ -1,4 +1,4 @@
-"""The flights of the log folder over real sockets: listed, downloaded, and nothing else."""
+"""The flights of the log folder over real sockets: listed and downloaded, and no other file."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ async def test_who_may_only_watch_gets_no_flight(folder: Path) -> None:
 
 
 async def test_a_service_without_a_log_lists_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nor does it read the folder in which it runs."""
+    """It does not read its working directory either."""
     monkeypatch.chdir(folder)
     async with served() as bench, client() as session:
         for path in ("flights", f"flights/{FLIGHT}/flight.mcap"):

@@ -1,4 +1,4 @@
-"""The page of the real service, asked over its socket; a browser is not needed for that."""
+"""The page of the real service over its socket, without a browser."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ async def test_a_page_that_hangs_or_dies_is_back_within_five_seconds(tmp_path: P
 
 
 async def test_no_page_bends_the_vine_of_an_armed_vehicle(tmp_path: Path) -> None:
-    """Whatever a browser sends: the core refuses it, not the page."""
+    """The core refuses it, whatever a browser sends."""
     async with (
         serving(tmp_path, bench_mode=True) as served,
         client() as session,

@@ -1,4 +1,4 @@
-"""The page over real sockets: what it serves, whom it lets in, and what it does under attack."""
+"""The page over real sockets: what it serves, to whom, and under attack."""
 
 from __future__ import annotations
 
@@ -271,7 +271,7 @@ async def test_pings_are_answered_but_not_too_many(bench: Bench, session: Client
 
 
 async def test_viewers_from_four_addresses_and_half_open_connections_keep_no_pilot_out() -> None:
-    """One who sits at an address of theirs, and one who sits elsewhere."""
+    """One pilot shares an attacker's address, and one does not."""
     watching = f"Bearer {page_token.watching(TOKEN)}"
     addresses = [f"127.0.0.{number}" for number in (61, 62, 63, 64)]
     async with served("0.0.0.0") as bench, contextlib.AsyncExitStack() as stack:
@@ -294,7 +294,7 @@ async def test_viewers_from_four_addresses_and_half_open_connections_keep_no_pil
 
 
 async def test_of_too_many_pilots_the_oldest_goes(bench: Bench, session: ClientSession) -> None:
-    """Pages that nobody closed keep none out who needs one now."""
+    """Pages left open do not lock out a pilot who needs one now."""
     async with contextlib.AsyncExitStack() as stack:
         pilots = [
             await stack.enter_async_context(session.ws_connect(bench.url + "/live"))
