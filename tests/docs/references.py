@@ -12,7 +12,9 @@ import argparse
 import re
 import sys
 import tomllib
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import get_args
 
@@ -96,9 +98,30 @@ def arguments(parser: argparse.ArgumentParser) -> list[argparse.Action]:
 
 
 def options(name: str) -> list[str]:
-    """A command's arguments and options, a row each."""
-    found = arguments(commands()[name])
-    return ["| given | means |", "| --- | --- |", *(_row(f"`{_given(a)}`", _meant(a)) for a in found)]
+    """A command's arguments and options, a row each; of those that several commands share only the names.
+
+    The name `shared` stands for the options that several commands share.
+    """
+    head = ["| given | means |", "| --- | --- |"]
+    if name == "shared":
+        return [*head, *shared()]
+    rows = _options(commands()[name])
+    named = [re.sub(r"^\| `([\w-]+).*", r"`\1`", row) for row in rows if row in shared()]
+    rows = [row for row in rows if row not in shared()]
+    return [*head, *rows, *([_row(" ".join(named), "[as above](#shared-options)")] if named else [])]
+
+
+@cache
+def shared() -> tuple[str, ...]:
+    """The rows of the options that mean the same in three or more commands."""
+    rows = Counter(
+        row for parser in commands().values() for row in _options(parser) if row.startswith("| `--")
+    )
+    return tuple(row for row, count in rows.items() if count >= 3)
+
+
+def _options(parser: argparse.ArgumentParser) -> list[str]:
+    return [_row(f"`{_given(action)}`", _meant(action)) for action in arguments(parser)]
 
 
 def _given(action: argparse.Action) -> str:
@@ -119,7 +142,7 @@ def _meant(action: argparse.Action) -> str:
     if action.choices:
         what, _, by_default = words.partition("(")
         choices = " or ".join(f"`{choice}`" for choice in action.choices)
-        words = f"{what and what.strip() + ': '}{choices} ({by_default}"
+        words = f"{what and what.strip() + ': '}{choices} ({by_default}" if by_default else choices
     return words
 
 
