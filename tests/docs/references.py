@@ -12,9 +12,7 @@ import argparse
 import re
 import sys
 import tomllib
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from functools import cache
 from pathlib import Path
 from typing import get_args
 
@@ -98,34 +96,14 @@ def arguments(parser: argparse.ArgumentParser) -> list[argparse.Action]:
 
 
 def options(name: str) -> list[str]:
-    """A command's arguments and options, a row each; of those that several commands share only the names.
-
-    The name `shared` stands for the options that several commands share.
-    """
-    head = ["| given | means |", "| --- | --- |"]
-    if name == "shared":
-        return [*head, *shared()]
-    rows = _options(commands()[name])
-    named = [re.sub(r"^\| `([\w-]+).*", r"`\1`", row) for row in rows if row in shared()]
-    rows = [row for row in rows if row not in shared()]
-    return [*head, *rows, *([_row(" ".join(named), "[as above](#shared-options)")] if named else [])]
-
-
-@cache
-def shared() -> tuple[str, ...]:
-    """The rows of the options that mean the same in three or more commands."""
-    rows = Counter(
-        row for parser in commands().values() for row in _options(parser) if row.startswith("| `--")
-    )
-    return tuple(row for row, count in rows.items() if count >= 3)
-
-
-def _options(parser: argparse.ArgumentParser) -> list[str]:
-    return [_row(f"`{_given(action)}`", _meant(action)) for action in arguments(parser)]
+    """What a command takes, in one line; its `--help` explains it."""
+    return [" · ".join(f"`{_given(action)}`" for action in arguments(commands()[name]))]
 
 
 def _given(action: argparse.Action) -> str:
     value = "" if action.nargs == 0 else str(action.metavar or action.dest.upper())
+    if action.choices:
+        value = "|".join(map(str, action.choices))
     if action.nargs in ("*", "+"):
         value += " …"
     if action.nargs == "?" and action.option_strings:
@@ -133,17 +111,6 @@ def _given(action: argparse.Action) -> str:
     if not action.option_strings:
         return value if action.required else f"[{value}]"
     return f"{action.option_strings[-1]} {value}".strip()
-
-
-def _meant(action: argparse.Action) -> str:
-    words = action.help or ""
-    if action.option_strings and action.required:
-        words += "; must be given"
-    if action.choices:
-        what, _, by_default = words.partition("(")
-        choices = " or ".join(f"`{choice}`" for choice in action.choices)
-        words = f"{what and what.strip() + ': '}{choices} ({by_default}" if by_default else choices
-    return words
 
 
 # Keys.
