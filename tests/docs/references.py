@@ -1,7 +1,7 @@
-"""Generates the tables of docs/ that the code contains: options, keys, parameters, faults, doctor lines.
+"""Generates the tables of docs/ that the code contains: options, keys, parameters, faults.
 
 A page marks a table with `<!-- options: mission check -->` … `<!-- end -->`. This script writes what stands
-between the two. After a change of an option, a key, a fault or a doctor line:
+between the two. After a change of an option, a key or a fault:
 
     .venv/bin/python tests/docs/references.py
 """
@@ -22,7 +22,6 @@ from msgspec import inspect
 # Run as a script, this file's own folder is on the path, but not tests/.
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from doctor.known_lines import CHECKS, lines_of, with_blanks
 from fault_catalogue.catalogue import SECTIONS, Row
 
 from flying_vines.cli.main import _parser
@@ -97,13 +96,14 @@ def arguments(parser: argparse.ArgumentParser) -> list[argparse.Action]:
 
 
 def options(name: str) -> list[str]:
-    """A command's arguments and options, a row each."""
-    found = arguments(commands()[name])
-    return ["| given | means |", "| --- | --- |", *(_row(f"`{_given(a)}`", _meant(a)) for a in found)]
+    """What a command takes, in one line; its `--help` explains it."""
+    return [" · ".join(f"`{_given(action)}`" for action in arguments(commands()[name]))]
 
 
 def _given(action: argparse.Action) -> str:
     value = "" if action.nargs == 0 else str(action.metavar or action.dest.upper())
+    if action.choices:
+        value = "|".join(map(str, action.choices))
     if action.nargs in ("*", "+"):
         value += " …"
     if action.nargs == "?" and action.option_strings:
@@ -111,17 +111,6 @@ def _given(action: argparse.Action) -> str:
     if not action.option_strings:
         return value if action.required else f"[{value}]"
     return f"{action.option_strings[-1]} {value}".strip()
-
-
-def _meant(action: argparse.Action) -> str:
-    words = action.help or ""
-    if action.option_strings and action.required:
-        words += "; must be given"
-    if action.choices:
-        what, _, by_default = words.partition("(")
-        choices = " or ".join(f"`{choice}`" for choice in action.choices)
-        words = f"{what and what.strip() + ': '}{choices} ({by_default}"
-    return words
 
 
 # Keys.
@@ -233,7 +222,7 @@ def segments(name: str) -> list[str]:
     return rows
 
 
-# Parameters, faults and what the doctor says.
+# Parameters and faults.
 
 
 def parameters(name: str) -> list[str]:
@@ -276,17 +265,6 @@ def _fault(row: Row) -> str:
     return _row(row.fault, row.seen_by, *numbers, state, told, row.cleared.value)
 
 
-SIGNS = {"good": "✓", "warning": "!", "bad": "✗", "skipped": "–"}
-
-
-def doctor_lines(name: str) -> list[str]:
-    """What one file of checks can say that asks for something to be done."""
-    (check,) = (check for check in CHECKS if check.__name__.rpartition(".")[2] == name)
-    said = ((SIGNS[line.verdict], line.check, line.what, line.do) for line in lines_of(check) if line.do)
-    rows = (_row(*map(with_blanks, cells)) for cells in said)
-    return ["| | looked at | says | do |", "| --- | --- | --- | --- |", *rows]
-
-
 def _row(*cells: str) -> str:
     return f"| {' | '.join(cell.replace('|', '&#124;') for cell in cells)} |"
 
@@ -300,7 +278,6 @@ TABLES: Mapping[str, Callable[[str], list[str]]] = {
     "parameters": parameters,
     "streams": streams,
     "faults": faults,
-    "doctor": doctor_lines,
 }
 """What makes the tables of each kind, out of a table's name."""
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from doctor.known_lines import CHECKS
+from doctor.known_lines import every_line
 from fault_catalogue.catalogue import SECTIONS
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -42,7 +42,7 @@ def test_the_tables_are_as_they_are_made(page: Path) -> None:
     assert filled(text) == text, "make them anew: .venv/bin/python tests/docs/references.py"
 
 
-def test_every_command_has_its_heading_and_its_table_once() -> None:
+def test_every_command_has_its_heading_and_its_options_once() -> None:
     assert sorted(marked(COMMANDS, "options")) == sorted(commands())
     for name in commands():
         assert COMMANDS.count(f"\n### {name}\n") == 1, name
@@ -57,10 +57,24 @@ def test_every_key_has_its_row() -> None:
         )
 
 
-def test_every_fault_and_every_line_of_the_doctor_has_its_table() -> None:
+def test_every_fault_has_its_table() -> None:
     assert marked(FAULTS, "faults") == list(SECTIONS)
     assert all(f"\n## {title}\n" in FAULTS for title in SECTIONS)
-    assert marked(DOCTOR, "doctor") == [check.__name__.rpartition(".")[2] for check in CHECKS]
+
+
+def test_all_that_the_doctor_looks_at_has_its_row() -> None:
+    """With words in the column of each verdict that it may give, and in no other."""
+    stated = {
+        name: {verdict for verdict, words in (("bad", bad), ("warning", warning)) if words.strip()}
+        for names, bad, warning in re.findall(r"^\| (\w[^|]*) \|([^|]*)\|([^|]*)\|$", DOCTOR, re.MULTILINE)
+        for name in names.split(", ")
+    }
+    del stated["looked at"]
+    given: dict[str, set[str]] = {"vehicle port": {"bad", "warning"}}
+    for line in every_line():
+        if line.do:
+            given.setdefault(line.check.replace("{name}", "messages"), set()).add(line.verdict)
+    assert stated == given
 
 
 def test_of_everything_something_is_said() -> None:

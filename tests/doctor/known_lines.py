@@ -60,8 +60,3 @@ def says(line: FindingText, finding: DoctorFinding) -> bool:
 def _fits(template: str, text: str) -> bool:
     fixed = _BLANK.split(template)[::2]
     return re.fullmatch(".*".join(map(re.escape, fixed)), text, re.DOTALL) is not None
-
-
-def with_blanks(template: str) -> str:
-    """For a page: names in italics instead of braces."""
-    return _BLANK.sub(lambda blank: f"*{blank[1]}*", template).replace("|", r"\|")

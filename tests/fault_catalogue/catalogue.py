@@ -11,9 +11,9 @@ class Cleared(Enum):
 
     AT_ONCE = "–"
     """It never stopped."""
-    FRESH = "fresh trigger"
-    PERSON = "a person"
-    RESTART = "a person restarts the service"
+    FRESH = "trigger"
+    PERSON = "person"
+    RESTART = "restart"
 
 
 @dataclass(frozen=True)
