@@ -40,6 +40,7 @@ LOW, MIDDLE, HIGH = 1000, 1500, 2000
 DESKTOP, PHONE, SMALL = (1440, 900), (360, 740), (320, 640)
 READ = """\
 import json
+import numpy as np
 from flying_vines import api
 
 flight = api.read_flight("flights/last")
@@ -51,7 +52,7 @@ print(json.dumps({
     "setpoint_kPa": phlosar["setpoint_kPa"].max(),
     "last_kPa": phlosar["cv_kPa"][-100:].mean(),
     "intents": list(decisions["intent"][accepted]),
-    "altitude_m": flight["snapshot"]["altitude_m"].max(),
+    "altitude_m": np.nanmax(flight["snapshot"]["altitude_m"]),
 }))
 """
 COMPARE = """\

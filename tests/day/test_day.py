@@ -29,7 +29,7 @@ def test_a_day_from_the_wheel_to_a_simulation_that_explains_the_rig(tmp_path: Pa
     assert "You may fly" in seen.doctor and "seen in all 3 positions" in seen.doctor
 
     assert seen.calibrated["outcome"] == "done"
-    (leak,) = (found for found in seen.calibrated["findings"] if found["name"] == "cv_leak_kPa_s_per_SL")
+    (leak,) = (found for found in seen.calibrated["findings"] if found["name"] == "vine_leak_kPa_s_per_SL")
     assert leak["low"] < LEAK_KPA_S_PER_SL < leak["high"]
 
     assert "stores the mission as expected" in seen.uploaded
