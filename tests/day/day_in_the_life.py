@@ -356,7 +356,6 @@ def _fly_by_hand(day: Day, autopilot: Terminal) -> None:
 def _compare(day: Day) -> None:
     (day.folder / "compare.py").write_text(COMPARE, encoding="utf-8")
     day.seen.misfit_kPa = json.loads(day.do("python compare.py"))
-    print(f"   {day.seen.misfit_kPa}")
 
 
 def main() -> None:
@@ -368,7 +367,8 @@ def main() -> None:
     arguments.pictures.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="vines-") as folder, browser() as opened:
         seen = live(Path(folder), arguments.pictures.resolve(), opened)
-    print(seen)
+    total_s = sum(seen.seconds.values())
+    print(f"\nMisfit of the second flight: {seen.misfit_kPa} kPa rms. The day took {total_s:.0f} s.")
 
 
 @contextmanager
