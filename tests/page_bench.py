@@ -45,6 +45,7 @@ def snapshot(t: float = 0.0, **changed: Any) -> Snapshot:
         "altitude_m": 6.0,
         "rc": "good",
         "switch_position": 0,
+        "actuator": "phloSAR",
         "firmware": "ready",
         "round_trip_s": 0.004,
         "telemetry_gaps": 0,

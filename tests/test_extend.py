@@ -150,7 +150,7 @@ def test_a_broken_wire_to_the_air_pump_is_found_by_what_the_pump_reports(our_lab
     bridge.cut = True
     told = notices(run_for(flight, 2.0))
     assert bridge.board.pressure_kPa == 0.0
-    assert "Vine: phloSAR gets no commands, vented" in told
+    assert "Vine: air_pump gets no commands, vented" in told
 
 
 def test_the_example_keeps_the_promises_of_an_actuator(our_lab: None) -> None:

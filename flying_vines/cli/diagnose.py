@@ -34,7 +34,9 @@ def add(commands: Any) -> None:
         metavar="CASE",
         help="a folder with rig.toml and runs; one run; or one flight",
     )
-    diagnose.add_argument("--from-log", type=Path, metavar="LOG", help="a flight log, or its folder")
+    diagnose.add_argument(
+        "--from-log", type=Path, metavar="LOG", help="a flight log, its folder, or flights/last"
+    )
     diagnose.add_argument(
         "--rig", type=Path, metavar="RIG.toml", help="the nominal rig (default: the case's own)"
     )

@@ -84,8 +84,8 @@ def _list(arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
     from flying_vines.cli.log_tables import summary_as_json, summary_table
-    from flying_vines.record.reader import FlightLog, LogError
-    from flying_vines.record.summary import flights_in, summarise
+    from flying_vines.record.reader import FlightLog, LogError, flights_in
+    from flying_vines.record.summary import summarise
 
     if not arguments.folder.is_dir():
         return bad_input(f"{arguments.folder}: is not a folder; `run` and `demo` write flights there")

@@ -22,7 +22,9 @@ DIFFERENT = 1
 def add(commands: Any) -> None:
     """Add `replay` to the parsers of the command line."""
     replay = commands.add_parser("replay", help="run the service's logic on a recording")
-    replay.add_argument("recording", type=Path, metavar="FILE", help="a .tlog, or a flight's folder or .mcap")
+    replay.add_argument(
+        "recording", type=Path, metavar="FILE", help="a .tlog, or a flight's folder, .mcap or last"
+    )
     replay.add_argument("--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)")
     replay.add_argument(
         "--mission", type=Path, metavar="FILE.waypoints", help="the mission, if the recording has none"
@@ -39,13 +41,14 @@ def add(commands: Any) -> None:
 
 def _replay(arguments: argparse.Namespace) -> int:
     from flying_vines.core.events import Decision
+    from flying_vines.record.reader import is_flight
     from flying_vines.simulation.replay import as_json, replay
     from flying_vines.vehicle.component.parameter_file import ParameterFileError
     from flying_vines.vehicle.component.parameter_file import read as read_parameters
     from flying_vines.vehicle.mavlink.tlog import TlogError, TlogReader
 
     recording: Path = arguments.recording
-    if recording.is_dir() or recording.suffix == ".mcap":
+    if recording.is_dir() or is_flight(recording):
         if arguments.mission or arguments.parameters or arguments.pace:
             fail("--mission, --parameters and --pace are for a .tlog; a flight log contains its own")
         return _replay_flight(recording, arguments.config, arguments.json)

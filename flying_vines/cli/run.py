@@ -65,8 +65,7 @@ def _run(arguments: argparse.Namespace) -> int:
         fail(f"{arguments.out}: no flight log can be written there: {error.strerror}")
     output = NonBlockingOutput()
     console = output.console()
-    actuator = "phloSAR" if config.firmware.is_phlosar else config.firmware.kind
-    links = f"Vehicle {config.vehicle.link}, {actuator} {config.firmware.link}"
+    links = f"Vehicle {config.vehicle.link}, {config.firmware.name} {config.firmware.link}"
     console.print(f"{links}, log {log.folder}", soft_wrap=True)
     lines = [f"Vehicle link {config.vehicle.who_can_command}"]
     if known:

@@ -93,6 +93,11 @@ class FirmwareConfig(_Table, frozen=True):
     settings: dict[str, Setting] = {}
 
     @property
+    def name(self) -> str:
+        """The actuator in texts for the pilot."""
+        return "phloSAR" if self.is_phlosar else self.kind
+
+    @property
     def is_phlosar(self) -> bool:
         """Only a phloSAR has a reservoir to estimate and a firmware to calibrate."""
         return self.kind == PHLOSAR

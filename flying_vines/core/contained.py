@@ -63,6 +63,7 @@ class CrashSafeCore:
         self._number = 0
         """Sequence number of the latest command to the firmware."""
         self._system_id = core.config.vehicle.system_id or 1
+        self._actuator = core.config.firmware.name
         self._seen: set[str] = set()
         """The places in the code that raised an error. Each is logged once."""
 
@@ -89,7 +90,7 @@ class CrashSafeCore:
             return self._core.snapshot(t)
         except Exception as error:
             self._display_failed(error)
-            return _blank(t, self._down_at is not None)
+            return _blank(t, self._actuator, self._down_at is not None)
 
     def _attempt(self, event: Event) -> list[Action]:
         try:
@@ -196,7 +197,7 @@ def _answer(asked: Asked, actions: Sequence[Action]) -> Iterator[Decision]:
     yield Decision(asked.t, asked.by, {}, str(asked.intent), verdict, INTERNAL_ERROR, 0.0)
 
 
-def _blank(t: float, down: bool) -> Snapshot:
+def _blank(t: float, actuator: str, down: bool) -> Snapshot:
     unknown = math.nan
     return Snapshot(
         t=t,
@@ -206,6 +207,7 @@ def _blank(t: float, down: bool) -> Snapshot:
         altitude_m=unknown,
         rc="unknown",
         switch_position=None,
+        actuator=actuator,
         firmware="unknown",
         round_trip_s=None,
         telemetry_gaps=0,

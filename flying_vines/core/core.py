@@ -109,7 +109,7 @@ PAGE_COMMANDS = ("clear_faults", "arm", "start_bench")
 _SENSOR_TEXTS = {
     "cv_kPa": "vine sensor reads",
     "reservoir_kPa": "bottle sensor reads",
-    "setpoint_kPa": "phloSAR setpoint is",
+    "setpoint_kPa": "{actuator} setpoint is",
 }
 """The text for each telemetry field whose value no sensor can have."""
 
@@ -162,6 +162,7 @@ class Core:
         self._kept_cycles = self._reservoir.measured_cycles
         self._kept_at = -math.inf
         self._has_reservoir = config.firmware.is_phlosar
+        self._actuator = config.firmware.name
         self._checks = PhysicsChecks(self._belief, config.checks, CHECKS if self._has_reservoir else {})
         self._own_checks = own_checks(self._belief, config.checks)
         self._cycles = ToldCycles(self._reservoir)
@@ -179,7 +180,7 @@ class Core:
         self._requested_at = -math.inf
         self._mode_mismatch: tuple[protocol.Mode, float, float] | None = None
         """(commanded mode, begin, end) while the board is in another mode. Times by the board's clock."""
-        self._restarts = Restarts()
+        self._restarts = Restarts(self._actuator)
         self._restart_noted = False
         """True from a board restart until the board is ready again."""
         self._stopped = False
@@ -287,7 +288,7 @@ class Core:
                     self._firmware_was_ready = True
                     self._restart_noted = False
                     self._firmware_limit_kPa = welcome.setpoint_limit_kPa
-                    ready = f"phloSAR ready ({welcome.firmware_build})"
+                    ready = f"{self._actuator} ready ({welcome.firmware_build})"
                     is_new = self._restarts.is_new_text(ready)
                     self._notice(t, Severity.INFO if is_new else Severity.DEBUG, ready)
                 case fw.TelemetryReceived(telemetry):
@@ -306,9 +307,8 @@ class Core:
                     self._notice(t, Severity.ERROR, f"{reason}")
                 case fw.CommandRefused(refusal):
                     reason = refusal.reason.name.lower().replace("_", " ")
-                    self._enter(
-                        t, ResponseNeeded("refused_by_firmware", f"phloSAR refused: {reason}", "vent")
-                    )
+                    why = f"{self._actuator} refused: {reason}"
+                    self._enter(t, ResponseNeeded("refused_by_firmware", why, "vent"))
 
     def _restarted(self, t: float, reason: str) -> None:
         if self._restart_noted:
@@ -317,7 +317,7 @@ class Core:
         self._firmware_problem = "restarted"
         self._mode_mismatch = None
         first = self._restarts.note(t)
-        why = f"phloSAR restarted: {reason}" if first else self._restarts.looping(t)
+        why = f"{self._actuator} restarted: {reason}" if first else self._restarts.looping(t)
         self._enter(t, self._safety.latch(t, "firmware_reset", why))
 
     def _estimate(self, t: float, features: Features) -> None:
@@ -717,7 +717,7 @@ class Core:
         field, value_kPa = self._firmware.implausible
         # The log cannot hold infinity. A replayed flight must give the same text.
         value = f"{value_kPa:g} kPa" if math.isfinite(value_kPa) else "not a number"
-        return f"{_SENSOR_TEXTS[field]} {value}"
+        return f"{_SENSOR_TEXTS[field].format(actuator=self._actuator)} {value}"
 
     def _check_safety(self, t: float) -> SafetyInputs:
         """Let safety check the conditions and carry out its response. Returns the conditions after that."""
@@ -770,8 +770,8 @@ class Core:
         texts = {
             "rc": "going on without RC" if rc_is_off else "RC is back",
             "autopilot": "autopilot is back",
-            "serial": "phloSAR is back",
-            "telemetry": "phloSAR telemetry is back",
+            "serial": f"{self._actuator} is back",
+            "telemetry": f"{self._actuator} telemetry is back",
             "firmware_fault": "firmware fault cleared",
         }
         text = texts.get(change.name, change.name)
@@ -876,6 +876,7 @@ class Core:
             altitude_m=math.nan if altitude_m is None else altitude_m,
             rc=self._vehicle.rc.problem(t) or "good",
             switch_position=self._vehicle.switch.position,
+            actuator=self._actuator,
             firmware="ready" if ready else self._firmware_problem,
             round_trip_s=self._firmware.round_trip_s,
             telemetry_gaps=self._firmware.telemetry_gaps,

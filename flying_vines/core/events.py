@@ -197,6 +197,8 @@ class Snapshot:
     altitude_m: float
     rc: str
     switch_position: int | None
+    actuator: str
+    """Its name: phloSAR, or the kind of an installed package."""
     firmware: str
     round_trip_s: float | None
     """Round trip of the latest ping to the firmware."""

@@ -12,7 +12,8 @@ COUNT_EVERY_S = 10.0
 class Restarts:
     """One series: each restart comes within `SERIES_ENDS_AFTER_S` of the one before."""
 
-    def __init__(self) -> None:
+    def __init__(self, board: str) -> None:
+        self._board = board
         self._end()
 
     def _end(self) -> None:
@@ -41,11 +42,11 @@ class Restarts:
         return new
 
     def looping(self, t: float) -> str:
-        """The text "phloSAR restarted N times in M s"; empty unless a series of two or more is present."""
+        """The text "… restarted N times in M s"; empty unless a series of two or more is present."""
         if self._count < 2 or t - self._last_at >= SERIES_ENDS_AFTER_S:
             return ""
         lasts_s = max(1, round(self._last_at - self._first_at))
-        return f"phloSAR restarted {self._count} times in {lasts_s} s"
+        return f"{self._board} restarted {self._count} times in {lasts_s} s"
 
     def tick(self, t: float) -> str:
         """Let time pass. Returns the text that is due now, or an empty one."""

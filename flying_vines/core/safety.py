@@ -128,6 +128,7 @@ class Safety:
         self._limits = config.limits
         self._interlocks = config.interlocks
         self._losses = config.losses
+        self._actuator = config.firmware.name
 
     @property
     def reasons(self) -> dict[str, str]:
@@ -244,9 +245,9 @@ class Safety:
         if not now.pneumatics_armed:
             return "the pneumatics are disarmed"
         if not now.firmware_ready:
-            return f"phloSAR {now.firmware_problem}"
+            return f"{self._actuator} {now.firmware_problem}"
         if not now.telemetry_age_s <= self._losses.telemetry_s:
-            return "no telemetry from the phloSAR"
+            return f"no telemetry from {self._actuator}"
         if not self._on_bench(now):
             if now.autopilot_age_s is None:
                 return "no autopilot"
@@ -274,7 +275,7 @@ class Safety:
     def _regulates(self, now: SafetyInputs) -> str | None:
         """The board regulates after a vent command. The host repeats the command and sends no setpoint."""
         mismatch = not now.moving and now.mode_mismatch_s > MODE_FOLLOWS_WITHIN_S
-        return "phloSAR still regulates" if mismatch else None
+        return f"{self._actuator} still regulates" if mismatch else None
 
     def _rc(self, now: SafetyInputs) -> str | None:
         return f"RC lost: {now.rc_problem}" if now.rc_problem else None
@@ -286,12 +287,12 @@ class Safety:
 
     def _serial(self, now: SafetyInputs) -> str | None:
         if now.firmware_was_ready and not now.firmware_ready:
-            return f"phloSAR {now.firmware_problem}"
+            return f"{self._actuator} {now.firmware_problem}"
         return None
 
     def _telemetry(self, now: SafetyInputs) -> str | None:
         if now.firmware_ready and not now.telemetry_age_s <= self._losses.telemetry_s:
-            return "phloSAR telemetry stale"
+            return f"{self._actuator} telemetry stale"
         return None
 
     def _firmware_fault(self, now: SafetyInputs) -> str | None:
@@ -311,7 +312,7 @@ class Safety:
         A vented board has no running dead-man timer and still sends telemetry. Only its mode shows the break.
         """
         mismatch = now.mode_mismatch_s > MODE_FOLLOWS_WITHIN_S
-        return "phloSAR gets no commands" if mismatch else None
+        return f"{self._actuator} gets no commands" if mismatch else None
 
     def _disarmed(self, now: SafetyInputs) -> str | None:
         return "disarmed" if not now.armed and not self._on_bench(now) else None

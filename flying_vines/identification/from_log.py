@@ -27,7 +27,6 @@ from flying_vines.identification.case import Case
 from flying_vines.identification.recording import CaseError, RecordedRun
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.rig import Rig, RigError, load_rig, rig_from
-from flying_vines.record.folders import MCAP
 from flying_vines.record.reader import FlightLog, LogError
 from flying_vines.record.topics import SNAPSHOT, START, TELEMETRY
 
@@ -75,21 +74,19 @@ class _Telemetry(NamedTuple):
         return int(self.time_ms[-1] - self.time_ms[0])
 
 
-def is_flight(path: Path) -> bool:
-    """True if the path is a flight log, or the folder of one."""
-    return path.suffix == Path(MCAP).suffix or (path / MCAP).is_file()
-
-
 def read_flight(path: Path | str, rig: Path | str | None = None) -> Case:
     """The case in a flight log.
 
     Args:
-        path: the log, or the flight's folder.
+        path: the log, the flight's folder, or `last` in a folder of flights.
         rig: a rig file; default: the nominal rig that the log contains.
 
     Raises CaseError if it cannot be read, or contains no rig or no run.
     """
-    flight = FlightLog(Path(path))
+    try:
+        flight = FlightLog(Path(path))
+    except LogError as error:
+        raise CaseError(str(error)) from None
     path = flight.path
     log = _read(flight)
     nominal = _nominal(path, log.tables, rig)

@@ -18,10 +18,11 @@ from pathlib import Path
 from flying_vines.identification.case import Case, read_case
 from flying_vines.identification.cores import THREADS, cores
 from flying_vines.identification.diagnose import diagnose
-from flying_vines.identification.from_log import is_flight, read_flight
+from flying_vines.identification.from_log import read_flight
 from flying_vines.identification.importing.runs import is_foreign, read_imported
 from flying_vines.identification.recording import CaseError
 from flying_vines.identification.verdict import Verdict
+from flying_vines.record.reader import is_flight
 
 AHEAD = 2
 """Queued cases for each process: no process waits for work, and not all cases must be in memory."""

@@ -24,7 +24,7 @@ def read_flight(path: Path | str) -> dict[str, Table]:
     """The tables of a recorded flight, by topic.
 
     Args:
-        path: `flight.mcap` or its folder.
+        path: `flight.mcap`, its folder, or `last` in a folder of flights.
 
     Returns: tables with `unix_s`, and a column for each field, named as in the log. Nested fields are
     `outer.inner`. MAVLink messages are in `mavlink/in/NAME` and `mavlink/out/NAME`. A missing value is NaN,

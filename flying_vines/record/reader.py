@@ -14,6 +14,8 @@ from mcap.records import Channel, Message, Statistics
 from flying_vines.record.folders import MCAP
 from flying_vines.record.mcap_file import MAGIC, read_chunks, read_summary
 
+LAST = "last"
+"""The name of the latest flight, if no file has it."""
 _decode = msgspec.json.Decoder(dict[str, Any]).decode
 
 
@@ -34,13 +36,34 @@ class LogEntry(NamedTuple):
         return _decode(self.data)
 
 
+def flights_in(parent: Path) -> list[Path]:
+    """The folders of flights, oldest first."""
+    if not parent.is_dir():
+        return []
+    return sorted(folder for folder in parent.iterdir() if (folder / MCAP).is_file())
+
+
+def is_flight(path: Path) -> bool:
+    """True if the path is a flight log, the folder of one, or `last` in a folder of flights."""
+    return path.suffix == Path(MCAP).suffix or (path / MCAP).is_file() or _is_last(path)
+
+
+def _is_last(path: Path) -> bool:
+    return path.name == LAST and not path.exists()
+
+
 class FlightLog:
-    """A flight's log: `path` is its folder, or the file itself.
+    """A flight's log: `path` is its folder, the file itself, or `last` in a folder of flights.
 
     `lost` and `cut_off` are valid once `entries` has been read to the end.
     """
 
     def __init__(self, path: Path) -> None:
+        if _is_last(path):
+            flights = flights_in(path.parent)
+            if not flights:
+                raise LogError(f"{path.parent}: contains no flight")
+            path = max(flights, key=lambda folder: (folder / MCAP).stat().st_mtime)
         self.path = path / MCAP if path.is_dir() else path
         self.lost = 0
         """The number of missing messages."""

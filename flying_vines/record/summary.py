@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from flying_vines.record.folders import MCAP
-from flying_vines.record.reader import FlightLog, LogError
+from flying_vines.record.reader import LAST, FlightLog, LogError
 from flying_vines.record.topics import DECISION, SNAPSHOT
 
 
@@ -70,21 +70,11 @@ def summarise(log: FlightLog) -> Summary:
     )
 
 
-def flights_in(parent: Path) -> list[Path]:
-    """The folders of flights, oldest first."""
-    if not parent.is_dir():
-        return []
-    return sorted(folder for folder in parent.iterdir() if (folder / MCAP).is_file())
-
-
 def find_flight(name: str, parent: Path) -> FlightLog:
     """`name` is "last", a folder's name in `parent`, or the path of a folder or file. Raises `LogError`."""
-    if name == "last":
-        flights = flights_in(parent)
-        if not flights:
-            raise LogError(f"{parent}: contains no flight")
-        return FlightLog(max(flights, key=lambda folder: (folder / MCAP).stat().st_mtime))
+    if name == LAST:
+        return FlightLog(parent / LAST)
     for path in (Path(name), parent / name):
-        if path.is_file() or (path / MCAP).is_file():
+        if path.is_file() or (path / MCAP).is_file() or path.name == LAST:
             return FlightLog(path)
     raise LogError(f"{name}: is not a flight: give a flight's folder, its {MCAP}, or last")

@@ -153,7 +153,7 @@ class Service:
                     tasks.create_task(self._restarted(part, run, needed), name=part)
                     for part, run, needed in (
                         ("vehicle link", self._vehicle.run, True),
-                        ("phloSAR link", self._firmware.run, True),
+                        ("actuator link", self._firmware.run, True),
                         ("tick", self._tick, True),
                         ("display", self._show, False),
                         ("keeping files", self._write_changes, False),
@@ -283,7 +283,7 @@ class Service:
                 self._feed(FirmwareMessage(now, message))
             self._answer.received(data, messages)
         except Exception as error:
-            self.failed("phloSAR bytes", error, needed=True)
+            self.failed("actuator bytes", error, needed=True)
 
     def _vehicle_state(self, up: bool, why: str) -> None:
         self.link_problems["vehicle"] = "" if up else why
@@ -312,7 +312,7 @@ class Service:
             return
         self.link_problems["firmware"] = problem
         if problem:
-            self.say(Severity.WARNING, f"phloSAR: {problem}")
+            self.say(Severity.WARNING, f"{self.core.config.firmware.name}: {problem}")
 
     def _feed(self, event: Event) -> list[Action]:
         actions = self.core.handle(event)
@@ -344,9 +344,9 @@ class Service:
     def _not_carried_out(self, action: Action, error: Exception) -> None:
         match action:
             case ToFirmware():
-                with self._contained("phloSAR vent", needed=True):
+                with self._contained("actuator vent", needed=True):
                     self._firmware.write(self._serial.vent)
-                self.failed("phloSAR messages", error, needed=True)
+                self.failed("actuator messages", error, needed=True)
             case ToVehicle(message) if message.get_type() not in DISPLAY_MESSAGES:
                 self.failed("vehicle messages", error, needed=True)
             case ToVehicle():

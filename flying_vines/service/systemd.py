@@ -68,7 +68,7 @@ def status_line(snapshot: Snapshot) -> str:
     parts = [
         f"vehicle {snapshot.vehicle}" + (" armed" if snapshot.armed else ""),
         f"RC {snapshot.rc}",
-        f"phloSAR {snapshot.firmware}",
+        f"{snapshot.actuator} {snapshot.firmware}",
     ]
     if math.isfinite(snapshot.reservoir_kPa):
         parts.append(f"bottle {snapshot.reservoir_kPa:.0f} kPa")

@@ -165,7 +165,7 @@ class _Screen:
         position = "–" if s.switch_position is None else str(s.switch_position)
         grid.add_row("RC", Text.assemble((s.rc, rc_style), f"  switch {position}"))
         firmware_style = "green" if s.firmware == "ready" else "red"
-        grid.add_row("phloSAR", Text.assemble((s.firmware, firmware_style), (_health(s), "dim")))
+        grid.add_row(s.actuator, Text.assemble((s.firmware, firmware_style), (_health(s), "dim")))
         valves = "not known"
         if s.solenoid is not None:
             solenoid = "open" if s.solenoid else "shut"

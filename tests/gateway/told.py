@@ -38,6 +38,7 @@ def snapshot(t: float, **known: Any) -> Snapshot:
         "altitude_m": 9.8,
         "rc": "good",
         "switch_position": 2,
+        "actuator": "phloSAR",
         "firmware": "ready",
         "round_trip_s": 0.0012,
         "telemetry_gaps": 0,

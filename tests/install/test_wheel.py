@@ -15,7 +15,8 @@ from importlib.metadata import distribution, packages_distributions
 from pathlib import Path
 
 import pytest
-from docs.commands_said import blocks_and_spans
+from docs.commands_said import PAGES, blocks_and_spans
+from docs.shelf import maker
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -37,10 +38,18 @@ NEEDS_MORE = {
     r"demo --page|run|fake": "goes on until it is interrupted; tests/docs runs it",
     r"link|doctor --config": "needs a board, an autopilot and a pilot who moves the switch",
     r"mission upload": "needs an autopilot",
-    r"(replay|diagnose .*) flights/20": "names a flight of the author's",
 }
 """Commands of ours that do not run by themselves in an empty folder, and why."""
+SNIPPET = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+LITERAL = re.compile(r'"([\w./-]+)"')
+ELSEWHERE = "import clr"
+"""A script for Mission Planner's own Python."""
 NOT_SOURCES = shutil.ignore_patterns(".*", "__pycache__", "build", "*.egg-info")
+
+
+def snippets(page: Path) -> list[str]:
+    """The Python of a page. A snippet may build on those before."""
+    return [code for code in SNIPPET.findall(page.read_text(encoding="utf-8")) if ELSEWHERE not in code]
 
 
 def outcome(*command: str | Path, cwd: Path, **environment: str) -> str:
@@ -179,6 +188,18 @@ def test_commands_run_as_printed_in_an_empty_folder(page: str, installed: Path, 
     assert run
     for words in run:
         outcome(sys.executable, "-m", "flying_vines", *words, cwd=tmp_path, **python)
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if snippets(page)], ids=lambda page: page.name)
+def test_snippets_run_as_printed_in_an_empty_folder(page: Path, installed: Path, tmp_path: Path) -> None:
+    """All snippets of a page are one script; files that it reads are there."""
+    script = "".join(snippets(page))
+    for word in LITERAL.findall(script):
+        if (make := maker(word)) is not None:
+            (tmp_path / word).parent.mkdir(parents=True, exist_ok=True)
+            make(tmp_path / word)
+    (tmp_path / "snippets.py").write_text(script, encoding="utf-8")
+    outcome(sys.executable, "-P", "snippets.py", cwd=tmp_path, PYTHONPATH=str(installed))
 
 
 def test_what_is_left_out_is_still_printed() -> None:

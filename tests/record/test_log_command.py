@@ -65,6 +65,7 @@ def test_list_goes_on_over_what_cannot_be_read(flights: Path, run: Runner, tmp_p
 def test_show_tells_the_story(flights: Path, run: Runner) -> None:
     (folder,) = flights.iterdir()
     out, _ = run("show", "last", "--in", flights)
+    assert out == run("show", flights / "last")[0]
     assert "switch ch9 position 2 → bend-full: accepted" in out
     assert "phloSAR ready" in out and "firmware 1.0 host" in out
     said = json.loads(run("show", folder.name, "--in", flights, "--json")[0])

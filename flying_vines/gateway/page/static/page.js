@@ -66,6 +66,7 @@ function show(s) {
   writeReasons(Object.values(s.safe_state), s.waiting);
   write("vehicle", vehicleWords(s));
   write("rc", rcWords(s));
+  write("actuator", s.actuator);
   write("firmware", firmwareWords(s));
   write("bend", number(s.bend_deg, 0));
   write("cv", number(s.cv_kPa));

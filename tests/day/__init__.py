@@ -1,0 +1,1 @@
+"""A day in the life of a new user, which a person can watch and a test checks."""
