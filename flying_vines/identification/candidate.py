@@ -19,6 +19,8 @@ STRUCTURE = 6.0
 """−log₁₀ p: from this value on, a pattern in the residuals is not noise."""
 SURELY = 4.0
 """A cause surely pays if its parameter is so far from neutral that χ² would rise by this times `CLAIM`."""
+SURE_SIZE = 8.0
+"""χ² for each reading is larger than noise explains from 1 + 8/√n on: more than five standard deviations."""
 ON_BOUND = 1e-6
 """A parameter nearer than this share of its range to a bound is on the bound."""
 
@@ -134,5 +136,23 @@ class Candidate:
 
     @cached_property
     def excess(self) -> tuple[float, float]:
-        """Excess of the residuals over noise, for control volume and reservoir; 1 if they are noise."""
-        return (1.0, 1.0) if self.adequate else excess(self.patterns)
+        """Excess of the residuals over noise, for control volume and reservoir; 1 if they are noise.
+
+        Rounded readings can hide a pattern, so the size of the residuals counts as well.
+        """
+        cv, reservoir = (1.0, 1.0) if self.adequate else excess(self.patterns)
+        cv_size, reservoir_size = self._sizes
+        return max(cv, cv_size), max(reservoir, reservoir_size)
+
+    @property
+    def _sizes(self) -> tuple[float, float]:
+        """Mean square of the residuals over that of noise, for control volume and reservoir.
+
+        1 where chance explains it.
+        """
+        sizes = []
+        for row, (chi2, noise) in enumerate(zip(self.channels, self.problem.noise, strict=True)):
+            count = sum(int(np.count_nonzero(weight[row])) for weight in self.problem.weights)
+            size = chi2 / (count * noise.variance_over_slow) if count else 1.0
+            sizes.append(size if size > 1.0 + SURE_SIZE / np.sqrt(max(count, 1)) else 1.0)
+        return sizes[0], sizes[1]

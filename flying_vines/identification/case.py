@@ -41,6 +41,7 @@ _COLUMNS = (
     *_PRESSURES,
     "ambient_pressure_kPa",
     "ambient_temperature_C",
+    "after_gap",
 )
 _VALVE = r"(_(open\w*|percent|pct|duty|pwm|state))?"
 _PRESSURE = r"(_pressure\w*)?(_(pa|hpa|kpa|mpa|bar|mbar|psi|psig))?"
@@ -166,6 +167,7 @@ def _read_run(path: Path, rig: Rig, remarks: list[str]) -> RecordedRun:
         ambient_kPa=_without_holes(time_s, column("ambient_pressure_kPa")),
         ambient_C=_without_holes(time_s, column("ambient_temperature_C")),
         to_atmosphere=discharge or rig.cv is None,
+        after_gap=np.nan_to_num(table.switches("after_gap")[rows]) if "after_gap" in table.columns else None,
     )
     for values in vars(run).values():
         if isinstance(values, np.ndarray):

@@ -51,11 +51,14 @@ class LikelihoodProfile:
 
 
 def widening(candidate: Candidate) -> Array:
-    """(numbers,) factor of `ABOVE` for each free rig number and parameter; 1 if the residuals are noise."""
+    """(numbers,) factor of `ABOVE` for each free rig number and parameter; 1 if the residuals are noise.
+
+    If they only are larger than noise, their size is the factor.
+    """
     problem, fit = candidate.problem, candidate.fit
     covariance = candidate.covariance
     if candidate.adequate or not len(covariance):
-        return np.ones(len(covariance))
+        return np.full(len(covariance), max(candidate.excess))
     scores = []
     for run, jacobian in zip(problem.case.runs, problem.jacobian(fit).runs, strict=True):
         block = np.tile(blocks(run.time_s), 2)

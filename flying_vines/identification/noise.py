@@ -32,7 +32,7 @@ _JUMP = 4.0
 _MAX_CORRELATION = 0.97
 MAX_OVER_RESIDUALS = 1.2
 """Maximum standard deviation of noise over the size of the residuals, which also hold the model's errors."""
-_STEP_QUANTILE = 0.25
+_STEP_QUANTILE = 0.1
 _MANY_EQUAL = 0.5
 """Readings are rounded if they have fewer levels than this share of their number."""
 
@@ -94,7 +94,8 @@ def resolution(readings: Array) -> float:
 def rounding_step(readings: Array) -> float:
     """The step to which readings were rounded; 0 if too few are equal to tell. NaN is ignored.
 
-    A quarter of the neighbouring levels are nearer than this to each other. Readings in other units may have
+    A tenth of the neighbouring levels are nearer than this to each other: the others may have no reading in
+    between, as where the pressure falls fast. Readings in other units may have
     been rounded twice, so the smallest difference may be less than the step of the converter.
     """
     read = readings[np.isfinite(readings)]

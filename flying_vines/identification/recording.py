@@ -41,3 +41,6 @@ class RecordedRun:
     """Linear between readings."""
     to_atmosphere: bool
     """No control volume: the inflation valve discharges to atmosphere."""
+    after_gap: Array | None = None
+    """1 where the pressures do not follow from the sample before, as after a valve moved at an unknown
+    time, otherwise 0; None if nowhere."""

@@ -12,13 +12,13 @@ noise (`residuals.excess`), and the error on unseen data must fall for sure.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from math import inf
+from math import inf, log
 
 from flying_vines.identification.candidate import CLAIM, Candidate
 from flying_vines.identification.cores import mapped
-from flying_vines.identification.fit import Fit, FitProblem, Tangents
+from flying_vines.identification.fit import MAX_SEEDS, Fit, FitProblem, Tangents
 from flying_vines.identification.simulate import rig_number_keys
 from flying_vines.identification.unseen import Unseen
 from flying_vines.physics.cause import Cause
@@ -31,6 +31,8 @@ FIRSTS = 5
 """Number of best single causes that are tried with a second one: one may hide another."""
 BEAM = 2
 """Number of best sets of two or more causes that are tried with a further one."""
+AHEAD = 2
+"""If no further cause pays, this many more are added to the best sets: two effects may only pay together."""
 PROMISING = 4
 """Number of further causes that are fitted: those with the largest expected gain."""
 LEADERS, LEADERS_LEFT = 6, 3
@@ -132,11 +134,23 @@ class Search:
                 pairs.setdefault(frozenset((*base.names, cause.name)), (base, cause))
         return self._finished(list(pairs.values()))
 
+    def _may_gain(self, candidate: Candidate) -> bool:
+        """True if a further cause may pay."""
+        if not candidate.adequate:
+            return True
+        promises = self._promises(candidate)
+        return bool(promises) and max(promises.values()) > CLAIM + log(self.problem.readings)
+
     def _promising(self, base: Candidate) -> list[Cause]:
         """The further causes with the largest expected gain."""
+        promises = self._promises(base)
+        return sorted(promises, key=lambda cause: -promises[cause])[:PROMISING]
+
+    def _promises(self, base: Candidate) -> dict[Cause, float]:
+        """The expected gain of each further cause."""
         tangents = self.problem.tangents(base.fit)
         others = [c for c in self.catalogue if not any(c.excludes(own) for own in base.causes)]
-        return sorted(others, key=lambda cause: -self._promise(base.fit, tangents, cause))[:PROMISING]
+        return {cause: self._promise(base.fit, tangents, cause) for cause in others}
 
     def _promise(self, base: Fit, tangents: Tangents, cause: Cause) -> float:
         """Expected reduction of χ² if the cause's trace is scaled and everything else is refitted."""
@@ -176,22 +190,31 @@ class Search:
     ) -> SearchResult:
         """Add causes to the leaders, and exchange them, while that pays."""
         chosen = self.null
-        better = self._first_that_pays(leaders, chosen)
-        while better is not None:
+        while True:
+            better = self._first_that_pays(leaders, chosen)
+            if better is None and len(chosen.causes) > 1:
+                exchanged = self._leaders(self.further(self._vacancies(chosen)))
+                tried += exchanged
+                better = self._first_that_pays(exchanged, chosen)
+            for _ in range(AHEAD):
+                if better is not None or chosen.adequate:
+                    break
+                leaders = self._leaders(self.further(_distinct(leaders)[:BEAM]))
+                tried += leaders
+                better = self._first_that_pays(leaders, chosen)
+            if better is None:
+                break
             chosen, fewer = self._pruned(better)
             tried += fewer
             count = len(chosen.causes) + 1
-            if chosen.adequate or count > MAX_CAUSES:
+            if count > MAX_CAUSES or not self._may_gain(chosen):
                 break
             progress(f"{count} causes together", min(0.75, 0.15 * count))
             firsts = firsts if count == 2 else _distinct([chosen, *leaders])[:BEAM]
             leaders = self._leaders(self.further(firsts))
             tried += leaders
-            better = self._first_that_pays(leaders, chosen)
-            if better is None and count > 2:
-                leaders = self._leaders(self.further(self._vacancies(chosen)))
-                tried += leaders
-                better = self._first_that_pays(leaders, chosen)
+        if len(chosen.causes) > 1:
+            chosen = self._reseeded(chosen)
         several = range(len(chosen.causes)) if len(chosen.causes) > 1 else ()
         without = mapped(partial(self._without, chosen), several)
         return SearchResult(self, [*tried, *without], chosen, tuple(without))
@@ -222,6 +245,24 @@ class Search:
                 break
             candidate = min(as_good, key=lambda c: c.score_at(over))
         return candidate, tried
+
+    def _reseeded(self, candidate: Candidate) -> Candidate:
+        """The candidate at its lowest minimum: each cause starts again from its other seeds.
+
+        A seed was chosen when other causes were still missing.
+        """
+        point = candidate.fit.point
+        starts = [
+            replace(point, values=(*point.values[:index], seed, *point.values[index + 1 :]))
+            for index, cause in enumerate(point.causes)
+            if len(cause.seeds()) <= MAX_SEEDS
+            for seed in cause.seeds()
+        ]
+        again = mapped(self.problem.fit, starts)
+        best = min([candidate.fit, *again], key=lambda fit: fit.cost)
+        return (
+            candidate if best.cost > candidate.fit.cost - 1.0 else self.settled(Candidate(self.problem, best))
+        )
 
     def _vacancies(self, candidate: Candidate) -> list[Candidate]:
         """The candidate without each of its causes in turn, not refitted: another may take its place."""

@@ -33,6 +33,9 @@ MAX_STEP_S = 0.05
 QUICK_S = 0.002
 _STEP = 0.25
 """Step over the fastest time constant. Fourth-order Runge-Kutta then errs by 1e-5 of the remaining change."""
+_ROOT = 20.0
+"""The flow of ISO 6358 near equal pressures is as steep as a root, so a vessel is empty in finite time. Longer
+steps make χ² rough there, and a fit stops in a wrong place."""
 
 GAP = 8.0
 """A longer time between samples, in median sampling intervals, is a gap."""
@@ -218,6 +221,8 @@ def _prepared(run: RecordedRun) -> Prepared:
 def _starts(run: RecordedRun) -> NDArray[np.intp]:
     """Indices at which the pressures are unknown: the first sample, and those after a gap or a missing row.
 
+    The recording may say where: see `RecordedRun.after_gap`.
+
     A missing row only counts if a valve may have moved in it: the valves were busy, or a regulator was on.
     """
     between = np.diff(run.time_s)
@@ -230,6 +235,8 @@ def _starts(run: RecordedRun) -> NDArray[np.intp]:
         if run.command_kPa is not None:
             busy |= np.isfinite(run.command_kPa[:-1])
         again |= (between > MISSING * usual) & busy
+    if run.after_gap is not None:
+        again |= run.after_gap[1:] > 0.0
     return np.concatenate(([0], np.flatnonzero(again) + 1))
 
 
@@ -240,15 +247,20 @@ def _leak_SL_per_s_kPa(leak: Leak, sensor: Sensor) -> float:
     return leak.ohmic_SL_per_s_kPa + viscous + through
 
 
+def _conductance_SL_per_s_kPa(law: Opening) -> float:
+    """The change of a valve's flow per kPa that an integrator must resolve."""
+    return law.conductance_SL_per_s_kPa * (1.0 if law.ohmic else _ROOT)
+
+
 def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> float:
     """The inverse of the fastest time constant that an explicit integrator must resolve.
 
     The exchange between a hose and the control volume is not among them: its steps are exponential.
     """
     n = numbers
-    evp = n.evp.law.conductance_SL_per_s_kPa
+    evp = _conductance_SL_per_s_kPa(n.evp.law)
     at_the_valves = evp + solenoid.conductance_SL_per_s_kPa
-    out_of_reservoir = evp + n.dvp.law.conductance_SL_per_s_kPa
+    out_of_reservoir = evp + _conductance_SL_per_s_kPa(n.dvp.law)
     out_of_reservoir += _leak_SL_per_s_kPa(n.reservoir_leak, setup.reservoir_sensor)
     rates = [n.gamma * ALPHA_KPA * out_of_reservoir * n.reservoir_per_L]
     leak = _leak_SL_per_s_kPa(n.cv_leak, setup.cv_sensor)

@@ -55,7 +55,7 @@ class RunTable:
         words = [_WORDS.get(cell.strip().casefold(), cell) for cell in self.columns[name]]
         values = replace(self, columns={name: words}).numbers(name)
         odd = ~np.isnan(values) & (values != 0.0) & (values != 1.0)
-        self.refuse(name, odd, "is neither 0 (shut) nor 1 (open); check the column names")
+        self.refuse(name, odd, "is neither 0 nor 1; check the column names")
         return values
 
     def refuse(self, name: str, odd: NDArray[np.bool_], why: str) -> None:

@@ -9,13 +9,13 @@ entry.
 from __future__ import annotations
 
 import ctypes
-import dataclasses
 import dis
 import hashlib
 import os
 import tempfile
 from collections.abc import Callable, Iterator
 from functools import cache
+from operator import attrgetter
 from pathlib import Path
 from threading import Lock
 from types import FunctionType
@@ -77,8 +77,29 @@ def external(function: Any, signature: str) -> Any:
 
 def record(numbers: Any) -> np.void:
     """A tuple or dataclass of numbers, possibly nested, as a record for compiled functions."""
-    kind: Any = type(numbers)
-    return cast(np.void, np.array([_values(numbers)], _layout(kind))[0])
+    layout, flat, values_of = _layout_and_reader(type(numbers))
+    return cast(np.void, np.array([values_of(numbers)], flat).view(layout)[0])
+
+
+@cache
+def _layout_and_reader(kind: Any) -> tuple[np.dtype[np.void], np.dtype[np.void], Callable[[Any], Any]]:
+    """The record type, the same without nesting, and what reads all numbers in its order."""
+    layout = _layout(kind)
+    leaves = list(_leaves(layout))
+    names, formats, offsets = zip(*leaves, strict=True)
+    flat = np.dtype(
+        {"names": names, "formats": formats, "offsets": offsets, "itemsize": layout.itemsize}, align=True
+    )
+    return layout, flat, attrgetter(*names)
+
+
+def _leaves(layout: np.dtype[np.void], path: str = "", at: int = 0) -> Iterator[tuple[str, Any, int]]:
+    """Path, type and offset of each number of a record type."""
+    for name, (part, offset, *_) in (layout.fields or {}).items():
+        if part.fields is None:
+            yield path + name, part, at + offset
+        else:
+            yield from _leaves(part, f"{path}{name}.", at + offset)
 
 
 @cache
@@ -94,15 +115,6 @@ def _layout(kind: Any) -> np.dtype[np.void]:
         for name, hint in hints.items()
     ]
     return np.dtype(parts, align=True)
-
-
-def _values(numbers: Any) -> Any:
-    if isinstance(numbers, float):
-        return numbers
-    if dataclasses.is_dataclass(numbers):
-        kind: Any = type(numbers)
-        return tuple([_values(getattr(numbers, name)) for name in _layout(kind).names or ()])
-    return tuple(map(_values, numbers)) if isinstance(numbers, tuple) else numbers
 
 
 def _rebuilt(function: Callable[..., Any], apart: tuple[Callable[..., Any], ...]) -> FunctionType:
