@@ -33,7 +33,8 @@ class Answer:
         self._bytes_came |= bool(data)
         self._messages_came |= bool(messages)
         # Firmware of another version also answers. Then the session reports the problem.
-        self._answered |= any(isinstance(message, (Welcome, Refusal)) for message in messages)
+        if not self._answered:
+            self._answered = any(isinstance(message, (Welcome, Refusal)) for message in messages)
 
     def news(self, t: float) -> str | None:
         """Once, a sentence if there is no answer; once, an empty text if there is again; else None."""

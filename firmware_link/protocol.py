@@ -10,6 +10,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum, IntFlag
+from functools import cache
 from typing import Any, ClassVar, Self
 
 from firmware_link.framing import FrameDecoder, encode_frame
@@ -62,6 +63,10 @@ class Fault(IntFlag):
     SUPPLY = 1 << 7
 
 
+_MODES = {int(mode): mode for mode in Mode}
+"""Half of the telemetry's decoding would be calls of enumerations."""
+
+
 def fault_names(faults: Fault) -> str:
     """The names of known faults, and the number of the others."""
     names = [fault.name or "" for fault in Fault if fault in faults and fault]
@@ -111,11 +116,16 @@ class _Body:
         return cls._from_wire(cls.LAYOUT.unpack(body))
 
     def _to_wire(self) -> Sequence[Any]:
-        return [getattr(self, field.name) for field in fields(self)]
+        return [getattr(self, name) for name in _field_names(type(self))]
 
     @classmethod
     def _from_wire(cls, values: tuple[Any, ...]) -> Self:
         return cls(*values)
+
+
+@cache
+def _field_names(kind: type[_Body]) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(kind))
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,16 +329,15 @@ class Telemetry(_Body):
     @classmethod
     def _from_wire(cls, values: tuple[Any, ...]) -> Self:
         time_ms, mode, faults, number, setpoint, cv, reservoir, evp, dvp, solenoid = values
-        try:
-            known_mode = Mode(mode)
-        except ValueError:
-            raise MalformedMessageError(f"Telemetry's mode {mode} is not one of 0, 1, 2") from None
+        known_mode = _MODES.get(mode)
+        if known_mode is None:
+            raise MalformedMessageError(f"Telemetry's mode {mode} is not one of 0, 1, 2")
         if solenoid > 1:
             raise MalformedMessageError(f"Telemetry's solenoid is {solenoid}, not 0 or 1")
         return cls(
             device_time_ms=time_ms,
             mode=known_mode,
-            faults=Fault(faults),
+            faults=Fault(faults) if faults else Fault.NONE,
             number=number,
             setpoint_kPa=setpoint,
             cv_kPa=cv,

@@ -824,7 +824,8 @@ class Core:
             status = mavlink.MAV_STATE_CRITICAL
         values: Mapping[str, float] = {}
         if self._vehicle.state.found:
-            values = self._parts.run(t, "named values", lambda: self._named_values(t), values)
+            if self._vehicle.component.wants_values(t):
+                values = self._parts.run(t, "named values", lambda: self._named_values(t), values)
         else:
             if self._silent_since is None:
                 self._silent_since = t

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal, NamedTuple
 
 from firmware_link.protocol import Fault
 from flying_vines.config.config import Config
@@ -36,8 +37,7 @@ FAULT_SENTENCES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class SafetyInputs:
+class SafetyInputs(NamedTuple):
     """The inputs of safety at one moment. Pressures are gauge kPa, NaN when unknown."""
 
     pneumatics_armed: bool = True
@@ -70,7 +70,7 @@ class SafetyInputs:
     """The vine is held or moved under pressure."""
     moving_s: float = 0.0
     """Time since a person or the mission requested the present motion. A hold by safety is no request."""
-    physics: Mapping[str, str] = field(default_factory=dict)
+    physics: Mapping[str, str] = MappingProxyType({})
     """A sentence for each physics check that found a fault."""
     internal_error: bool = False
     """A part of the service that the vine needs has failed."""

@@ -64,6 +64,7 @@ class Streams:
             "SYSTEM_TIME": _Stream(mavlink.MAVLINK_MSG_ID_SYSTEM_TIME, 1.0, False),
             "SCALED_PRESSURE": _Stream(mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE, 1.0, False),
         }
+        self._essential = {name: stream for name, stream in self._streams.items() if stream.essential}
         self._asked_at = -math.inf
         self._asked: _Stream | None = None
         self._heard_at = self._heard_since = -math.inf
@@ -125,12 +126,11 @@ class Streams:
         """The essential messages that were requested and do not arrive, although other messages do."""
         if t - self._heard_at > SILENT_S:
             return []
-        essential = {name: stream for name, stream in self._streams.items() if stream.essential}
         # Count from the last request, so that one text names all missing streams.
-        asked = max(t if s.wanted_since is None else s.wanted_since for s in essential.values())
+        asked = max(t if s.wanted_since is None else s.wanted_since for s in self._essential.values())
         since = max(asked, self._heard_since)
         return [
             name
-            for name, stream in essential.items()
+            for name, stream in self._essential.items()
             if t - max(since, stream.heard_at or -math.inf) > MISSING_AFTER_S
         ]

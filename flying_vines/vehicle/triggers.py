@@ -96,6 +96,9 @@ class Rules:
         self._items = config.items
         self._positions = config.switch.positions
         self.commands = {command for item in config.items for command in item.command_ids}
+        self._bends = [
+            bool(name) and not only_deflates(config, StartProfile(name)) for name in self._positions
+        ]
 
     def only_deflates(self, intent: Intent | None) -> bool:
         return only_deflates(self._config, intent)
@@ -107,8 +110,7 @@ class Rules:
 
     def bends(self, position: int) -> bool:
         """True if a switch position takes air."""
-        intent = self.for_position(position)
-        return intent is not None and not self.only_deflates(intent)
+        return self._bends[position]
 
     def for_command(self, command: int, params: Sequence[float] | None) -> tuple[Intent | None, str]:
         """The intent of a mission item or command, or None and the reason."""

@@ -90,14 +90,16 @@ class PhysicsChecks:
         if now.continuity in ("none", "broken"):
             return []
         new: list[PhysicsFinding] = []
+        gap = now.continuity == "gap"
         for name, check in self._checks.items():
-            if now.continuity == "gap" and name not in BRIDGING:
+            if gap and name not in BRIDGING:
                 self._checks[name] = self._made_by[name](self._rig)
                 self.present.pop(name, None)
                 continue
             sentence = check.look(now)
             if sentence is None:
-                self.present.pop(name, None)
+                if self.present:
+                    self.present.pop(name, None)
             elif name not in self.present:
                 finding = PhysicsFinding(name, str(sentence), self._levels[name])
                 self.present[name] = finding

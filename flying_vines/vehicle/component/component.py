@@ -96,6 +96,10 @@ class Component:
     def send(self, message: MavlinkMessage) -> None:
         self._queue.put(message)
 
+    def wants_values(self, t: float) -> bool:
+        """False if `due` sends no named value at time `t`, whatever the values are."""
+        return self._values.may_send(t)
+
     def due(
         self, t: float, time_boot_ms: int, values: Mapping[str, float], system_status: int
     ) -> list[MavlinkMessage]:
