@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from functools import cache
 from typing import Any, ClassVar, Self
 
 from firmware_link.framing import FrameDecoder, encode_frame
@@ -116,16 +115,11 @@ class _Body:
         return cls._from_wire(cls.LAYOUT.unpack(body))
 
     def _to_wire(self) -> Sequence[Any]:
-        return [getattr(self, name) for name in _field_names(type(self))]
+        return [getattr(self, name) for name in self.__match_args__]
 
     @classmethod
     def _from_wire(cls, values: tuple[Any, ...]) -> Self:
         return cls(*values)
-
-
-@cache
-def _field_names(kind: type[_Body]) -> tuple[str, ...]:
-    return tuple(field.name for field in fields(kind))
 
 
 @dataclass(frozen=True, slots=True)

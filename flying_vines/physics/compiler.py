@@ -77,7 +77,8 @@ def external(function: Any, signature: str) -> Any:
 
 def record(numbers: Any) -> np.void:
     """A tuple or dataclass of numbers, possibly nested, as a record for compiled functions."""
-    layout, flat, values_of = _layout_and_reader(type(numbers))
+    kind: Any = type(numbers)
+    layout, flat, values_of = _layout_and_reader(kind)
     return cast(np.void, np.array([values_of(numbers)], flat).view(layout)[0])
 
 
