@@ -97,6 +97,7 @@ class _Body:
 
     TYPE: ClassVar[int]
     LAYOUT: ClassVar[struct.Struct]
+    __match_args__: ClassVar[tuple[str, ...]]
 
     def pack(self) -> bytes:
         """The body's bytes. Raises MalformedMessageError if a value does not fit its field."""
@@ -262,7 +263,7 @@ class Welcome(_Body):
         return super(Welcome, cls).unpack(body)
 
     def _to_wire(self) -> Sequence[Any]:
-        values = [getattr(self, field.name) for field in fields(self)]
+        values = [getattr(self, name) for name in self.__match_args__]
         values[3] = _text_to_wire(self.firmware_build, 16, "firmware build")
         return values
 
@@ -394,7 +395,7 @@ class Setting(_Body):
     standard: float
 
     def _to_wire(self) -> Sequence[Any]:
-        values = [getattr(self, field.name) for field in fields(self)]
+        values = [getattr(self, name) for name in self.__match_args__]
         values[2] = _text_to_wire(self.name, 24, "setting name")
         return values
 

@@ -167,7 +167,7 @@ def _read_run(path: Path, rig: Rig, remarks: list[str]) -> RecordedRun:
         ambient_kPa=_without_holes(time_s, column("ambient_pressure_kPa")),
         ambient_C=_without_holes(time_s, column("ambient_temperature_C")),
         to_atmosphere=discharge or rig.cv is None,
-        after_gap=np.nan_to_num(table.switches("after_gap")[rows]) if "after_gap" in table.columns else None,
+        after_gap=_gaps(table)[rows] if "after_gap" in table.columns else None,
     )
     for values in vars(run).values():
         if isinstance(values, np.ndarray):
@@ -236,6 +236,10 @@ def _held(table: RunTable, name: str, rows: Rows, remarks: list[str]) -> Array |
         remarks.append(f"{table.path.name}: {name}: {cells}, filled with the value before")
     last = np.maximum.accumulate(np.where(empty, -1, np.arange(len(values))))
     return np.where(last < 0, 0.0, values[last])[rows]
+
+
+def _gaps(table: RunTable) -> Array:
+    return np.nan_to_num(table.switches("after_gap", "follows from the row before", "after a gap"))
 
 
 def _without_holes(time_s: Array, values: Array | None) -> Array | None:

@@ -50,12 +50,12 @@ class RunTable:
         self.refuse(name, np.array(["_" in cell for cell in cells], dtype=bool), "is not a number")
         return values
 
-    def switches(self, name: str) -> Array:
+    def switches(self, name: str, no: str = "shut", yes: str = "open") -> Array:
         """A column of 0 and 1, or false and true; NaN where a cell is empty."""
         words = [_WORDS.get(cell.strip().casefold(), cell) for cell in self.columns[name]]
         values = replace(self, columns={name: words}).numbers(name)
         odd = ~np.isnan(values) & (values != 0.0) & (values != 1.0)
-        self.refuse(name, odd, "is neither 0 nor 1; check the column names")
+        self.refuse(name, odd, f"is neither 0 ({no}) nor 1 ({yes}); check the column names")
         return values
 
     def refuse(self, name: str, odd: NDArray[np.bool_], why: str) -> None:
