@@ -145,3 +145,18 @@ def test_every_recording_is_imported_by_its_answers(tmp_path: Path) -> None:
         assert len(case.runs) == len(files)
         names.append(name)
     assert {"plenum_discharge", "pump_and_chamber", "pump_and_chamber/sweep_kp_15"} <= set(names)
+
+
+@pytest.mark.long
+def test_three_discharges_give_the_ratio_and_the_wall_of_an_independent_fit() -> None:
+    """No cause pays alone there. The valve opens between two readings, and readings are rounded."""
+    *_, (name, files) = measured.cases(["plenum_discharge"])
+    looked = measured.look(name, files)
+    parameters = {one["cause"]: one["parameters"] for one in measured.named(looked.said)}
+    assert looked.said["cause"] == "compressible_flow"
+    ratio = parameters["compressible_flow"]["critical_pressure_ratio"]
+    independent = next(fit for fit in looked.fits if fit.law == "choked, cooling").parameters
+    assert ratio["low"] < independent["critical_pressure_ratio"] < ratio["high"]
+    assert ratio["estimate"] == pytest.approx(independent["critical_pressure_ratio"], rel=0.15)
+    assert {"reservoir_cooling", "reservoir_sensor_offset"} <= set(parameters)
+    assert looked.said["held_out"]["nrmse_after"] < looked.said["held_out"]["nrmse_before"] / 3.0

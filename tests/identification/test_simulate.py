@@ -17,10 +17,11 @@ from flying_vines.identification.simulate import Simulation
 from flying_vines.physics.baseline import BaselineState, Inputs, step
 from flying_vines.physics.cause import Cause
 from flying_vines.physics.effects import catalogue, cause_named
+from flying_vines.physics.gas import Gas
 from flying_vines.physics.plant.compiled import replay as plant_replay
 from flying_vines.physics.plant.plant import at_rest
 from flying_vines.physics.plant.setup import perfect
-from flying_vines.physics.rig import ControlVolume, Rig
+from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
 
 RIG = Rig(cv=ControlVolume(0.25))
 START_KPA = (640.0, 0.0)
@@ -274,3 +275,30 @@ def test_a_discharge_to_atmosphere_is_an_exponential() -> None:
     # The valve discharges to ambient pressure, whatever value a fit gives to the missing pressure.
     other = Simulation(case_of(run, rig)).readings(0, {}, [], np.array([[690.0, -30.0]]))
     assert other.reservoir_kPa == pytest.approx(readings.reservoir_kPa)
+
+
+def test_the_pressures_are_free_after_a_valve_moved_at_an_unknown_time() -> None:
+    time_s = np.arange(0.0, 3.0, 0.1)
+    shut, after_gap = np.zeros(len(time_s)), (np.arange(len(time_s)) == 6).astype(float)
+    evp = (np.arange(len(time_s)) >= 5).astype(float)
+    run = RecordedRun("fired", time_s, None, evp, shut, shut, shut, shut, None, None, True, after_gap)
+    simulation = Simulation(case_of(run, Rig(cv=None)))
+    assert simulation.runs[0].start.tolist() == [0, 6]
+    readings = simulation.readings(0, {}, [], np.array([[690.0, 0.0], [600.0, 0.0]]))
+    assert readings.reservoir_kPa[[0, 6]].tolist() == [690.0, 600.0]
+
+
+def test_an_emptying_vessel_has_smooth_derivatives() -> None:
+    """Flow by ISO 6358 ends as steep as a root. Rough readings there stop a fit in a wrong place."""
+    time_s = np.arange(0.0, 6.0, 0.09)
+    shut = np.zeros(len(time_s))
+    run = RecordedRun("fired", time_s, None, shut + 1.0, shut, shut, shut, shut, None, None, True)
+    rig = Rig(reservoir=Reservoir(0.03), cv=None, gas=Gas("CO2"))
+    simulation, start = Simulation(case_of(run, rig)), np.array([[640.0, 0.0]])
+    ratio, cooling = cause_named("compressible_flow"), cause_named("reservoir_cooling")
+    readings = [
+        simulation.readings(0, {}, [(ratio, (0.35,)), (cooling, (0.42 * (1.0 + k * 1e-4),))], start)[1]
+        for k in range(8)
+    ]
+    slopes = np.diff(readings, axis=0)
+    assert np.abs(slopes - slopes[0]).max() < 0.25 * np.abs(slopes).max()
