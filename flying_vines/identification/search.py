@@ -11,7 +11,7 @@ noise (`residuals.excess`), and the error on unseen data must fall for sure.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import inf, log
@@ -33,6 +33,9 @@ BEAM = 2
 """Number of best sets of two or more causes that are tried with a further one."""
 AHEAD = 2
 """If no further cause pays, this many more are added to the best sets: two effects may only pay together."""
+LEFT_TOGETHER = 0.05
+"""Maximum share of the slow residuals' squares that such causes leave. Any three causes imitate a part of an
+effect that the catalogue lacks, but hardly ever nearly all of it."""
 PROMISING = 4
 """Number of further causes that are fitted: those with the largest expected gain."""
 LEADERS, LEADERS_LEFT = 6, 3
@@ -201,7 +204,7 @@ class Search:
                     break
                 leaders = self._leaders(self.further(_distinct(leaders)[:BEAM]))
                 tried += leaders
-                better = self._first_that_pays(leaders, chosen)
+                better = self._first_that_pays(filter(self._explains_nearly_all, leaders), chosen)
             if better is None:
                 break
             chosen, fewer = self._pruned(better)
@@ -219,7 +222,12 @@ class Search:
         without = mapped(partial(self._without, chosen), several)
         return SearchResult(self, [*tried, *without], chosen, tuple(without))
 
-    def _first_that_pays(self, leaders: Sequence[Candidate], chosen: Candidate) -> Candidate | None:
+    def _explains_nearly_all(self, candidate: Candidate) -> bool:
+        """True if little is left of the null model's slow residuals."""
+        left, whole = (sum(c.excess) - 2.0 for c in (candidate, self.null))
+        return left <= LEFT_TOGETHER * whole
+
+    def _first_that_pays(self, leaders: Iterable[Candidate], chosen: Candidate) -> Candidate | None:
         """The best leader that pays in comparison with the chosen candidate; None if none does."""
         return next((leader for leader in leaders if self._pays(leader, chosen)), None)
 
