@@ -98,12 +98,18 @@ def _values(candidate: Candidate, name: str) -> Values:
 
 
 def _known(base: Candidate, index: int) -> tuple[Cause, Values]:
-    """A cause of the base with its values. Their errors are the prior of its parameters."""
+    """A cause of the base with its values. Their errors are the prior of its parameters.
+
+    An error is at most that of a value of which only the range is known.
+    """
     cause, values = base.causes[index], base.fit.point.values[index]
     at = len(base.fit.point.deviation) + sum(len(c.parameters) for c in base.causes[:index])
     variance = max(base.excess) * np.diag(base.covariance)[at : at + len(values)]
     parameters = tuple(
-        replace(parameter, typical=(parameter.to_search(value), sqrt(max(own, 1e-18))))
+        replace(
+            parameter,
+            typical=(parameter.to_search(value), sqrt(max(min(own, parameter.range**2 / 12.0), 1e-18))),
+        )
         for parameter, value, own in zip(cause.parameters, values, variance.tolist(), strict=True)
     )
     return replace(cause, parameters=parameters), values

@@ -6,13 +6,17 @@ import io
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hidden_truth import draw, write
 from rich.console import Console
 
 from flying_vines.identification import next_experiment
+from flying_vines.identification.candidate import Candidate
 from flying_vines.identification.case import Case, read_case
 from flying_vines.identification.diagnose import diagnose
+from flying_vines.identification.fit import FitProblem
+from flying_vines.identification.noise import stated_noise
 from flying_vines.identification.plan import recommend
 from flying_vines.identification.plan.library import library
 from flying_vines.identification.report.page import page
@@ -85,3 +89,17 @@ def test_leaks_of_two_laws_are_separated_by_what_the_pump_can_do() -> None:
     found = recommend(Rig(pump=Pump()), causes)
     assert found.pairs[0][1] > 5.0
     assert "kPa (" not in found.in_words() and "reservoir" not in found.in_words()
+
+
+def test_of_an_unsure_parameter_at_least_its_range_is_known(case: Case) -> None:
+    """A scale that the data do not fix once moved by e^18, and its simulation did not end."""
+    hidden = draw("short", 1).hidden[0].name
+    problem = FitProblem(case, stated_noise(case.rig))
+    (cause,) = [cause for cause in causes_of(case.rig) if cause.name == hidden]
+    unsure = Candidate(problem, problem.at(problem.start().with_cause(cause, cause.seeds()[0])))
+    huge = 1e6 * np.eye(len(cause.parameters))
+    vars(unsure)["covariance"] = huge  # Instead of the cached property.
+    known, _ = next_experiment._known(unsure, 0)
+    for parameter in known.parameters:
+        assert parameter.typical is not None
+        assert parameter.typical[1] < parameter.range / 2.0

@@ -27,7 +27,7 @@ from flying_vines.identification.plan.choose import gram_of
 from flying_vines.identification.plan.library import CandidateRun, library
 from flying_vines.identification.plan.rehearsal import rehearsed
 from flying_vines.identification.plan.strengths import strengths, typical
-from flying_vines.identification.plan.traces import CandidatePart, Layout, layout_of, parts_of
+from flying_vines.identification.plan.traces import CandidatePart, Layout, _moved, layout_of, parts_of
 from flying_vines.identification.plan.write import profiles_text, scenario_text
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, Parameter
@@ -191,6 +191,25 @@ def test_the_run_that_settles_a_doubt(layout: Layout) -> None:
     assert sigmas(recommend(HALF, named("cv_leak", "none"))) > sqrt(SETTLED)
     with pytest.raises(RecordingPlanError, match="evp_lag"):
         recommend(HALF, named("evp_lag"))
+
+
+def test_runs_that_would_take_hours_are_not_simulated() -> None:
+    slow = replace(HALF, evp=replace(HALF.evp, flow_resistance_kPa_s_per_SL=1e7))
+    layout = layout_of(slow, named("cv_leak"))
+    hold = next(one for one in library(slow) if one.name == "fill_hold_fast_full")
+    assert hold.make(1).length_s > 600.0
+    assert parts_of(layout, hold, 60.0) == []
+    stairs = next(one for one in library(slow) if one.name == "staircase")
+    assert [part.count for part in parts_of(layout, stairs, 10.0)] == [4]
+
+
+def test_a_known_cause_moves_inside_its_range() -> None:
+    cause = cause_named("pump_flow")
+    (parameter,) = cause.parameters
+    high = parameter.to_search(parameter.high)
+    unsure = replace(cause, parameters=(replace(parameter, typical=(high, parameter.range / 3.0)),))
+    ((moved, (value,)),), *_ = _moved([(unsure, (parameter.high,))])
+    assert moved is unsure and parameter.low < value < parameter.high
 
 
 def test_every_cause_has_a_typical_strength() -> None:

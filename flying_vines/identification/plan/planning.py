@@ -244,7 +244,7 @@ def plan(
         )
     with threadpool_limits(1):
         layout = layout_of(rig, causes_of(rig))
-        parts = _all_parts(layout, library(rig, most_kPa), progress)
+        parts = _all_parts(layout, library(rig, most_kPa), max(60.0 * minutes, MAX_S), progress)
         budget = RecordingBudget(layout, 60.0 * minutes, air_SL)
         progress("choosing", 0.6)
         by_commands = _evaluated(layout, choose(layout, [p for p in parts if p.candidate.commanded], budget))
@@ -302,8 +302,7 @@ def recommend(
         )
     with threadpool_limits(1):
         layout = layout_of(rig, causes, known, fitted, noise)
-        every = _all_parts(layout, library(rig, most_kPa, full_kPa, max_s), silent)
-        parts = [part for part in every if part.seconds <= max_s]
+        parts = _all_parts(layout, library(rig, most_kPa, full_kPa, max_s), max_s, silent)
         if not parts:
             raise RecordingPlanError(f"no run of the library fits into {max_s:g} s")
         commanded = [part for part in parts if part.candidate.commanded]
@@ -326,11 +325,13 @@ class _Evaluation(NamedTuple):
     open: tuple[CausePair, ...]
 
 
-def _all_parts(layout: Layout, candidates: Sequence[CandidateRun], progress: Progress) -> list[CandidatePart]:
+def _all_parts(
+    layout: Layout, candidates: Sequence[CandidateRun], max_s: float, progress: Progress
+) -> list[CandidatePart]:
     parts: list[CandidatePart] = []
     for done, candidate in enumerate(candidates):
         progress(f"trying {candidate.name}", 0.6 * done / len(candidates))
-        parts += parts_of(layout, candidate)
+        parts += parts_of(layout, candidate, max_s)
     return parts
 
 

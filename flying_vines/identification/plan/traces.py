@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -126,13 +127,16 @@ def layout_of(
     )
 
 
-def parts_of(layout: Layout, candidate: CandidateRun) -> list[CandidatePart]:
-    """A candidate at each of its lengths."""
-    whole = candidate.make(candidate.counts[-1])
+def parts_of(layout: Layout, candidate: CandidateRun, max_s: float = inf) -> list[CandidatePart]:
+    """A candidate at each of its lengths up to `max_s`; a rig that fills slowly can have runs of hours."""
+    counts = [count for count in candidate.counts if candidate.make(count).length_s <= max_s]
+    if not counts:
+        return []
+    whole = candidate.make(counts[-1])
     run = rehearsed(layout.rig, whole)
     rows, reservoir_kPa = _traces(layout, run, whole.reservoir_kPa)
     parts, gram, done = [], np.zeros((len(rows), len(rows))), 0
-    for count in candidate.counts:
+    for count in counts:
         seconds = candidate.make(count).length_s
         end = min(len(run.time_s), round(seconds * whole.sample_rate_Hz))
         piece = rows[:, :, done:end].reshape(len(rows), -1)
@@ -175,7 +179,9 @@ def _moved(known: Causes) -> Iterator[Causes]:
         for at, parameter in enumerate(cause.parameters):
             assert parameter.typical is not None
             mean, sd = parameter.typical
-            there = (*values[:at], parameter.to_model(mean + sd), *values[at + 1 :])
+            inside = mean + sd <= parameter.to_search(parameter.high)
+            moved = parameter.to_model(mean + sd if inside else mean - sd)
+            there = (*values[:at], moved, *values[at + 1 :])
             yield [*known[:index], (cause, there), *known[index + 1 :]]
 
 
