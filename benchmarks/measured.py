@@ -6,8 +6,8 @@
 Each recording goes through the project's importer, by the answers kept beside it, and through `diagnose`.
 The same readings are fitted by `measured_fits.py`, which has its own equations. Nobody knows the truth of
 these rigs: agreement means that both find the same number for the same law, and what remains says how good
-that law is. The leaking chambers are three rigs, so that folder is no case.
-Needs pip install 'flying-vines[analysis]'.
+that law is. The leaking chambers are three rigs, so that folder is no case. `measured_peers.py` has what a
+user would take instead. Needs pip install 'flying-vines[benchmarks]'.
 """
 
 from __future__ import annotations
@@ -67,6 +67,7 @@ class Looked:
     """A case, what was said of it, and the independent fits, the best first."""
 
     name: str
+    case: Case
     said: dict[str, Any]
     rms_kPa: tuple[float, float]
     """Of the measured pressure: baseline, and with the causes."""
@@ -80,12 +81,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--only", choices=GROUPS, action="append", help="one folder; may be given again")
     arguments = parser.parse_args(argv)
+    from measured_peers import unseen_errors  # Needs packages that nothing else here needs.
+
     console = Console(highlight=False, soft_wrap=True, width=400)
-    looked = []
+    looked, instead = [], []
     for name, files in cases(arguments.only or GROUPS):
         looked.append(look(name, files))
         print(f"{name}: {looked[-1].said['cause']}", file=sys.stderr, flush=True)
-    show(looked, console)
+        instead.append(unseen_errors(readings(looked[-1].case)))
+    show(looked, instead, console)
     return 0
 
 
@@ -123,7 +127,7 @@ def look(name: str, files: Sequence[Path]) -> Looked:
         began_s = time.perf_counter()
         verdict = diagnose(case)
         seconds = time.perf_counter() - began_s
-    return Looked(name, verdict.as_json(), rms(verdict), fits_of(name)(case), seconds)
+    return Looked(name, case, verdict.as_json(), rms(verdict), fits_of(name)(case), seconds)
 
 
 def rms(verdict: Verdict) -> tuple[float, float]:
@@ -148,25 +152,26 @@ def fits_of(name: str) -> Callable[[Case], list[Fitted]]:
 
 
 def _leak_fits(case: Case) -> list[Fitted]:
-    (run,) = _readings(case, "reservoir_kPa")
+    (run,) = readings(case)
     return leak(run, case.rig.reservoir.volume_L)
 
 
 def _discharge_fits(case: Case) -> list[Fitted]:
-    runs, volume_L = _readings(case, "reservoir_kPa"), case.rig.reservoir.volume_L
+    runs, volume_L = readings(case), case.rig.reservoir.volume_L
     fits = [discharge(runs, volume_L, cold_flow=cold) for cold in (False, True)]
     return sorted(fits, key=lambda one: one.rms_kPa)
 
 
 def _pump_fits(case: Case) -> list[Fitted]:
     assert case.rig.cv is not None
-    return [pump(_readings(case, "cv_kPa"), case.rig.cv.volume_L)]
+    return [pump(readings(case), case.rig.cv.volume_L)]
 
 
-def _readings(case: Case, channel: str) -> list[Readings]:
+def readings(case: Case) -> list[Readings]:
+    """Of the only pressure that was measured."""
     runs = []
     for run in case.runs:
-        pressure: Array = getattr(run, channel)
+        pressure: Array = run.reservoir_kPa if case.rig.cv is None else run.cv_kPa
         there = np.isfinite(pressure)
         runs.append(Readings(run.time_s[there], pressure[there], run.evp_opening[there]))
     return runs
@@ -224,16 +229,27 @@ def compared(said: Mapping[str, Any], fits: Sequence[Fitted]) -> Iterator[str]:
             yield text
 
 
-def show(looked: Sequence[Looked], console: Console) -> None:
-    """The tables, in Markdown."""
+def show(looked: Sequence[Looked], instead: Sequence[Mapping[str, float]], console: Console) -> None:
+    """The tables, in Markdown.
+
+    Args:
+        instead: for each case, the errors of other methods on the unseen readings, over the measured range.
+    """
     console.print("\nWhat diagnose says\n")
     titles = ("case", "verdict", "causes and shares", "remainder", "unseen before", "after", "noise", "time")
     table = _table(*titles)
     for one in looked:
         said, held = one.said, one.said["held_out"]
-        errors = (f"{held[key]:.2%}" for key in ("nrmse_before", "nrmse_after", "noise_floor"))
+        unseen = (f"{held[key]:.2%}" for key in ("nrmse_before", "nrmse_after", "noise_floor"))
         cells = (said["cause"], _causes(said), _remainder(said.get("remainder")))
-        table.add_row(one.name, *cells, *errors, f"{one.seconds:.0f} s")
+        table.add_row(one.name, *cells, *unseen, f"{one.seconds:.0f} s")
+    console.print(table)
+    console.print("\nUnseen error of what one would take instead\n")
+    table = _table("case", "baseline", "diagnose", *instead[0])
+    for one, errors in zip(looked, instead, strict=True):
+        held = one.said["held_out"]
+        values = (held["nrmse_before"], held["nrmse_after"], *errors.values())
+        table.add_row(one.name, *(f"{value:.2%}" for value in values))
     console.print(table)
     console.print("\nParameters, and what an independent fit of the same law gives\n")
     table = _table("case", "parameters", "impossible", "rms baseline", "diagnose", "independent")

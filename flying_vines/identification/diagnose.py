@@ -260,7 +260,7 @@ def _doubts(chosen: Candidate, names: Sequence[str], found: SearchResult) -> dic
 
 def _confidence(chosen: Candidate, main: str, found: SearchResult, left: Remainder | None) -> float:
     """Probability that the true cause is the main cause or one that the data cannot tell apart from it."""
-    worse = {main: 0.0, **_instead(chosen, main, found)}
+    worse = {**_instead(chosen, main, found), main: 0.0}
     worse[NONE] = max(0.0, found.score(found.search.null) - CLAIM - found.score(chosen))
     weight = {name: exp(-0.5 * by) for name, by in worse.items()}
     inside = sum(weight[name] for name, by in worse.items() if name != NONE and by < INDISTINGUISHABLE)

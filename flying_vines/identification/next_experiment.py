@@ -17,7 +17,7 @@ import numpy as np
 from flying_vines.identification.candidate import Candidate
 from flying_vines.identification.case import Case
 from flying_vines.identification.plan import RecordingPlanError, recommend
-from flying_vines.identification.plan.library import FULL_KPA, MAX_KPA
+from flying_vines.identification.plan.library import FULL_KPA, MAX_KPA, OUTLETS
 from flying_vines.identification.plan.planning import MAX_S
 from flying_vines.identification.search import SearchResult
 from flying_vines.physics.arrays import Array
@@ -85,6 +85,7 @@ def _in_words(
             most_kPa=_highest([run.cv_kPa for run in problem.case.runs], MAX_KPA),
             full_kPa=_highest([run.reservoir_kPa for run in problem.case.runs], FULL_KPA),
             max_s=max(MAX_S, *(float(np.ptp(run.time_s)) for run in problem.case.runs)),
+            outlets=_outlets(problem.case),
         )
     except RecordingPlanError:  # The rig can do no run of the library.
         return doubt[0].experiment
@@ -121,6 +122,14 @@ def _read(case: Case) -> tuple[bool, bool]:
         any(np.isfinite(run.cv_kPa).any() for run in case.runs),
         any(np.isfinite(run.reservoir_kPa).any() for run in case.runs),
     )
+
+
+def _outlets(case: Case) -> tuple[str, ...]:
+    """Valves of the reservoir. A vessel alone has only those that a run has opened."""
+    if case.rig.cv is not None:
+        return OUTLETS
+    opened = {"evp": [run.evp_opening for run in case.runs], "dvp": [run.dvp_opening for run in case.runs]}
+    return tuple(outlet for outlet in OUTLETS if any(opening.any() for opening in opened[outlet]))
 
 
 def _highest(readings: Sequence[Array], otherwise: float) -> float:

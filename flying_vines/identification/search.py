@@ -218,6 +218,7 @@ class Search:
             tried += leaders
         if len(chosen.causes) > 1:
             chosen = self._reseeded(chosen)
+            tried.append(chosen)
         several = range(len(chosen.causes)) if len(chosen.causes) > 1 else ()
         without = mapped(partial(self._without, chosen), several)
         return SearchResult(self, [*tried, *without], chosen, tuple(without))

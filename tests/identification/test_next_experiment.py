@@ -82,6 +82,8 @@ def test_a_rig_with_a_pump_and_a_reservoir_alone_have_runs_of_their_own() -> Non
     alone = library(replace(Rig(), cv=None), rest_s=400.0)
     rest = next(run for run in alone if run.name == "rest_low")
     assert rest.make(4).length_s == pytest.approx(400.0)
+    shut = library(replace(Rig(), cv=None), outlets=())
+    assert {run.name for run in shut} == {"rest_full", "rest_half", "rest_low"}
 
 
 def test_leaks_of_two_laws_are_separated_by_what_the_pump_can_do() -> None:

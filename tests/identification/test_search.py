@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from hidden_truth import draw, write
 
 from flying_vines.identification.case import Case, RecordedRun, read_case
+from flying_vines.identification.diagnose import _confidence
 from flying_vines.identification.fit import FitProblem
 from flying_vines.identification.noise import stated_noise
 from flying_vines.identification.search import Search
@@ -60,3 +63,15 @@ def test_the_laws_of_a_leak_exclude_each_other() -> None:
         for one, other in pairwise(map(cause_named, vessel.split())):
             assert one.excludes(other) and one.excludes(one)
     assert not cause_named("cv_leak").excludes(cause_named("reservoir_leak"))
+
+
+def test_a_lower_minimum_of_the_chosen_set_leaves_a_confidence() -> None:
+    """The search may first have ended on a far higher minimum of the same causes."""
+    higher, chosen, null = (
+        SimpleNamespace(names=names, score=score, possible=True)
+        for names, score in ((("a", "b"), 5000.0), (("a", "b"), 0.0), ((), 9000.0))
+    )
+    found: Any = SimpleNamespace(
+        tried=[higher], search=SimpleNamespace(null=null), score=lambda candidate: candidate.score
+    )
+    assert _confidence(cast("Any", chosen), "a", found, None) == pytest.approx(0.98)

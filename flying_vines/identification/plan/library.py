@@ -8,7 +8,7 @@ Their times are from the nominal rig, so that a small vine is filled for a short
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from math import ceil, log
 
@@ -37,6 +37,8 @@ LOW_SHARE = 0.5
 """Maximum pressure of the control volume, over that of the reservoir, in runs from a part-full reservoir."""
 MOST_SHARE = 0.8
 """The same in all runs: near the supply pressure a filling takes very long."""
+OUTLETS = ("evp", "dvp")
+"""Inflation valve and the valve of the Venturi."""
 REST_S, MAX_REST_S = 40.0, 1800.0
 _SAMPLE_S = 0.02
 _SEED = 7
@@ -62,13 +64,18 @@ Supplies = Mapping[str, float]
 
 
 def library(
-    rig: Rig, most_kPa: float = MAX_KPA, full_kPa: float = FULL_KPA, rest_s: float = REST_S
+    rig: Rig,
+    most_kPa: float = MAX_KPA,
+    full_kPa: float = FULL_KPA,
+    rest_s: float = REST_S,
+    outlets: Collection[str] = OUTLETS,
 ) -> tuple[CandidateRun, ...]:
     """All runs that a rig can do.
 
     Args:
         most_kPa, full_kPa: highest pressures of the control volume and of the reservoir, gauge.
         rest_s: the longest time for which a reservoir alone stays shut.
+        outlets: valves through which the reservoir can be discharged.
     """
     if rig.pump is not None and rig.cv is not None:
         # A pump at full drive fills as an inflation valve does from a reservoir at the stall pressure.
@@ -77,7 +84,7 @@ def library(
     parts = {"full": full_kPa, "half": HALF_KPA / FULL_KPA * full_kPa, "low": LOW_KPA / FULL_KPA * full_kPa}
     # A nearly empty reservoir cannot fill the control volume to the highest pressure.
     supplies = {word: kPa for word, kPa in parts.items() if word == "full" or most_kPa <= LOW_SHARE * kPa}
-    runs = [*_discharges(rig, full_kPa)]
+    runs = [*_discharges(rig, full_kPa, outlets)]
     if rig.cv is None:
         runs += [*_rests(supplies, rest_s)]
     else:
@@ -184,14 +191,19 @@ def _openings(rig: Rig, cv: ControlVolume, most_kPa: float, supplies: Supplies) 
     yield _of_openings("pulses", shows, full_kPa, pulses, (8, 24))
 
 
-def _discharges(rig: Rig, full_kPa: float) -> Iterator[CandidateRun]:
+def _discharges(rig: Rig, full_kPa: float, outlets: Collection[str]) -> Iterator[CandidateRun]:
     """Discharges of the reservoir in steps, with a rest after each step."""
     through_evp = rig.cv is not None
-    for name, through, out in (
-        ("discharge_dvp", "Venturi", Valves(for_s=4.0, dvp=1.0)),
-        ("discharge_evp", "inflation valve", Valves(for_s=4.0, evp=1.0, solenoid=through_evp)),
-        ("discharge_evp_half", "half-open inflation valve", Valves(for_s=4.0, evp=0.5, solenoid=through_evp)),
+    for outlet, name, through, out in (
+        ("dvp", "discharge_dvp", "Venturi", Valves(for_s=4.0, dvp=1.0)),
+        ("evp", "discharge_evp", "inflation valve", Valves(for_s=4.0, evp=1.0, solenoid=through_evp)),
+        (
+            *("evp", "discharge_evp_half", "half-open inflation valve"),
+            Valves(for_s=4.0, evp=0.5, solenoid=through_evp),
+        ),
     ):
+        if outlet not in outlets:
+            continue
         stretches = [[out, Valves(for_s=6.0, solenoid=out.solenoid)]] * 4
         shows = f"the reservoir discharged through the {through} in steps, with rests"
         yield _of_openings(name, shows, full_kPa, stretches, (1, 2, 4))

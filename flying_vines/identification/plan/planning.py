@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import inf, sqrt
@@ -16,7 +16,14 @@ from flying_vines.identification.noise import Noise
 from flying_vines.identification.plan.apart import SETTLED, apart
 from flying_vines.identification.plan.check import FullFits
 from flying_vines.identification.plan.choose import RecordingBudget, choose, gram_of
-from flying_vines.identification.plan.library import FULL_KPA, LOW_KPA, MAX_KPA, CandidateRun, library
+from flying_vines.identification.plan.library import (
+    FULL_KPA,
+    LOW_KPA,
+    MAX_KPA,
+    OUTLETS,
+    CandidateRun,
+    library,
+)
 from flying_vines.identification.plan.traces import CandidatePart, Layout, layout_of, parts_of
 from flying_vines.identification.search import Progress, silent
 from flying_vines.identification.verdict import NONE
@@ -281,6 +288,7 @@ def recommend(
     most_kPa: float = MAX_KPA,
     full_kPa: float = FULL_KPA,
     max_s: float = MAX_S,
+    outlets: Collection[str] = OUTLETS,
 ) -> Recommendation:
     """The runs that best separate these causes from each other; `none` may be among them.
 
@@ -289,7 +297,7 @@ def recommend(
 
     Args:
         known, fitted, noise: see `layout_of`.
-        most_kPa, full_kPa: see `library`.
+        most_kPa, full_kPa, outlets: see `library`.
         max_s: maximum length of one run.
 
     Raises RecordingPlanError for fewer than two causes, or if the rig can do no run.
@@ -302,7 +310,7 @@ def recommend(
         )
     with threadpool_limits(1):
         layout = layout_of(rig, causes, known, fitted, noise)
-        parts = _all_parts(layout, library(rig, most_kPa, full_kPa, max_s), max_s, silent)
+        parts = _all_parts(layout, library(rig, most_kPa, full_kPa, max_s, outlets), max_s, silent)
         if not parts:
             raise RecordingPlanError(f"no run of the library fits into {max_s:g} s")
         commanded = [part for part in parts if part.candidate.commanded]
