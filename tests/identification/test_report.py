@@ -7,6 +7,7 @@ import json
 import re
 import subprocess
 import sys
+import warnings
 from contextlib import redirect_stdout
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -23,7 +24,7 @@ from flying_vines.cli.main import main
 from flying_vines.identification.case import Case, read_case
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.report import figures
-from flying_vines.identification.report.figures import curve, shown_runs
+from flying_vines.identification.report.figures import curve, draw_ranking, shown_runs
 from flying_vines.identification.report.page import page
 from flying_vines.identification.report.residual_figures import draw_residuals
 from flying_vines.identification.report.runs import draw_run
@@ -219,6 +220,18 @@ def test_the_same_verdict_makes_the_same_bytes(found: Diagnosed, written: list[P
     again = figures(found.verdict)
     for name in ("run-1", "ranking"):
         assert svg(again[name]) == pictures[name]
+
+
+def test_candidates_of_many_causes_leave_room_for_their_axis(found: Diagnosed) -> None:
+    tried = found.verdict.ranking[0]
+    names = [cause.name for cause in catalogue()][:9]
+    many = replace(tried, named=tuple(Named(name, {}, None) for name in names))
+    figure = draw_ranking(replace(found.verdict, ranking=(tried, many)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # Matplotlib's, if a label takes all the width.
+        figure.draw_without_rendering()
+    (axis,) = figure.axes
+    assert axis.get_position().width > 0.3
 
 
 def test_no_name_of_a_case_becomes_part_of_the_page(found: Diagnosed) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import isfinite
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,8 @@ from flying_vines.plots.style import GREY, PURPLE
 
 MAX_RUNS = 6
 MAX_RANKED = 16
+_LABEL = 48
+"""Characters in a line of a candidate's label."""
 SEEN = 5.0
 """Standard deviations. A weaker trace has no reliable direction."""
 ALIKE = 0.95
@@ -134,7 +137,9 @@ def _color(tried: Tried, verdict: Verdict) -> str:
 def draw_ranking(verdict: Verdict) -> Figure:
     """How far the log evidence of each candidate is below the best."""
     rows = _ranked(verdict)
-    figure = blank(0.75 + 0.2 * len(rows))
+    labels = [fill(" + ".join(tried.causes), _LABEL, break_long_words=False) or "baseline" for tried in rows]
+    lines = max(label.count("\n") + 1 for label in labels)
+    figure = blank(0.75 + (0.07 + 0.13 * lines) * len(rows))
     axis = figure.subplots()
     behind = np.array([0.5 * tried.score for tried in rows])
     for y, (tried, x) in enumerate(zip(rows, behind, strict=True)):
@@ -155,7 +160,7 @@ def draw_ranking(verdict: Verdict) -> Figure:
     axis.set_xscale("symlog", linthresh=10.0, linscale=0.8)
     axis.set_xlim(-0.5, max(100.0, 200.0 * behind.max(initial=0.0)))
     axis.axvspan(-0.5, 0.5 * CLAIM, color=INK, alpha=0.07, lw=0)
-    axis.set_yticks(range(len(rows)), [" + ".join(tried.causes) or "baseline" for tried in rows])
+    axis.set_yticks(range(len(rows)), labels)
     axis.set_ylim(len(rows) - 0.4, -0.6)
     axis.set_xlabel("ln evidence behind the best")
     quiet(axis)
