@@ -182,7 +182,7 @@ class _Screen:
         grid.add_row("reservoir", reservoir.append(f"  {number(s.reservoir_kPa, 0)} kPa", style="default"))
         bends, minutes = air(s.cycles)
         grid.add_row("bends left", bends)
-        grid.add_row("air lasts", minutes)
+        grid.add_row("air", minutes)
         return grid
 
 
