@@ -29,7 +29,7 @@ class Bench:
         self.recovery_s = 12.0
         self.cost_kPa = cost_kPa
         self.venturi_kPa_per_s = 0.0
-        self._leak_per_s = leak_per_s
+        self.leak_per_s = leak_per_s
         self._random = random.Random(seed)
 
     def left(self) -> CyclesLeft:
@@ -47,7 +47,7 @@ class Bench:
             share = min(1.0, (i + 1) / steps)
             setpoint = begin_kPa + (end_kPa - begin_kPa) * share
             rises = i < steps and end_kPa > begin_kPa
-            out = self._leak_per_s * self.reservoir_kPa * 0.01
+            out = self.leak_per_s * self.reservoir_kPa * 0.01
             if rises:
                 out += self.cost_kPa * (end_kPa - begin_kPa) / 20.7 / steps
             if i < steps:

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
 from matplotlib.patches import Polygon
 from rich.console import Console
 from rich.text import Text
@@ -100,6 +101,23 @@ def test_a_flights_picture_shows_each_bend_once(
         assert 4 <= len(shown) <= 1 / DRAWN_WIDTH
     else:
         assert shown == drawn
+
+
+def test_a_long_reason_is_cut_between_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    labels: list[str] = []
+    write = Axes.text
+
+    def note(axis: Axes, x: float, y: float, text: str, **style: Any) -> Any:
+        labels.append(text)
+        return write(axis, x, y, text, **style)
+
+    monkeypatch.setattr(Axes, "text", note)
+    said = [snapshot(0.1 * i, 0.0) for i in range(10)]
+    for reason in ("not filling: valve, hose or actuator", "the bottle loses more and more air since then"):
+        said.append(decision(0.5) | {"trigger": "failsafe", "intent": "vent", "reason": reason})
+    draw_flight(written(said, tmp_path / "flight.mcap"), tmp_path / "flight.png", "made up")
+    assert "failsafe: vent\nnot filling: valve, hose or actuator" in labels
+    assert "failsafe: vent\nthe bottle loses more and more air since …" in labels
 
 
 @pytest.mark.parametrize("angle_deg", [-90.0, 0.0, 60.0, 170.0])

@@ -160,6 +160,7 @@ class Core:
         known, self._learned_problem = learned_from(learned, self._belief)
         self._reservoir = ReservoirEstimate(self._belief, known)
         self._kept_cycles = self._reservoir.measured_cycles
+        """What was learned until this number is stored; NaN if it changed without a new cycle."""
         self._kept_at = -math.inf
         self._has_reservoir = config.firmware.is_phlosar
         self._actuator = config.firmware.name
@@ -791,10 +792,11 @@ class Core:
             if event is None:
                 cycles.left = None
             elif event:
+                self._kept_cycles = math.nan
                 self._notice(t, Severity.NOTICE, event)
 
     def _keep_learned(self, t: float) -> None:
-        """Have what was learned stored, after new cycles and not too often."""
+        """Have what was learned stored, after new cycles or an event and not too often."""
         if self._learned_problem:
             self._notice(t, Severity.NOTICE, self._learned_problem)
             self._learned_problem = ""

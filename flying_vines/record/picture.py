@@ -10,6 +10,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
+from textwrap import shorten
 from typing import Any
 
 from matplotlib import pyplot as plt
@@ -22,6 +23,8 @@ from flying_vines.record.topics import DECISION, SNAPSHOT, TELEMETRY
 MARKS = {"accepted": GREEN, "limited": ORANGE, "refused": RED}
 ROW, MAX_ROWS = 0.13, 5
 """Height of a row of labels, as a share of the pressure range, and the number of rows."""
+MAX_REASON = 44
+"""Characters of a label's reason. A longer reason is cut between words."""
 DPI = 200
 MAX_POINTS = 20_000
 """Points of a curve: more than a picture shows, and few enough for a vector file."""
@@ -168,7 +171,7 @@ def _mark_decisions(
         # Each label goes to the lowest row with room for it.
         text = f"{decision['trigger'].replace('_', ' ')}: {decision.get('intent', '?')}"
         if decision["safety"] != "accepted" or decision["trigger"] == "failsafe":
-            text += f"\n{decision['reason'][:34]}"
+            text += "\n" + shorten(decision["reason"], MAX_REASON, placeholder=" …")
         longest = max(len(line) for line in text.split("\n"))
         row = next((i for i, end in enumerate(rows) if end < x), len(rows))
         rows[row : row + 1] = [x + width * 0.0068 * longest]

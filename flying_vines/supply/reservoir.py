@@ -207,7 +207,8 @@ class Bottle:
         projected = [line[X] - share * line[GAS] for line in p]
         variance = projected[X] - share * projected[GAS] + sd_kPa * sd_kPa
         error = reading_kPa - (m[X] - share * m[GAS])
-        if abs(error) > JUMP_KPA and error * error > JUMP_SDS**2 * variance:
+        surprising = error * error > JUMP_SDS**2 * variance
+        if surprising and abs(error) > JUMP_KPA:
             self._outliers += 1
             if self._outliers >= JUMP_READINGS:
                 lost_share = max(0.0, -error) / self.absolute_kPa
@@ -216,6 +217,11 @@ class Bottle:
                 p[LEAK][LEAK] += (lost_share / JUMP_S) ** 2
             return
         self._outliers = 0
+        if surprising and error > 0.0:
+            # Nothing that takes air raises the pressure at once: a small refill says nothing of the rates.
+            self.doubt(error)
+            projected[X] += error * error
+            variance += error * error
         for i, line in enumerate(p):
             gain = projected[i] / variance
             m[i] += gain * error

@@ -54,13 +54,15 @@ class ToldCycles:
         """Cycles whose air is gone."""
         self._x_kPa = math.nan
         self._jump_at = -math.inf
+        self._from_before = estimate.measured_cycles > 0.0
+        """An earlier run has learned of this rig, and perhaps told another number a moment ago."""
         self.lost = False
 
     def update(self, t: float, lost: bool) -> str:
         """Predict. `lost`: a fault that loses air is latched. Returns the event as text; empty if none."""
         if self.lost and not lost:
             # Somebody has repaired the rig: what a bend takes and what leaks is unknown again.
-            self.lost = False
+            self.lost = self._from_before = False
             self.left = None
             self._estimate.restart()
             return "cycles left are learned again"
@@ -75,6 +77,10 @@ class ToldCycles:
             zero = dict.fromkeys(("expected", "low", "high", "minutes", "minutes_low", "minutes_high"), 0.0)
             self.left = replace(new, lost=True, **zero)
             return ""
+        if self._from_before:
+            self._from_before = False
+            self._compare(t, new, basis)
+            return f"as learned before: {new}"
         if jumped_kPa and self._is_told(t, new):
             self._forget()
             self._compare(t, new, basis)

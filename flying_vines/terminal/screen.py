@@ -32,8 +32,8 @@ UNASKED = ("failsafe", "link")
 BAR_WIDTH = 24
 FRAME = 2
 """Lines of the panel's frame."""
-BAR_TEXT_WIDTH = 47
-"""Characters around a bar: its label, the pressure, and cycles left of three digits."""
+BAR_TEXT_WIDTH = 36
+"""Characters around a bar: its label, the pressure, and the bend."""
 MAX_QUEUED = 64 * 1024
 """Maximum characters queued for a blocked terminal: some seconds of screens. Later ones are dropped."""
 CLOSING_S = 0.5
@@ -156,7 +156,7 @@ class _Screen:
         s = self.s
         bars = max(6, min(BAR_WIDTH, width - BAR_TEXT_WIDTH))
         grid = Table.grid(padding=(0, 2))
-        grid.add_column(style="dim", no_wrap=True, min_width=len("reservoir"))
+        grid.add_column(style="dim", no_wrap=True, min_width=len("bends left"))
         grid.add_column(overflow="fold")
         altitude = "" if math.isnan(s.altitude_m) else f"  {s.altitude_m:.1f} m"
         armed = Text("armed", style="bold yellow") if s.armed else Text("disarmed", style="dim")
@@ -179,21 +179,21 @@ class _Screen:
         grid.add_row("command", command.append(f"  {number(s.command_kPa)} kPa", style="default"))
         bend = f"  {number(s.cv_kPa)} kPa   bend {number(s.bend_deg, 0)}°"
         grid.add_row("vine", cv.append(bend, style="default"))
+        grid.add_row("reservoir", reservoir.append(f"  {number(s.reservoir_kPa, 0)} kPa", style="default"))
         bends, minutes = air(s.cycles)
-        left = f"  {number(s.reservoir_kPa, 0)} kPa   {bends}"
-        grid.add_row("reservoir", reservoir.append(left, style="default"))
-        grid.add_row("", minutes)
+        grid.add_row("bends left", bends)
+        grid.add_row("air", minutes)
         return grid
 
 
 def _doing(s: Snapshot) -> list[Text]:
     """What the vine does, in red if something is wrong, in yellow if a fresh request is awaited."""
-    lines = [Text(f"doing      {s.doing}", style="bold")]
+    lines = [Text(f"doing       {s.doing}", style="bold")]
     if s.safe_state:
         lines = [Text(f"SAFE: {'; '.join(s.safe_state.values())}", style="bold red")]
     if s.waiting:
         if not s.safe_state:
-            lines = [Text(f"doing      {s.doing}: {s.waiting.stopped_by}", style="bold yellow")]
+            lines = [Text(f"doing       {s.doing}: {s.waiting.stopped_by}", style="bold yellow")]
         lines.append(Text(f"waiting for: {s.waiting.awaited}", style="bold yellow"))
     return lines
 
@@ -207,14 +207,15 @@ def _health(s: Snapshot) -> str:
 def air(c: CyclesLeft | None) -> tuple[str, str]:
     """Bends like the last one that are left, and the time that the air lasts without a bend."""
     if c is None:
-        return "bends left not known", ""
+        return "not known", "not known"
     if c.lost:
-        return "0 bends left", "air is lost, until you clear the fault"
+        return "0", "lost, until you clear the fault"
     expected, low, high = (value * c.per_cycle for value in (c.expected, c.low, c.high))
+    like = "like the last" if c.measured_cycles > 0 else "a guess"
     long = c.minutes >= MAX_MINUTES
     minutes = "10 h or more" if long else f"{c.minutes:.0f} min"
     return (
-        f"{expected:.0f} bends to {c.bend_kPa:.0f} kPa ({low:.0f}…{high:.0f})",
+        f"{expected:.0f} ({low:.0f}…{high:.0f}) to {c.bend_kPa:.0f} kPa, {like}",
         f"{minutes} without a bend (at least {c.minutes_low:.0f})",
     )
 

@@ -108,11 +108,12 @@ class Watching:
             return Panel(
                 Text(f"{self._page}: {self._problem or 'no data from the service yet'}"), title="Flying Vines"
             )
-        panel = self._view.render(self._story.snapshot, f"Flying Vines   {self._page}")
+        problem = self._problem
+        title = f"Flying Vines   {self._page}"
+        panel = self._view.render(self._story.snapshot, title, {"page": problem})
         panel.subtitle = self._hint
-        if problem := self._problem:
-            age_s = self._story.snapshot_age_s(self._now)
-            panel.title = f"{problem}: these data are {age_s:.0f} s old"
+        if problem:
+            panel.title = f"These data are {self._story.snapshot_age_s(self._now):.0f} s old"
             panel.border_style, panel.style = "bold red not dim", "dim"
         return panel
 

@@ -30,7 +30,6 @@ from flying_vines.simulation.simulated_world import SimulatedFlight, SimulatedWo
 from flying_vines.supply import ReservoirEstimate
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.notice import Notice
 
 from .flights import (
     HIGH,
@@ -571,5 +570,20 @@ def test_what_was_learned_of_the_air_goes_into_the_next_run_of_the_same_rig() ->
         left = again.core.snapshot(3.0).cycles
         assert left is not None
         assert (left.measured_cycles > 0.0) is same
-        told = any("air is learned again" in action.text for action in actions if isinstance(action, Notice))
-        assert told is not same
+        told = " ".join(notices(actions))
+        assert ("air is learned again" in told) is not same
+        assert ("as learned before: " in told) is same
+
+
+def test_a_new_leak_is_stored_though_nothing_bends() -> None:
+    flight = airborne()
+    for _ in range(4):
+        for pulse_us in (HIGH, LOW):
+            flight.autopilot.set_rc(9, pulse_us)
+            run_for(flight, 3.0)
+    run_for(flight, 15.0)
+    flight.phlosar.befall("bottle", Hole(0.1))
+    actions = run_for(flight, 60.0)
+    assert any("the leak has changed" in text for text in notices(actions))
+    kept = [action for action in actions if isinstance(action, KeepLearned)]
+    assert 1 <= len(kept) <= 6, "after the text, and not too often"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 from collections import Counter
 from functools import cache
 from pathlib import Path
@@ -54,6 +55,14 @@ def dead(page: Path) -> list[str]:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_every_link_leads_somewhere(page: Path) -> None:
     assert not dead(page)
+
+
+def test_every_picture_is_redrawn_by_one_command_or_by_hand() -> None:
+    pytest.importorskip("PIL", reason="needs Pillow: pip install pillow")
+    drawn = [name for names in runpy.run_path(str(DOCS / "redraw.py"))["SHEETS"] for name in names]
+    assert sorted([*drawn, "architecture.svg", "wiring.svg"]) == sorted(
+        picture.name for picture in (DOCS / "images").iterdir()
+    )
 
 
 def test_the_index_has_every_guide_once() -> None:

@@ -17,6 +17,7 @@ from flying_vines.physics.plant.wall import Wall
 from flying_vines.supply import Belief, ReservoirEstimate, TelemetryReader, n_cycles, nominal
 from flying_vines.supply.formula import floor_kPa
 from flying_vines.supply.known_rig import belief_of
+from flying_vines.supply.reservoir import LEAK
 
 BELIEFS = (
     nominal(DEMONSTRATION),
@@ -141,6 +142,25 @@ def test_a_refill_is_no_cycle_and_changes_no_cost() -> None:
     assert after.measured_cycles == before.measured_cycles
     assert after.cost_kPa == pytest.approx(before.cost_kPa, rel=0.1)
     assert after.expected == pytest.approx(before.expected + (690.0 - 400.0) / 6.1 + 12.0, rel=0.15)
+
+
+@pytest.mark.parametrize("step_kPa", [5.5, 4.0])
+def test_a_small_refill_changes_no_cost(step_kPa: float) -> None:
+    bench = Bench(cost_kPa=1.1)
+    before = bench.fly(8)
+    bench.reservoir_kPa += step_kPa
+    bench.rest(2.0)
+    assert bench.left().cost_kPa == pytest.approx(before.cost_kPa, rel=0.02)
+
+
+@pytest.mark.parametrize("leak_per_s", [0.01, 0.02, 0.05])
+def test_a_fast_leak_is_learned_in_a_few_seconds(leak_per_s: float) -> None:
+    bench = Bench(cost_kPa=2.07)
+    bench.fly(8)
+    bench.leak_per_s = leak_per_s
+    bench.rest(4.0)
+    assert bench.estimate.bottle is not None
+    assert bench.estimate.bottle.mean[LEAK] == pytest.approx(leak_per_s, rel=0.1)
 
 
 def test_readings_that_are_wild_or_missing_change_nothing() -> None:

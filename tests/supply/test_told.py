@@ -254,6 +254,20 @@ def test_a_restart_keeps_what_was_learned_of_this_rig_only() -> None:
     assert learned_from(text, other) == (None, "another rig or changed numbers: air is learned again")
 
 
+def test_a_restart_with_what_was_learned_is_told_once() -> None:
+    told = Told(Bench())
+    told.rest(6.0)
+    told.bend(8)
+    assert told.events == []
+    learned = told.bench.estimate.learned
+    told.bench.estimate = ReservoirEstimate(BELIEF, learned)
+    told.cycles = ToldCycles(told.bench.estimate)
+    told.bench.rest(2.0)
+    left = told.left
+    told.rest(20.0)
+    assert told.events == [f"as learned before: {left}"]
+
+
 @pytest.mark.parametrize("text", ["{", "[]", '{"rig": 3}', "\0", '{"rig":"x","learned":{}}'])
 def test_a_damaged_file_is_told_and_not_used(text: str) -> None:
     learned, problem = learned_from(text, BELIEF)

@@ -11,6 +11,7 @@ from rich.screen import Screen
 
 from flying_vines.core.events import Decision
 from flying_vines.core.waiting import Waiting
+from flying_vines.supply import CyclesLeft
 from flying_vines.terminal.screen import LiveView, event_line
 from flying_vines.vehicle.notice import Notice, Severity
 
@@ -19,6 +20,7 @@ FAULTS = {
     "rc": "RC lost: the receiver hears no transmitter",
 }
 WAITING = Waiting("vent by the page", "switch down, then up")
+PLENTY = CyclesLeft(1234.0, 1000.0, 1500.0, 3.0, 9.0, 80.0, 15.0, 1.2, 600.0, 450.0, 600.0)
 UNASKED = Decision(2.0, "failsafe", {"loss": "rc"}, "vent", "accepted", FAULTS["rc"], 0.0)
 
 
@@ -35,13 +37,16 @@ def lines(width: int, **shown: object) -> list[str]:
 
 @pytest.mark.parametrize("width", [60, 80, 120])
 def test_a_fault_and_the_latest_event_are_whole(width: int) -> None:
-    shown = lines(width, safe_state=FAULTS, waiting=WAITING, rc="the receiver hears no transmitter")
+    shown = lines(
+        width, safe_state=FAULTS, waiting=WAITING, rc="the receiver hears no transmitter", cycles=PLENTY
+    )
     text = " ".join(shown)
     assert all(fault in text for fault in FAULTS.values())
     assert f"waiting for: {WAITING.awaited}" in text and "the latest event" in text
-    labels = ("vehicle", "RC", "phloSAR", "valves", "command", "vine", "reservoir")
-    assert [line.split()[0] for line in shown[1:8]] == list(labels)
-    assert "48 bends to 15 kPa (42…59)" in " ".join(text.split())
+    labels = ("vehicle", "RC", "phloSAR", "valves", "command", "vine", "reservoir", "bends", "air")
+    assert [line.split()[0] for line in shown[1:10]] == list(labels)
+    assert shown[8].endswith("1481 (1200…1800) to 15 kPa, like the last")
+    assert shown[9].endswith("10 h or more without a bend (at least 450)")
     assert any(line.startswith("╰") for line in shown)
 
 

@@ -150,7 +150,7 @@ async def on_terminal(bench: Bench) -> AsyncIterator[Terminal]:
         stdin=theirs,
         stdout=theirs,
         stderr=theirs,
-        env={**os.environ, "TERM": "xterm-256color", "COLUMNS": "110", "LINES": "30"},
+        env={**os.environ, "TERM": "xterm-256color", "COLUMNS": "48", "LINES": "30"},
     )
     os.close(theirs)
     terminal = Terminal(process, ours)
@@ -187,7 +187,8 @@ async def test_a_link_that_is_lost_is_told_and_comes_back(bench: Bench) -> None:
     async with on_terminal(bench) as terminal:
         async with showing(bench):
             await terminal.shows("bend-half")
-        await terminal.shows("the service is silent: these data are 3 s old")
+        await terminal.shows("These data are 3 s old")
+        await terminal.shows("page link: the service is silent")
         async with showing(bench):
             await terminal.shows("link: open")
         terminal.process.send_signal(signal.SIGINT)

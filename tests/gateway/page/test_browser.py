@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import dataclasses
 import json
 import os
 import signal
@@ -14,11 +15,15 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from needed import need
+from page_bench import Bench, served, snapshot
 from page_service import serving
 from patience import PATIENCE_S, until
 from real_time import real_time
 
+from flying_vines.core.events import Snapshot
+from flying_vines.core.waiting import Waiting
 from flying_vines.gateway import page_token
+from flying_vines.supply import CyclesLeft
 
 if TYPE_CHECKING:
     from playwright.async_api import Browser, Page
@@ -258,6 +263,78 @@ async def test_what_is_pressed_says_when_and_what_was_shown(browser: Browser, tm
         assert len({vent["seen_at"] for vent in vents}) == 1
         assert all(vent["made_at"] - vent["seen_at"] > 0.9 for vent in vents[:2])
         assert not wrong
+
+
+SWITCH = Waiting("vent by the page", "switch down, then up")
+PLENTY = CyclesLeft(1234.0, 1000.0, 1500.0, 3.0, 9.0, 80.0, 15.0, 1.2, 600.0, 450.0, 600.0)
+FAULTS = {
+    "firmware_fault": "firmware fault: dead-man timer ran out, over-pressure in the vine, watchdog reset",
+    "rc": "RC lost: the receiver hears no transmitter",
+    "bottle_loss": "bottle loses 22 kPa/s too much",
+}
+STATES = {
+    "bent": snapshot(doing="bend-full", command_kPa=20.0, cv_kPa=20.1, bend_deg=58.0, cycles=PLENTY),
+    "waiting": snapshot(waiting=SWITCH, cycles=PLENTY),
+    "faults": snapshot(
+        waiting=SWITCH, cycles=PLENTY, safe_state=FAULTS, rc="the receiver hears no transmitter"
+    ),
+}
+CUT = """() => {
+    const foot = document.querySelector("footer").getBoundingClientRect().top;
+    const shown = document.createRange();
+    return [...document.querySelectorAll("#doing, #reasons, .facts, #cycles, #vent-said")].filter(e => {
+        shown.selectNodeContents(e);
+        const low = shown.getBoundingClientRect().bottom > (e.id === "vent-said" ? innerHeight : foot);
+        const cut = e.scrollHeight > e.clientHeight || e.scrollWidth > e.clientWidth;
+        return low || (cut && getComputedStyle(e).overflowY !== "visible");
+    }).map(e => e.id || e.className);
+}"""
+
+
+@contextlib.asynccontextmanager
+async def showing(bench: Bench, shown: Snapshot) -> AsyncIterator[None]:
+    """The service says this again and again."""
+
+    async def say() -> None:
+        while True:
+            bench.show(dataclasses.replace(shown, t=time.monotonic()))
+            await asyncio.sleep(0.1)
+
+    saying = asyncio.create_task(say())
+    yield
+    saying.cancel()
+
+
+@pytest.mark.parametrize("size", [(320, 640), (390, 844), (768, 1024), (1280, 720)], ids=str)
+async def test_what_is_wrong_and_the_air_left_are_whole_without_scrolling(
+    browser: Browser, size: tuple[int, int]
+) -> None:
+    device = {"viewport": dict(zip(("width", "height"), size, strict=True))}
+    async with served() as bench:
+        async with showing(bench, STATES["bent"]):
+            page, _ = await opened(browser, bench.url, device)
+            await page.click("#vent")
+            await says(page, "#vent-said", "Vent confirmed")
+        for name, shown in STATES.items():
+            async with showing(bench, shown):
+                await page.wait_for_timeout(300)
+                assert not await page.evaluate(CUT), name
+                await _fits(page)
+                said = await page.inner_text("#reasons")
+                assert all(reason[1:] in said for reason in shown.safe_state.values())
+                assert (SWITCH.awaited in said) == (shown.waiting is not None)
+                assert ("Nothing is wrong" in said) == (name == "bent")
+                assert "1481 bends to 15 kPa left" in await page.inner_text("#cycles")
+
+
+async def test_a_confirmed_vent_is_not_shown_for_ever(browser: Browser) -> None:
+    async with served() as bench, showing(bench, STATES["bent"]):
+        page, _ = await opened(browser, bench.url, DESKTOP)
+        await page.clock.install()
+        await page.click("#vent")
+        await says(page, "#vent-said", "Vent confirmed")
+        await page.clock.fast_forward(11_000)
+        await says(page, "#vent-said", "Vine at")
 
 
 async def _greeting(page: Page) -> dict[str, Any]:

@@ -9,6 +9,7 @@ const SURE_S = 4;
 const MOST_EVENTS = 200;
 const LOW_CYCLES = 10;
 const DRAW_S = 0.25;
+const CONFIRMED_S = 10;
 
 const $ = (id) => document.getElementById(id);
 const page = document.body.classList;
@@ -92,7 +93,6 @@ function write(id, text) {
 // Faults in red; in amber what vented the vine and the request that it waits for; else that nothing is wrong.
 function writeReasons(reasons, waiting) {
   const lines = reasons.map((reason) => ["bad", sentence(reason)]);
-  if (lines.length > 2) lines.unshift(["bad", `${lines.length} things are wrong:`]);
   if (waiting) {
     if (!reasons.length) lines.push(["warning", sentence(waiting.stopped_by)]);
     lines.push(["warning", `Waiting for: ${waiting.awaited}`]);
@@ -247,7 +247,7 @@ function showVent() {
     style = "bad";
     const since = ageWords(performance.now() / 1000 - vent.since);
     words = `VENT not ${link.open ? "confirmed" : "sent, no link"}: trying ${since}`;
-  } else if (vent.confirmedAfter !== null) {
+  } else if (vent.confirmedAfter !== null && performance.now() / 1000 - vent.since < vent.confirmedAfter + CONFIRMED_S) {
     style = "good";
     words = `Vent confirmed in ${vent.confirmedAfter.toFixed(2)} s, ${number(latest?.cv_kPa ?? null)} kPa`;
   }

@@ -68,11 +68,12 @@ export function airWords(cycles) {
   if (!cycles) return "Bends left: not known";
   if (cycles.lost) return "0 bends left: air is lost, until you clear the fault";
   const bends = (value) => number(value * cycles.per_cycle, 0);
-  const like = cycles.measured_cycles > 0 ? "like the last bend, at this pace" : "a guess until you have bent";
+  const like = cycles.measured_cycles > 0 ? "like the last, at this pace" : "a guess until you have bent";
+  const least = cycles.minutes_low < LONGEST_MINUTES ? `, at least ${minutes(cycles.minutes_low)}` : "";
   return (
     `${bends(cycles.expected)} bends to ${number(cycles.bend_kPa, 0)} kPa left ` +
-    `(${bends(cycles.low)} to ${bends(cycles.high)}): ${like}. ` +
-    `Without a bend the air lasts ${minutes(cycles.minutes)}, at least ${minutes(cycles.minutes_low)}.`
+    `(${bends(cycles.low)} to ${bends(cycles.high)}), ${like}. ` +
+    `Without a bend: ${minutes(cycles.minutes)}${least}.`
   );
 }
 
