@@ -81,8 +81,19 @@ def commands(*lines: str, **files: str) -> Draw:
     return draw
 
 
+def measured(name: str, files: str) -> Draw:
+    """Import and diagnose readings of another laboratory, as the guide of measured data does."""
+    return commands(
+        f"import measured/{files} --to case",
+        "diagnose case --out report",
+        **{f"measured_{name}": "report/run-1.svg"},
+    )
+
+
 def _write_inputs(folder: Path) -> None:
     """The files that the commands read."""
+    # A copy: the import writes its answers beside the data.
+    shutil.copytree(DOCS.parent / "tests" / "data" / "measured", folder / "measured")
     small, heats = "[cv]\nvolume_L = 0.1\n", "[causes.cv_heating]\ntime_constant_s = 5.6\n"
     (folder / "large.toml").write_text("[cv]\nvolume_L = 0.5\n")
     (folder / "small.toml").write_text(small)
@@ -263,6 +274,11 @@ def doctor(folder: Path, browser: Browser) -> None:
 
 PAPER = ("discharge", "inflation", "frequency", "sine", "cycles")
 CALIBRATION = ("levels", "valve", "bottle", "angle")
+MEASURED = {
+    "leak": "leaking_chambers/Ultimaker_020.csv",
+    "plenum": "plenum_discharge/*.csv",
+    "pump": "pump_and_chamber/sweep_response_20260121_165542.csv",
+}
 SHEETS: dict[tuple[str, ...], Draw] = {
     ("page-phone.png", "page-desktop.png"): page,
     ("demo-flight.png",): commands("demo --plain", demo_flight="flights/*/flight.png"),
@@ -286,6 +302,7 @@ SHEETS: dict[tuple[str, ...], Draw] = {
         diagnose_residuals="report/residuals.svg",
         diagnose_likeness="report/likeness.svg",
     ),
+    **{(f"measured-{name}.png",): measured(name, files) for name, files in MEASURED.items()},
     ("plan-matrix.png",): commands("diagnose --plan large.toml --minutes 1 --out ."),
     tuple(f"calibrate-{name}.png" for name in CALIBRATION): commands(
         "calibrate --fake --yes --no-diagnosis --out flights",
