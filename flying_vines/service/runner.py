@@ -77,8 +77,8 @@ async def serve(
         remembered.kept,
     )
     # Modules stay until the end: exclude them from garbage collection, which would pause the loop in flight.
-    gc.collect()
     gc.freeze()
+    gc.enable()
     sys.setswitchinterval(SWITCH_S)
     for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(name, service.stop)

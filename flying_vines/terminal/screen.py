@@ -241,7 +241,8 @@ class NonBlockingOutput(io.TextIOBase):
         self._writer: BackgroundWriter[str] = BackgroundWriter(self._print, MAX_QUEUED)
 
     def console(self) -> Console:
-        return Console(file=cast(IO[str], self))
+        # Rich compiles its patterns for highlights and loads its emoji at the first text: 20 ms of the start.
+        return Console(file=cast(IO[str], self), highlight=False, emoji=False)
 
     @property
     def encoding(self) -> str:  # type: ignore[override]
