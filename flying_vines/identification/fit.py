@@ -43,6 +43,8 @@ MIN_GAIN = 0.02
 """A step that lowers χ² by less ends the fit; by more if χ² is far above that of noise."""
 SHORTER = 0.3
 """Factor for a step of initial pressures that increases χ² on its own stretch."""
+NO_EFFECT = 1e-6
+"""A number has no effect at a point if its whole range would change χ² by less, by the derivative there."""
 CORRECTIONS = 2
 """Maximum number of corrections of the initial pressures after a step of the shared numbers."""
 _DEVIATION = 1e-5
@@ -446,7 +448,10 @@ class _Space:
         lower = np.linalg.cholesky(scaled)
         target = np.linalg.solve(lower, -gradient / scale)
         here = place[: self._common]
-        low, high = (self._low[: self._common] - here) * scale, (self._high[: self._common] - here) * scale
+        bounds = self._low[: self._common], self._high[: self._common]
+        # Rounding errors would move a number that has no effect here as far as its bounds.
+        acts = np.diag(information) * (bounds[1] - bounds[0]) ** 2 > NO_EFFECT
+        low, high = (np.where(acts, (bound - here) * scale, 0.0) for bound in bounds)
         solved = lsq_linear(
             lower.T, target, (np.minimum(low, -1e-12), np.maximum(high, 1e-12)), method="bvls"
         )

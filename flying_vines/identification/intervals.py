@@ -132,4 +132,7 @@ def _crossing(
         else:
             most = 30.0 if height < FLAT * limit else 3.0
             where = best + (under - best) * min(most, max(1.1, sqrt(limit) / max(under_root, 1e-3)))
+    else:
+        if WALL * sqrt(limit) < over_root < inf:
+            where = over  # The wall is nearer, but the interval must not end before it.
     return min(where, bound) if outward > 0.0 else max(where, bound)

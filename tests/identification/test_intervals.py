@@ -6,6 +6,8 @@ from collections.abc import Callable
 from math import sqrt
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from flying_vines.identification.intervals import ABOVE, _crossing
 
@@ -42,9 +44,14 @@ def test_a_bound_is_an_end() -> None:
 def test_what_jumps_is_closed_in_on() -> None:
     """The data only show that the stall pressure is between two pressures."""
     end = _crossing(lambda x: 0.0 if x < 451.3 else 900.0, 450.0, 1.0, 900.0)
-    assert 450.9 < end < 452.5
+    assert 451.3 <= end < 452.5
     end = _crossing(lambda x: 0.0 if x < 530.0 else 9e4, 420.0, 0.17, 900.0)
-    assert 525.0 < end < 540.0
+    assert 530.0 <= end < 540.0
+
+
+@given(st.floats(420.2, 899.0))
+def test_an_interval_does_not_end_before_a_wall(wall: float) -> None:
+    assert _crossing(lambda x: 0.0 if x < wall else 9e4, 420.0, 0.17, 900.0) >= wall
 
 
 def test_what_never_rises_ends_at_the_bound() -> None:
