@@ -43,6 +43,7 @@ def test_a_fit_of_six_causes_reaches_the_noise_in_any_order(tmp_path: Path) -> N
         assert problem.fit(point).chi2 < 1.05 * problem.readings
 
 
+@pytest.mark.long
 def test_a_number_without_effect_does_not_keep_the_others_from_their_minimum(tmp_path: Path) -> None:
     """No reading tells stalls from 416 to 421 kPa apart. Rounding errors once moved it as far as its bound."""
     drawn = draw("several", 660_004)
