@@ -45,7 +45,7 @@ def test_a_fit_of_six_causes_reaches_the_noise_in_any_order(tmp_path: Path) -> N
 
 @pytest.mark.long
 def test_a_number_without_effect_does_not_keep_the_others_from_their_minimum(tmp_path: Path) -> None:
-    """No reading tells stalls from 416 to 421 kPa apart. Rounding errors once moved it as far as its bound."""
+    """No reading tells stalls of 416 to 421 kPa apart. Rounding errors once moved it as far as its bound."""
     drawn = draw("several", 660_004)
     write(tmp_path / "case", drawn)
     problem = problem_of(read_case(tmp_path / "case"))
