@@ -195,6 +195,13 @@ class Search:
         chosen = self.null
         while True:
             better = self._first_that_pays(leaders, chosen)
+            if better is None and len(chosen.causes) > 1 and not chosen.adequate:
+                lower = self._reseeded(chosen)
+                if lower is not chosen:
+                    chosen = lower
+                    leaders = self._leaders(self.further([chosen])) if self._may_gain(chosen) else []
+                    tried += [chosen, *leaders]
+                    continue
             if better is None and len(chosen.causes) > 1:
                 exchanged = self._leaders(self.further(self._vacancies(chosen)))
                 tried += exchanged
