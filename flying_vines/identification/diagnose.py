@@ -43,7 +43,7 @@ _UNKNOWN_CAUSE = 0.02
 """Prior probability of a cause that is not in the catalogue and looks like noise."""
 _MISSED_CAUSE = 0.1
 """Probability that an unexplained remainder is a cause of the catalogue that the search has missed."""
-_LEADS_WITH_REMAINDER = 0.7
+_LEADS_WITH_REMAINDER = 0.6
 """Probability that the main cause is right although a small remainder is left: an effect outside the
 catalogue may be imitated. Measured on rigs that have one: docs/diagnose.md."""
 _SCORED = 4
