@@ -193,14 +193,11 @@ def _openings(rig: Rig, cv: ControlVolume, most_kPa: float, supplies: Supplies) 
 
 def _discharges(rig: Rig, full_kPa: float, outlets: Collection[str]) -> Iterator[CandidateRun]:
     """Discharges of the reservoir in steps, with a rest after each step."""
-    through_evp = rig.cv is not None
+    full, half = (Valves(for_s=4.0, evp=evp, solenoid=rig.cv is not None) for evp in (1.0, 0.5))
     for outlet, name, through, out in (
         ("dvp", "discharge_dvp", "Venturi", Valves(for_s=4.0, dvp=1.0)),
-        ("evp", "discharge_evp", "inflation valve", Valves(for_s=4.0, evp=1.0, solenoid=through_evp)),
-        (
-            *("evp", "discharge_evp_half", "half-open inflation valve"),
-            Valves(for_s=4.0, evp=0.5, solenoid=through_evp),
-        ),
+        ("evp", "discharge_evp", "inflation valve", full),
+        ("evp", "discharge_evp_half", "half-open inflation valve", half),
     ):
         if outlet not in outlets:
             continue
