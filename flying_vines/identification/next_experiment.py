@@ -125,11 +125,9 @@ def _read(case: Case) -> tuple[bool, bool]:
 
 
 def _outlets(case: Case) -> tuple[str, ...]:
-    """Valves of the reservoir. A vessel alone has only those that a run has opened."""
-    if case.rig.cv is not None:
-        return OUTLETS
-    opened = {"evp": [run.evp_opening for run in case.runs], "dvp": [run.dvp_opening for run in case.runs]}
-    return tuple(outlet for outlet in OUTLETS if any(opening.any() for opening in opened[outlet]))
+    """Valves of the reservoir. A vessel alone that no run has opened is taken for one without valves."""
+    opened = any(run.evp_opening.any() or run.dvp_opening.any() for run in case.runs)
+    return OUTLETS if opened or case.rig.cv is not None else ()
 
 
 def _highest(readings: Sequence[Array], otherwise: float) -> float:
