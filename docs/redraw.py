@@ -28,7 +28,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from day.day_in_the_life import browser
+from day.day_in_the_life import browser, use_stand_ins
 from day.terminal import Terminal
 from ports import free_port
 
@@ -145,16 +145,7 @@ class StandIns:
     def __init__(self, folder: Path, gcs_port: int, options: str = "") -> None:
         self.vehicle_port, self.page_port = free_port(), free_port()
         run("config init vine.toml", folder)
-        profile = folder / "vine.toml"
-        text = profile.read_text(encoding="utf-8")
-        for old, new in (
-            ("udpin:127.0.0.1:14540", f"udpin:127.0.0.1:{self.vehicle_port}"),
-            ("serial:/dev/ttyACM0", "serial:vine-port"),
-            ("port = 8017", f"port = {self.page_port}"),
-        ):
-            assert old in text
-            text = text.replace(old, new)
-        profile.write_text(text, encoding="utf-8")
+        use_stand_ins(folder / "vine.toml", self.vehicle_port, self.page_port)
         to_both = f"--to 127.0.0.1:{self.vehicle_port} --gcs 127.0.0.1:{gcs_port}"
         with ExitStack() as stack:
             self.phlosar = stack.enter_context(start(f"fake phlosar --link vine-port {options}", folder))

@@ -31,7 +31,7 @@ def add(commands: Any) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    # The start makes no garbage worth collecting: each full collection takes 20 ms of it. See `serve`.
+    # The start makes no garbage worth collecting: each full collection takes 20 ms. See `serve`.
     gc.disable()
     from flying_vines.gateway.page_token import PageTokenError
     from flying_vines.record.recorder import FlightStart, Recorder

@@ -160,7 +160,7 @@ class Core:
         known, self._learned_problem = learned_from(learned, self._belief)
         self._reservoir = ReservoirEstimate(self._belief, known)
         self._kept_cycles = self._reservoir.measured_cycles
-        """What was learned until this number is stored; NaN if it changed without a new cycle."""
+        """Cycles that were measured at the last storage; NaN if an event has changed what was learned."""
         self._kept_at = -math.inf
         self._has_reservoir = config.firmware.is_phlosar
         self._actuator = config.firmware.name

@@ -44,7 +44,7 @@ MIN_GAIN = 0.02
 SHORTER = 0.3
 """Factor for a step of initial pressures that increases χ² on its own stretch."""
 NO_EFFECT = 1e-6
-"""A number has no effect at a point if its whole range would change χ² by less, by the derivative there."""
+"""If a number's whole range would change χ² by less, by the derivative, it has no effect at a point."""
 CORRECTIONS = 2
 """Maximum number of corrections of the initial pressures after a step of the shared numbers."""
 _DEVIATION = 1e-5

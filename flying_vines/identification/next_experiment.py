@@ -101,7 +101,7 @@ def _values(candidate: Candidate, name: str) -> Values:
 def _known(base: Candidate, index: int) -> tuple[Cause, Values]:
     """A cause of the base with its values. Their errors are the prior of its parameters.
 
-    An error is at most that of a value of which only the range is known.
+    The error of a parameter is at most that of an even distribution over its range.
     """
     cause, values = base.causes[index], base.fit.point.values[index]
     at = len(base.fit.point.deviation) + sum(len(c.parameters) for c in base.causes[:index])

@@ -192,7 +192,7 @@ class Search:
         progress: Progress,
     ) -> SearchResult:
         """Add causes to the leaders, and exchange them, while that pays."""
-        chosen = self.null
+        chosen = lowest = self.null
         while True:
             better = self._first_that_pays(leaders, chosen)
             if better is None and len(chosen.causes) > 1 and not chosen.adequate:
@@ -202,6 +202,7 @@ class Search:
                     leaders = self._leaders(self.further([chosen])) if self._may_gain(chosen) else []
                     tried += [chosen, *leaders]
                     continue
+                lowest = chosen
             if better is None and len(chosen.causes) > 1:
                 exchanged = self._leaders(self.further(self._vacancies(chosen)))
                 tried += exchanged
@@ -223,7 +224,7 @@ class Search:
             firsts = firsts if count == 2 else _distinct([chosen, *leaders])[:BEAM]
             leaders = self._leaders(self.further(firsts))
             tried += leaders
-        if len(chosen.causes) > 1:
+        if len(chosen.causes) > 1 and chosen is not lowest:
             chosen = self._reseeded(chosen)
             tried.append(chosen)
         several = range(len(chosen.causes)) if len(chosen.causes) > 1 else ()

@@ -218,7 +218,7 @@ class Bottle:
             return
         self._outliers = 0
         if surprising and error > 0.0:
-            # Nothing that takes air raises the pressure at once: a small refill says nothing of the rates.
+            # Only a refill raises the pressure at once. It says nothing of the leak, or of the air of a bend.
             self.doubt(error)
             projected[X] += error * error
             variance += error * error

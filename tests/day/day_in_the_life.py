@@ -199,16 +199,7 @@ def live(folder: Path, pictures: Path, browser: Browser) -> Outcomes:
         _install(day)
     with day.step("A profile"):
         day.do("flying-vines config init vine.toml")
-        profile = folder / "vine.toml"
-        text = profile.read_text(encoding="utf-8")
-        for old, new in (
-            ("udpin:127.0.0.1:14540", f"udpin:127.0.0.1:{ports['vehicle']}"),
-            ("serial:/dev/ttyACM0", "serial:vine-port"),
-            ("port = 8017", f"port = {ports['page']}"),
-        ):
-            assert old in text
-            text = text.replace(old, new)
-        profile.write_text(text, encoding="utf-8")
+        use_stand_ins(folder / "vine.toml", ports["vehicle"], ports["page"])
         seen.checked = day.do("flying-vines config check vine.toml", "config-check")
 
     # The stand-ins are up until the evening.
@@ -237,6 +228,19 @@ def live(folder: Path, pictures: Path, browser: Browser) -> Outcomes:
         with day.step("Does the extended rig explain it?"):
             _compare(day)
     return seen
+
+
+def use_stand_ins(profile: Path, vehicle_port: int, page_port: int) -> None:
+    """Point the links of a new profile at stand-ins: the phloSAR's port is `vine-port` beside it."""
+    text = profile.read_text(encoding="utf-8")
+    for old, new in (
+        ("udpin:127.0.0.1:14540", f"udpin:127.0.0.1:{vehicle_port}"),
+        ("serial:/dev/ttyACM0", "serial:vine-port"),
+        ("port = 8017", f"port = {page_port}"),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    profile.write_text(text, encoding="utf-8")
 
 
 def _install(day: Day) -> None:

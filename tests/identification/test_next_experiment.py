@@ -93,7 +93,7 @@ def test_leaks_of_two_laws_are_separated_by_what_the_pump_can_do() -> None:
     assert "kPa (" not in found.in_words() and "reservoir" not in found.in_words()
 
 
-def test_of_an_unsure_parameter_at_least_its_range_is_known(case: Case) -> None:
+def test_the_error_of_a_known_parameter_is_at_most_that_of_its_range(case: Case) -> None:
     """A scale that the data do not fix once moved by e^18, and its simulation did not end."""
     hidden = draw("short", 1).hidden[0].name
     problem = FitProblem(case, stated_noise(case.rig))

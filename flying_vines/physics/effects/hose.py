@@ -36,7 +36,7 @@ CAUSE = Cause(
             seeds=(0.02,),
             neutral=0.0,
             logarithmic=True,
-            # Less volume than a reading shows is no evidence against a hose: its resistance alone may show.
+            # A volume on its lower bound is no evidence against a hose: its resistance may be all that shows.
             typical=(log(0.0126), log(3.0)),
             source="8 cm of 4 mm bore, which hardly shows, to a second vessel of 10 L; typical: 1 m, ×÷ 3",
         ),
