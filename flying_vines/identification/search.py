@@ -207,6 +207,7 @@ class Search:
                 exchanged = self._leaders(self.further(self._vacancies(chosen)))
                 tried += exchanged
                 better = self._first_that_pays(exchanged, chosen)
+                leaders = sorted([*leaders, *exchanged], key=lambda c: (not c.possible, c.fit.chi2))
             for _ in range(AHEAD):
                 if better is not None or chosen.adequate:
                     break
