@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from flying_vines.cli.bad_input import bad_input
-from flying_vines.cli.common import FLIGHTS, file_errors, needs_analysis, phlosar_only
+from flying_vines.cli.common import FLIGHTS, add_cause_option, file_errors, needs_analysis, phlosar_only
 from flying_vines.config import config as configuration
 
 NOT_DONE = 1
@@ -30,6 +30,7 @@ def add(commands: Any) -> None:
         metavar="RIG.toml",
         help="a simulated rig instead, in simulated time (default: a likely vine)",
     )
+    add_cause_option(parser)
     parser.add_argument(
         "--out", type=Path, default=FLIGHTS, metavar="DIR", help=f"folder for the log ({FLIGHTS})"
     )

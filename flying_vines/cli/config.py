@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from flying_vines.cli.common import fail, known_rig
+from flying_vines.cli.common import add_cause_option, fail, known_rig
 from flying_vines.config import config as configuration
 
 
@@ -23,6 +23,7 @@ def add(commands: Any) -> None:
     init.set_defaults(run=_config_init)
     check = actions.add_parser("check", help="show the errors of a profile")
     check.add_argument("file", type=Path, metavar="FILE", help="the profile")
+    add_cause_option(check)
     check.set_defaults(run=_config_check)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from flying_vines.cli.bad_input import BAD_INPUT, bad_input
-from flying_vines.cli.common import known_rig
+from flying_vines.cli.common import add_cause_option, known_rig
 from flying_vines.config.address import FORMS
 
 if TYPE_CHECKING:
@@ -90,6 +90,7 @@ def _common(parser: argparse.ArgumentParser) -> None:
         help="bottle pressure at the start, gauge (default: full)",
     )
     parser.add_argument("--rig", type=Path, metavar="RIG.toml", help="the rig (default: the profile's)")
+    add_cause_option(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object instead")
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flying_vines.cli.bad_input import bad_input
-from flying_vines.cli.common import fail, file_errors, known_rig, read_mission
+from flying_vines.cli.common import add_cause_option, fail, file_errors, known_rig, read_mission
 from flying_vines.config import config as configuration
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ def add(commands: Any) -> None:
     replay.add_argument(
         "--pace", type=float, default=0.0, metavar="N", help="1: as recorded; 0: as fast as possible (0)"
     )
+    add_cause_option(replay)
     replay.add_argument("--json", action="store_true", help="print a JSON array instead")
     replay.set_defaults(run=_replay)
 

@@ -8,7 +8,7 @@ import gc
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flying_vines.cli.common import FLIGHTS, fail, file_errors, known_rig
+from flying_vines.cli.common import FLIGHTS, add_cause_option, fail, file_errors, known_rig
 from flying_vines.config import config as configuration
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ def add(commands: Any) -> None:
     run = commands.add_parser("run", help="run the service for a vehicle and a phloSAR")
     run.add_argument("--config", type=Path, required=True, metavar="FILE", help="the profile")
     run.add_argument("--rig", type=Path, metavar="RIG.toml", help="the rig (default: the profile's)")
+    add_cause_option(run)
     run.add_argument(
         "--out", type=Path, default=FLIGHTS, metavar="DIR", help="the folder for flight logs (flights)"
     )

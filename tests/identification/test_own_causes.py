@@ -9,6 +9,7 @@ from pathlib import Path
 import command_line
 import pytest
 
+from flying_vines.config.config import default_text
 from flying_vines.identification.case import read_case
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.extended import extended_rig
@@ -109,6 +110,17 @@ def test_a_rig_file_names_the_file_that_is_missing(files: Path, capsys: pytest.C
     assert [cause.name for cause in catalogue()].count("seam_leak") == 1
     written = true_rig_text(load_true_rig(files / "rig.toml"))
     assert 'defined_in = "seam_leak.py"' in written
+
+
+def test_the_service_takes_a_rig_with_it(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    profile = files / "profile.toml"
+    named = default_text().replace('rig = ""', 'rig = "rig.toml"')
+    profile.write_text(named, encoding="utf-8")
+    status, _, error = command_line.run(capsys, "config", "check", str(profile))
+    assert (status, error.count("\n")) == (2, 1)
+    assert "add --cause seam_leak.py" in error
+    status, out, _ = command_line.run(capsys, "config", "check", str(profile), "--cause", str(EXAMPLE))
+    assert status == 0 and "used for cycles left: seam_leak" in out
 
 
 GOOD = EXAMPLE.read_text(encoding="utf-8")
