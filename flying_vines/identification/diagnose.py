@@ -34,7 +34,8 @@ from flying_vines.identification.verdict import (
     Tried,
     Verdict,
 )
-from flying_vines.physics.cause import Cause
+from flying_vines.physics.arrays import Array
+from flying_vines.physics.cause import Cause, Sensor
 from flying_vines.physics.effects import causes_of
 
 INDISTINGUISHABLE = 9.2
@@ -62,7 +63,10 @@ def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progre
         causes: causes to test; default: those of the catalogue that this rig can have.
         progress: called with the current step, and the share of the work that is done.
     """
-    every = causes_of(case.rig) if causes is None else causes
+    largest_kPa = _largest_kPa(case)
+    every = [
+        cause.within_readings(largest_kPa) for cause in (causes_of(case.rig) if causes is None else causes)
+    ]
     # The fits already use all cores: more BLAS threads would only slow the small matrices down.
     with threadpool_limits(1):
         stated = stated_noise(case.rig, [np.stack((run.cv_kPa, run.reservoir_kPa)) for run in case.runs])
@@ -81,6 +85,17 @@ def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progre
             progress("again, with the noise of the data", 0.0)
             found = Search(FitProblem(case, left), every).resumed(found, progress)
         return _verdict(found, progress)
+
+
+def _largest_kPa(case: Case) -> dict[Sensor, float]:
+    """The largest reading of each sensor, kPa gauge; 0 if there is none."""
+    cv_kPa = np.concatenate([run.cv_kPa for run in case.runs])
+    reservoir_kPa = np.concatenate([run.reservoir_kPa for run in case.runs])
+    return {"cv": _largest(cv_kPa), "reservoir": _largest(reservoir_kPa)}
+
+
+def _largest(readings: Array) -> float:
+    return float(np.max(np.abs(readings[np.isfinite(readings)]), initial=0.0))
 
 
 def _noise_left(candidate: Candidate, stated: Noise, *, may_correlate: bool) -> Noise:

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import exp, inf, log
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from flying_vines.physics.plant.setup import Setup
 from flying_vines.physics.rig import RigError
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from flying_vines.physics.plant.commands import Commands
 
 Values = tuple[float, ...]
+Sensor = Literal["cv", "reservoir"]
 
 
 class CauseError(RigError):
@@ -55,6 +56,11 @@ class Parameter:
     """True if the search scale is the logarithm."""
     typical: tuple[float, float] | None = None
     """Prior: mean and standard deviation over rigs, on the search scale."""
+    of_largest: tuple[Sensor, float] | None = None
+    """A sensor and a share: the bounds are also within ± this share of its largest reading.
+
+    The sensor of a vessel at low pressure has a small span, and so small errors.
+    """
 
     def __post_init__(self) -> None:
         if not self.low <= self.high or (self.logarithmic and not self.low > 0.0):
@@ -63,6 +69,13 @@ class Parameter:
         within = self.low == self.high or all(self.low <= seed <= self.high for seed in self.seeds)
         if not self.seeds or not within:
             raise ValueError(f"{self.name}: needs seeds between low and high")
+
+    def within_readings(self, largest_kPa: Mapping[Sensor, float]) -> Parameter:
+        """This parameter with its bounds for sensors with these largest readings, kPa; 0 if not recorded."""
+        if self.of_largest is None or not largest_kPa[self.of_largest[0]]:
+            return self
+        most = self.of_largest[1] * largest_kPa[self.of_largest[0]]
+        return replace(self, low=max(self.low, -most), high=min(self.high, most))
 
     def to_search(self, value: float) -> float:
         """The value on the search scale."""
@@ -125,6 +138,10 @@ class Cause:
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
             raise ValueError(f"{self.name!r} is not a name of a cause: use letters, digits and _")
+
+    def within_readings(self, largest_kPa: Mapping[Sensor, float]) -> Cause:
+        """This cause with its bounds for sensors with these largest readings, kPa; 0 if not recorded."""
+        return replace(self, parameters=tuple(p.within_readings(largest_kPa) for p in self.parameters))
 
     def excludes(self, other: Cause) -> bool:
         """True if both are the same cause, or laws of the same thing."""

@@ -7,7 +7,7 @@ import inspect
 import pytest
 
 from flying_vines.physics.cause import Cause
-from flying_vines.physics.effects import catalogue
+from flying_vines.physics.effects import catalogue, cause_named
 
 TABLE = {
     "reservoir_leak": "flow_resistance_kPa_s_per_SL",
@@ -64,3 +64,12 @@ def test_a_cause_says_what_it_is(cause: Cause) -> None:
         for seed in parameter.seeds:
             assert parameter.low <= seed <= parameter.high
             assert parameter.to_model(parameter.to_search(seed)) == pytest.approx(seed)
+
+
+def test_an_offset_is_small_beside_the_readings() -> None:
+    """A cuff of 27 kPa has a sensor for it, not one that is off by 20 kPa."""
+    offset = cause_named("cv_sensor_offset")
+    (parameter,) = offset.within_readings({"cv": 27.0, "reservoir": 0.0}).parameters
+    assert (parameter.low, parameter.high) == pytest.approx((-8.1, 8.1))
+    assert offset.within_readings({"cv": 200.0, "reservoir": 0.0}) == offset
+    assert offset.within_readings({"cv": 0.0, "reservoir": 0.0}) == offset

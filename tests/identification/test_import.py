@@ -290,6 +290,27 @@ def test_layouts(name: str, tmp_path: Path) -> None:
     assert 590.0 < found["reservoir_pressure"][0] < 701.0, meanings(proposal)
 
 
+def test_pressures_without_a_unit_have_the_same_one(tmp_path: Path) -> None:
+    """A logger of absolute sensors in mbar, and names that join two words."""
+    rows = [
+        "started on:,2026-3-26",
+        "ms since midnight,MPRpressure_0,ForcePlate_0,valveOpening_0,RPRpressure_0",
+    ]
+    cv_mbar = 1012.7
+    for i in range(300):
+        opening = 20 <= i % 100 < 50
+        cv_mbar += 0.03 * (1400.0 - cv_mbar) * opening - 0.01 * (cv_mbar - 1012.7)
+        rows.append(f"{37172460 + 100 * i},{cv_mbar:.2f},0.01,{opening:.1f},{1404.0 - 0.05 * i:.2f}")
+    proposal = proposed(tmp_path / "a.csv", "\n".join(rows))
+    assert meanings(proposal) == {
+        "time": "ms",
+        "cv_pressure": "mbar abs",
+        "evp_opening": "0-1",
+        "reservoir_pressure": "mbar abs",
+    }
+    assert one_run(proposal)["reservoir_pressure"][0] == pytest.approx(39.1, abs=0.1)
+
+
 def test_several_runs_in_a_file(tmp_path: Path) -> None:
     back = "time_s2,pressure kPa\n" + "\n".join(f"{i % 50 / 10},{600 - i % 50}" for i in range(150))
     assert [len(r["time"]) for r in proposed(tmp_path / "a.csv", back).runs.values()] == [50, 50, 50]
@@ -327,6 +348,19 @@ def test_the_outlet_of_a_vessel_alone(tmp_path: Path) -> None:
     found = proposed(tmp_path / "a.csv", f"t (s),tank kPa,vent\n{rows[:-1]}0")
     write_case([found], tmp_path / "case")
     assert read_case(tmp_path / "case").runs[0].evp_opening[0] == 1.0
+
+
+def test_the_filling_of_a_vessel_alone_is_left_out(tmp_path: Path) -> None:
+    t, p = fall(300.0)
+    filling = [(0.1 * i, 2.0 if i < 10 else 15.0 * (i - 9)) for i in range(29)]
+    times, pressures = zip(*filling, *zip((t + 2.9).tolist(), p.tolist(), strict=True), strict=True)
+    rows = "\n".join(f"{a:.3f},{b}" for a, b in zip(times, pressures, strict=True))
+    found = proposed(tmp_path / "a.csv", f"t (s),cuff kPa\n{rows}", Answers())
+    assert one_run(found)["time"][0] == pytest.approx(2.9)
+    assert "a: the vessel is filled until 2.9 s; these rows are left out" in found.notes
+    # A vessel that was full at the start is not cut.
+    held = "\n".join(f"{0.05 * i:.2f},{300.0 - i * 0.01 + i % 2}" for i in range(100))
+    assert one_run(proposed(tmp_path / "b.csv", f"t (s),cuff kPa\n{held}"))["time"][0] == 0.0
 
 
 def test_a_column_that_repeats_another(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ meaning once. A column that has no score above zero is ignored.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 
 import msgspec
@@ -156,7 +156,11 @@ EVIDENCE: tuple[tuple[str, _Test, Mapping[str, float]], ...] = (
     ("not a whole number", lambda s: bool(np.any(s.readings % 1.0 != 0.0)), {"run": -9}),
 )  # fmt: skip
 """Evidence in the values: what to say, the test, and its points for meanings."""
+_LONG = 5
+"""Letters of a word that is also known as a part of another."""
 _UNIT_FITS, _UNIT_CONTRADICTS = 3.0, -9.0
+LOWEST_AMBIENT_KPA = 85.0
+"""Of a laboratory; absolute."""
 _UNNAMED = {"cv_pressure": 1.0, "reservoir_pressure": 1.0}
 """Points of a column without a name and a unit."""
 
@@ -177,13 +181,18 @@ def guess_columns(table: ForeignTable, given: Sequence[ImportedColumn] = ()) -> 
         for meaning in WORDS:
             if meaning not in taken and signal.number not in copies:
                 scores[signal.number, meaning], reasons[signal.number, meaning] = _score(signal, meaning)
-    _compare_pressures(signals, scores, "command_kPa" in taken or "evp_opening" in taken)
+    _compare_pressures(signals, scores, taken)
     meanings: dict[int, str] = {}
     while scores and scores[best := max(scores, key=lambda pair: scores[pair])] > 0.0:
         number, meanings[number] = best[0], best[1]
         scores = {
             pair: points for pair, points in scores.items() if pair[0] != best[0] and pair[1] != best[1]
         }
+    unlabelled = [
+        (signal, meanings[signal.number])
+        for signal in signals
+        if QUANTITIES.get(meanings.get(signal.number, "")) == "pressure" and not signal.unit
+    ]
     found = []
     for signal in signals:
         known = fixed.get(signal.number) or ImportedColumn(signal.number, "")
@@ -191,7 +200,7 @@ def guess_columns(table: ForeignTable, given: Sequence[ImportedColumn] = ()) -> 
         why = (known.why or "as answered") if known.meaning else reasons.get((signal.number, meaning), "")
         if signal.number in copies and not known.meaning:
             why = f"the same signal as column {copies[signal.number]}"
-        unit, reason = (known.unit, "") if known.unit else _unit(signal, meaning)
+        unit, reason = (known.unit, "") if known.unit else _unit(signal, meaning, unlabelled)
         if unit:
             parse_unit(unit)
         why = "; ".join(part for part in (why, reason) if part)
@@ -210,7 +219,7 @@ def _score(signal: _Signal, meaning: str) -> tuple[float, str]:
     if len(signal.readings) == 0:
         return -1.0, ""
     names = words_of(signal.name)
-    points = {f"“{word}”": WORDS[meaning][word] for word in names if word in WORDS[meaning]}
+    points = {f"“{word}”": _points(word, meaning) for word in names if _points(word, meaning)}
     if _NOT_READ & set(names):
         points["not read"] = -20.0
     elif signal.unit and meaning in QUANTITIES:
@@ -232,6 +241,13 @@ def _score(signal: _Signal, meaning: str) -> tuple[float, str]:
             points[text] = points.get(text, 0.0) + worth[meaning]
     reasons = sorted((text for text in points if points[text] > 0.0), key=lambda text: -points[text])
     return sum(points.values()), ", ".join(reasons[:3])
+
+
+def _points(word: str, meaning: str) -> float:
+    """Points of a word of a name, or of a known long word at one end of it, as in “tankpressure”."""
+    points = WORDS[meaning]
+    parts = (part for part in points if len(part) >= _LONG and (word.startswith(part) or word.endswith(part)))
+    return points[word] if word in points else max((points[part] for part in parts), default=0.0)
 
 
 def _copies(signals: Sequence[_Signal]) -> dict[int, int]:
@@ -256,14 +272,26 @@ def _copies(signals: Sequence[_Signal]) -> dict[int, int]:
     return copies
 
 
-def _compare_pressures(
-    signals: Sequence[_Signal], scores: dict[tuple[int, str], float], driven: bool
-) -> None:
-    """The higher of two pressures is the reservoir's; a single one is the chamber's if it is driven."""
-    pairs = ("cv_pressure", "reservoir_pressure")
+def _best_meanings(signals: Sequence[_Signal], scores: Mapping[tuple[int, str], float]) -> dict[int, str]:
+    """The meaning with most points of each column that has any, by its number."""
     best = {s.number: max(WORDS, key=lambda meaning: scores.get((s.number, meaning), -1.0)) for s in signals}
-    best = {number: meaning for number, meaning in best.items() if scores.get((number, meaning), 0.0) > 0.0}
-    driven = driven or not {"command_kPa", "evp_opening"}.isdisjoint(best.values())
+    return {number: meaning for number, meaning in best.items() if scores.get((number, meaning), 0.0) > 0.0}
+
+
+def _compare_pressures(
+    signals: Sequence[_Signal], scores: dict[tuple[int, str], float], taken: Set[str]
+) -> None:
+    """The higher of two pressures is the reservoir's; a single one is the chamber's if it is driven.
+
+    A pressure that is the only one is measured, not a target.
+    """
+    pairs = ("cv_pressure", "reservoir_pressure")
+    best = _best_meanings(signals, scores)
+    if not {*taken, *best.values()} & {*pairs}:
+        for signal in signals:
+            scores.pop((signal.number, "command_kPa"), None)
+        best = _best_meanings(signals, scores)
+    driven = not {"command_kPa", "evp_opening"}.isdisjoint({*taken, *best.values()})
     level = {s.number: float(np.median(s.readings)) * (s.unit.factor if s.unit else 1.0) for s in signals
              if best.get(s.number) in pairs}  # fmt: skip
     for number in level:
@@ -273,8 +301,11 @@ def _compare_pressures(
         scores[number, pairs[int(reservoir)]] += 1.5
 
 
-def _unit(signal: _Signal, meaning: str) -> tuple[str, str]:
-    """The unit of a column and why; empty if its meaning has none."""
+def _unit(signal: _Signal, meaning: str, unlabelled: Sequence[tuple[_Signal, str]]) -> tuple[str, str]:
+    """The unit of a column and why; empty if its meaning has none.
+
+    Pressures of the file that have no unit (`unlabelled`, with their meanings) have the same one.
+    """
     quantity = QUANTITIES.get(meaning)
     if quantity is None or len(signal.readings) == 0:
         return "", ""
@@ -290,9 +321,18 @@ def _unit(signal: _Signal, meaning: str) -> tuple[str, str]:
     elif named:
         return _gauge_or_absolute(signal, named, meaning)
     else:
-        doubt = guess_time(signal.values) if quantity == "time" else guess_pressure(signal.values, meaning)
+        others = [(other, what) for other, what in unlabelled if other.number != signal.number]
+        doubt = (
+            guess_time(signal.values)
+            if quantity == "time"
+            else guess_pressure(signal.values, meaning, [(other.values, what) for other, what in others])
+        )
         if quantity == "pressure":
             name, why = _gauge_or_absolute(signal, doubt.unit, meaning)
+            absolute = (other for other, what in others if _gauge_or_absolute(other, doubt.unit, what)[1])
+            beside = next(absolute, None)
+            if not why and beside and np.min(signal.readings) * doubt.unit.factor > LOWEST_AMBIENT_KPA:
+                name, why = as_absolute(doubt.unit).name, f"absolute like column {beside.number}"
             doubt = doubt._replace(unit=parse_unit(name), why="; ".join(filter(None, (doubt.why, why))))
     return doubt.unit.name, doubt.why + (f"; or {doubt.other}" if doubt.other else "")
 
@@ -304,6 +344,6 @@ def _gauge_or_absolute(signal: _Signal, unit: Unit, meaning: str) -> tuple[str, 
     kPa = np.sort(signal.readings * unit.factor + unit.offset)
     low = float(kPa[len(kPa) // 100])
     at_rest = float(np.mean(kPa < low + 2.0))
-    if is_ambient(low) and 85.0 < low < 106.0 and at_rest > 0.04 and kPa[-1] > low + 5.0:
+    if is_ambient(low) and LOWEST_AMBIENT_KPA < low < 106.0 and at_rest > 0.04 and kPa[-1] > low + 5.0:
         return as_absolute(unit).name, f"rests at {low:.4g} kPa, as an absolute sensor does"
     return unit.name, ""

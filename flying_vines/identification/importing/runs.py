@@ -300,6 +300,10 @@ def _alone(run: Run, answers: Answers, notes: list[str], name: str) -> Run:
     """A vessel of which only the pressure was recorded, with the opening of its outlet."""
     run = {**run, "reservoir_pressure": run.get("cv_pressure", run.get("reservoir_pressure", run["time"]))}
     run.pop("cv_pressure", None)
+    filled_s = _filled_time(run["time"], run["reservoir_pressure"])
+    if filled_s is not None:
+        notes.append(f"{name}: the vessel is filled until {filled_s:.6g} s; these rows are left out")
+        run = {meaning: column[run["time"] >= filled_s] for meaning, column in run.items()}
     time_s, p = run["time"], run["reservoir_pressure"]
     opens_s = _opening_time(time_s, p)
     if answers.setup.outlet is None:
@@ -326,6 +330,19 @@ def _alone(run: Run, answers: Answers, notes: list[str], name: str) -> Run:
     # The valve moved at an unknown time between two readings: the second does not follow from the first.
     after_gap = np.concatenate(([0.0, 0.0], np.diff(opening)[:-1]))
     return {**run, "evp_opening": opening, "dvp_opening": shut, "solenoid": shut, "after_gap": after_gap}
+
+
+def _filled_time(time_s: Array, pressure_kPa: Array) -> float | None:
+    """Time of the highest pressure, if the vessel is filled in this run; else None.
+
+    It is filled if the first pressure is below half of the highest.
+    """
+    there = np.isfinite(pressure_kPa)
+    t, p = time_s[there], pressure_kPa[there]
+    if len(p) < MIN_SAMPLES:
+        return None
+    top = int(np.argmax(p))
+    return float(t[top]) if p[0] < 0.5 * p[top] and _long_enough(t[top:]) else None
 
 
 def _opening_time(time_s: Array, pressure_kPa: Array) -> float | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from math import inf, log
 from typing import Literal, NamedTuple
 
@@ -148,18 +149,27 @@ class UnitGuess(NamedTuple):
     other: str = ""
 
 
-def guess_pressure(values: Array, meaning: str) -> UnitGuess:
-    """The unit of a pressure column by the size of its readings."""
-    top = float(np.nanmax(np.abs(values), initial=0.0)) or 1.0
-    center_kPa, width = _TYPICAL.get(meaning, _TYPICAL_KPA)
-    costs = {
-        unit: unit.cost + 0.5 * (log(top * unit.factor / center_kPa) / width) ** 2
-        for unit in UNITS
-        if unit.quantity == "pressure" and unit.cost < inf
-    }
+def guess_pressure(values: Array, meaning: str, beside: Sequence[tuple[Array, str]] = ()) -> UnitGuess:
+    """The unit of a pressure column by the size of its readings.
+
+    Args:
+        values: the readings.
+        meaning: of the column.
+        beside: readings and meanings of the file's other pressures without a unit: they have the same one.
+    """
+    top = _top(values)
+    costs = {unit: unit.cost for unit in UNITS if unit.quantity == "pressure" and unit.cost < inf}
+    for readings, what in ((values, meaning), *beside):
+        center_kPa, width = _TYPICAL.get(what, _TYPICAL_KPA)
+        for unit in costs:
+            costs[unit] += 0.5 * (log(_top(readings) * unit.factor / center_kPa) / width) ** 2
     best, second = sorted(costs, key=lambda unit: costs[unit])[:2]
     why = f"readings up to {top:.4g} are usual in {best.name}"
     return UnitGuess(best, why, second.name if costs[second] - costs[best] < 1.5 else "")
+
+
+def _top(readings: Array) -> float:
+    return float(np.nanmax(np.abs(readings), initial=0.0)) or 1.0
 
 
 def guess_time(values: Array) -> UnitGuess:

@@ -22,6 +22,7 @@ CAUSE = Cause(
             high=10.0,
             seeds=(0.0,),
             neutral=0.0,
+            of_largest=("cv", 0.3),
             source="2 % of the span in a minute of warming up: 4 kPa of 200",
         ),
     ),

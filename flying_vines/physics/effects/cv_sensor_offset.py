@@ -22,6 +22,7 @@ CAUSE = Cause(
             high=20.0,
             seeds=(0.0,),
             neutral=0.0,
+            of_largest=("cv", 0.3),
             source="total error band ±3.1 kPa of 207; a zero that was never set: 10 % of the span",
         ),
     ),

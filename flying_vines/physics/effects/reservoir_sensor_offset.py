@@ -22,6 +22,7 @@ CAUSE = Cause(
             high=75.0,
             seeds=(0.0,),
             neutral=0.0,
+            of_largest=("reservoir", 0.3),
             source="total error band ±22.5 kPa of 1500; a zero that was never set: 5 % of the span",
         ),
     ),
