@@ -14,6 +14,7 @@ import numpy as np
 
 from flying_vines.identification.importing.layout import ForeignTable
 from flying_vines.identification.importing.units import (
+    AMBIENT_KPA,
     Quantity,
     Unit,
     as_absolute,
@@ -21,11 +22,11 @@ from flying_vines.identification.importing.units import (
     guess_pressure,
     guess_time,
     parse_unit,
+    rest_kPa,
     unit_in,
     words_of,
 )
 from flying_vines.identification.noise import resolution
-from flying_vines.identification.plausible import is_ambient
 from flying_vines.identification.recording import CaseError
 from flying_vines.physics.arrays import Array
 
@@ -159,8 +160,6 @@ EVIDENCE: tuple[tuple[str, _Test, Mapping[str, float]], ...] = (
 _LONG = 5
 """Letters of a word that is also known as a part of another."""
 _UNIT_FITS, _UNIT_CONTRADICTS = 3.0, -9.0
-LOWEST_AMBIENT_KPA = 85.0
-"""Of a laboratory; absolute."""
 _UNNAMED = {"cv_pressure": 1.0, "reservoir_pressure": 1.0}
 """Points of a column without a name and a unit."""
 
@@ -331,7 +330,7 @@ def _unit(signal: _Signal, meaning: str, unlabelled: Sequence[tuple[_Signal, str
             name, why = _gauge_or_absolute(signal, doubt.unit, meaning)
             absolute = (other for other, what in others if _gauge_or_absolute(other, doubt.unit, what)[1])
             beside = next(absolute, None)
-            if not why and beside and np.min(signal.readings) * doubt.unit.factor > LOWEST_AMBIENT_KPA:
+            if not why and beside and np.min(signal.readings) * doubt.unit.factor > AMBIENT_KPA[0]:
                 name, why = as_absolute(doubt.unit).name, f"absolute like column {beside.number}"
             doubt = doubt._replace(unit=parse_unit(name), why="; ".join(filter(None, (doubt.why, why))))
     return doubt.unit.name, doubt.why + (f"; or {doubt.other}" if doubt.other else "")
@@ -341,9 +340,7 @@ def _gauge_or_absolute(signal: _Signal, unit: Unit, meaning: str) -> tuple[str, 
     """An absolute sensor rests at ambient pressure and hardly ever reads less."""
     if unit.quantity != "pressure" or unit.absolute or meaning not in ("cv_pressure", "reservoir_pressure"):
         return unit.name, ""
-    kPa = np.sort(signal.readings * unit.factor + unit.offset)
-    low = float(kPa[len(kPa) // 100])
-    at_rest = float(np.mean(kPa < low + 2.0))
-    if is_ambient(low) and LOWEST_AMBIENT_KPA < low < 106.0 and at_rest > 0.04 and kPa[-1] > low + 5.0:
+    low = rest_kPa(signal.readings * unit.factor + unit.offset)
+    if low is not None:
         return as_absolute(unit).name, f"rests at {low:.4g} kPa, as an absolute sensor does"
     return unit.name, ""

@@ -75,6 +75,10 @@ FULL_SCALES = (1.0, 100.0, 255.0, 1023.0, 4095.0, 65535.0)
 _TYPICAL = {"reservoir_pressure": (600.0, 1.0), "ambient_pressure": (100.0, 0.1)}
 _TYPICAL_KPA = (50.0, 1.5)
 """Largest reading of a pressure column, and the spread of its natural logarithm."""
+AMBIENT_KPA = 85.0, 106.0
+"""Of laboratories; absolute."""
+_RESTS = 3.0
+"""A unit is e³ times as likely if readings rest at ambient pressure in it, as those of an absolute sensor."""
 
 
 def parse_unit(text: str) -> Unit:
@@ -163,9 +167,19 @@ def guess_pressure(values: Array, meaning: str, beside: Sequence[tuple[Array, st
         center_kPa, width = _TYPICAL.get(what, _TYPICAL_KPA)
         for unit in costs:
             costs[unit] += 0.5 * (log(_top(readings) * unit.factor / center_kPa) / width) ** 2
+            costs[unit] -= _RESTS * (rest_kPa(readings[np.isfinite(readings)] * unit.factor) is not None)
     best, second = sorted(costs, key=lambda unit: costs[unit])[:2]
     why = f"readings up to {top:.4g} are usual in {best.name}"
     return UnitGuess(best, why, second.name if costs[second] - costs[best] < 1.5 else "")
+
+
+def rest_kPa(readings_kPa: Array) -> float | None:
+    """The pressure at which an absolute sensor rests, if these are readings of one; else None."""
+    kPa = np.sort(readings_kPa)
+    low = float(kPa[len(kPa) // 100]) if len(kPa) else 0.0
+    at_rest = float(np.mean(kPa < low + 2.0)) if len(kPa) else 0.0
+    rests = AMBIENT_KPA[0] < low < AMBIENT_KPA[1] and at_rest > 0.04 and kPa[-1] > low + 5.0
+    return low if rests else None
 
 
 def _top(readings: Array) -> float:
