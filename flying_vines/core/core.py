@@ -43,7 +43,7 @@ from flying_vines.core.parts import IsolatedParts
 from flying_vines.core.restarts import Restarts
 from flying_vines.core.safety import LossEnded, ResponseNeeded, Ruling, Safety, SafetyInputs
 from flying_vines.core.waiting import FreshRequest, Waiting, source
-from flying_vines.supply import Belief, Features, ReservoirEstimate, TelemetryReader, ToldCycles, nominal
+from flying_vines.supply import Belief, Features, ReportedCycles, ReservoirEstimate, TelemetryReader, nominal
 from flying_vines.supply.estimate import AirNeeded
 from flying_vines.supply.learned_file import learned_from, text_of
 from flying_vines.supply.physics_checks import AIR_LOSSES, CHECKS, PhysicsChecks, own_checks
@@ -166,7 +166,7 @@ class Core:
         self._actuator = config.firmware.name
         self._checks = PhysicsChecks(self._belief, config.checks, CHECKS if self._has_reservoir else {})
         self._own_checks = own_checks(self._belief, config.checks)
-        self._cycles = ToldCycles(self._reservoir)
+        self._cycles = ReportedCycles(self._reservoir)
         self._cycles_at = -math.inf
         self._low_warned = False
         self._silent_since: float | None = None
