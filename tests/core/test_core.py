@@ -582,7 +582,7 @@ def test_a_new_leak_is_stored_though_nothing_bends() -> None:
             flight.autopilot.set_rc(9, pulse_us)
             run_for(flight, 3.0)
     run_for(flight, 15.0)
-    flight.phlosar.befall("bottle", Hole(0.1))
+    flight.phlosar.inject("bottle", Hole(0.1))
     actions = run_for(flight, 60.0)
     assert any("the leak has changed" in text for text in notices(actions))
     kept = [action for action in actions if isinstance(action, KeepLearned)]

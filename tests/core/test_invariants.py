@@ -14,6 +14,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from drawn_mishaps import DRAWN
 from hypothesis import note, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
@@ -28,7 +29,7 @@ from flying_vines.core.safety import LossEnded, ResponseNeeded, Ruling
 from flying_vines.simulation.autopilot import AutopilotKind, RcSource
 from flying_vines.simulation.autopilot.receiver import LOSSES
 from flying_vines.simulation.phlosar.firmware import Firmware
-from flying_vines.simulation.phlosar.mishaps import DRAWN, PLACES, Filled, StuckAt
+from flying_vines.simulation.phlosar.mishaps import PLACES, Filled, StuckAt
 from flying_vines.simulation.phlosar.regulator import Drive
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vine.intent import BendTo, StartProfile
@@ -319,7 +320,7 @@ def cut_while_bending(flight: RefereedFlight) -> None:
 
 def overfill(flight: RefereedFlight) -> None:
     bent(flight)
-    flight.befall("bottle", Filled(800.0))
+    flight.inject("bottle", Filled(800.0))
     flight.run(0.5)
 
 
@@ -487,7 +488,7 @@ class AnyFlight(RuleBasedStateMachine):
     @rule(which=st.integers(0, len(DRAWN) - 1), seed=st.integers(0, 1000))
     def something_breaks(self, which: int, seed: int) -> None:
         place, make = DRAWN[which]
-        self.flight.befall(place, make(random.Random(seed)))
+        self.flight.inject(place, make(random.Random(seed)))
         self.flight.run(0.2)
 
     @rule(place=st.sampled_from(sorted(PLACES)))

@@ -309,7 +309,7 @@ def sensors() -> World:
     for place, fault in (("cv_sensor", Fault.CV_SENSOR), ("reservoir_sensor", Fault.RESERVOIR_SENSOR)):
         for kind in (Open(), Shorted()):
             world.hold(9.0, 60)
-            world.phlosar.befall(place, kind)
+            world.phlosar.inject(place, kind)
             world.run(8)
             world.is_in(Mode.FAULT, fault)
             world.clear()
