@@ -6,13 +6,13 @@ from random import Random
 from statistics import pstdev
 
 import pytest
+from closed_forms import choked_time_constant_s, isothermal_choked_discharge_kPa_abs
 from drawn_mishaps import DRAWN, Mishap, Momentary, draw_mishap
 from still_board import StillBoard
 
 from firmware_link.protocol import PROTOCOL_VERSION, Codec, Hello, Mode, Setpoint, Telemetry, Vent
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Ohm, flow_SL_per_s
-from flying_vines.physics.plant.gas import choked_time_constant_s, isothermal_choked_discharge_kPa_abs
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.plant.volume import Pouch
 from flying_vines.physics.plant.wall import Wall
