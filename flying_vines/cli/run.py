@@ -54,6 +54,7 @@ def _run(arguments: argparse.Namespace) -> int:
             state.read_parameters(config),
             state.disarmed,
             state.read_learned(),
+            state.read_latched(),
             signing,
             state.read_page_token(config),
         )
@@ -61,7 +62,13 @@ def _run(arguments: argparse.Namespace) -> int:
         numbers = known.belief.pneumatics if known else config.pneumatics
         rig = known.path.read_text(encoding="utf-8") if known else ""
         began = FlightStart(
-            text, numbers, rig, remembered.parameters, remembered.disarmed, remembered.learned
+            text,
+            numbers,
+            rig,
+            remembered.parameters,
+            remembered.disarmed,
+            remembered.learned,
+            remembered.latched,
         )
         log = Recorder(arguments.out, began, config.log.least_free_MB)
     except OSError as error:

@@ -26,6 +26,7 @@ from flying_vines.core.events import (
     FirmwareMessage,
     InternalError,
     KeepDisarmed,
+    KeepLatched,
     KeepLearned,
     KeepParameters,
     LinkChanged,
@@ -131,7 +132,8 @@ class Core:
     `mission` is the vehicle's mission if it is already known; otherwise it is read from the autopilot.
     `belief` holds the rig's identified numbers; without it, those of the configuration are used. `parameters`
     are the stored ones that a pilot has set. `disarmed`: the pneumatics were disarmed when the last core
-    ended. They stay disarmed until a person arms them. `learned` is the text of the last `KeepLearned`.
+    ended. They stay disarmed until a person arms them. `learned` is the text of the last `KeepLearned`,
+    `latched` the faults of the last `KeepLatched`.
     """
 
     def __init__(
@@ -142,6 +144,7 @@ class Core:
         parameters: Mapping[str, float] | None = None,
         disarmed: bool = False,
         learned: str = "",
+        latched: Mapping[str, str] | None = None,
     ) -> None:
         self._vehicle = Vehicle(profile, mission, parameters)
         self._link_loss = LinkLoss(self._vehicle)
@@ -153,7 +156,9 @@ class Core:
         self._firmware_was_ready = False
         self._firmware_limit_kPa = math.inf
         self._firmware_problem = "not connected"
-        self._safety = Safety(config)
+        self._safety = Safety(config, latched or {})
+        self._kept_latched = set(latched or ())
+        """The latched faults at the last storage."""
         self._belief = belief or nominal(config.pneumatics)
         self._reader = TelemetryReader(self._belief)
         self._features: Features | None = None
@@ -644,6 +649,7 @@ class Core:
         self._update_cycles_left(t)
         self._warn_of_low_reservoir(t)
         self._keep_learned(t)
+        self._keep_latched(t)
         self._report(t)
 
     @property
@@ -807,6 +813,12 @@ class Core:
         if learned is not None:
             self._kept_cycles, self._kept_at = reservoir.measured_cycles, t
             self._actions.append(KeepLearned(t, text_of(self._belief, learned)))
+
+    def _keep_latched(self, t: float) -> None:
+        latched = self._safety.latched
+        if latched.keys() != self._kept_latched:
+            self._kept_latched = set(latched)
+            self._actions.append(KeepLatched(t, latched))
 
     def _warn_of_low_reservoir(self, t: float) -> None:
         cycles = self._cycles.left

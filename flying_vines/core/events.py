@@ -165,6 +165,15 @@ class KeepLearned:
 
 
 @dataclass(frozen=True, slots=True)
+class KeepLatched:
+    """A fault has latched, or a person has cleared one: store those that are latched now."""
+
+    t: float
+    faults: dict[str, str]
+    """A sentence for each, by name."""
+
+
+@dataclass(frozen=True, slots=True)
 class InternalError:
     """A part failed with this traceback, for the log."""
 
@@ -182,6 +191,7 @@ Action = (
     | KeepParameters
     | KeepDisarmed
     | KeepLearned
+    | KeepLatched
     | InternalError
 )
 

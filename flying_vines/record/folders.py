@@ -67,6 +67,8 @@ class FlightStart:
     """The pneumatics were disarmed when the last service ended."""
     learned: str = ""
     """The text of what the last service learned of the rig's air."""
+    latched: dict[str, str] = field(default_factory=dict)
+    """The faults of the last service that nobody has cleared, by name."""
 
 
 class LogEnded(OSError):
@@ -235,6 +237,7 @@ class Files:
             learned=began.learned,
             believed=msgspec.to_builtins(nominal_rig(began.pneumatics)),
             continues=continues,
+            latched=began.latched,
         )
         self.add(entry_of_state(start))
         self.sync()

@@ -40,6 +40,7 @@ class Remembered:
     parameters: dict[str, float]
     disarmed: bool
     learned: str
+    latched: dict[str, str]
     signing: Signing | None
     page_token: str
 
@@ -73,6 +74,7 @@ async def serve(
         remembered.parameters,
         remembered.disarmed,
         remembered.learned,
+        remembered.latched,
         remembered.signing,
         remembered.kept,
     )

@@ -25,6 +25,7 @@ from flying_vines.core.events import (
     Failed,
     FirmwareMessage,
     KeepDisarmed,
+    KeepLatched,
     KeepLearned,
     KeepParameters,
     LinkChanged,
@@ -64,8 +65,8 @@ _LINKS = ("flying_vines.vehicle.mavlink.link", "firmware_link.serial_port")
 class Service:
     """A core between two real links. The `watchers` get each event and action after it was carried out.
 
-    `parameters`, `disarmed`, `learned` and `signing` are the stored state of the last run. `kept` has the
-    files for the next run; without it nothing is stored.
+    `parameters`, `disarmed`, `learned`, `latched` and `signing` are the stored state of the last run. `kept`
+    has the files for the next run; without it nothing is stored.
     """
 
     def __init__(
@@ -76,11 +77,19 @@ class Service:
         parameters: Mapping[str, float] | None = None,
         disarmed: bool = False,
         learned: str = "",
+        latched: Mapping[str, str] | None = None,
         signing: Signing | None = None,
         kept: PersistentState | None = None,
     ) -> None:
         self.core = CrashSafeCore(
-            Core(config, belief=belief, parameters=parameters, disarmed=disarmed, learned=learned),
+            Core(
+                config,
+                belief=belief,
+                parameters=parameters,
+                disarmed=disarmed,
+                learned=learned,
+                latched=latched,
+            ),
             lambda error: self.failed("display", error),
         )
         self._failed: set[str] = set()
@@ -88,6 +97,7 @@ class Service:
         self.link_problems: dict[str, str] = {}
         self._profile = config
         self._disarmed_before = disarmed
+        self._latched_before = dict(latched or {})
         self._persistent = kept
         self._unwritten: dict[str, Callable[[], None]] = {}
         """Functions that write the changed states, by state."""
@@ -144,6 +154,8 @@ class Service:
         """Serve until `stop`. If it is cancelled, the firmware's dead-man vents the vine."""
         if self._disarmed_before:
             self.say(Severity.WARNING, "pneumatics disarmed before restart: arm them")
+        for reason in self._latched_before.values():
+            self.say(Severity.WARNING, f"latched before restart: {reason}")
         loop = asyncio.get_running_loop()
         previous_handler = loop.get_exception_handler()
         loop.set_exception_handler(self._callback_failed)
@@ -368,6 +380,8 @@ class Service:
                 self._store("disarming", partial(self._persistent.store_disarmed, disarmed))
             case KeepLearned(_, text) if self._persistent is not None:
                 self._store("learned", partial(self._persistent.store_learned, text))
+            case KeepLatched(_, faults) if self._persistent is not None:
+                self._store("latched faults", partial(self._persistent.store_latched, faults))
 
 
 def line_to(config: FirmwareConfig) -> Line:

@@ -172,6 +172,7 @@ def _core(log: FlightLog, start: Start, config: Config | None) -> CrashSafeCore:
         parameters=start.parameters,
         disarmed=start.disarmed,
         learned=start.learned,
+        latched=start.latched,
     )
     return CrashSafeCore(core)
 

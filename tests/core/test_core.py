@@ -11,10 +11,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from firmware_link.protocol import ClearFaults, Fault, Setpoint
 from flying_vines.config import config
+from flying_vines.core.core import Core
 from flying_vines.core.events import (
     Action,
     Decision,
     FirmwareMessage,
+    KeepLatched,
     KeepLearned,
     LinkChanged,
     Stop,
@@ -248,6 +250,31 @@ def test_a_firmware_reset_latches() -> None:
     acknowledged = ground_command(flight, mavlink.MAV_CMD_USER_5, 1.0)
     assert answers(acknowledged) == [(mavlink.MAV_CMD_USER_5, mavlink.MAV_RESULT_ACCEPTED)]
     flight.autopilot.set_rc(9, HIGH)
+    assert [d.safety for d in decisions(run_for(flight, 1.0))] == ["accepted"]
+
+
+def test_a_latched_loss_of_air_outlasts_a_restart_until_a_person_clears_it() -> None:
+    flight = airborne()
+    flight.phlosar.mishaps.evp = StuckAt(0.0)
+    flight.autopilot.set_rc(9, HIGH)
+    stored = [action.faults for action in run_for(flight, 3.0) if isinstance(action, KeepLatched)]
+    assert [set(faults) for faults in stored] == [{"filling"}]
+    flight.phlosar.mishaps.evp = None
+    flight.world.core = Core(config.default(), latched=stored[-1])
+    for link in ("firmware", "vehicle"):
+        flight.feed(LinkChanged(flight.world.now, link, True))
+    flight.autopilot.set_rc(9, LOW)
+    run_for(flight, 4.0)
+    left = flight.core.snapshot(flight.world.now).cycles
+    assert left is not None and left.lost and left.expected == 0.0
+    flight.autopilot.set_rc(9, MIDDLE)
+    (refused,) = decisions(run_for(flight, 1.0))
+    assert (refused.safety, refused.reason) == ("refused", stored[-1]["filling"])
+    flight.autopilot.set_rc(9, LOW)
+    actions = run_for(flight, 1.0)
+    assert "Vine: cleared filling" in notices(actions)
+    assert [action.faults for action in actions if isinstance(action, KeepLatched)] == [{}]
+    flight.autopilot.set_rc(9, MIDDLE)
     assert [d.safety for d in decisions(run_for(flight, 1.0))] == ["accepted"]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -56,26 +57,36 @@ def test_a_flight_comes_out_the_same_again(flown: Path) -> None:
     assert {"decision", "notice", "mavlink/out", "phlosar/setpoint", "phlosar/vent"} <= again.compared.keys()
 
 
-def test_all_that_the_core_began_with_counts(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("kept", "reason", "written", "forgotten"),
+    [
+        ({"disarmed": True}, "the pneumatics are disarmed", b'"disarmed":true', b'"disarmed":false'),
+        ({"latched": {"filling": "not filling"}}, "not filling", b'{"filling":"not filling"}', b"{}"),
+    ],
+    ids=["disarmed", "latched"],
+)
+def test_all_that_the_core_began_with_counts(
+    tmp_path: Path, kept: dict[str, Any], reason: str, written: bytes, forgotten: bytes
+) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text(true_rig_text(TrueRig(Rig(), {"cv_leak": {"flow_resistance_kPa_s_per_SL": 8000.0}})))
     belief = load_calibration(rig, CONFIG.pneumatics).belief
     parameters = {"VINE_RATE_HZ": 5.0}
     began = replace(BEGAN, pneumatics=belief.pneumatics, rig=rig.read_text())
-    began = replace(began, parameters=parameters, disarmed=True)
+    began = replace(began, parameters=parameters, **kept)
     flight = new_flight()
-    flight.world.core = Core(CONFIG, (), belief, parameters, disarmed=True)
+    flight.world.core = Core(CONFIG, (), belief, parameters, **kept)
     recorder = Recorder(tmp_path / "flights", began, t=0.0)
     fly(flight, recorder, ((3.0, LOW), (5.0, HIGH), (6.0, LOW)))
     recorder.close()
     again = replay_flight(FlightLog(recorder.folder))
     assert not again.differences and again.compared.total() > 300
-    assert {d.reason for d in again.decisions if d.safety == "refused"} == {"the pneumatics are disarmed"}
+    assert {d.reason for d in again.decisions if d.safety == "refused"} == {reason}
 
-    def without_disarming(entry: LogEntry) -> bytes:
-        return entry.data.replace(b'"disarmed":true', b'"disarmed":false')
+    def without(entry: LogEntry) -> bytes:
+        return entry.data.replace(written, forgotten)
 
-    forgot = replay_flight(FlightLog(rewritten(recorder.folder, tmp_path / "forgot", without_disarming)))
+    forgot = replay_flight(FlightLog(rewritten(recorder.folder, tmp_path / "forgot", without)))
     assert forgot.differences
 
 
