@@ -34,6 +34,7 @@ from flying_vines.core.events import (
     Said,
     Snapshot,
     Stop,
+    StoredState,
     Tick,
     ToFirmware,
     ToVehicle,
@@ -130,10 +131,7 @@ class Core:
     """One vine on one vehicle. `handle` takes every event, in time order, and returns the actions, in order.
 
     `mission` is the vehicle's mission if it is already known; otherwise it is read from the autopilot.
-    `belief` holds the rig's identified numbers; without it, those of the configuration are used. `parameters`
-    are the stored ones that a pilot has set. `disarmed`: the pneumatics were disarmed when the last core
-    ended. They stay disarmed until a person arms them. `learned` is the text of the last `KeepLearned`,
-    `latched` the faults of the last `KeepLatched`.
+    `belief` holds the rig's identified numbers; without it, those of the configuration are used.
     """
 
     def __init__(
@@ -141,12 +139,10 @@ class Core:
         profile: Config,
         mission: Sequence[MissionItem] = (),
         belief: Belief | None = None,
-        parameters: Mapping[str, float] | None = None,
-        disarmed: bool = False,
-        learned: str = "",
-        latched: Mapping[str, str] | None = None,
+        stored: StoredState | None = None,
     ) -> None:
-        self._vehicle = Vehicle(profile, mission, parameters)
+        stored = stored or StoredState()
+        self._vehicle = Vehicle(profile, mission, stored.parameters)
         self._link_loss = LinkLoss(self._vehicle)
         config = self.config
         self._bent_kPa = 0.0
@@ -156,13 +152,13 @@ class Core:
         self._firmware_was_ready = False
         self._firmware_limit_kPa = math.inf
         self._firmware_problem = "not connected"
-        self._safety = Safety(config, latched or {})
-        self._kept_latched = set(latched or ())
+        self._safety = Safety(config, stored.latched)
+        self._kept_latched = set(stored.latched)
         """The latched faults at the last storage."""
         self._belief = belief or nominal(config.pneumatics)
         self._reader = TelemetryReader(self._belief)
         self._features: Features | None = None
-        known, self._learned_problem = learned_from(learned, self._belief)
+        known, self._learned_problem = learned_from(stored.learned, self._belief)
         self._reservoir = ReservoirEstimate(self._belief, known)
         self._kept_cycles = self._reservoir.measured_cycles
         """Cycles that were measured at the last storage; NaN if an event has changed what was learned."""
@@ -177,11 +173,11 @@ class Core:
         self._silent_since: float | None = None
         self._motion: Motion | None = None
         self._fresh_request = FreshRequest()
-        self._waiting_told: Waiting | None = None
+        self._waiting_reported: Waiting | None = None
         """The state that the ground station has as a text."""
         self._triggered_at = 0.0
         """When a person or the mission last requested the present motion."""
-        self._pneumatics_armed = config.interlocks.armed_at_start and not disarmed
+        self._pneumatics_armed = config.interlocks.armed_at_start and not stored.disarmed
         self._bench_until = -math.inf
         self._requested_at = -math.inf
         self._mode_mismatch: tuple[protocol.Mode, float, float] | None = None
@@ -666,14 +662,14 @@ class Core:
         """
         waiting = self._waiting
         if waiting is None:
-            self._waiting_told = None
+            self._waiting_reported = None
         may_bend = self._vehicle.state.armed or self._on_bench
-        if waiting in (None, self._waiting_told) or not may_bend:
+        if waiting in (None, self._waiting_reported) or not may_bend:
             return
         lost = not {"rc", "autopilot"}.isdisjoint(self._safety.reasons)
         unread = self._vehicle.switch.position is None and bool(self._vehicle.pilot.fresh_move)
         if not lost and not unread:
-            self._waiting_told = waiting
+            self._waiting_reported = waiting
             self._notice(t, Severity.NOTICE, f"waiting for: {waiting.awaited}")
 
     def _note_rc_use(self, t: float) -> None:

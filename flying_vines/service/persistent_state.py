@@ -12,6 +12,7 @@ import msgspec
 
 from flying_vines.config import on_disk
 from flying_vines.config.config import Config
+from flying_vines.core.events import StoredState
 from flying_vines.gateway import page_token
 from flying_vines.vehicle.component import parameter_file
 from flying_vines.vehicle.mavlink.signing import Signing
@@ -62,6 +63,11 @@ class PersistentState:
             page_token=profile.parent / token_file if token_file else folder / f"{stem}.page-token",
         )
 
+    def read(self, config: Config) -> StoredState:
+        """What the core starts with. Raises `ParameterFileError` or `OSError`."""
+        parameters = self.read_parameters(config)
+        return StoredState(parameters, self.disarmed, self.read_learned(), self.read_latched())
+
     def read_parameters(self, config: Config) -> dict[str, float]:
         """Raises `ParameterFileError` with one line."""
         return parameter_file.read(self.parameters, config)
@@ -83,7 +89,7 @@ class PersistentState:
             raise PersistentStateError(f"{self.disarming}: cannot be {change}: {error.strerror}") from None
 
     def read_learned(self) -> str:
-        """The text; empty if there is none. An unreadable one is not worth a refused start."""
+        """The text; empty if there is none, or if it cannot be read: then it is learned again."""
         try:
             return self.learned.read_text(encoding="utf-8", errors="replace")
         except OSError:

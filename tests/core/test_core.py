@@ -20,6 +20,7 @@ from flying_vines.core.events import (
     KeepLearned,
     LinkChanged,
     Stop,
+    StoredState,
     ToFirmware,
     ToVehicle,
     VehicleMessage,
@@ -260,7 +261,7 @@ def test_a_latched_loss_of_air_outlasts_a_restart_until_a_person_clears_it() -> 
     stored = [action.faults for action in run_for(flight, 3.0) if isinstance(action, KeepLatched)]
     assert [set(faults) for faults in stored] == [{"filling"}]
     flight.phlosar.mishaps.evp = None
-    flight.world.core = Core(config.default(), latched=stored[-1])
+    flight.world.core = Core(config.default(), stored=StoredState(latched=stored[-1]))
     for link in ("firmware", "vehicle"):
         flight.feed(LinkChanged(flight.world.now, link, True))
     flight.autopilot.set_rc(9, LOW)
@@ -592,7 +593,7 @@ def test_what_was_learned_of_the_air_goes_into_the_next_run_of_the_same_rig() ->
         (configured(), True),
         (configured(pneumatics=config.PneumaticsConfig(reservoir_volume_L=3.0)), False),
     ):
-        again = SimulatedWorld(numbers, learned=kept[-1].text)
+        again = SimulatedWorld(numbers, stored=StoredState(learned=kept[-1].text))
         actions = list(again.advance(3.0))
         left = again.core.snapshot(3.0).cycles
         assert left is not None

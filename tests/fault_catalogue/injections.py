@@ -360,5 +360,5 @@ INJECTIONS: dict[str, Injection] = {
     ),
     "bottle_emptied": Injection(lambda f: f.phlosar.fill(30.0), lambda f: f.phlosar.fill(690.0)),
     "bottle_over_pressure": Injection(lambda f: f.phlosar.fill(800.0), lambda f: f.phlosar.fill(690.0)),
-    "bottle_hot": Injection(lambda f: f.phlosar.heat_bottle(40.0), lambda f: f.phlosar.fill(690.0)),
+    "bottle_hot": Injection(lambda f: f.phlosar.heat_reservoir(40.0), lambda f: f.phlosar.fill(690.0)),
 }

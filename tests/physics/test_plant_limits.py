@@ -17,8 +17,7 @@ from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.constants import GAMMA
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358
-from flying_vines.physics.plant.gas import air_SL
-from flying_vines.physics.plant.plant import Plant, at_rest
+from flying_vines.physics.plant.plant import Plant, air_SL, at_rest
 from flying_vines.physics.plant.simulator import Simulator
 from flying_vines.physics.plant.volume import Pouch
 from flying_vines.physics.plant.wall import Wall

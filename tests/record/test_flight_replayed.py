@@ -15,13 +15,14 @@ from flying_vines.cli.main import main
 from flying_vines.config import config
 from flying_vines.core.contained import CrashSafeCore
 from flying_vines.core.core import Core
-from flying_vines.core.events import Asked, Decision, InternalError
+from flying_vines.core.events import Asked, Decision, InternalError, StoredState
 from flying_vines.physics.plant.true_rig import TrueRig, true_rig_text
 from flying_vines.physics.rig import Rig
 from flying_vines.record.folders import MCAP
 from flying_vines.record.mcap_file import McapFile
 from flying_vines.record.reader import FlightLog, LogEntry, LogError
 from flying_vines.record.recorder import Recorder
+from flying_vines.record.restore import start_of
 from flying_vines.record.topics import NUMBERS, TOPICS, topic_of
 from flying_vines.simulation.replay import replay_flight
 from flying_vines.simulation.simulated_world import SimulatedFlight
@@ -71,11 +72,10 @@ def test_all_that_the_core_began_with_counts(
     rig = tmp_path / "rig.toml"
     rig.write_text(true_rig_text(TrueRig(Rig(), {"cv_leak": {"flow_resistance_kPa_s_per_SL": 8000.0}})))
     belief = load_calibration(rig, CONFIG.pneumatics).belief
-    parameters = {"VINE_RATE_HZ": 5.0}
-    began = replace(BEGAN, pneumatics=belief.pneumatics, rig=rig.read_text())
-    began = replace(began, parameters=parameters, **kept)
+    stored = StoredState({"VINE_RATE_HZ": 5.0}, **kept)
+    began = replace(BEGAN, pneumatics=belief.pneumatics, rig=rig.read_text(), stored=stored)
     flight = new_flight()
-    flight.world.core = Core(CONFIG, (), belief, parameters, **kept)
+    flight.world.core = Core(CONFIG, (), belief, stored)
     recorder = Recorder(tmp_path / "flights", began, t=0.0)
     fly(flight, recorder, ((3.0, LOW), (5.0, HIGH), (6.0, LOW)))
     recorder.close()
@@ -88,6 +88,15 @@ def test_all_that_the_core_began_with_counts(
 
     forgot = replay_flight(FlightLog(rewritten(recorder.folder, tmp_path / "forgot", without)))
     assert forgot.differences
+
+
+def test_a_log_from_before_faults_were_stored_comes_out_the_same(flown: Path, tmp_path: Path) -> None:
+    def without(entry: LogEntry) -> bytes:
+        return entry.data.replace(b',"latched":{}', b"")
+
+    old = FlightLog(rewritten(flown, tmp_path / "old", without))
+    assert start_of(old).latched is None
+    assert not replay_flight(old).differences
 
 
 def test_what_a_page_asked_is_asked_again(tmp_path: Path) -> None:

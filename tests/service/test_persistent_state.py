@@ -48,15 +48,12 @@ class Served:
         self.kept = PersistentState.of(self.profile, self.config)
         self.seen: list[Action] = []
         signing, _ = self.kept.read_signing(self.config)
-        parameters = self.kept.read_parameters(self.config)
         self.service = Service(
             self.config,
             (EachAction(self.seen.append),),
-            parameters=parameters,
-            disarmed=self.kept.disarmed,
-            latched=self.kept.read_latched(),
+            stored=self.kept.read(self.config),
             signing=signing,
-            kept=self.kept,
+            persistent=self.kept,
         )
 
     @property

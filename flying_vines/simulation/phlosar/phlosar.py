@@ -148,7 +148,7 @@ class SimulatedPhlosar:
             case Filled(kPa):
                 self.fill(kPa)
             case Heated(kelvin):
-                self.heat_bottle(kelvin)
+                self.heat_reservoir(kelvin)
             case Reset() | WatchdogReset():
                 self.reset_firmware(watchdog=isinstance(kind, WatchdogReset))
             case _:
@@ -168,7 +168,7 @@ class SimulatedPhlosar:
             )
         )
 
-    def heat_bottle(self, kelvin: float) -> None:
+    def heat_reservoir(self, kelvin: float) -> None:
         """Heat bottle and gas by `kelvin`. In an isothermal model, added air makes the pressure rise."""
         now = self._conditions
         ratio = 1.0 + kelvin / now.reservoir_K
