@@ -5,8 +5,6 @@ from __future__ import annotations
 import io
 import json
 import re
-import subprocess
-import sys
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -328,20 +326,3 @@ def test_a_folder_that_cannot_be_is_one_line(capsys: pytest.CaptureFixture[str],
     assert out == ""
     assert err.count("\n") == 1
     assert str(tmp_path / "file") in err
-
-
-@pytest.mark.parametrize(("missing", "arguments"), [("numpy", []), ("matplotlib", ["--out", "nowhere"])])
-def test_without_the_extra_it_is_one_line(missing: str, arguments: list[str], tmp_path: Path) -> None:
-    begin = f"import sys; sys.modules[{missing!r}] = None"
-    code = f"{begin}; from flying_vines.cli.main import main; main(sys.argv[1:])"
-    done = subprocess.run(
-        [sys.executable, "-c", code, "paper", *arguments],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        check=False,
-    )
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert done.stderr == f"flying-vines: {missing} is missing: pip install 'flying-vines[analysis]'\n"
-    assert list(tmp_path.iterdir()) == []
