@@ -7,11 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import command_line
 import msgspec
 import pytest
 from recorded_flight import BEGAN, CONFIG, HIGH, LOW, fly, new_flight, one_bend
 
-from flying_vines.cli.main import main
 from flying_vines.config import config
 from flying_vines.core.contained import CrashSafeCore
 from flying_vines.core.core import Core
@@ -203,9 +203,7 @@ def test_the_command_says_whether_it_is_the_same(
         ([str(tmp_path)], 2, ""),
         ([str(flown), "--pace", "1"], 2, ""),
     ):
-        with pytest.raises(SystemExit) as exit_:
-            main(["replay", *arguments])
-        out, err = capsys.readouterr()
-        assert exit_.value.code == status
+        ended, out, err = command_line.run(capsys, "replay", *arguments)
+        assert ended == status
         assert said in " ".join(out.split())
         assert (err.count("\n") == 1) == (status == 2)

@@ -11,6 +11,7 @@ from drawn_mishaps import DRAWN, Mishap, Momentary, draw_mishap
 from still_board import StillBoard
 
 from firmware_link.protocol import PROTOCOL_VERSION, Codec, Hello, Mode, Setpoint, Telemetry, Vent
+from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Ohm, flow_SL_per_s
 from flying_vines.physics.plant.true_rig import TrueRig
@@ -42,9 +43,9 @@ from flying_vines.simulation.phlosar.mishaps import (
     WatchdogReset,
 )
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
-from flying_vines.simulation.phlosar.regulator import SAFE, Drive
+from flying_vines.simulation.phlosar.regulator import SAFE
 
-SHUT, INFLATING = Drive(0.0, 0.0, False), Drive(1.0, 0.0, False)
+SHUT, INFLATING = Inputs(0.0, 0.0, False), Inputs(1.0, 0.0, False)
 AMBIENT_KPA = 101.325
 QUIET = Rig(sensors=Sensors(0.0, 0.0))
 WARM = Effects(reservoir_wall=Wall(conductance_W_per_K=1.0), cv_wall=Wall(0.5), cv_shape=Pouch())
@@ -57,7 +58,7 @@ of_either_sensor = pytest.mark.parametrize(
 
 
 def rigged(
-    drive: Drive, effects: Effects | None = None, *, cv_kPa: float = 0.0, rig: Rig = QUIET
+    drive: Inputs, effects: Effects | None = None, *, cv_kPa: float = 0.0, rig: Rig = QUIET
 ) -> tuple[SimulatedPhlosar, StillBoard]:
     """A phloSAR whose valves are told always the same, and what tells them."""
     board = StillBoard(drive)
@@ -177,7 +178,7 @@ def test_one_stuck_shut_lets_none_in(effects: Effects | None) -> None:
 
 
 @pytest.mark.parametrize("told", [SHUT, INFLATING])
-def test_one_stuck_in_between_is_open_that_far_with_no_dead_zone(told: Drive) -> None:
+def test_one_stuck_in_between_is_open_that_far_with_no_dead_zone(told: Inputs) -> None:
     phlosar, _ = rigged(told)
     phlosar.mishaps.evp = phlosar.mishaps.dvp = StuckAt(0.1)
     phlosar.advance(0.3)
@@ -196,7 +197,7 @@ def test_a_supply_valve_stuck_open_spends_air_and_pulls(effects: Effects | None)
 
 @likely_and_ideal
 def test_a_supply_valve_stuck_shut_does_not_pull(effects: Effects | None) -> None:
-    phlosar, _ = rigged(Drive(0.0, 1.0, True), effects)
+    phlosar, _ = rigged(Inputs(0.0, 1.0, True), effects)
     phlosar.mishaps.dvp = StuckAt(0.0)
     phlosar.advance(1.0)
     assert phlosar.cv_kPa == pytest.approx(0.0, abs=0.1)
@@ -206,7 +207,7 @@ def test_a_supply_valve_stuck_shut_does_not_pull(effects: Effects | None) -> Non
 @likely_and_ideal
 @pytest.mark.parametrize(("told", "opening", "vented"), [(SAFE, 0.0, False), (SHUT, 1.0, True)])
 def test_a_solenoid_may_stick_either_way(
-    effects: Effects | None, told: Drive, opening: float, vented: bool
+    effects: Effects | None, told: Inputs, opening: float, vented: bool
 ) -> None:
     phlosar, _ = rigged(told, effects, cv_kPa=20.0)
     phlosar.mishaps.solenoid = StuckAt(opening)
@@ -227,7 +228,7 @@ def test_no_air_is_made_or_lost(index: int, effects: Effects | None) -> None:
     place, make = DRAWN[index]
     phlosar, board = rigged(INFLATING, effects)
     all_SL = air_SL(phlosar)
-    for told in (INFLATING, SHUT, SAFE, Drive(0.0, 1.0, True), INFLATING):
+    for told in (INFLATING, SHUT, SAFE, Inputs(0.0, 1.0, True), INFLATING):
         if told is SHUT:
             phlosar.inject(place, make(Random(index)))
         elif phlosar.now_s > 0.16:

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import status
 from rich.console import Console
 
 import flying_vines.studies.paper
-from flying_vines.cli.main import main
 from flying_vines.physics.rig import ControlVolume, Rig
 from flying_vines.studies.paper import PaperComparison, PaperRow, as_json, compare
 from flying_vines.studies.paper.bench import LIKELY, Bench, Trace, follow_sine, gain, run
@@ -291,13 +291,6 @@ def test_figures_are_pictures(comparison: PaperComparison, tmp_path: Path) -> No
         content = path.read_bytes()
         assert content.startswith(PNG)
         assert 10_000 < len(content) < 200_000
-
-
-def status(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(a) for a in arguments])
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
 
 
 @pytest.mark.usefixtures("quick")

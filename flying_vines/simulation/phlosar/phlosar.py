@@ -45,10 +45,10 @@ from flying_vines.simulation.phlosar.mishaps import (
     check_place,
     with_mishaps,
 )
-from flying_vines.simulation.phlosar.regulator import SAFE, Drive
+from flying_vines.simulation.phlosar.regulator import SAFE
 
 STEP_US = round(TICK_S * 1e6)
-_UNPOWERED = Drive(0.0, 0.0, False)
+_UNPOWERED = Inputs(0.0, 0.0, False)
 
 
 class SimulatedPhlosar:
@@ -80,7 +80,7 @@ class SimulatedPhlosar:
         self.firmware: Board = (
             Firmware(firmware) if firmware is None or isinstance(firmware, Mapping) else firmware
         )
-        self.drive: Drive = SAFE
+        self.drive: Inputs = SAFE
         self.mishaps = Mishaps()
         self._applied = Mishaps()
         self._simulator = Simulator(setup.plant, at_rest(setup.plant, reservoir_kPa, cv_kPa))
@@ -217,7 +217,7 @@ class SimulatedPhlosar:
             self.firmware.reset()
 
     def _step_plant(self) -> None:
-        command = Inputs(*self.drive)
+        command = self.drive
         if self._applied.solenoid is not None:
             command = command._replace(solenoid=self._applied.solenoid.opening >= 0.5)
         if self._simulator.advance(command):
