@@ -26,12 +26,12 @@ from typing import TypeVar
 
 import cycles_left_calibrated as calibrated
 from cycles_left_flights import FEWEST_CYCLES, began, fly, told
-from cycles_left_guess import Guess, quantity
+from cycles_left_guess import Guess, by_paper, quantity
 from cycles_left_rigs import draw
 from rich.console import Console
 from rich.table import Table
 
-from flying_vines.supply import ReservoirEstimate, TelemetryReader, n_cycles, nominal
+from flying_vines.supply import ReservoirEstimate, TelemetryReader, nominal
 
 T = TypeVar("T")
 MOMENTS = ("after 5 cycles", "after 15 cycles", "half way")
@@ -71,7 +71,7 @@ def judge(seed: int) -> Outcome | None:
             said = estimate.cycles_left()
             assert said is not None
             truth = flight.total_cycles - float(flight.cycles[index])
-            guesses.append(Guess(truth, said, n_cycles(case.believed, estimate.reservoir_kPa)))
+            guesses.append(Guess(truth, said, by_paper(case.believed, estimate.reservoir_kPa)))
         if len(guesses) == len(moments):
             break
     return Outcome(seed, case.kind, flight.total_cycles, tuple(guesses))

@@ -17,7 +17,7 @@ from pathlib import Path
 from statistics import fmean, median
 
 from cycles_left_flights import FEWEST_CYCLES, began, fly, told
-from cycles_left_guess import Guess, quantity
+from cycles_left_guess import Guess, by_paper, quantity
 from cycles_left_rigs import Case, Manoeuvre
 from rich.table import Table
 
@@ -28,7 +28,7 @@ from flying_vines.identification.extended import extended_rig
 from flying_vines.physics.plant.true_rig import TrueRig, load_true_rig, true_rig_text
 from flying_vines.physics.rig import ControlVolume, Dvp, Evp, Reservoir, Rig, Solenoid
 from flying_vines.simulation.scenario import parse_scenario, simulate_scenario, write_case
-from flying_vines.supply import ReservoirEstimate, TelemetryReader, n_cycles
+from flying_vines.supply import ReservoirEstimate, TelemetryReader
 from flying_vines.supply.known_rig import TOP_SHARE, belief_of
 
 Causes = Mapping[str, Mapping[str, float]]
@@ -201,7 +201,7 @@ def judge(seed: int) -> Outcome | None:
         for estimate, belief, said in zip(estimates, beliefs, guesses, strict=True):
             left = estimate.cycles_left()
             assert left is not None
-            said.append(Guess(truth, left, n_cycles(belief.pneumatics, estimate.reservoir_kPa)))
+            said.append(Guess(truth, left, by_paper(belief.pneumatics, estimate.reservoir_kPa)))
         if len(guesses[0]) == len(moments):
             break
     hidden = rigged.flight.kind

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from firmware_link.protocol import Fault, Mode, Telemetry
 from flying_vines.physics.plant.plant import State, at_rest
 from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
-from flying_vines.supply.flying import tolerance_kPa
+from flying_vines.supply.air_use import tolerance_kPa
 
 Array = NDArray[np.float64]
 

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import fmean, median
 
+from flying_vines.config.config import PneumaticsConfig
+from flying_vines.physics import paper
 from flying_vines.supply import CyclesLeft
 
 
@@ -28,6 +30,19 @@ class Guess:
     @property
     def held(self) -> bool:
         return self.estimate.low <= self.truth <= self.estimate.high
+
+
+def by_paper(p: PneumaticsConfig, reservoir_kPa: float) -> float:
+    """Cycles left by the paper's Eq. 8, for gauge reservoir pressure; not below 0."""
+    cycles = paper.n_cycles(
+        reservoir_kPa,
+        reservoir_volume_L=p.reservoir_volume_L,
+        cv_volume_L=p.cv_volume_L,
+        swing_kPa=p.cycle_swing_kPa,
+        rate_kPa_per_s=p.cycle_rate_kPa_per_s,
+        flow_resistance_kPa_s_per_SL=p.evp_flow_resistance_kPa_s_per_SL,
+    )
+    return max(0.0, cycles)
 
 
 def quantity(guesses: Sequence[Guess], errors: Sequence[float]) -> list[str]:

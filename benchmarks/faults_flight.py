@@ -702,7 +702,7 @@ class RefereedFlight:
 
     # The hardware.
 
-    def befall(self, place: str, kind: MishapKind) -> None:
+    def inject(self, place: str, kind: MishapKind) -> None:
         self._disturb()
         match place, kind:
             case ("evp", StuckAt(opening)) if opening > 0.0:
@@ -719,7 +719,7 @@ class RefereedFlight:
                 self._mended_unpowered = set()
             case "board", Hanging():
                 self.referee.excuse(place, self.now_s + LONGEST_HANG_S)
-        self.phlosar.befall(place, kind)
+        self.phlosar.inject(place, kind)
 
     def heal(self, place: str) -> None:
         if self._mended_unpowered is not None and place != "board":
@@ -729,7 +729,7 @@ class RefereedFlight:
             for mended in {place, *(self._mended_unpowered or ())}:
                 self.referee.end_excuse(mended, self.now_s)
             self._mended_unpowered = None
-        self.phlosar.befall(place, None)
+        self.phlosar.inject(place, None)
 
     # Looking.
 

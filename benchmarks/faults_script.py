@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 from random import Random
 from typing import NamedTuple
 
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+
+from drawn_mishaps import draw_mishap
 from faults_flight import ACTUATOR, LIMIT, PULSES_US, SCRIPT_MESSAGE, SWITCH, RefereedFlight, Setup
 from referee import Foul
 
 from flying_vines.simulation.autopilot.receiver import LOSSES, RcLoss, RcSource
-from flying_vines.simulation.phlosar.mishaps import Hole, StuckAt, draw_mishap
+from flying_vines.simulation.phlosar.mishaps import Hole, StuckAt
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import AutopilotKind
 
@@ -370,7 +375,7 @@ def _mishap(random: Random, begins_s: float, lasts_s: float) -> Fault:
         case _:
             kind = type(mishap.kind).__name__.lower()
     name = f"{mishap.place.replace('_', ' ')} {kind}"
-    begin = Act("befall", (mishap.place, mishap.kind))
+    begin = Act("inject", (mishap.place, mishap.kind))
     if mishap.ends_s is None:
         return Fault(name, begins_s, begin)
     ends_s = round(begins_s + mishap.ends_s - mishap.begins_s, 3)

@@ -116,7 +116,7 @@ def fly(name: str, seed: int) -> Noticed:
         now_s = tick * HOST_TICK_S
         if not began and now_s >= begins_s:
             began = True
-            phlosar.befall(*MISHAPS[name])
+            phlosar.inject(*MISHAPS[name])
         for message in codec.decode(phlosar.advance(now_s)):
             if isinstance(message, Telemetry):
                 first = by or _first(reader.read(now_s, message), checks, began)

@@ -57,7 +57,7 @@ def stuck(volume_L: float, outlet: str, watched_s: float) -> Found:
             phlosar.receive(host.encode(Setpoint(HELD_KPA, 50.0, 250, 1)))
         if ms == settled_ms + 1:
             for place, mishap in {"evp": StuckAt(1.0), **OUTLETS[outlet]}.items():
-                phlosar.befall(place, mishap)
+                phlosar.inject(place, mishap)
             if outlet != "regulated":
                 phlosar.receive(host.encode(Vent(2)))
         before_kPa = phlosar.cv_kPa

@@ -16,9 +16,9 @@ from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.safety import Ruling, Safety, SafetyInputs
 from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate
+from flying_vines.supply.air_use import BLOCK_S, FLAT_KPA
 from flying_vines.supply.estimate import READING_SD_KPA, Z90
-from flying_vines.supply.flying import BLOCK_S, FLAT_KPA
-from flying_vines.supply.reservoir import GAS, Bottle, Spent, X
+from flying_vines.supply.reservoir import GAS, ReservoirFilter, Spent, X
 from flying_vines.vehicle.triggers import Rules
 from flying_vines.vine.intent import Intent
 from flying_vines.vine.motion import Motion
@@ -85,17 +85,17 @@ class _Air:
 
     def __init__(self, belief: Belief, reservoir_kPa: float) -> None:
         self._belief = belief
-        self._bottle = Bottle(belief, reservoir_kPa)
+        self._filter = ReservoirFilter(belief, reservoir_kPa)
         for _ in range(round(WATCHED_S / BLOCK_S)):
-            self._bottle.spend(Spent(BLOCK_S, 0.0, 0.0, 0.0, 0.0))
-            self._bottle.read(self._reading(), READING_SD_KPA)
-        self._bottle.mean[X] += reservoir_kPa - self._reading()
+            self._filter.spend(Spent(BLOCK_S, 0.0, 0.0, 0.0, 0.0))
+            self._filter.read(self._reading(), READING_SD_KPA)
+        self._filter.mean[X] += reservoir_kPa - self._reading()
 
     def spend(self, spent: Spent) -> None:
-        self._bottle.spend(spent)
+        self._filter.spend(spent)
 
     def range_kPa(self) -> Range:
-        p, share = self._bottle.covariance, self._share()
+        p, share = self._filter.covariance, self._share()
         sd = math.sqrt(max(0.0, p[X][X] - 2.0 * share * p[X][GAS] + share * share * p[GAS][GAS]))
         expected = self._reading()
         return Range(expected, max(0.0, expected - Z90 * sd), expected + Z90 * sd)
@@ -103,15 +103,15 @@ class _Air:
     def estimate(self) -> ReservoirEstimate:
         """The estimate that the service would have now."""
         estimate = ReservoirEstimate(self._belief)
-        estimate.bottle = self._bottle
+        estimate.filter = self._filter
         return estimate
 
     def _reading(self) -> float:
         """The gauge reading, which is lower for cold gas."""
-        return self._bottle.mean[X] - self._share() * self._bottle.mean[GAS]
+        return self._filter.mean[X] - self._share() * self._filter.mean[GAS]
 
     def _share(self) -> float:
-        return self._bottle.absolute_kPa / STANDARD_TEMPERATURE_K
+        return self._filter.absolute_kPa / STANDARD_TEMPERATURE_K
 
 
 class _MissionRun:

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
-from flying_vines.config.toml_text import one_line, read_text
+from flying_vines.config.toml_text import OneLineError, read_text
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 from flying_vines.vehicle.mission.reference_vehicle import CRUISE_M_S, Home
@@ -32,11 +32,8 @@ _ABOVE_HOME, _ABOVE_SEA = 1, 2
 _ALTITUDE_MODES = {3: _ABOVE_HOME, 6: _ABOVE_HOME, 0: _ABOVE_SEA, 5: _ABOVE_SEA}
 
 
-class PlanFileError(ValueError):
+class PlanFileError(OneLineError, ValueError):
     """A plan file cannot be read; the text is one line."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(one_line(text))
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,14 +15,15 @@ from typing import NamedTuple
 from wrapped_board import WrappedBoard
 
 from firmware_link.protocol import Codec, Hello, Setpoint, Vent
+from flying_vines.physics.baseline import Inputs
 from flying_vines.simulation.phlosar.firmware import Firmware
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
-from flying_vines.simulation.phlosar.regulator import SAFE, Drive
+from flying_vines.simulation.phlosar.regulator import SAFE
 
 DEAD_MAN_S = 0.300
 SAFE_WITHIN_STEPS = 10
 """Of the firmware, from the first reading that must not be to valves that are safe: 10 ms."""
-RELIEF = Drive(0.0, 1.0, True)
+RELIEF = Inputs(0.0, 1.0, True)
 RELIEF_AFTER_S = 0.005
 SURELY_SEEN_STEPS = 5
 """So many such readings in a row, and the fault is latched."""
@@ -274,7 +275,7 @@ class Referee:
             self._latch("board reset")
 
     def stepped(
-        self, t: float, cv_kPa: float, reservoir_kPa: float, true_kPa: float, line_kPa: float, drive: Drive
+        self, t: float, cv_kPa: float, reservoir_kPa: float, true_kPa: float, line_kPa: float, drive: Inputs
     ) -> None:
         """The board read this, and told its valves that; the true pressures are those of now."""
         before, passed_s = self._drive, t - self._stepped_s
@@ -323,7 +324,7 @@ class Referee:
         else:
             self._refused_steps = 0
 
-    def _judge_motion(self, t: float, drive: Drive) -> None:
+    def _judge_motion(self, t: float, drive: Inputs) -> None:
         """Whatever is not safe has to be asked for, allowed and fresh."""
         if t > self._setpoint_s + DEAD_MAN_S + _STEP_S / 2:
             self._call(t, "dead-man", f"not vented {1000 * (t - self._setpoint_s):.0f} ms after a setpoint")
@@ -372,7 +373,7 @@ class Referee:
             asked = " or ".join(f"{kPa:.1f}" for kPa in targets) or "nothing"
             self._call(t, "numbers", f"bent to {target_kPa:.1f} kPa, and asked was for {asked}")
 
-    def _judge_rest(self, t: float, before: Drive, true_kPa: float) -> None:
+    def _judge_rest(self, t: float, before: Inputs, true_kPa: float) -> None:
         """With the inflation valve shut and the outlet open, no pressure comes from nowhere."""
         if before != SAFE:
             self._safe_since_s, self._lowest_kPa = t, math.inf
@@ -386,7 +387,7 @@ class Referee:
                 t, "trigger", f"the vine rose to {true_kPa:.1f} kPa with valves that were told to vent"
             )
 
-    def _judge_over(self, t: float, kPa: float, drive: Drive) -> None:
+    def _judge_over(self, t: float, kPa: float, drive: Inputs) -> None:
         if self._over_since_s is None:
             self._over_since_s = t
         if t - self._over_since_s > LONGEST_OVER_S and not _excused(self._excuses, t):
@@ -441,7 +442,7 @@ class RefereedBoard(WrappedBoard):
         self._referee = referee
         phlosar.firmware = self
 
-    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive:
+    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Inputs:
         drive = super().step(now_us, cv_kPa, reservoir_kPa)
         phlosar = self._phlosar
         self._referee.stepped(now_us / 1e6, cv_kPa, reservoir_kPa, phlosar.cv_kPa, phlosar.line_kPa, drive)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from firmware_link.protocol import Fault, Mode
-from flying_vines.simulation.phlosar.regulator import Drive
+from flying_vines.physics.baseline import Inputs
 
 
 class StillBoard:
     """Exchange `drive` for what the valves are to be told from the next step on."""
 
-    def __init__(self, drive: Drive) -> None:
+    def __init__(self, drive: Inputs) -> None:
         self.drive = drive
         self.heard = b""
         self.steps: list[tuple[int, float, float]] = []
@@ -24,7 +24,7 @@ class StillBoard:
     def take_output(self) -> bytes:
         return b"."
 
-    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive:
+    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Inputs:
         self.steps.append((now_us, cv_kPa, reservoir_kPa))
         return self.drive
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from firmware_link.protocol import Fault, Mode
+from flying_vines.physics.baseline import Inputs
 from flying_vines.simulation.phlosar.board import Board
-from flying_vines.simulation.phlosar.regulator import Drive
 
 
 class WrappedBoard:
@@ -19,7 +19,7 @@ class WrappedBoard:
     def take_output(self) -> bytes:
         return self._board.take_output()
 
-    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive:
+    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Inputs:
         return self._board.step(now_us, cv_kPa, reservoir_kPa)
 
     def reset(self, *, watchdog: bool = False) -> None:

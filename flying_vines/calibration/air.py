@@ -20,11 +20,12 @@ import numpy as np
 
 from flying_vines.calibration.findings import SD_95, Chart, Estimate, MeasuredQuantity, Result, Series
 from flying_vines.calibration.readings import Readings, smooth
-from flying_vines.calibration.reservoir_balance import Balance, BalancePrior, binned, fit_balance
+from flying_vines.calibration.reservoir_balance import Balance, binned, fit_balance
 from flying_vines.calibration.zero import noise_kPa
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.supply.belief import Prior
 
 SMOOTHED_S = 0.05
 FLAT_KPA = 1.0
@@ -115,12 +116,12 @@ def vine_air(readings: Readings, known: AirInputs) -> VineAir:
     ratio = known.pneumatics.cv_volume_L / known.pneumatics.reservoir_volume_L
     venturi = ALPHA_KPA / known.reservoir_L.value / known.pneumatics.dvp_flow_resistance_kPa_s_per_SL
     priors = {
-        "growth": BalancePrior(0.0, 4.0 * MAX_COMPLIANCE_PER_KPA * ratio),
-        "leak_offset": BalancePrior(0.0, LEAK_OFFSET_KPA_PER_S),
-        "venturi_offset": BalancePrior(0.0, VENTURI_OFFSET_KPA * venturi),
+        "growth": Prior(0.0, 4.0 * MAX_COMPLIANCE_PER_KPA * ratio),
+        "leak_offset": Prior(0.0, LEAK_OFFSET_KPA_PER_S),
+        "venturi_offset": Prior(0.0, VENTURI_OFFSET_KPA * venturi),
     }
     # A column of zeros would make the equations singular.
-    priors |= {name: BalancePrior(0.0, 1.0) for name, column in columns.items() if not column.any()}
+    priors |= {name: Prior(0.0, 1.0) for name, column in columns.items() if not column.any()}
     noise = noise_kPa(readings.reservoir_kPa)
     moved = np.concatenate([[False], np.diff(readings.setpoint_kPa) > 1e-6]) | (readings.dvp > 0.0)
     last_s = np.maximum.accumulate(np.where(moved, readings.t_s, -np.inf))
@@ -130,7 +131,7 @@ def vine_air(readings: Readings, known: AirInputs) -> VineAir:
     # Without evidence these are set to zero: they would make the volume uncertain for no reason.
     unseen = [name for name in ("growth", "refill") if balance.values[name].low <= 0.0]
     if unseen:
-        priors |= {name: BalancePrior(0.0, NO_EFFECT_SD) for name in unseen}
+        priors |= {name: Prior(0.0, NO_EFFECT_SD) for name in unseen}
         balance = fit_balance(bins, priors, known.reservoir_L.value, known.ambient_kPa)
     return VineAir(known, balance, tuple(unseen))
 

@@ -24,7 +24,7 @@ from flying_vines.calibration.terminal import CalibrationTerminal
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config, PneumaticsConfig
 from flying_vines.config.config_text import profile_text
-from flying_vines.core.events import Action, Snapshot
+from flying_vines.core.events import Action, Snapshot, StoredState
 from flying_vines.record import recorder
 from flying_vines.service.persistent_state import PersistentState
 from flying_vines.supply import Belief
@@ -64,8 +64,8 @@ class CalibrationContext:
     belief: Belief | None = None
     rig_text: str = ""
     """Content of the rig file."""
-    disarmed: bool = False
-    """True if the pneumatics are disarmed."""
+    stored: StoredState = field(default_factory=StoredState)
+    """Only whether the pneumatics are disarmed: the parameters are in the flown profile."""
     signing: Signing | None = None
     state: PersistentState | None = None
 
@@ -80,13 +80,14 @@ def load_context(profile: UserProfile) -> tuple[Config, CalibrationContext]:
         return config, CalibrationContext()
     state = PersistentState.of(path, config)
     flown = Parameters(config, state.read_parameters(config)).config
+    stored = StoredState(disarmed=state.disarmed)
     signing, _ = state.read_signing(config)
     belief, rig_text = None, ""
     if rig := configuration.rig_named(config, path):
         belief = load_calibration(rig, config.pneumatics).belief
         rig_text = rig.read_text(encoding="utf-8")
         flown = msgspec.structs.replace(flown, pneumatics=belief.pneumatics)
-    return flown, CalibrationContext(belief, rig_text, state.disarmed, signing, state)
+    return flown, CalibrationContext(belief, rig_text, stored, signing, state)
 
 
 def planned(config: Config, request: CalibrationRequest) -> CalibrationPlan:
@@ -192,4 +193,4 @@ def flight_start(plan: CalibrationPlan, context: CalibrationContext) -> recorder
     """The begin of the flight's log, with which it can be replayed."""
     numbers = context.belief.pneumatics if context.belief else plan.config.pneumatics
     text = profile_text(plan.config)
-    return recorder.FlightStart(text, numbers, context.rig_text, disarmed=context.disarmed)
+    return recorder.FlightStart(text, numbers, context.rig_text, context.stored)

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -28,7 +27,7 @@ from flying_vines.calibration.readings import Readings, smooth
 from flying_vines.physics.arrays import Array, BoolArray
 from flying_vines.physics.constants import GAMMA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.plant.wall import Wall, heat_capacity_J_per_K
-from flying_vines.supply.belief import bottle_wall
+from flying_vines.supply.belief import Prior, bottle_wall
 
 BIN_S = 0.2
 BLOCK = 25
@@ -45,13 +44,6 @@ ISOTHERMAL_CHI2 = 10.0
 _ROUNDS = 3
 """Iterations of the gas temperature, on which the mass and so the cooling depends."""
 _STEP = 1e-4
-
-
-class BalancePrior(NamedTuple):
-    """Mean and standard deviation of a parameter before the measurement."""
-
-    mean: float
-    sd: float
 
 
 @dataclass(frozen=True)
@@ -116,7 +108,7 @@ def binned(readings: Readings, columns: Mapping[str, Array], counts: BoolArray, 
 
 def fit_balance(
     bins: Bins,
-    priors: Mapping[str, BalancePrior],
+    priors: Mapping[str, Prior],
     reservoir_L: float,
     ambient_kPa: float = STANDARD_PRESSURE_KPA,
 ) -> Balance:
@@ -149,7 +141,7 @@ class _BalanceFit:
     def __init__(
         self,
         bins: Bins,
-        priors: Mapping[str, BalancePrior],
+        priors: Mapping[str, Prior],
         usual_heat: Array,
         reservoir_L: float,
         p_kPa: Array,

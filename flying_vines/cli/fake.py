@@ -101,7 +101,7 @@ def _fake_autopilot(arguments: argparse.Namespace) -> int:
 def _fake_phlosar(arguments: argparse.Namespace) -> int:
     from flying_vines.physics.plant.true_rig import load_true_rig
     from flying_vines.physics.rig import RigError
-    from flying_vines.simulation.console import MISHAPS, suffer, type_to
+    from flying_vines.simulation.console import MISHAPS, inject_typed, type_to
     from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
     if not 10 <= arguments.telemetry_Hz <= 1000:
@@ -117,7 +117,7 @@ def _fake_phlosar(arguments: argparse.Namespace) -> int:
                 if sys.stdin.isatty():
                     print("Type a failure to simulate, e.g. `hose off` or `evp stuck 1`; Ctrl-C ends it.")
                     print(MISHAPS, flush=True)
-                await asyncio.gather(port.run(), type_to(lambda line: suffer(phlosar, line)))
+                await asyncio.gather(port.run(), type_to(lambda line: inject_typed(phlosar, line)))
 
             asyncio.run(live())
     except RigError as error:

@@ -50,20 +50,11 @@ def _run(arguments: argparse.Namespace) -> int:
     state = PersistentState.of(arguments.config, config)
     with file_errors(arguments.config, ParameterFileError, SigningKeyError, PageTokenError):
         signing, clock_problem = state.read_signing(config)
-        remembered = Remembered(
-            state,
-            state.read_parameters(config),
-            state.disarmed,
-            state.read_learned(),
-            signing,
-            state.read_page_token(config),
-        )
+        remembered = Remembered(state, state.read(config), signing, state.read_page_token(config))
     try:
         numbers = known.belief.pneumatics if known else config.pneumatics
         rig = known.path.read_text(encoding="utf-8") if known else ""
-        began = FlightStart(
-            text, numbers, rig, remembered.parameters, remembered.disarmed, remembered.learned
-        )
+        began = FlightStart(text, numbers, rig, remembered.stored)
         log = Recorder(arguments.out, began, config.log.least_free_MB)
     except OSError as error:
         fail(f"{arguments.out}: no flight log can be written there: {error.strerror}")
@@ -74,7 +65,8 @@ def _run(arguments: argparse.Namespace) -> int:
     lines = [f"Vehicle link {config.vehicle.who_can_command}"]
     if known:
         lines.append(f"Rig {known.path}: {known.summary}")
-    lines += [f"Parameter {parameter} = {value:g}" for parameter, value in remembered.parameters.items()]
+    parameters = remembered.stored.parameters
+    lines += [f"Parameter {parameter} = {value:g}" for parameter, value in parameters.items()]
     if clock_problem:
         lines.append(clock_problem)
     page = _page_line(config, state, remembered.page_token, console) if config.page.port else ""

@@ -17,11 +17,11 @@ from flying_vines.config.address import NetworkAddress, parse_address, parse_bro
 from flying_vines.config.plugins import PluginError, installed, put_in, with_own_segments
 from flying_vines.config.toml_text import (
     Key,
+    OneLineError,
     dotted,
     explained,
     located,
     not_finite,
-    one_line,
     parsed,
     place,
     read_text,
@@ -55,11 +55,8 @@ Param = Literal["param1", "param2", "param3", "param4", "param5", "param6", "par
 """A parameter of a mission item or command; param5 … param7 are an item's x, y and z."""
 
 
-class ConfigError(Exception):
+class ConfigError(OneLineError):
     """The configuration is invalid; the text names file, key and line, and what to do."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(one_line(text))
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -43,6 +43,13 @@ def parsed(text: str, source: str, error: Callable[[str], Exception]) -> dict[st
         raise error(f"{source}: not TOML: nested too deeply") from None
 
 
+class OneLineError(Exception):
+    """An error in a file that a person wrote; the text is one line."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(one_line(text))
+
+
 def one_line(text: str) -> str:
     """Escapes unprintable characters: errors quote keys and values, which may contain line breaks."""
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)

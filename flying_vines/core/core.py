@@ -26,6 +26,7 @@ from flying_vines.core.events import (
     FirmwareMessage,
     InternalError,
     KeepDisarmed,
+    KeepLatched,
     KeepLearned,
     KeepParameters,
     LinkChanged,
@@ -33,6 +34,7 @@ from flying_vines.core.events import (
     Said,
     Snapshot,
     Stop,
+    StoredState,
     Tick,
     ToFirmware,
     ToVehicle,
@@ -43,7 +45,7 @@ from flying_vines.core.parts import IsolatedParts
 from flying_vines.core.restarts import Restarts
 from flying_vines.core.safety import LossEnded, ResponseNeeded, Ruling, Safety, SafetyInputs
 from flying_vines.core.waiting import FreshRequest, Waiting, source
-from flying_vines.supply import Belief, Features, ReservoirEstimate, TelemetryReader, ToldCycles, nominal
+from flying_vines.supply import Belief, Features, ReportedCycles, ReservoirEstimate, TelemetryReader, nominal
 from flying_vines.supply.estimate import AirNeeded
 from flying_vines.supply.learned_file import learned_from, text_of
 from flying_vines.supply.physics_checks import AIR_LOSSES, CHECKS, PhysicsChecks, own_checks
@@ -129,9 +131,7 @@ class Core:
     """One vine on one vehicle. `handle` takes every event, in time order, and returns the actions, in order.
 
     `mission` is the vehicle's mission if it is already known; otherwise it is read from the autopilot.
-    `belief` holds the rig's identified numbers; without it, those of the configuration are used. `parameters`
-    are the stored ones that a pilot has set. `disarmed`: the pneumatics were disarmed when the last core
-    ended. They stay disarmed until a person arms them. `learned` is the text of the last `KeepLearned`.
+    `belief` holds the rig's identified numbers; without it, those of the configuration are used.
     """
 
     def __init__(
@@ -139,11 +139,10 @@ class Core:
         profile: Config,
         mission: Sequence[MissionItem] = (),
         belief: Belief | None = None,
-        parameters: Mapping[str, float] | None = None,
-        disarmed: bool = False,
-        learned: str = "",
+        stored: StoredState | None = None,
     ) -> None:
-        self._vehicle = Vehicle(profile, mission, parameters)
+        stored = stored or StoredState()
+        self._vehicle = Vehicle(profile, mission, stored.parameters)
         self._link_loss = LinkLoss(self._vehicle)
         config = self.config
         self._bent_kPa = 0.0
@@ -153,11 +152,13 @@ class Core:
         self._firmware_was_ready = False
         self._firmware_limit_kPa = math.inf
         self._firmware_problem = "not connected"
-        self._safety = Safety(config)
+        self._safety = Safety(config, stored.latched)
+        self._kept_latched = set(stored.latched)
+        """The latched faults at the last storage."""
         self._belief = belief or nominal(config.pneumatics)
         self._reader = TelemetryReader(self._belief)
         self._features: Features | None = None
-        known, self._learned_problem = learned_from(learned, self._belief)
+        known, self._learned_problem = learned_from(stored.learned, self._belief)
         self._reservoir = ReservoirEstimate(self._belief, known)
         self._kept_cycles = self._reservoir.measured_cycles
         """Cycles that were measured at the last storage; NaN if an event has changed what was learned."""
@@ -166,17 +167,17 @@ class Core:
         self._actuator = config.firmware.name
         self._checks = PhysicsChecks(self._belief, config.checks, CHECKS if self._has_reservoir else {})
         self._own_checks = own_checks(self._belief, config.checks)
-        self._cycles = ToldCycles(self._reservoir)
+        self._cycles = ReportedCycles(self._reservoir)
         self._cycles_at = -math.inf
         self._low_warned = False
         self._silent_since: float | None = None
         self._motion: Motion | None = None
         self._fresh_request = FreshRequest()
-        self._waiting_told: Waiting | None = None
+        self._waiting_reported: Waiting | None = None
         """The state that the ground station has as a text."""
         self._triggered_at = 0.0
         """When a person or the mission last requested the present motion."""
-        self._pneumatics_armed = config.interlocks.armed_at_start and not disarmed
+        self._pneumatics_armed = config.interlocks.armed_at_start and not stored.disarmed
         self._bench_until = -math.inf
         self._requested_at = -math.inf
         self._mode_mismatch: tuple[protocol.Mode, float, float] | None = None
@@ -644,6 +645,7 @@ class Core:
         self._update_cycles_left(t)
         self._warn_of_low_reservoir(t)
         self._keep_learned(t)
+        self._keep_latched(t)
         self._report(t)
 
     @property
@@ -660,14 +662,14 @@ class Core:
         """
         waiting = self._waiting
         if waiting is None:
-            self._waiting_told = None
+            self._waiting_reported = None
         may_bend = self._vehicle.state.armed or self._on_bench
-        if waiting in (None, self._waiting_told) or not may_bend:
+        if waiting in (None, self._waiting_reported) or not may_bend:
             return
         lost = not {"rc", "autopilot"}.isdisjoint(self._safety.reasons)
         unread = self._vehicle.switch.position is None and bool(self._vehicle.pilot.fresh_move)
         if not lost and not unread:
-            self._waiting_told = waiting
+            self._waiting_reported = waiting
             self._notice(t, Severity.NOTICE, f"waiting for: {waiting.awaited}")
 
     def _note_rc_use(self, t: float) -> None:
@@ -807,6 +809,12 @@ class Core:
         if learned is not None:
             self._kept_cycles, self._kept_at = reservoir.measured_cycles, t
             self._actions.append(KeepLearned(t, text_of(self._belief, learned)))
+
+    def _keep_latched(self, t: float) -> None:
+        latched = self._safety.latched
+        if latched.keys() != self._kept_latched:
+            self._kept_latched = set(latched)
+            self._actions.append(KeepLatched(t, latched))
 
     def _warn_of_low_reservoir(self, t: float) -> None:
         cycles = self._cycles.left

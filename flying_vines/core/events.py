@@ -165,6 +165,29 @@ class KeepLearned:
 
 
 @dataclass(frozen=True, slots=True)
+class KeepLatched:
+    """A fault has latched, or a person has cleared one: store those that are latched now."""
+
+    t: float
+    faults: dict[str, str]
+    """A sentence for each, by name."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoredState:
+    """What the last core had stored, for the next one."""
+
+    parameters: dict[str, float] = field(default_factory=dict)
+    """Those that a pilot has set."""
+    disarmed: bool = False
+    """The pneumatics were disarmed. They stay so until a person arms them."""
+    learned: str = ""
+    """The text of the last `KeepLearned`."""
+    latched: dict[str, str] = field(default_factory=dict)
+    """The faults that nobody has cleared, by name."""
+
+
+@dataclass(frozen=True, slots=True)
 class InternalError:
     """A part failed with this traceback, for the log."""
 
@@ -182,6 +205,7 @@ Action = (
     | KeepParameters
     | KeepDisarmed
     | KeepLearned
+    | KeepLatched
     | InternalError
 )
 

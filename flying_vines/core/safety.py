@@ -104,14 +104,17 @@ class LossEnded:
 
 
 class Safety:
-    """Call `watch` often, and `judge` for every motion."""
+    """Call `watch` often, and `judge` for every motion.
 
-    def __init__(self, config: Config) -> None:
+    `latched` are the faults of the last run that nobody has cleared: they stay latched.
+    """
+
+    def __init__(self, config: Config, latched: Mapping[str, str] = MappingProxyType({})) -> None:
         self.configure(config)
         self._present: dict[str, str] = {}
-        self._latched: dict[str, str] = {}
+        self._latched = dict(latched)
         self._latched_at: dict[str, float] = {}
-        """When the cause of each latched fault last appeared."""
+        """When the cause of each last appeared; for a fault of the last run at least when this run began."""
         self._causes: set[str] = set()
         self._faults = Fault.NONE
         self._faults_at = -math.inf
@@ -135,6 +138,11 @@ class Safety:
         """A sentence for each present loss and latched fault, by name."""
         return {**self._present, **self._latched}
 
+    @property
+    def latched(self) -> dict[str, str]:
+        """The latched faults that outlast a restart of the service, which clears an internal error."""
+        return {name: reason for name, reason in self._latched.items() if name != "internal_error"}
+
     def triggered(self) -> None:
         """A request was carried out. The next loss may hold the vine for the full time again.
 
@@ -146,6 +154,8 @@ class Safety:
     def watch(self, t: float, now: SafetyInputs) -> list[ResponseNeeded | LossEnded]:
         """The losses, faults and limits that began, and the losses that ended, at time `t`."""
         changes: list[ResponseNeeded | LossEnded] = []
+        for name in self._latched.keys() - self._latched_at.keys():
+            self._latched_at[name] = t
         causes = self._latching(now)
         for name, cause in causes.items():
             if name not in self._latched:
@@ -216,7 +226,7 @@ class Safety:
             name for name in self._latched if name not in present and self._latched_at[name] <= seen_at
         ]
         for name in cleared:
-            del self._latched[name]
+            del self._latched[name], self._latched_at[name]
         return cleared
 
     def firmware_faults_seen(self, seen_at: float) -> bool:

@@ -27,43 +27,33 @@ STANDARD_DENSITY_KG_PER_M3 = 1.2041
 """Density of air at 101.325 kPa and 20 °C, the usual standard state of flows in SLPM."""
 
 
-def alpha_kPa(
-    density_kg_per_m3: float = STANDARD_DENSITY_KG_PER_M3,
-    temperature_K: float = STANDARD_TEMPERATURE_K,
-    molar_mass_kg_per_mol: float = AIR_MOLAR_MASS_KG_PER_MOL,
-) -> float:
+def alpha_kPa() -> float:
     """α = ρ Rᵤ T / M, kPa (paper, below Eq. 1 and 3): the pressure that a standard litre adds to one litre.
 
-    By the gas law it is the pressure of the standard state.
-
-    Args:
-        density_kg_per_m3: ρ, of air at standard conditions, kg/m³.
-        temperature_K: T, of standard conditions, K.
-        molar_mass_kg_per_mol: M, of air, kg/mol.
+    By the gas law it is the pressure of the standard state. The equations below use `ALPHA_KPA`.
     """
-    return (density_kg_per_m3 * GAS_CONSTANT_J_PER_MOL_K * temperature_K / molar_mass_kg_per_mol) / 1000.0
+    density = STANDARD_DENSITY_KG_PER_M3
+    return density * GAS_CONSTANT_J_PER_MOL_K * STANDARD_TEMPERATURE_K / AIR_MOLAR_MASS_KG_PER_MOL / 1000.0
 
 
-def pressure_rate_kPa_per_s(flow_SL_per_s: Value, volume_L: float, alpha_kPa: float = ALPHA_KPA) -> Value:
+def pressure_rate_kPa_per_s(flow_SL_per_s: Value, volume_L: float) -> Value:
     """dP/dt = α Q / V, kPa/s (paper, Eq. 1): isothermal gas in a rigid volume.
 
     Args:
         flow_SL_per_s: Q, into the volume, standard litres per second.
         volume_L: V, litres.
-        alpha_kPa: α, kPa.
     """
-    return alpha_kPa * flow_SL_per_s / volume_L
+    return ALPHA_KPA * flow_SL_per_s / volume_L
 
 
-def flow_for_rate_SL_per_s(rate_kPa_per_s: Value, volume_L: float, alpha_kPa: float = ALPHA_KPA) -> Value:
+def flow_for_rate_SL_per_s(rate_kPa_per_s: Value, volume_L: float) -> Value:
     """Q = V dP/dt / α, standard litres per second (paper, Eq. 1, solved for Q).
 
     Args:
         rate_kPa_per_s: dP/dt, kPa/s.
         volume_L: V, litres.
-        alpha_kPa: α, kPa.
     """
-    return volume_L * rate_kPa_per_s / alpha_kPa
+    return volume_L * rate_kPa_per_s / ALPHA_KPA
 
 
 def flow_SL_per_s(pressure_difference_kPa: Value, flow_resistance_kPa_s_per_SL: float) -> Value:
@@ -86,17 +76,14 @@ def flow_resistance_kPa_s_per_SL(pressure_difference_kPa: float, flow_SLPM: floa
     return 60.0 * pressure_difference_kPa / flow_SLPM
 
 
-def discharge_time_constant_s(
-    flow_resistance_kPa_s_per_SL: float, reservoir_volume_L: float, alpha_kPa: float = ALPHA_KPA
-) -> float:
+def discharge_time_constant_s(flow_resistance_kPa_s_per_SL: float, reservoir_volume_L: float) -> float:
     """τ_dis = R_v V_r / α, s (paper, below Eq. 3).
 
     Args:
         flow_resistance_kPa_s_per_SL: R_v of the outlet valve, kPa·s/SL.
         reservoir_volume_L: V_r, litres.
-        alpha_kPa: α, kPa.
     """
-    return flow_resistance_kPa_s_per_SL * reservoir_volume_L / alpha_kPa
+    return flow_resistance_kPa_s_per_SL * reservoir_volume_L / ALPHA_KPA
 
 
 def discharge_kPa(time_s: Value, initial_kPa: float, time_constant_s: float) -> Value:
@@ -118,7 +105,6 @@ def inflation_rate_kPa_per_s(
     reservoir_kPa: Value,
     flow_resistance_kPa_s_per_SL: float,
     cv_volume_L: float,
-    alpha_kPa: float = ALPHA_KPA,
 ) -> Value:
     """dP_cv/dt = α P_r / (R_v V_cv), kPa/s (paper, Eq. 4), for P_r ≫ P_cv.
 
@@ -126,16 +112,14 @@ def inflation_rate_kPa_per_s(
         reservoir_kPa: P_r, kPa gauge.
         flow_resistance_kPa_s_per_SL: R_v of the inflation valve, kPa·s/SL.
         cv_volume_L: V_cv, litres.
-        alpha_kPa: α, kPa.
     """
-    return alpha_kPa * reservoir_kPa / (flow_resistance_kPa_s_per_SL * cv_volume_L)
+    return ALPHA_KPA * reservoir_kPa / (flow_resistance_kPa_s_per_SL * cv_volume_L)
 
 
 def min_reservoir_kPa(
     rate_kPa_per_s: Value,
     flow_resistance_kPa_s_per_SL: float,
     cv_volume_L: float,
-    alpha_kPa: float = ALPHA_KPA,
 ) -> Value:
     """P_r = R_v V_cv dP_cv/dt / α, kPa gauge: the minimum for a rate (paper, Eq. 4, Sec. VI-B).
 
@@ -143,9 +127,8 @@ def min_reservoir_kPa(
         rate_kPa_per_s: the wanted dP_cv/dt, kPa/s.
         flow_resistance_kPa_s_per_SL: R_v of the inflation valve, kPa·s/SL.
         cv_volume_L: V_cv, litres.
-        alpha_kPa: α, kPa.
     """
-    return flow_resistance_kPa_s_per_SL * cv_volume_L * rate_kPa_per_s / alpha_kPa
+    return flow_resistance_kPa_s_per_SL * cv_volume_L * rate_kPa_per_s / ALPHA_KPA
 
 
 def sine_peak_rate_kPa_per_s(frequency_Hz: Value, amplitude_kPa: float) -> Value:
@@ -200,7 +183,6 @@ def n_cycles(
     swing_kPa: float,
     rate_kPa_per_s: float,
     flow_resistance_kPa_s_per_SL: float,
-    alpha_kPa: float = ALPHA_KPA,
 ) -> Value:
     """n = ½ (P_r0 / V_cv − R_v dP_cv/dt / α) V_r / ΔP_cv (paper, Eq. 8): cycles left.
 
@@ -214,28 +196,25 @@ def n_cycles(
         swing_kPa: ΔP_cv, of one inflation, kPa.
         rate_kPa_per_s: the wanted dP_cv/dt, kPa/s.
         flow_resistance_kPa_s_per_SL: minimum R_v of the inflation valve, kPa·s/SL.
-        alpha_kPa: α, kPa.
     """
-    spare = reservoir_kPa / cv_volume_L - flow_resistance_kPa_s_per_SL * rate_kPa_per_s / alpha_kPa
+    spare = reservoir_kPa / cv_volume_L - flow_resistance_kPa_s_per_SL * rate_kPa_per_s / ALPHA_KPA
     return 0.5 * spare * reservoir_volume_L / swing_kPa
 
 
-def rigid_fill_SL(swing_kPa: float, cv_volume_L: float, alpha_kPa: float = ALPHA_KPA) -> float:
+def rigid_fill_SL(swing_kPa: float, cv_volume_L: float) -> float:
     """V_cv ΔP / α, standard litres: the air that Eq. 8 counts for one inflation of a rigid control volume.
 
     Args:
         swing_kPa: ΔP_cv, kPa.
         cv_volume_L: V_cv, litres.
-        alpha_kPa: α, kPa.
     """
-    return cv_volume_L * swing_kPa / alpha_kPa
+    return cv_volume_L * swing_kPa / ALPHA_KPA
 
 
 def pouch_fill_SL(
     swing_kPa: float,
     cv_volume_L: float,
     ambient_kPa: float = STANDARD_PRESSURE_KPA,
-    alpha_kPa: float = ALPHA_KPA,
 ) -> float:
     """V_cv (P_a + ΔP) / α, standard litres: the air for a pouch that is flat before each inflation.
 
@@ -246,6 +225,5 @@ def pouch_fill_SL(
         swing_kPa: ΔP_cv, kPa gauge at the end of the inflation.
         cv_volume_L: V_cv, inflated, litres.
         ambient_kPa: P_a, kPa absolute.
-        alpha_kPa: α, kPa.
     """
-    return cv_volume_L * (ambient_kPa + swing_kPa) / alpha_kPa
+    return cv_volume_L * (ambient_kPa + swing_kPa) / ALPHA_KPA

@@ -24,6 +24,7 @@ import msgspec
 from firmware_link import protocol
 from flying_vines.config import on_disk
 from flying_vines.config.config import PneumaticsConfig
+from flying_vines.core.events import StoredState
 from flying_vines.record.about import About, version_of
 from flying_vines.record.mcap_file import McapFile
 from flying_vines.record.topics import (
@@ -61,12 +62,7 @@ class FlightStart:
     """The rig's numbers in the configuration."""
     rig: str = ""
     """The rig file's text, if there is one."""
-    parameters: dict[str, float] = field(default_factory=dict)
-    """Saved parameters that a pilot has set."""
-    disarmed: bool = False
-    """The pneumatics were disarmed when the last service ended."""
-    learned: str = ""
-    """The text of what the last service learned of the rig's air."""
+    stored: StoredState = field(default_factory=StoredState)
 
 
 class LogEnded(OSError):
@@ -230,11 +226,12 @@ class Files:
             t=t,
             profile=began.profile,
             rig=began.rig,
-            parameters=began.parameters,
-            disarmed=began.disarmed,
-            learned=began.learned,
+            parameters=began.stored.parameters,
+            disarmed=began.stored.disarmed,
+            learned=began.stored.learned,
             believed=msgspec.to_builtins(nominal_rig(began.pneumatics)),
             continues=continues,
+            latched=began.stored.latched,
         )
         self.add(entry_of_state(start))
         self.sync()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import binascii
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, get_args
 
 import msgspec
@@ -25,6 +25,7 @@ from flying_vines.core.events import (
     FirmwareMessage,
     InternalError,
     KeepDisarmed,
+    KeepLatched,
     KeepLearned,
     KeepParameters,
     LinkChanged,
@@ -72,6 +73,8 @@ class Start:
     """The configuration's numbers of the rig, as the tables of a rig file."""
     continues: str
     """The folder of this service's previous flight, which this one continues; or empty."""
+    latched: dict[str, str] = field(default_factory=dict)
+    """The faults of the last service that nobody has cleared, by name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +140,7 @@ _STATES: dict[type, str] = {
     Snapshot: "snapshot",
     InternalError: "internal_error",
     KeepLearned: "learned",
+    KeepLatched: "latched",
 }
 """Not fed to the core, and not compared in a replay: a traceback contains line numbers."""
 MAVLINK_IN, MAVLINK_OUT = "mavlink/in", "mavlink/out"

@@ -1,4 +1,4 @@
-"""Persistent state: parameters, disarmed pneumatics, what was learned of the air, signing clock, page token.
+"""Persistent state: parameters, disarmed pneumatics, latched faults, learned air, signing clock, page token.
 
 All are files of one folder. Their names begin with the profile's, so several rigs can share the folder.
 """
@@ -8,8 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
+
 from flying_vines.config import on_disk
 from flying_vines.config.config import Config
+from flying_vines.core.events import StoredState
 from flying_vines.gateway import page_token
 from flying_vines.vehicle.component import parameter_file
 from flying_vines.vehicle.mavlink.signing import Signing
@@ -19,6 +22,10 @@ DISARMED = """\
 The pneumatics were disarmed: the vine does not bend while this file exists.
 Arm them from a ground station (command USER_4, 3), or delete the file and restart the service.
 """
+
+
+UNREADABLE = {"last_run": "the latched faults of the last run cannot be read"}
+"""Latched instead of them. A person who clears it clears them all."""
 
 
 class PersistentStateError(Exception):
@@ -35,6 +42,8 @@ class PersistentState:
     """Exists while the pneumatics are disarmed. Its content is not read: an incomplete file is enough."""
     learned: Path
     """What was learned of the rig's air."""
+    latched: Path
+    """The latched faults, as a JSON object: a sentence by name. Exists while there are any."""
     signing_timestamp: Path
     page_token: Path
 
@@ -49,9 +58,15 @@ class PersistentState:
             parameters=folder / f"{stem}.parameters.toml",
             disarming=folder / f"{stem}.disarmed",
             learned=folder / f"{stem}.air.json",
+            latched=folder / f"{stem}.latched.json",
             signing_timestamp=folder / f"{stem}.signing-timestamp",
             page_token=profile.parent / token_file if token_file else folder / f"{stem}.page-token",
         )
+
+    def read(self, config: Config) -> StoredState:
+        """What the core starts with. Raises `ParameterFileError` or `OSError`."""
+        parameters = self.read_parameters(config)
+        return StoredState(parameters, self.disarmed, self.read_learned(), self.read_latched())
 
     def read_parameters(self, config: Config) -> dict[str, float]:
         """Raises `ParameterFileError` with one line."""
@@ -74,7 +89,7 @@ class PersistentState:
             raise PersistentStateError(f"{self.disarming}: cannot be {change}: {error.strerror}") from None
 
     def read_learned(self) -> str:
-        """The text; empty if there is none. An unreadable one is not worth a refused start."""
+        """The text; empty if there is none, or if it cannot be read: then it is learned again."""
         try:
             return self.learned.read_text(encoding="utf-8", errors="replace")
         except OSError:
@@ -86,6 +101,25 @@ class PersistentState:
             on_disk.put(self.learned, text)
         except OSError as error:
             raise PersistentStateError(f"{self.learned}: cannot be written: {error.strerror}") from None
+
+    def read_latched(self) -> dict[str, str]:
+        """The faults that nobody has cleared."""
+        try:
+            return msgspec.json.decode(self.latched.read_bytes(), type=dict[str, str])
+        except FileNotFoundError:
+            return {}
+        except (OSError, msgspec.DecodeError, UnicodeError):
+            return dict(UNREADABLE)
+
+    def store_latched(self, faults: dict[str, str]) -> None:
+        """Raises `PersistentStateError`."""
+        try:
+            if faults:
+                on_disk.put(self.latched, msgspec.json.encode(faults).decode() + "\n")
+            else:
+                on_disk.take_away(self.latched)
+        except OSError as error:
+            raise PersistentStateError(f"{self.latched}: cannot be changed: {error.strerror}") from None
 
     def read_page_token(self, config: Config) -> str:
         """The token; a new one if there is none, empty if the page needs none. Raises `PageTokenError`."""

@@ -13,6 +13,7 @@ from rich.live import Live
 from rich.text import Text
 
 from flying_vines.config.config import Config
+from flying_vines.core.events import StoredState
 from flying_vines.core.watcher import EachAction
 from flying_vines.gateway.gateway import Gateway
 from flying_vines.record.recorder import Recorder
@@ -36,10 +37,8 @@ SWITCH_S = 0.0005
 class Remembered:
     """The persistent state, as read at the start."""
 
-    kept: PersistentState
-    parameters: dict[str, float]
-    disarmed: bool
-    learned: str
+    persistent: PersistentState
+    stored: StoredState
     signing: Signing | None
     page_token: str
 
@@ -70,11 +69,9 @@ async def serve(
         config,
         watchers,
         belief,
-        remembered.parameters,
-        remembered.disarmed,
-        remembered.learned,
+        remembered.stored,
         remembered.signing,
-        remembered.kept,
+        remembered.persistent,
     )
     # Modules stay until the end: exclude them from garbage collection, which would pause the loop in flight.
     gc.freeze()

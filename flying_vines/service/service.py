@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 import traceback
-from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any
@@ -25,11 +25,13 @@ from flying_vines.core.events import (
     Failed,
     FirmwareMessage,
     KeepDisarmed,
+    KeepLatched,
     KeepLearned,
     KeepParameters,
     LinkChanged,
     Said,
     Stop,
+    StoredState,
     Tick,
     ToFirmware,
     ToVehicle,
@@ -64,8 +66,8 @@ _LINKS = ("flying_vines.vehicle.mavlink.link", "firmware_link.serial_port")
 class Service:
     """A core between two real links. The `watchers` get each event and action after it was carried out.
 
-    `parameters`, `disarmed`, `learned` and `signing` are the stored state of the last run. `kept` has the
-    files for the next run; without it nothing is stored.
+    `stored` and `signing` are what the last run has stored. `persistent` has the files for the next run;
+    without it nothing is stored.
     """
 
     def __init__(
@@ -73,22 +75,20 @@ class Service:
         config: Config,
         watchers: Sequence[Watcher] = (),
         belief: Belief | None = None,
-        parameters: Mapping[str, float] | None = None,
-        disarmed: bool = False,
-        learned: str = "",
+        stored: StoredState | None = None,
         signing: Signing | None = None,
-        kept: PersistentState | None = None,
+        persistent: PersistentState | None = None,
     ) -> None:
         self.core = CrashSafeCore(
-            Core(config, belief=belief, parameters=parameters, disarmed=disarmed, learned=learned),
+            Core(config, belief=belief, stored=stored),
             lambda error: self.failed("display", error),
         )
         self._failed: set[str] = set()
         """Parts whose failure was already reported."""
         self.link_problems: dict[str, str] = {}
         self._profile = config
-        self._disarmed_before = disarmed
-        self._persistent = kept
+        self._stored = stored or StoredState()
+        self._persistent = persistent
         self._unwritten: dict[str, Callable[[], None]] = {}
         """Functions that write the changed states, by state."""
         self._changed = asyncio.Event()
@@ -142,8 +142,10 @@ class Service:
 
     async def run(self) -> None:
         """Serve until `stop`. If it is cancelled, the firmware's dead-man vents the vine."""
-        if self._disarmed_before:
+        if self._stored.disarmed:
             self.say(Severity.WARNING, "pneumatics disarmed before restart: arm them")
+        for reason in self._stored.latched.values():
+            self.say(Severity.WARNING, f"latched before restart: {reason}")
         loop = asyncio.get_running_loop()
         previous_handler = loop.get_exception_handler()
         loop.set_exception_handler(self._callback_failed)
@@ -368,6 +370,8 @@ class Service:
                 self._store("disarming", partial(self._persistent.store_disarmed, disarmed))
             case KeepLearned(_, text) if self._persistent is not None:
                 self._store("learned", partial(self._persistent.store_learned, text))
+            case KeepLatched(_, faults) if self._persistent is not None:
+                self._store("latched faults", partial(self._persistent.store_latched, faults))
 
 
 def line_to(config: FirmwareConfig) -> Line:

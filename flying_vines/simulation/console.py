@@ -59,7 +59,7 @@ MISHAPS = "\n".join(
 )
 
 
-def suffer(phlosar: SimulatedPhlosar, line: str) -> str:
+def inject_typed(phlosar: SimulatedPhlosar, line: str) -> str:
     """Apply the failure in a typed line. Returns a text for the user, or an empty text."""
     words = line.split()
     if not words:
@@ -71,7 +71,7 @@ def suffer(phlosar: SimulatedPhlosar, line: str) -> str:
     if place not in PLACES:
         return MISHAPS
     try:
-        phlosar.befall(place, None if kind == ["well"] else kind_from(place, kind))
+        phlosar.inject(place, None if kind == ["well"] else kind_from(place, kind))
     except ValueError as error:
         return str(error)
     return ""

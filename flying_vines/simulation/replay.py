@@ -21,7 +21,7 @@ from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
 from flying_vines.core.contained import CrashSafeCore
 from flying_vines.core.core import Core
-from flying_vines.core.events import Action, Decision, ToVehicle, VehicleMessage
+from flying_vines.core.events import Action, Decision, StoredState, ToVehicle, VehicleMessage
 from flying_vines.record.reader import FlightLog, LogEntry, LogError
 from flying_vines.record.restore import event_of, restored, start_of
 from flying_vines.record.topics import (
@@ -59,7 +59,7 @@ def replay(
     as possible. A frame with an earlier time than its predecessor gets the predecessor's time. If the core
     requests a mission item, it gets the last one in the recording.
     """
-    world = SimulatedWorld(config, mission=mission, belief=belief, parameters=parameters)
+    world = SimulatedWorld(config, mission=mission, belief=belief, stored=StoredState(dict(parameters or {})))
     codec = MavlinkCodec(config.vehicle.system_id, config.vehicle.component_id)
     began: float | None = None
     started = time.monotonic()
@@ -166,14 +166,9 @@ def _core(log: FlightLog, start: Start, config: Config | None) -> CrashSafeCore:
             path = Path(folder) / "rig.toml"
             path.write_text(start.rig, encoding="utf-8")
             belief = load_calibration(path, config.pneumatics).belief
-    core = Core(
-        config,
-        belief=belief,
-        parameters=start.parameters,
-        disarmed=start.disarmed,
-        learned=start.learned,
-    )
-    return CrashSafeCore(core)
+    # Logs of earlier versions say nothing of latched faults.
+    stored = StoredState(start.parameters, start.disarmed, start.learned, start.latched or {})
+    return CrashSafeCore(Core(config, belief=belief, stored=stored))
 
 
 def _answers(t: float, action: Action) -> list[tuple[str, object]]:

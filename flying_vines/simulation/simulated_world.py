@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from firmware_link import protocol
 from flying_vines.config.config import Config
@@ -13,6 +13,7 @@ from flying_vines.core.events import (
     Event,
     FirmwareMessage,
     LinkChanged,
+    StoredState,
     Tick,
     ToFirmware,
     ToVehicle,
@@ -50,11 +51,9 @@ class SimulatedWorld:
         phlosar: SimulatedPhlosar | None = None,
         mission: Sequence[MissionItem] = (),
         belief: Belief | None = None,
-        parameters: Mapping[str, float] | None = None,
-        disarmed: bool = False,
-        learned: str = "",
+        stored: StoredState | None = None,
     ) -> None:
-        self.core = Core(config, mission, belief, parameters, disarmed, learned)
+        self.core = Core(config, mission, belief, stored)
         # By default the ideal plant, because it is fast.
         self.phlosar = phlosar or SimulatedPhlosar(
             effects=Effects(), reservoir_kPa=config.pneumatics.full_kPa
@@ -107,10 +106,10 @@ class SimulatedFlight:
         config: Config,
         autopilot: FakeAutopilot | None = None,
         phlosar: SimulatedPhlosar | None = None,
-        disarmed: bool = False,
+        stored: StoredState | None = None,
     ) -> None:
         self.autopilot = autopilot or FakeAutopilot("ardupilot")
-        self.world = SimulatedWorld(config, phlosar, disarmed=disarmed)
+        self.world = SimulatedWorld(config, phlosar, stored=stored)
         self.from_autopilot: Wire = perfect
         self._codec = MavlinkCodec(config.vehicle.system_id, config.vehicle.component_id)
 

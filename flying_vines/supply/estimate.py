@@ -18,11 +18,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from flying_vines.config.config import PneumaticsConfig
+from flying_vines.physics import paper
 from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
+from flying_vines.supply.air_use import TRACE, AirUse, ObservedInflation
 from flying_vines.supply.belief import AMBIENT_KPA, Belief
 from flying_vines.supply.features import Features
-from flying_vines.supply.flying import TRACE, Flying, ObservedInflation
-from flying_vines.supply.formula import floor_kPa
+from flying_vines.supply.min_supply import SupplyCost, fillable, min_supply_kPa
 from flying_vines.supply.reservoir import (
     CV_LEAK,
     FLAT,
@@ -31,13 +32,12 @@ from flying_vines.supply.reservoir import (
     SIZE,
     VENTURI,
     WARMTH,
-    Bottle,
     Rates,
+    ReservoirFilter,
     Spent,
     X,
     colder_K,
 )
-from flying_vines.supply.supply import SupplyCost, fillable, min_supply_kPa
 
 READING_SD_KPA = 1.3
 """Standard deviation of one reading: sensor noise and a converter of 10 bits."""
@@ -213,8 +213,8 @@ class ReservoirEstimate:
         self.reservoir_kPa = math.nan
         """Smoothed reading, with the sensor's gain and offset corrected; NaN before the first one."""
         self.read_at = 0.0
-        self._flying = Flying(belief)
-        self.bottle: Bottle | None = None
+        self._use = AirUse(belief)
+        self.filter: ReservoirFilter | None = None
         self._rates = learned.rates if learned else None
         self._demand = SupplyCost(belief)
         self._mix = _Mix(belief)
@@ -233,10 +233,10 @@ class ReservoirEstimate:
     @property
     def learned(self) -> Learned | None:
         """What the next run needs; None before the first reading."""
-        if self.bottle is None:
+        if self.filter is None:
             return None
         return Learned(
-            rates=self.bottle.rates,
+            rates=self.filter.rates,
             demand_ln=self._demand.ln,
             demand_variance=self._demand.variance,
             mix=self._mix.sums,
@@ -252,34 +252,34 @@ class ReservoirEstimate:
             self.reservoir_kPa = features.reservoir_smooth_kPa
         if not features.complete:
             return
-        flying = self._flying
-        flying.take(features, self.reservoir_kPa)
-        if flying.reading_kPa is not None and self.bottle is None:
-            self.bottle = Bottle(self._belief, flying.reading_kPa, self._rates)
-        if self.bottle is None:
+        use = self._use
+        use.take(features, self.reservoir_kPa)
+        if use.reading_kPa is not None and self.filter is None:
+            self.filter = ReservoirFilter(self._belief, use.reading_kPa, self._rates)
+        if self.filter is None:
             return
-        if flying.was_cut_off:
-            mean = self.bottle.mean
-            self.bottle.doubt(abs(mean[RISE]) * self._p.cycle_swing_kPa + abs(mean[FLAT]))
-        if flying.block is not None:
-            self.bottle.spend(flying.block, flying.unseen_s)
-            if flying.reading_kPa is not None:
-                self.bottle.read(flying.reading_kPa, READING_SD_KPA / math.sqrt(flying.readings))
-        if flying.inflation is not None:
-            self._add(flying.inflation, self.bottle)
+        if use.was_cut_off:
+            mean = self.filter.mean
+            self.filter.doubt(abs(mean[RISE]) * self._p.cycle_swing_kPa + abs(mean[FLAT]))
+        if use.block is not None:
+            self.filter.spend(use.block, use.unseen_s)
+            if use.reading_kPa is not None:
+                self.filter.read(use.reading_kPa, READING_SD_KPA / math.sqrt(use.readings))
+        if use.inflation is not None:
+            self._add(use.inflation, self.filter)
 
     def cut_off(self) -> None:
         """The present movement is replaced before its end: nothing is learned from it."""
-        self._flying.cut_off()
+        self._use.cut_off()
 
     def restart(self) -> None:
         """Forget the air that a bend takes, and the leaks: vine or reservoir were repaired or exchanged."""
-        self._flying.cut_off()
-        self.bottle = self._rates = None
+        self._use.cut_off()
+        self.filter = self._rates = None
         self.measured_cycles = 0.0
         self._warmed_up = False
 
-    def _add(self, inflation: ObservedInflation, bottle: Bottle) -> None:
+    def _add(self, inflation: ObservedInflation, air: ReservoirFilter) -> None:
         if inflation.cut_off:
             return
         if self._belief.packed_kPa > 0.0 and not self._warmed_up:
@@ -287,8 +287,8 @@ class ReservoirEstimate:
             self._warmed_up = True
             return
         self.measured_cycles += inflation.swing_kPa / self._p.cycle_swing_kPa
-        self._mix.add(inflation, bottle.absolute_kPa)
-        air_kPa = self._air_kPa(bottle.possible_mean(), inflation)
+        self._mix.add(inflation, air.absolute_kPa)
+        air_kPa = self._air_kPa(air.possible_mean(), inflation)
         self._demand.learn(inflation, air_kPa)
         if not fillable(self._belief, inflation, math.exp(self._demand.ln) * air_kPa):
             return  # it turned before any supply could have filled it
@@ -300,30 +300,32 @@ class ReservoirEstimate:
 
     def air_needed(self, rise_kPa: float, rate_kPa_per_s: float) -> AirNeeded:
         """Air for raises of the CV by `rise_kPa` in total, and the supply that `rate_kPa_per_s` needs."""
-        return AirNeeded(self.spending_kPa(rise_kPa), floor_kPa(self._p, rate_kPa_per_s))
+        p = self._p
+        floor_kPa = paper.min_reservoir_kPa(rate_kPa_per_s, p.evp_flow_resistance_kPa_s_per_SL, p.cv_volume_L)
+        return AirNeeded(self.spending_kPa(rise_kPa), floor_kPa)
 
     def spending_kPa(self, rise_kPa: float) -> float:
-        if self.bottle is None:
+        if self.filter is None:
             return 2.0 * self._p.cv_volume_L * rise_kPa / self._p.reservoir_volume_L
-        basis = Basis(self.bottle.possible_mean(), self._mix.mean(), 0.0)
+        basis = Basis(self.filter.possible_mean(), self._mix.mean(), 0.0)
         return _Forecast(self._belief, basis).cost_kPa() * (rise_kPa / self._p.cycle_swing_kPa)
 
     def cycles_left(self) -> CyclesLeft | None:
         """None before the first reading."""
-        return None if self.bottle is None else self._predict(self.bottle)
+        return None if self.filter is None else self._predict(self.filter)
 
     def cycles_of(self, basis: Basis) -> float:
         """The cycles left with these numbers."""
         return _Forecast(self._belief, basis).cycles()
 
-    def _predict(self, bottle: Bottle) -> CyclesLeft:
-        mean = bottle.possible_mean()
+    def _predict(self, air: ReservoirFilter) -> CyclesLeft:
+        mean = air.possible_mean()
         floor = self._floor(mean)
         basis = self.basis = Basis(mean, self._mix.mean(), floor.kPa)
         forecast = _Forecast(self._belief, basis)
         expected = forecast.cycles()
-        spread = math.exp(Z90 * math.sqrt(self._variance(bottle, basis, floor, expected)))
-        leak_sd = math.sqrt(bottle.covariance[LEAK][LEAK])
+        spread = math.exp(Z90 * math.sqrt(self._variance(air, basis, floor, expected)))
+        leak_sd = math.sqrt(air.covariance[LEAK][LEAK])
         cost_kPa = forecast.cost_kPa()
         return CyclesLeft(
             expected=expected,
@@ -356,7 +358,7 @@ class ReservoirEstimate:
         if above_kPa <= 0.0:
             return 0.0
         leak_per_s = max(leak_per_s, 1e-9)
-        held = mean[CV_LEAK] * max(0.0, self._flying.cv_kPa) / leak_per_s
+        held = mean[CV_LEAK] * max(0.0, self._use.cv_kPa) / leak_per_s
         seconds = math.log((mean[X] + held) / (max(0.0, floor_kPa) + held + 1e-6)) / leak_per_s
         return min(MAX_MINUTES, seconds / 60.0)
 
@@ -376,11 +378,11 @@ class ReservoirEstimate:
         more_kPa = min_supply_kPa(self._belief, worst, air * 1.1, kappa * air * 1.1)
         return _Floor(kPa, (more_kPa - kPa) / math.log(1.1), worst, air)
 
-    def _variance(self, bottle: Bottle, basis: Basis, floor: _Floor, expected: float) -> float:
+    def _variance(self, air: ReservoirFilter, basis: Basis, floor: _Floor, expected: float) -> float:
         """Variance of ln n, from all uncertain numbers."""
-        jacobian = [self._derivative(bottle, basis, floor, i) for i in range(SIZE)]
+        jacobian = [self._derivative(air, basis, floor, i) for i in range(SIZE)]
         variance = sum(
-            jacobian[i] * jacobian[k] * bottle.covariance[i][k] for i in range(SIZE) for k in range(SIZE)
+            jacobian[i] * jacobian[k] * air.covariance[i][k] for i in range(SIZE) for k in range(SIZE)
         )
         floor_sd = math.hypot(
             self._belief.zero_sd_kPa,
@@ -399,9 +401,9 @@ class ReservoirEstimate:
         unflown = UNFLOWN_SD * basis.cycle.assumed_share
         return variance + unflown**2 + MODEL_SD**2 + (COUNT_SD / max(COUNT_SD, expected)) ** 2
 
-    def _derivative(self, bottle: Bottle, basis: Basis, floor: _Floor, i: int) -> float:
+    def _derivative(self, air: ReservoirFilter, basis: Basis, floor: _Floor, i: int) -> float:
         """The derivative of ln n with respect to state i of the reservoir."""
-        half_sd = 0.5 * math.sqrt(bottle.covariance[i][i])
+        half_sd = 0.5 * math.sqrt(air.covariance[i][i])
         ends = []
         for end in (-half_sd, half_sd):
             moved = list(basis.mean)

@@ -86,7 +86,7 @@ class Rates(NamedTuple):
     covariance: tuple[tuple[float, ...], ...]
 
 
-class Bottle:
+class ReservoirFilter:
     """The state, `mean` and `covariance`. Gauge kPa, K; rates in kPa per kPa, per inflation, per second."""
 
     def __init__(self, belief: Belief, reading_kPa: float, rates: Rates | None = None) -> None:

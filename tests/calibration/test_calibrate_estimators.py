@@ -21,10 +21,11 @@ from flying_vines.calibration.findings import (
     SettingProposal,
 )
 from flying_vines.calibration.readings import Readings, ReadingsBuffer
-from flying_vines.calibration.reservoir_balance import BalancePrior, Bins, fit_balance
+from flying_vines.calibration.reservoir_balance import Bins, fit_balance
 from flying_vines.calibration.simulated_rig import CURVE, HYSTERESIS_KPA, SimulatedAngleReader
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.arrays import Array, BoolArray
+from flying_vines.supply.belief import Prior
 from flying_vines.vine.curve import BendCurve
 
 TOP_KPA = 20.0
@@ -126,7 +127,7 @@ def test_a_parameter_without_data_keeps_its_prior() -> None:
     t = times(200, 0.2)
     flat = {"never": np.zeros(200)}
     found = fit_balance(
-        Bins(t, t, np.full(200, 500.0), flat, np.ones(200, bool), 0.1), {"never": BalancePrior(3.0, 2.0)}, 2.0
+        Bins(t, t, np.full(200, 500.0), flat, np.ones(200, bool), 0.1), {"never": Prior(3.0, 2.0)}, 2.0
     )
     assert found.values["never"].value == pytest.approx(3.0) and found.values["never"].sd >= 2.0
 

@@ -31,6 +31,15 @@ def configured(**tables: object) -> Config:
     return msgspec.structs.replace(config.default(), **tables)
 
 
+def on_the_ground(conf: Config | None = None) -> SimulatedFlight:
+    """Autopilot, RC and phloSAR are there, the switch is low."""
+    autopilot = FakeAutopilot("ardupilot")
+    autopilot.set_rc(9, LOW)
+    flight = SimulatedFlight(conf or config.default(), autopilot)
+    flight.run(4.0)
+    return flight
+
+
 def airborne(
     conf: Config | None = None,
     autopilot: FakeAutopilot | None = None,

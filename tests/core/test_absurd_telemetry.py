@@ -125,8 +125,8 @@ def test_readings_within_reach_of_a_sensor_never_spoil_an_estimate() -> None:
                 continue  # a prediction takes milliseconds, and spoils nothing itself
             if (left := reservoir.cycles_left()) is not None:
                 assert 0.0 <= left.low <= left.expected <= left.high < math.inf
-            if reservoir.bottle is not None:
-                assert all(reservoir.bottle.covariance[i][i] >= 0.0 for i in range(9))
+            if reservoir.filter is not None:
+                assert all(reservoir.filter.covariance[i][i] >= 0.0 for i in range(9))
 
 
 def hostile(chance: random.Random) -> Iterator[tuple[float, Telemetry]]:

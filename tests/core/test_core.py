@@ -11,13 +11,16 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from firmware_link.protocol import ClearFaults, Fault, Setpoint
 from flying_vines.config import config
+from flying_vines.core.core import Core
 from flying_vines.core.events import (
     Action,
     Decision,
     FirmwareMessage,
+    KeepLatched,
     KeepLearned,
     LinkChanged,
     Stop,
+    StoredState,
     ToFirmware,
     ToVehicle,
     VehicleMessage,
@@ -248,6 +251,31 @@ def test_a_firmware_reset_latches() -> None:
     acknowledged = ground_command(flight, mavlink.MAV_CMD_USER_5, 1.0)
     assert answers(acknowledged) == [(mavlink.MAV_CMD_USER_5, mavlink.MAV_RESULT_ACCEPTED)]
     flight.autopilot.set_rc(9, HIGH)
+    assert [d.safety for d in decisions(run_for(flight, 1.0))] == ["accepted"]
+
+
+def test_a_latched_loss_of_air_outlasts_a_restart_until_a_person_clears_it() -> None:
+    flight = airborne()
+    flight.phlosar.mishaps.evp = StuckAt(0.0)
+    flight.autopilot.set_rc(9, HIGH)
+    stored = [action.faults for action in run_for(flight, 3.0) if isinstance(action, KeepLatched)]
+    assert [set(faults) for faults in stored] == [{"filling"}]
+    flight.phlosar.mishaps.evp = None
+    flight.world.core = Core(config.default(), stored=StoredState(latched=stored[-1]))
+    for link in ("firmware", "vehicle"):
+        flight.feed(LinkChanged(flight.world.now, link, True))
+    flight.autopilot.set_rc(9, LOW)
+    run_for(flight, 4.0)
+    left = flight.core.snapshot(flight.world.now).cycles
+    assert left is not None and left.lost and left.expected == 0.0
+    flight.autopilot.set_rc(9, MIDDLE)
+    (refused,) = decisions(run_for(flight, 1.0))
+    assert (refused.safety, refused.reason) == ("refused", stored[-1]["filling"])
+    flight.autopilot.set_rc(9, LOW)
+    actions = run_for(flight, 1.0)
+    assert "Vine: cleared filling" in notices(actions)
+    assert [action.faults for action in actions if isinstance(action, KeepLatched)] == [{}]
+    flight.autopilot.set_rc(9, MIDDLE)
     assert [d.safety for d in decisions(run_for(flight, 1.0))] == ["accepted"]
 
 
@@ -565,7 +593,7 @@ def test_what_was_learned_of_the_air_goes_into_the_next_run_of_the_same_rig() ->
         (configured(), True),
         (configured(pneumatics=config.PneumaticsConfig(reservoir_volume_L=3.0)), False),
     ):
-        again = SimulatedWorld(numbers, learned=kept[-1].text)
+        again = SimulatedWorld(numbers, stored=StoredState(learned=kept[-1].text))
         actions = list(again.advance(3.0))
         left = again.core.snapshot(3.0).cycles
         assert left is not None
@@ -582,7 +610,7 @@ def test_a_new_leak_is_stored_though_nothing_bends() -> None:
             flight.autopilot.set_rc(9, pulse_us)
             run_for(flight, 3.0)
     run_for(flight, 15.0)
-    flight.phlosar.befall("bottle", Hole(0.1))
+    flight.phlosar.inject("bottle", Hole(0.1))
     actions = run_for(flight, 60.0)
     assert any("the leak has changed" in text for text in notices(actions))
     kept = [action for action in actions if isinstance(action, KeepLearned)]

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config
 from flying_vines.config.config import InterlocksConfig
-from flying_vines.core.events import Action, Decision, KeepDisarmed, VehicleMessage
+from flying_vines.core.events import Action, Decision, KeepDisarmed, StoredState, VehicleMessage
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
@@ -28,7 +28,7 @@ class Bench:
             config.default(),
             interlocks=msgspec.structs.replace(InterlocksConfig(bench_mode=True), **interlocks),
         )
-        self.flight = SimulatedFlight(conf, FakeAutopilot("ardupilot"), disarmed=disarmed)
+        self.flight = SimulatedFlight(conf, FakeAutopilot("ardupilot"), stored=StoredState(disarmed=disarmed))
         self.actions: list[Action] = self.flight.run(3.0)
         self._senders: dict[tuple[int, int], MavlinkCodec] = {}
 

@@ -172,7 +172,7 @@ def test_clearing_no_fault_does_not_overtake_a_move_that_waits_for_its_confirmat
 
 def test_clearing_a_fault_overtakes_it() -> None:
     flight = airborne(autopilot=FakeAutopilot("px4", receiver="sbus"))
-    flight.phlosar.befall("board", Reset())
+    flight.phlosar.inject("board", Reset())
     run_for(flight, 2.0)
     assert flight.core.snapshot(flight.world.now).safe_state
     flight.autopilot.set_rc(9, HIGH)

@@ -10,22 +10,14 @@ import pytest
 from flying_vines.config import config
 from flying_vines.core import core
 from flying_vines.core.events import Action, Asked, Decision
-from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.notice import Notice
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vine.intent import BendTo, Intent, SetPressure, StartBench, StopBench
 
+from .flights import on_the_ground
+
 LOW, HIGH = 1000, 2000
-
-
-def on_the_ground(conf: config.Config | None = None) -> SimulatedFlight:
-    """Autopilot, RC and phloSAR are there, the switch is low."""
-    autopilot = FakeAutopilot("ardupilot")
-    autopilot.set_rc(9, LOW)
-    flight = SimulatedFlight(conf or config.default(), autopilot)
-    flight.run(4.0)
-    return flight
 
 
 def ask(flight: SimulatedFlight, intent: Intent) -> Decision:

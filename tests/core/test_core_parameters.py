@@ -6,7 +6,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config
-from flying_vines.core.events import Action, Decision, KeepParameters, ToVehicle, VehicleMessage
+from flying_vines.core.events import Action, Decision, KeepParameters, StoredState, ToVehicle, VehicleMessage
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
@@ -106,6 +106,6 @@ def test_another_switch_channel_waits_for_a_fresh_move() -> None:
 def test_what_was_kept_is_in_force_from_the_start() -> None:
     from flying_vines.core.core import Core
 
-    core = Core(config.default(), parameters={"VINE_MAX_KPA": 10.0, "VINE_RC_ACTION": 1.0})
+    core = Core(config.default(), stored=StoredState({"VINE_MAX_KPA": 10.0, "VINE_RC_ACTION": 1.0}))
     assert core.config.limits.max_kPa == 10.0
     assert core.config.losses.on_rc_loss == "hold"

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from drawn_mishaps import DRAWN
 from hypothesis import note, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
@@ -25,11 +26,11 @@ from flying_vines.config.config import Config
 from flying_vines.core.core import Core
 from flying_vines.core.events import Action, Decision, Event, Tick
 from flying_vines.core.safety import LossEnded, ResponseNeeded, Ruling
+from flying_vines.physics.baseline import Inputs
 from flying_vines.simulation.autopilot import AutopilotKind, RcSource
 from flying_vines.simulation.autopilot.receiver import LOSSES
 from flying_vines.simulation.phlosar.firmware import Firmware
-from flying_vines.simulation.phlosar.mishaps import DRAWN, PLACES, Filled, StuckAt
-from flying_vines.simulation.phlosar.regulator import Drive
+from flying_vines.simulation.phlosar.mishaps import PLACES, Filled, StuckAt
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vine.intent import BendTo, StartProfile
 
@@ -159,7 +160,7 @@ class RemembersTheSetpoint(Firmware):
                 self._since_us = self._now_us
         super().receive(data)
 
-    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive:
+    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Inputs:
         self._now_us = now_us
         if self._last is not None:
             self._remember(self._last, (now_us - self._since_us) // 1000)
@@ -187,7 +188,7 @@ class ForgetsItsDeadMan(RemembersTheSetpoint):
 class NoLimit(Firmware):
     """Over-pressure, wherever it is, is nothing to it."""
 
-    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive:
+    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Inputs:
         return super().step(now_us, min(cv_kPa, 25.0), min(reservoir_kPa, 700.0))
 
 
@@ -216,11 +217,11 @@ class OpensAtPowerUp(Firmware):
         self._greeted = any(isinstance(message, protocol.Hello) for message in self._ears.decode(data))
         super().receive(data)
 
-    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive:
+    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Inputs:
         drive = super().step(now_us, cv_kPa, reservoir_kPa)
         if self._greeted:
             self._greeted = False
-            return Drive(1.0, 0.0, False)
+            return Inputs(1.0, 0.0, False)
         return drive
 
 
@@ -319,7 +320,7 @@ def cut_while_bending(flight: RefereedFlight) -> None:
 
 def overfill(flight: RefereedFlight) -> None:
     bent(flight)
-    flight.befall("bottle", Filled(800.0))
+    flight.inject("bottle", Filled(800.0))
     flight.run(0.5)
 
 
@@ -487,7 +488,7 @@ class AnyFlight(RuleBasedStateMachine):
     @rule(which=st.integers(0, len(DRAWN) - 1), seed=st.integers(0, 1000))
     def something_breaks(self, which: int, seed: int) -> None:
         place, make = DRAWN[which]
-        self.flight.befall(place, make(random.Random(seed)))
+        self.flight.inject(place, make(random.Random(seed)))
         self.flight.run(0.2)
 
     @rule(place=st.sampled_from(sorted(PLACES)))

@@ -292,6 +292,11 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (vehicle.MISSED, of_stream("MISSION_CURRENT", 0.0)),
     (vehicle.CLASH, of_vehicle(clash=True)),
     (vehicle.CLASH_WITH_SERVICE, vehicle.check(replace(VEHICLE, clash=True), CONFIG, 6.0, [SERVICE])),
+    (
+        vehicle.CLASH_WITH_SERVICE,
+        vehicle.check(replace(VEHICLE, others=((1, 191),)), CONFIG, 6.0, [SERVICE]),
+    ),
+    (vehicle.CLASH_ONCE, of_vehicle(others=((1, 154), (1, 191)))),
     (vehicle.SERVED, vehicle.check(VehicleFacts(), CONFIG, 6.0, [SERVICE])),
     (vehicle.SERVED, vehicle.check(VehicleFacts(messages=9, others=((1, 191),)), CONFIG, 6.0, [SERVICE])),
     (vehicle.FREE, of_vehicle(others=((1, 154), (255, 190)))),

@@ -5,8 +5,8 @@ from __future__ import annotations
 from wrapped_board import WrappedBoard
 
 from firmware_link.protocol import Codec, Setpoint
+from flying_vines.physics.baseline import Inputs
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
-from flying_vines.simulation.phlosar.regulator import Drive
 
 STEP_S = 0.001
 
@@ -47,7 +47,7 @@ class BlackBox(WrappedBoard):
         self._over_ms = self._over_ms + 1 if true_kPa > self._limit_kPa else 0
         self.longest_over_ms = max(self.longest_over_ms, self._over_ms)
 
-    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive:
+    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Inputs:
         drive = super().step(now_us, cv_kPa, reservoir_kPa)
         if drive.evp > 0.0 or not drive.solenoid:
             self.unsafe_s = now_us / 1e6

@@ -256,8 +256,8 @@ def hardware(
 ) -> Injection:
     """A mishap, and its repair."""
     return Injection(
-        lambda flight: flight.phlosar.befall(place, kind),
-        mend or (lambda flight: flight.phlosar.befall(place, None)),
+        lambda flight: flight.phlosar.inject(place, kind),
+        mend or (lambda flight: flight.phlosar.inject(place, None)),
         lasts_s,
         phase,
         live,
@@ -281,7 +281,7 @@ def wave(flight: Watched, seconds: float) -> None:
 
 
 def new_bottle(flight: Watched) -> None:
-    flight.phlosar.befall("bottle", None)
+    flight.phlosar.inject("bottle", None)
     flight.phlosar.fill(690.0)
 
 
@@ -360,5 +360,5 @@ INJECTIONS: dict[str, Injection] = {
     ),
     "bottle_emptied": Injection(lambda f: f.phlosar.fill(30.0), lambda f: f.phlosar.fill(690.0)),
     "bottle_over_pressure": Injection(lambda f: f.phlosar.fill(800.0), lambda f: f.phlosar.fill(690.0)),
-    "bottle_hot": Injection(lambda f: f.phlosar.heat_bottle(40.0), lambda f: f.phlosar.fill(690.0)),
+    "bottle_hot": Injection(lambda f: f.phlosar.heat_reservoir(40.0), lambda f: f.phlosar.fill(690.0)),
 }

@@ -36,7 +36,7 @@ async def test_disk_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
         profile = tmp_path / "profile.toml"
         profile.write_text(bench.profile.replace("settle_s = 1.0", "settle_s = 0.2"))
         parsed = config.load(profile)
-        service = Service(parsed, kept=PersistentState.of(profile, parsed))
+        service = Service(parsed, persistent=PersistentState.of(profile, parsed))
         serving = asyncio.create_task(service.run())
         await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is believed")
         bench.autopilot.set_rc(9, 2000)

@@ -27,10 +27,10 @@ from firmware_link.protocol import (
     Vent,
     encode,
 )
+from flying_vines.physics.baseline import Inputs
 from flying_vines.simulation.phlosar.firmware import setting_rows
 from flying_vines.simulation.phlosar.mishaps import Open, Shorted
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
-from flying_vines.simulation.phlosar.regulator import Drive
 
 from .golden_run import FULL_EVP_DUTY, GOLDEN_RUN, PACKET, Done, HostBoard, Part, PowerUp, Step, write
 
@@ -111,7 +111,7 @@ class Recorder:
         )
         self._board = self._begin(self._power_up)
 
-    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive:
+    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Inputs:
         noise = self._random.gauss
         supply = _converted(SUPPLY + noise(0.0, 6.0))
         cv = _converted((0.1 + 0.8 * cv_kPa / CV_SPAN_kPa) * supply)
@@ -119,7 +119,7 @@ class Recorder:
         late_us = min(200, int(abs(noise(0.0, 8.0))))
         now_us = (now_us + self.clock_us + late_us) & 0xFFFFFFFF
         self.tell(Step(now_us, *self.wires(cv, reservoir, supply), self.fetched, self._received))
-        return Drive(
+        return Inputs(
             min(1.0, self.last.evp_duty / FULL_EVP_DUTY),
             self.last.dvp_duty / FULL_DVP_DUTY,
             self.last.solenoid,
@@ -309,7 +309,7 @@ def sensors() -> World:
     for place, fault in (("cv_sensor", Fault.CV_SENSOR), ("reservoir_sensor", Fault.RESERVOIR_SENSOR)):
         for kind in (Open(), Shorted()):
             world.hold(9.0, 60)
-            world.phlosar.befall(place, kind)
+            world.phlosar.inject(place, kind)
             world.run(8)
             world.is_in(Mode.FAULT, fault)
             world.clear()

@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 import pytest
+from closed_forms import (
+    adiabatic_choked_discharge_kPa_abs,
+    choked_time_constant_s,
+    isothermal_choked_discharge_kPa_abs,
+    polytropic_temperature_K,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -11,14 +17,7 @@ from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.constants import GAMMA
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358
-from flying_vines.physics.plant.gas import (
-    adiabatic_choked_discharge_kPa_abs,
-    air_SL,
-    choked_time_constant_s,
-    isothermal_choked_discharge_kPa_abs,
-    polytropic_temperature_K,
-)
-from flying_vines.physics.plant.plant import Plant, at_rest
+from flying_vines.physics.plant.plant import Plant, air_SL, at_rest
 from flying_vines.physics.plant.simulator import Simulator
 from flying_vines.physics.plant.volume import Pouch
 from flying_vines.physics.plant.wall import Wall

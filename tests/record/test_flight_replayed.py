@@ -5,22 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import command_line
 import msgspec
 import pytest
 from recorded_flight import BEGAN, CONFIG, HIGH, LOW, fly, new_flight, one_bend
 
-from flying_vines.cli.main import main
 from flying_vines.config import config
 from flying_vines.core.contained import CrashSafeCore
 from flying_vines.core.core import Core
-from flying_vines.core.events import Asked, Decision, InternalError
+from flying_vines.core.events import Asked, Decision, InternalError, StoredState
 from flying_vines.physics.plant.true_rig import TrueRig, true_rig_text
 from flying_vines.physics.rig import Rig
 from flying_vines.record.folders import MCAP
 from flying_vines.record.mcap_file import McapFile
 from flying_vines.record.reader import FlightLog, LogEntry, LogError
 from flying_vines.record.recorder import Recorder
+from flying_vines.record.restore import start_of
 from flying_vines.record.topics import NUMBERS, TOPICS, topic_of
 from flying_vines.simulation.replay import replay_flight
 from flying_vines.simulation.simulated_world import SimulatedFlight
@@ -56,27 +58,45 @@ def test_a_flight_comes_out_the_same_again(flown: Path) -> None:
     assert {"decision", "notice", "mavlink/out", "phlosar/setpoint", "phlosar/vent"} <= again.compared.keys()
 
 
-def test_all_that_the_core_began_with_counts(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("kept", "reason", "written", "forgotten"),
+    [
+        ({"disarmed": True}, "the pneumatics are disarmed", b'"disarmed":true', b'"disarmed":false'),
+        ({"latched": {"filling": "not filling"}}, "not filling", b'{"filling":"not filling"}', b"{}"),
+    ],
+    ids=["disarmed", "latched"],
+)
+def test_all_that_the_core_began_with_counts(
+    tmp_path: Path, kept: dict[str, Any], reason: str, written: bytes, forgotten: bytes
+) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text(true_rig_text(TrueRig(Rig(), {"cv_leak": {"flow_resistance_kPa_s_per_SL": 8000.0}})))
     belief = load_calibration(rig, CONFIG.pneumatics).belief
-    parameters = {"VINE_RATE_HZ": 5.0}
-    began = replace(BEGAN, pneumatics=belief.pneumatics, rig=rig.read_text())
-    began = replace(began, parameters=parameters, disarmed=True)
+    stored = StoredState({"VINE_RATE_HZ": 5.0}, **kept)
+    began = replace(BEGAN, pneumatics=belief.pneumatics, rig=rig.read_text(), stored=stored)
     flight = new_flight()
-    flight.world.core = Core(CONFIG, (), belief, parameters, disarmed=True)
+    flight.world.core = Core(CONFIG, (), belief, stored)
     recorder = Recorder(tmp_path / "flights", began, t=0.0)
     fly(flight, recorder, ((3.0, LOW), (5.0, HIGH), (6.0, LOW)))
     recorder.close()
     again = replay_flight(FlightLog(recorder.folder))
     assert not again.differences and again.compared.total() > 300
-    assert {d.reason for d in again.decisions if d.safety == "refused"} == {"the pneumatics are disarmed"}
+    assert {d.reason for d in again.decisions if d.safety == "refused"} == {reason}
 
-    def without_disarming(entry: LogEntry) -> bytes:
-        return entry.data.replace(b'"disarmed":true', b'"disarmed":false')
+    def without(entry: LogEntry) -> bytes:
+        return entry.data.replace(written, forgotten)
 
-    forgot = replay_flight(FlightLog(rewritten(recorder.folder, tmp_path / "forgot", without_disarming)))
+    forgot = replay_flight(FlightLog(rewritten(recorder.folder, tmp_path / "forgot", without)))
     assert forgot.differences
+
+
+def test_a_log_from_before_faults_were_stored_comes_out_the_same(flown: Path, tmp_path: Path) -> None:
+    def without(entry: LogEntry) -> bytes:
+        return entry.data.replace(b',"latched":{}', b"")
+
+    old = FlightLog(rewritten(flown, tmp_path / "old", without))
+    assert start_of(old).latched is None
+    assert not replay_flight(old).differences
 
 
 def test_what_a_page_asked_is_asked_again(tmp_path: Path) -> None:
@@ -183,9 +203,7 @@ def test_the_command_says_whether_it_is_the_same(
         ([str(tmp_path)], 2, ""),
         ([str(flown), "--pace", "1"], 2, ""),
     ):
-        with pytest.raises(SystemExit) as exit_:
-            main(["replay", *arguments])
-        out, err = capsys.readouterr()
-        assert exit_.value.code == status
+        ended, out, err = command_line.run(capsys, "replay", *arguments)
+        assert ended == status
         assert said in " ".join(out.split())
         assert (err.count("\n") == 1) == (status == 2)

@@ -10,10 +10,10 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
+import command_line
 import pytest
 from recorded_flight import one_bend
 
-from flying_vines.cli.main import main
 from flying_vines.record.reader import FlightLog
 
 
@@ -34,10 +34,8 @@ class Runner:
         self._capsys = capsys
 
     def __call__(self, *arguments: object, status: int = 0) -> tuple[str, str]:
-        with pytest.raises(SystemExit) as exit_:
-            main(["log", *map(str, arguments)])
-        out, err = self._capsys.readouterr()
-        assert exit_.value.code == status, err
+        ended, out, err = command_line.run(self._capsys, "log", *arguments)
+        assert ended == status, err
         return out, err
 
 

@@ -36,6 +36,7 @@ from flying_vines.core.events import (
     LinkChanged,
     Said,
     Stop,
+    StoredState,
     Tick,
     ToVehicle,
     VehicleMessage,
@@ -215,7 +216,9 @@ def test_what_cannot_be_written_ends_the_log_and_nothing_else(tmp_path: Path) ->
 
 
 def test_the_folder_says_what_flew(tmp_path: Path) -> None:
-    began = dataclasses.replace(BEGAN, rig="[cv]\nvolume_L = 0.1\n", parameters={"VINE_RATE_HZ": 3.0})
+    began = dataclasses.replace(
+        BEGAN, rig="[cv]\nvolume_L = 0.1\n", stored=StoredState({"VINE_RATE_HZ": 3.0})
+    )
     recorder = Recorder(tmp_path, began, t=0.0)
     for event in EVENTS:
         recorder.event(event)
@@ -228,7 +231,7 @@ def test_the_folder_says_what_flew(tmp_path: Path) -> None:
     assert about["continues"] == ""
     assert {"flying_vines", "python", "packages", "kernel", "machine"} <= about.keys()
     start = start_of(FlightLog(recorder.folder))
-    assert (start.rig, start.parameters, start.profile) == (began.rig, began.parameters, began.profile)
+    assert (start.rig, start.parameters, start.profile) == (began.rig, began.stored.parameters, began.profile)
     assert start.believed["cv"]["volume_L"] == 0.1
 
 

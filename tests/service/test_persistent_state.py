@@ -1,4 +1,4 @@
-"""What survives a restart of the real service: parameters, disarmed pneumatics, the signing clock."""
+"""What survives a restart of the service: parameters, disarming, latched faults, the signing clock."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from service_bench import Bench, on_bench
 from flying_vines.config import config
 from flying_vines.core.events import Action, Decision
 from flying_vines.core.watcher import EachAction
-from flying_vines.service.persistent_state import PersistentState
+from flying_vines.service.persistent_state import UNREADABLE, PersistentState
 from flying_vines.service.service import Service
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
@@ -29,6 +29,7 @@ pytestmark = real_time
 
 KEY = bytes(range(32))
 STOP, DISARM, ARM = 31013, 2, 3
+MORE, CLEAR = 31014, 1
 
 
 @pytest.fixture
@@ -47,14 +48,12 @@ class Served:
         self.kept = PersistentState.of(self.profile, self.config)
         self.seen: list[Action] = []
         signing, _ = self.kept.read_signing(self.config)
-        parameters = self.kept.read_parameters(self.config)
         self.service = Service(
             self.config,
             (EachAction(self.seen.append),),
-            parameters=parameters,
-            disarmed=self.kept.disarmed,
+            stored=self.kept.read(self.config),
             signing=signing,
-            kept=self.kept,
+            persistent=self.kept,
         )
 
     @property
@@ -157,6 +156,36 @@ def test_disarmed_is_a_file_that_says_what_it_is_for_and_that_may_be_taken_away(
     assert kept.disarmed
     kept.store_disarmed(False)
     assert not kept.disarmed and list(file.parent.iterdir()) == []
+
+
+async def test_a_latched_fault_stays_so_over_a_restart_until_a_person_clears_it(
+    bench: Bench, tmp_path: Path
+) -> None:
+    async with serving(bench, tmp_path) as served:
+        await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
+        bench.phlosar.reset_firmware()
+        await until(lambda: set(served.kept.read_latched()) == {"firmware_reset"}, "it is kept")
+    async with serving(bench, tmp_path) as served:
+        await until(lambda: any("latched before restart" in text for text in served.texts), "it is said")
+        assert "firmware_reset" in served.service.core.snapshot(0.0).safe_state
+        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+        command(bench, MORE, CLEAR)
+        await until(lambda: not served.kept.latched.exists(), "it is forgotten")
+        assert served.service.core.snapshot(0.0).safe_state == {}
+
+
+def test_latched_faults_that_cannot_be_read_are_one(tmp_path: Path) -> None:
+    profile = tmp_path / "vine.toml"
+    profile.write_text(config.default_text())
+    kept = PersistentState.of(profile, config.load(profile))
+    assert kept.read_latched() == {}
+    kept.store_latched({"filling": "not filling: …"})
+    assert kept.read_latched() == {"filling": "not filling: …"}
+    for damaged in (b"", b"[1]", b"\xff{"):
+        kept.latched.write_bytes(damaged)
+        assert kept.read_latched() == UNREADABLE
+    kept.store_latched({})
+    assert not kept.latched.exists()
 
 
 def private_key(folder: Path, key: bytes) -> str:

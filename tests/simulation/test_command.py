@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flying_vines.simulation.phlosar.regulator import Drive
+from flying_vines.physics.baseline import Inputs
 from flying_vines.simulation.scenario.command import (
     OpeningOverTime,
     ValveCommand,
@@ -121,8 +121,8 @@ def test_the_share_that_vents(vent_share: float) -> None:
 
 
 def test_a_discharge_passes_the_control_volume_by_the_solenoid() -> None:
-    assert move(DischargeRun(duration_s=1.0, opening=0.5))(0.3, 0.0) == Drive(0.5, 0.0, True)
-    assert move(DischargeRun(duration_s=1.0, valve="dvp"))(0.3, 0.0) == Drive(0.0, 1.0, False)
+    assert move(DischargeRun(duration_s=1.0, opening=0.5))(0.3, 0.0) == Inputs(0.5, 0.0, True)
+    assert move(DischargeRun(duration_s=1.0, valve="dvp"))(0.3, 0.0) == Inputs(0.0, 1.0, False)
 
 
 def test_openings_follow_each_other_and_end_early_at_their_pressure() -> None:
@@ -135,7 +135,7 @@ def test_openings_follow_each_other_and_end_early_at_their_pressure() -> None:
     )
     on_time = move(run)
     assert [on_time(t, 0.0).evp for t in (0.0, 0.98, 1.0)] == [1.0, 1.0, 0.0]
-    assert on_time(2.0, 0.0) == Drive(0.0, 1.0, True)
+    assert on_time(2.0, 0.0) == Inputs(0.0, 1.0, True)
     early = move(run)
     assert [early(t, 31.0 * (t > 0.3)).evp for t in (0.0, 0.3, 0.4)] == [1.0, 1.0, 0.0]
     assert [early(t, 0.0).solenoid for t in (1.38, 1.4, 2.98)] == [False, True, True]

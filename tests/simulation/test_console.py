@@ -10,7 +10,7 @@ import pytest
 
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.console import HELP, MISHAPS, obey, suffer, type_to
+from flying_vines.simulation.console import HELP, MISHAPS, inject_typed, obey, type_to
 from flying_vines.simulation.phlosar.mishaps import Drifting, Hole, HoseOff, MishapKind, Mishaps, Unpowered
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 
@@ -50,15 +50,15 @@ def test_what_is_wrong_is_said(line: str) -> None:
 def test_lines_break_the_phlosar_and_mend_it(line: str, place: str, kind: MishapKind) -> None:
     phlosar = SimulatedPhlosar(effects=Effects())
     for mending in (f"{place} well", "well"):
-        assert suffer(phlosar, line) == ""
+        assert inject_typed(phlosar, line) == ""
         assert phlosar.mishaps == Mishaps(**{place: kind})  # type: ignore[arg-type]
-        assert suffer(phlosar, mending) == ""
+        assert inject_typed(phlosar, mending) == ""
         assert phlosar.mishaps == Mishaps()
 
 
 def test_lines_fill_the_bottle() -> None:
     phlosar = SimulatedPhlosar(effects=Effects())
-    assert suffer(phlosar, "bottle filled 300") == suffer(phlosar, "") == ""
+    assert inject_typed(phlosar, "bottle filled 300") == inject_typed(phlosar, "") == ""
     assert phlosar.reservoir_kPa == pytest.approx(300.0)
 
 
@@ -77,7 +77,7 @@ def test_lines_fill_the_bottle() -> None:
 )
 def test_what_cannot_break_so_is_said(line: str, said: str) -> None:
     phlosar = SimulatedPhlosar(effects=Effects())
-    assert suffer(phlosar, line) == said
+    assert inject_typed(phlosar, line) == said
     assert phlosar.mishaps == Mishaps()
 
 

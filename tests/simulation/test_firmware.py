@@ -30,11 +30,12 @@ from firmware_link.protocol import (
     Vent,
     Welcome,
 )
+from flying_vines.physics.baseline import Inputs
 from flying_vines.simulation.phlosar.firmware import Firmware, setting_rows
-from flying_vines.simulation.phlosar.regulator import SAFE, Drive, standard_tuning
+from flying_vines.simulation.phlosar.regulator import SAFE, standard_tuning
 from flying_vines.simulation.phlosar.regulator import Regulator as CoreRegulator
 
-RELIEF = Drive(0.0, 1.0, True)
+RELIEF = Inputs(0.0, 1.0, True)
 """Over the limit the Venturi helps."""
 
 
@@ -51,7 +52,7 @@ class Bench:
         self.run(1)
         self.answers()
 
-    def run(self, steps: int) -> Drive:
+    def run(self, steps: int) -> Inputs:
         for _ in range(steps):
             self.drive = self.firmware.step(self.now_ms * 1000, self.cv_kPa, self.reservoir_kPa)
             self.now_ms += 1
@@ -503,7 +504,7 @@ class Regulator:
         self._regulator = CoreRegulator(tuning, cv_kPa=cv_kPa)
         self._aim = target_kPa, rate_kPa_per_s
 
-    def step(self, cv_kPa: float, reservoir_kPa: float = 690.0) -> Drive:
+    def step(self, cv_kPa: float, reservoir_kPa: float = 690.0) -> Inputs:
         return self._regulator.step(*self._aim, cv_kPa, reservoir_kPa)
 
     @property
@@ -526,7 +527,7 @@ def test_far_below_the_setpoint_it_opens_wide_and_not_at_once() -> None:
     drives = [regulator.step(0.0) for _ in range(150)]
     assert all(after.evp >= before.evp for before, after in pairwise(drives))
     assert drives[20].evp < 0.5
-    assert drives[-1] == Drive(1.0, 0.0, False)
+    assert drives[-1] == Inputs(1.0, 0.0, False)
 
 
 def test_near_the_setpoint_it_is_proportional() -> None:
@@ -551,7 +552,7 @@ def test_on_less_supply_it_opens_more() -> None:
 def test_within_the_dead_band_nothing_moves() -> None:
     regulator = Regulator(10.0, 10.0)
     for cv_kPa in (10.0, 10.25, 9.9):
-        assert {regulator.step(cv_kPa) for _ in range(5000)} == {Drive(0.0, 0.0, False)}
+        assert {regulator.step(cv_kPa) for _ in range(5000)} == {Inputs(0.0, 0.0, False)}
 
 
 def test_the_integral_learns_where_the_valve_opens_and_keeps_it() -> None:
@@ -568,7 +569,7 @@ def test_the_integral_does_not_wind_up() -> None:
     for _ in range(10_000):
         drive = regulator.step(10.0)
     assert drive.evp == pytest.approx(standard_tuning()["integral_most"] + 0.8 * 0.03)
-    assert [regulator.step(10.9) for _ in range(20)][-1] == Drive(0.0, 0.0, False)
+    assert [regulator.step(10.9) for _ in range(20)][-1] == Inputs(0.0, 0.0, False)
 
 
 def test_what_runs_towards_the_setpoint_is_braked_before_it() -> None:
@@ -606,7 +607,7 @@ def test_on_the_way_down_nothing_is_filled_up_again() -> None:
     assert not any(drive.evp for drive in drives)
 
 
-def _falling(cv_slope_kPa_per_s: float, reservoir_kPa: float) -> list[Drive]:
+def _falling(cv_slope_kPa_per_s: float, reservoir_kPa: float) -> list[Inputs]:
     """What the valves are told while the setpoint falls from 20 kPa to 0 at 200 kPa/s."""
     regulator = Regulator(20.0, 0.0, 200.0)
     return [

@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 from statistics import median
 
+import command_line
 import pytest
 import serial
 from patience import until
@@ -17,13 +18,13 @@ from still_board import StillBoard
 
 from firmware_link.host import VENTING, HostCommand, HostSession, Regulate, SessionState
 from firmware_link.protocol import Codec, Fault, Mode, Telemetry
-from flying_vines.cli.main import main
+from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Rig, Sensors
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
-from flying_vines.simulation.phlosar.regulator import SAFE, Drive
+from flying_vines.simulation.phlosar.regulator import SAFE
 
 
 class Flight:
@@ -149,7 +150,7 @@ def test_what_is_filled_in_has_come_from_outside() -> None:
 
 
 def test_any_firmware_may_run_it() -> None:
-    board = StillBoard(Drive(0.5, 0.0, False))
+    board = StillBoard(Inputs(0.5, 0.0, False))
     phlosar = SimulatedPhlosar(Rig(sensors=Sensors(0.0, 0.0)), board, effects=Effects())
     phlosar.receive(b"hello")
     assert set(phlosar.advance(0.1)) == set(b".")
@@ -196,11 +197,8 @@ def test_a_rig_file_that_is_wrong_is_one_line(
 ) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text("[cv]\n[causes.evp_dead_zone]\nopening = 2\n")
-    with pytest.raises(SystemExit) as stop:
-        main([*command, "--rig", str(rig)])
-    assert stop.value.code == 2
-    out, err = capsys.readouterr()
-    assert out == ""
+    ended, out, err = command_line.run(capsys, *command, "--rig", rig)
+    assert (ended, out) == (2, "")
     assert err == f"flying-vines: {rig}: causes.evp_dead_zone: a dead zone must be in 0…1.\n"
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -160,16 +158,3 @@ def test_bad_input_is_one_line(
     assert not out.exists()
     assert run("--rig", rig, "--scenario", scenario, "--out", rig) == 2
     assert str(rig) in complaint(capsys)
-
-
-@pytest.mark.parametrize("missing", ["numpy", "matplotlib"])
-def test_without_the_extra_it_is_one_line(missing: str, tmp_path: Path) -> None:
-    begin = f"import sys; sys.modules[{missing!r}] = None"
-    code = f"{begin}; from flying_vines.cli.main import main; main(sys.argv[1:])"
-    arguments = ["simulate", "--rig", "r.toml", "--scenario", "case", "--out", "case"]
-    done = subprocess.run(
-        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, cwd=tmp_path, check=False
-    )
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert done.stderr == f"flying-vines: {missing} is missing: pip install 'flying-vines[analysis]'\n"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import pytest
@@ -110,20 +109,3 @@ def test_parts_are_added_by_folders(tmp_path: Path, capsys: pytest.CaptureFixtur
     names = {part["name"] for e in found["fronts"]["cycles"] for part in e["parts"]}
     assert "bottle one" in names
     assert len(catalogue(tmp_path / "one", tmp_path / "two").parts) == len(catalogue().parts) + 2
-
-
-@pytest.mark.parametrize("module", ["numpy", "matplotlib"])
-def test_a_missing_extra_is_one_line(
-    module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name in [
-        name for name in sys.modules if name.startswith(("flying_vines.studies.design", f"{module}."))
-    ]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, module, None)
-    monkeypatch.delitem(sys.modules, "flying_vines.record.picture", raising=False)
-    assert run("--out", str(tmp_path)) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert module in error
-    assert "flying-vines[analysis]" in error

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import status
 from rich.console import Console
 
 import flying_vines.studies.paper.diagnosis
-from flying_vines.cli.main import main
 from flying_vines.identification.fit import FitProblem
 from flying_vines.identification.noise import stated_noise
 from flying_vines.physics.effects import cause_named
@@ -177,9 +177,7 @@ def test_json_report_and_pictures_of_the_command(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(flying_vines.studies.paper.diagnosis, "diagnose_paper", lambda progress: diagnosis)
-    with pytest.raises(SystemExit) as done:
-        main(["paper", "--diagnose", "--json", "--out", str(tmp_path)])
-    assert done.value.code == 0
+    assert status("paper", "--diagnose", "--json", "--out", tmp_path) == 0
     printed = json.loads(capsys.readouterr().out)
     figures = [Path(path) for path in printed.pop("figures")]
     assert printed == json.loads(json.dumps(as_json(diagnosis)))
@@ -195,7 +193,5 @@ def test_json_report_and_pictures_of_the_command(
 def test_a_folder_that_is_a_file_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     taken = tmp_path / "taken"
     taken.write_text("")
-    with pytest.raises(SystemExit) as error:
-        main(["paper", "--diagnose", "--out", str(taken)])
-    assert error.value.code == 2
+    assert status("paper", "--diagnose", "--out", taken) == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1

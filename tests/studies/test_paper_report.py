@@ -5,18 +5,16 @@ from __future__ import annotations
 import io
 import json
 import re
-import subprocess
-import sys
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import status
 from rich.console import Console
 
 import flying_vines.studies.paper
-from flying_vines.cli.main import main
 from flying_vines.physics.rig import ControlVolume, Rig
 from flying_vines.studies.paper import PaperComparison, PaperRow, as_json, compare
 from flying_vines.studies.paper.bench import LIKELY, Bench, Trace, follow_sine, gain, run
@@ -295,13 +293,6 @@ def test_figures_are_pictures(comparison: PaperComparison, tmp_path: Path) -> No
         assert 10_000 < len(content) < 200_000
 
 
-def status(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as stop:
-        main([str(a) for a in arguments])
-    assert isinstance(stop.value.code, int)
-    return stop.value.code
-
-
 @pytest.mark.usefixtures("quick")
 def test_the_command_prints_one_object(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert status("paper", "--json", "--out", tmp_path / "a" / "b") == 0
@@ -328,20 +319,3 @@ def test_a_folder_that_cannot_be_is_one_line(capsys: pytest.CaptureFixture[str],
     assert out == ""
     assert err.count("\n") == 1
     assert str(tmp_path / "file") in err
-
-
-@pytest.mark.parametrize(("missing", "arguments"), [("numpy", []), ("matplotlib", ["--out", "nowhere"])])
-def test_without_the_extra_it_is_one_line(missing: str, arguments: list[str], tmp_path: Path) -> None:
-    begin = f"import sys; sys.modules[{missing!r}] = None"
-    code = f"{begin}; from flying_vines.cli.main import main; main(sys.argv[1:])"
-    done = subprocess.run(
-        [sys.executable, "-c", code, "paper", *arguments],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        check=False,
-    )
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert done.stderr == f"flying-vines: {missing} is missing: pip install 'flying-vines[analysis]'\n"
-    assert list(tmp_path.iterdir()) == []

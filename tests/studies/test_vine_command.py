@@ -103,21 +103,6 @@ def test_bad_input_is_one_line_and_status_2(tmp_path: Path, capsys: pytest.Captu
             assert word in captured.err
 
 
-@pytest.mark.parametrize(("action", "module"), [((), "numpy"), (("fit", "p.csv"), "scipy.optimize")])
-def test_a_missing_extra_is_one_line(
-    action: tuple[str, ...], module: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    ours = ("flying_vines.studies.bending", "flying_vines.identification.bend_curve", f"{module}.")
-    for name in [name for name in sys.modules if name.startswith(ours)]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, module, None)
-    assert run(*action) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert module.split(".")[0] in error
-    assert "flying-vines[analysis]" in error
-
-
 def test_what_flies_needs_no_numpy() -> None:
     code = (
         "import sys; sys.modules['numpy'] = None\n"

@@ -128,7 +128,7 @@ def test_a_mishap_is_found_in_time(
     if when in (HOLD, RELEASE):
         flying.run(1.5, TOP_KPA)
     assert flying.found == []
-    flying.phlosar.befall(place, kind)
+    flying.phlosar.inject(place, kind)
     found = flying.run(within_s, None if when in (REST, RELEASE) else TOP_KPA)
     assert name in [finding.name for _, finding in found]
 
@@ -148,7 +148,7 @@ def test_a_hose_off_is_found_within_1_s_at_10_Hz_of_which_a_fifth_is_lost(seed: 
     flying.run(2.0, None)
     flying.run(1.4 + 0.02 * seed, TOP_KPA)
     assert flying.found == []
-    flying.phlosar.befall("hose", HoseOff())
+    flying.phlosar.inject("hose", HoseOff())
     assert "filling" in [finding.name for _, finding in flying.run(1.0, TOP_KPA)]
 
 
@@ -157,7 +157,7 @@ def test_a_hose_off_before_the_bend_is_found_at_10_Hz_nearly_as_soon_as_at_100_H
     found_s = []
     for flying in (Flying(SimulatedPhlosar(seed=seed), checks_of()), slowly_told(seed, 0.2)):
         flying.run(2.0, None)
-        flying.phlosar.befall("hose", HoseOff())
+        flying.phlosar.inject("hose", HoseOff())
         found_s.append(next(at_s for at_s, finding in flying.run(4.0, TOP_KPA) if finding.level == "fault"))
     assert found_s[1] <= found_s[0] + 1.0
 
@@ -201,7 +201,7 @@ def test_the_sentence_says_where_the_air_went() -> None:
     ):
         flying = Flying(likely(0.3), checks_of(0.3))
         flying.run(1.0, None)
-        flying.phlosar.befall(place, kind)
+        flying.phlosar.inject(place, kind)
         assert flying.run(6.0, TOP_KPA)[0][1].sentence == sentence
 
 
@@ -211,7 +211,7 @@ def test_an_inflation_valve_stuck_open_is_told_from_a_shut_outlet() -> None:
         flying = Flying(likely(0.3, 300.0), checks_of(0.3))
         flying.run(1.0, None)
         flying.run(3.0, TOP_KPA)
-        flying.phlosar.befall(place, kind)
+        flying.phlosar.inject(place, kind)
         found = [finding for _, finding in flying.run(4.0, None)]
         sentences[place] = next(finding.sentence for finding in found if finding.name == "venting")
     assert sentences["evp"] == "not venting, valve stuck open: close the bottle"

@@ -14,6 +14,7 @@ import pytest
 
 from firmware_link.protocol import Fault, Mode, Telemetry
 from flying_vines.config.config import PneumaticsConfig
+from flying_vines.physics import paper
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Ohm
 from flying_vines.physics.plant.likely import likely_effects
@@ -23,7 +24,7 @@ from flying_vines.physics.plant.volume import Compliant, Pouch
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
 from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
 from flying_vines.simulation.phlosar.regulator import Tuning
-from flying_vines.supply import CyclesLeft, ReservoirEstimate, TelemetryReader, n_cycles, nominal
+from flying_vines.supply import CyclesLeft, ReservoirEstimate, TelemetryReader, nominal
 
 BELIEVED = PneumaticsConfig(reservoir_volume_L=1.0, cv_volume_L=0.25)
 WAIT_S = 8.0
@@ -95,6 +96,17 @@ def told(flown: Flown, seconds: float) -> Iterator[tuple[float, Telemetry]]:
         )
 
 
+def by_paper(reservoir_kPa: float) -> float:
+    return paper.n_cycles(
+        reservoir_kPa,
+        reservoir_volume_L=BELIEVED.reservoir_volume_L,
+        cv_volume_L=BELIEVED.cv_volume_L,
+        swing_kPa=BELIEVED.cycle_swing_kPa,
+        rate_kPa_per_s=BELIEVED.cycle_rate_kPa_per_s,
+        flow_resistance_kPa_s_per_SL=BELIEVED.evp_flow_resistance_kPa_s_per_SL,
+    )
+
+
 @pytest.mark.parametrize("flown", list(rigs()), ids=["leaking", "compliant", "venturi-and-pouch"])
 def test_what_is_said_early_then_happens(flown: Flown) -> None:
     reader, estimate = TelemetryReader(nominal(BELIEVED)), ReservoirEstimate(nominal(BELIEVED))
@@ -109,7 +121,7 @@ def test_what_is_said_early_then_happens(flown: Flown) -> None:
                 break
             left = estimate.cycles_left()
             assert left is not None
-            said[cycle] = left, n_cycles(BELIEVED, estimate.reservoir_kPa)
+            said[cycle] = left, by_paper(estimate.reservoir_kPa)
         best_kPa = max(best_kPa, telemetry.cv_kPa)
         # What comes after is the truth.
         if cycle <= 15:

@@ -110,6 +110,12 @@ CLASH_WITH_SERVICE = FindingText(
     "{id} is in use on this vehicle, probably by {who}, which runs",
     "stop it ({stop}) and repeat this check",
 )
+CLASH_ONCE = FindingText(
+    "component id",
+    "warning",
+    "a message came from {id}, our own: another program may have it",
+    "repeat this check; if it comes again, set vehicle.component_id to a free one",
+)
 FREE = FindingText("component id", "good", "{id} is free; other senders than the autopilot: {others}")
 UNSIGNED = FindingText(
     "signing",
@@ -231,10 +237,13 @@ def uses_switch(config: Config) -> bool:
 
 def _component(facts: VehicleFacts, config: Config, running: Sequence[Process]) -> DoctorFinding:
     ours = config.vehicle.component_id
-    if facts.clash and running:
+    came_once = (facts.system_id, ours) in facts.others
+    if running and (facts.clash or came_once):
         return CLASH_WITH_SERVICE(id=ours, who=named(running), stop=stop(running))
     if facts.clash:
         return CLASH(id=ours)
+    if came_once:
+        return CLASH_ONCE(id=ours)
     return FREE(id=ours, others=_named(facts.others) or "nobody")
 
 

@@ -44,12 +44,11 @@ def replay(
     reservoir_sensor: Sensor | None = None,
     seed: int | None = None,
     initial: Inputs = SHUT,
-    tick_s: float = TICK_S,
     record_every: int = 1,
 ) -> CompiledRun:
     """Run the plant from `state` (default: `at_rest`) with the commands `openings`.
 
-    `openings` has a row for every tick of `tick_s`: EVP 0…1, DVP 0…1, solenoid 0 or 1. Sensors are perfect by
+    `openings` has a row for every tick of `TICK_S`: EVP 0…1, DVP 0…1, solenoid 0 or 1. Sensors are perfect by
     default, and have no noise without a `seed`. `initial` and the results are as in the Simulator. The table
     has a row for the start of every `record_every`-th tick.
     """
@@ -60,10 +59,10 @@ def replay(
         )
     table = empty_table(len(commands), record_every)
     final = compiled(run_openings, APART)(
-        record(numbers_of(plant, tick_s)),
+        record(numbers_of(plant, TICK_S)),
         record((cv_sensor or Sensor()).numbers),
         record((reservoir_sensor or Sensor()).numbers),
-        weather_of(plant, len(commands), tick_s),
+        weather_of(plant, len(commands), TICK_S),
         noise_of(seed, len(commands)),
         (float(initial.evp), float(initial.dvp), float(initial.solenoid)),
         commands,

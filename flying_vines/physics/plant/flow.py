@@ -173,11 +173,6 @@ def conductance_from_rating_SL_per_s_kPa(flow_SLPM: float, supply_kPa: float) ->
     return flow_SLPM / 60.0 / (supply_kPa + STANDARD_PRESSURE_KPA)
 
 
-def conductance_dm3_per_s_bar(sonic_conductance_SL_per_s_kPa: float) -> float:
-    """C in the unit of ISO 6358, dm³/(s·bar) at 100 kPa: 1 SL/(s·kPa) = 101.325 dm³/(s·bar)."""
-    return sonic_conductance_SL_per_s_kPa * 100.0 * _ANR_SL
-
-
 def iso6358_matching(
     flow_resistance_kPa_s_per_SL: float,
     at_kPa: float = 690.0,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Ambient, Steady
 from flying_vines.physics.plant.effects import Effects
-from flying_vines.physics.plant.gas import air_SL
 from flying_vines.physics.plant.tubing import Tubing, hose
 from flying_vines.physics.plant.volume import Compliant, Shape, volume_and_work
 from flying_vines.physics.rig import Rig
@@ -86,6 +86,11 @@ class Conditions(NamedTuple):
     cv_volume_L: float
     ambient_kPa: float
     ambient_K: float
+
+
+def air_SL(pressure_kPa_abs: float, volume_L: float, temperature_K: float = STANDARD_TEMPERATURE_K) -> float:
+    """Standard litres in a volume: n = p V / (α θ), the ideal gas law."""
+    return pressure_kPa_abs * volume_L * STANDARD_TEMPERATURE_K / (ALPHA_KPA * temperature_K)
 
 
 def at_rest(

@@ -30,16 +30,14 @@ class Simulator:
         state: State | None = None,
         *,
         initial: Inputs = SHUT,
-        t_s: float = 0.0,
         tick_s: float = TICK_S,
     ) -> None:
         self.plant = plant
         self.numbers = numbers_of(plant, tick_s)
-        self.state = at_rest(plant, t_s=t_s) if state is None else state
-        self._start_s = t_s
+        self.state = at_rest(plant) if state is None else state
         self._ticks = 0
         self._steady = isinstance(plant.ambient, Steady)
-        self._air = air_at(plant.ambient, t_s)
+        self._air = air_at(plant.ambient, 0.0)
         self._memory = memory_at_rest(bool(initial.solenoid), self._air.ratio * STANDARD_TEMPERATURE_K)
         self._evp_line = deque((initial.evp,) * self.numbers.evp.delay_ticks)
         self._dvp_line = deque((initial.dvp,) * self.numbers.dvp.delay_ticks)
@@ -48,7 +46,7 @@ class Simulator:
 
     @property
     def t_s(self) -> float:
-        return self._start_s + self._ticks * self.numbers.tick_s
+        return self._ticks * self.numbers.tick_s
 
     @property
     def conditions(self) -> Conditions:

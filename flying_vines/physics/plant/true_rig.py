@@ -87,9 +87,9 @@ class TrueRig:
         return made
 
 
-def likely_sensors(noise: Sensors, bits: int = 12) -> tuple[Sensor, Sensor]:
+def likely_sensors(noise: Sensors) -> tuple[Sensor, Sensor]:
     """Sensors of control volume and reservoir, with the firmware's converter."""
-    adc = Adc(bits)
+    adc = Adc(bits=12)
     return (
         replace(HONEYWELL_30PSI, noise_std_kPa=noise.cv_noise_std_kPa, adc=adc),
         replace(HONEYWELL_15BAR, noise_std_kPa=noise.reservoir_noise_std_kPa, adc=adc),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from firmware_link.protocol import Fault, Mode
-from flying_vines.simulation.phlosar.regulator import Drive
+from flying_vines.physics.baseline import Inputs
 
 
 class Board(Protocol):
@@ -24,6 +24,6 @@ class Board(Protocol):
 
     def take_output(self) -> bytes: ...
 
-    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive: ...
+    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Inputs: ...
 
     def reset(self, *, watchdog: bool = False) -> None: ...

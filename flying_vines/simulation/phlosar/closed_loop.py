@@ -97,11 +97,11 @@ def run_regulated(
     noise: Table,
     orders: Table,
     state: Floats,
-    told: Table,
+    drives: Table,
     every: int,
     table: Table,
 ) -> Floats:
-    """Returns the final state. `told` stores EVP, DVP, solenoid and setpoint of each tick for the delays.
+    """Returns the final state. `drives` stores EVP, DVP, solenoid and setpoint of each tick for the delays.
 
     EVP: inflation valve. DVP: the Venturi's supply valve. All else as `run_openings`.
     """
@@ -116,7 +116,7 @@ def run_regulated(
     target_kPa, rate_kPa_per_s = np.nan, 0.0
     cv_kPa = 0.0
     due = row = order = 0
-    for index in range(len(told)):
+    for index in range(len(drives)):
         cv_before_kPa = cv_kPa
         found = conditions(numbers, air, now)
         cv_seen, cv_kPa, reservoir_seen, reservoir_kPa = read_both(
@@ -129,7 +129,7 @@ def run_regulated(
             if not regulating:
                 regulator_begin(regulator, cv_kPa if index == 0 else cv_before_kPa)
             regulating = target_kPa == target_kPa
-        drive = told[index]
+        drive = drives[index]
         if regulating:
             regulator_step(regulator, target_kPa, rate_kPa_per_s, cv_kPa, reservoir_kPa, drive.ctypes)
         else:
@@ -142,8 +142,8 @@ def run_regulated(
             )  # fmt: skip
             due += every
             row += 1
-        evp = told[index - evp_delay, 0] if index >= evp_delay else SAFE.evp
-        dvp = told[index - dvp_delay, 1] if index >= dvp_delay else SAFE.dvp
+        evp = drives[index - evp_delay, 0] if index >= evp_delay else SAFE.evp
+        dvp = drives[index - dvp_delay, 1] if index >= dvp_delay else SAFE.dvp
         later = weather_at(weather, index + 1)
         memory, now = tick(numbers, air_between(air, later, numbers.tick_s), memory, now, evp, dvp, solenoid)
         air = later

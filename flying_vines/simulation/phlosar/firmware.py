@@ -13,8 +13,8 @@ from functools import cache
 from typing import NamedTuple
 
 from firmware_link.protocol import Fault, Mode
+from flying_vines.physics.baseline import Inputs
 from flying_vines.simulation.phlosar.core_library import Openings, Outputs, load
-from flying_vines.simulation.phlosar.regulator import Drive
 
 CV_SENSOR_SPAN_kPa = 206.84
 """Span of the fitted sensor, independent of the firmware's settings: 30 psi."""
@@ -118,13 +118,13 @@ class Firmware:
         count = self._library.phlosar_take_output(self._firmware, self._buffer, _OUTPUT_BYTES)
         return ctypes.string_at(self._buffer, count)
 
-    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Drive:
+    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Inputs:
         """The valve commands for these sensor readings."""
         now_us &= 0xFFFFFFFF
         if self._directly:
             found = self._openings
             self._library.phlosar_control(self._firmware, now_us, cv_kPa, reservoir_kPa, True, found)
-            return Drive(found.evp, found.dvp, found.solenoid)
+            return Inputs(found.evp, found.dvp, found.solenoid)
         supply = self.supply_share * _SUPPLY_COUNTS
         outputs = self._outputs
         self._library.phlosar_step(
@@ -135,7 +135,7 @@ class Firmware:
             min(_FULL_SCALE, round(supply)),
             outputs,
         )
-        return Drive(outputs.evp_duty / self._full_evp, outputs.dvp_duty / self._full_dvp, outputs.solenoid)
+        return Inputs(outputs.evp_duty / self._full_evp, outputs.dvp_duty / self._full_dvp, outputs.solenoid)
 
     def _power_up(self, watchdog: bool) -> None:
         library, rows = self._library, setting_rows()

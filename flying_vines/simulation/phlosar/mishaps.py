@@ -1,8 +1,7 @@
 """Hardware failures (mishaps) of a phloSAR: the kinds, and the places where they may occur.
 
-A kind is a frozen dataclass; its repr creates it again. `Mishaps` has the present failures by place; a
-`Mishap` has also its times; `draw_mishap` draws a random one. `SimulatedPhlosar` applies them. EVP: inflation
-valve. DVP: the Venturi's supply valve.
+A kind is a frozen dataclass; its repr creates it again. `Mishaps` has the present failures by place.
+`SimulatedPhlosar` applies them. EVP: inflation valve. DVP: the Venturi's supply valve.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, fields
 from math import inf, isfinite, pi
-from random import Random
 from typing import Any, NamedTuple
 
 from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA
@@ -42,7 +40,7 @@ class SensorReading(NamedTuple):
 
     kPa: float
     """The reading without the mishap."""
-    last_well_kPa: float
+    last_good_kPa: float
     """The last good reading."""
     for_ms: int
     """Time since then."""
@@ -58,7 +56,7 @@ class Stuck:
     """It repeats its last reading."""
 
     def read(self, reading: SensorReading) -> float:
-        return reading.last_well_kPa
+        return reading.last_good_kPa
 
 
 @dataclass(frozen=True)
@@ -230,8 +228,6 @@ MishapKind = (
     | Reset
     | WatchdogReset
 )
-Momentary = Filled | Heated | Reset | WatchdogReset
-"""Mishaps without duration."""
 
 
 @dataclass
@@ -247,24 +243,6 @@ class Mishaps:
     actuator: Hole | None = None
     bottle: Hole | None = None
     board: Unpowered | Hanging | None = None
-
-
-@dataclass(frozen=True)
-class Mishap:
-    """A mishap at a place, with begin and end; `ends_s` None: it stays."""
-
-    place: str
-    kind: MishapKind
-    begins_s: float
-    ends_s: float | None = None
-
-    def __post_init__(self) -> None:
-        _check(self.place in PLACES, f"{self.place} is not a place; the places are {', '.join(PLACES)}")
-        _check(
-            isinstance(self.kind, tuple(PLACES[self.place].values())),
-            f"{self.place} cannot have {self.kind}",
-        )
-        _check(self.ends_s is None or self.ends_s >= self.begins_s, "a mishap must end after its begin")
 
 
 _SENSOR: Mapping[str, type[Any]] = {
@@ -289,6 +267,13 @@ PLACES: Mapping[str, Mapping[str, type[Any]]] = {
     "board": {"unpowered": Unpowered, "hanging": Hanging, "reset": Reset, "watchdog": WatchdogReset},
 }
 """The possible mishaps of each place, by their typed words."""
+
+
+def check_place(place: str, kind: MishapKind | None) -> None:
+    """Raises `ValueError` with a sentence if this place does not exist or cannot have this mishap."""
+    _check(place in PLACES, f"{place} is not a place; the places are {', '.join(PLACES)}")
+    possible = kind is None or isinstance(kind, tuple(PLACES[place].values()))
+    _check(possible, f"{place} cannot have {kind}")
 
 
 def words_for(place: str, word: str) -> str:
@@ -316,76 +301,30 @@ def kind_from(place: str, words: list[str]) -> MishapKind:
     return made
 
 
-DRAWN: tuple[tuple[str, Callable[[Random], MishapKind]], ...] = (
-    ("cv_sensor", lambda _: Stuck()),
-    ("cv_sensor", lambda r: Drifting(_either_sign(r, 0.2, 20.0))),
-    ("cv_sensor", lambda _: Open()),
-    ("cv_sensor", lambda _: Shorted()),
-    ("cv_sensor", lambda r: Noisy(_log_uniform(r, 0.5, 10.0))),
-    ("cv_sensor", lambda r: Gain(r.choice([0.0, r.uniform(0.5, 1.5)]))),
-    ("cv_sensor", lambda r: Glitching(r.uniform(-20.0, 200.0), _log_uniform(r, 5.0, 5000.0))),
-    ("reservoir_sensor", lambda _: Stuck()),
-    ("reservoir_sensor", lambda r: Drifting(_either_sign(r, 2.0, 200.0))),
-    ("reservoir_sensor", lambda _: Open()),
-    ("reservoir_sensor", lambda _: Shorted()),
-    ("reservoir_sensor", lambda r: Noisy(_log_uniform(r, 3.0, 50.0))),
-    ("reservoir_sensor", lambda r: Gain(r.choice([0.0, r.uniform(0.5, 1.5)]))),
-    ("reservoir_sensor", lambda r: Glitching(r.uniform(-150.0, 1500.0), _log_uniform(r, 5.0, 5000.0))),
-    ("evp", lambda _: StuckAt(1.0)),
-    ("evp", lambda _: StuckAt(0.0)),
-    ("evp", lambda r: StuckAt(r.uniform(0.02, 0.5))),
-    ("dvp", lambda _: StuckAt(1.0)),
-    ("dvp", lambda _: StuckAt(0.0)),
-    ("solenoid", lambda _: StuckAt(1.0)),
-    ("solenoid", lambda _: StuckAt(0.0)),
-    ("hose", lambda _: HoseOff()),
-    ("hose", lambda _: Kinked()),
-    ("hose", lambda r: Kinked(_log_uniform(r, 50.0, 5000.0))),
-    ("actuator", lambda r: Hole(r.uniform(2.0, 8.0))),
-    ("actuator", lambda r: Hole(_log_uniform(r, 0.05, 0.5))),
-    ("bottle", lambda r: Hole(_log_uniform(r, 0.1, 5.0))),
-    ("bottle", lambda _: Filled(0.0)),
-    ("bottle", lambda r: Filled(r.uniform(765.0, 900.0))),
-    ("bottle", lambda r: Heated(r.uniform(10.0, 60.0))),
-    ("board", lambda _: Unpowered()),
-    ("board", lambda _: Hanging()),
-    ("board", lambda _: Reset()),
-    ("board", lambda _: WatchdogReset()),
-)
-"""The mishaps that `draw_mishap` draws from, with equal probability."""
-
-
-def draw_mishap(random: Random, within_s: float) -> Mishap:
-    """A random mishap that begins within `within_s`; in half of the draws it also ends within it."""
-    place, make = random.choice(DRAWN)
-    kind = make(random)
-    begins_s = random.uniform(0.0, within_s)
-    ends = random.random() < 0.5 and not isinstance(kind, Momentary)
-    return Mishap(place, kind, begins_s, random.uniform(begins_s, within_s) if ends else None)
-
-
 _HOSE_BORE = Hole(4.0)
 
 
-def with_mishaps(well: PlantNumbers, mishaps: Mishaps) -> PlantNumbers:
+def with_mishaps(healthy: PlantNumbers, mishaps: Mishaps) -> PlantNumbers:
     """The plant's numbers with these mishaps."""
-    numbers = well._replace(evp=_stuck(well.evp, mishaps.evp), dvp=_stuck(well.dvp, mishaps.dvp))
+    numbers = healthy._replace(evp=_stuck(healthy.evp, mishaps.evp), dvp=_stuck(healthy.dvp, mishaps.dvp))
     if mishaps.bottle is not None:
-        leak = _with_hole(well.reservoir_leak, mishaps.bottle.opening, _FULL_BOTTLE_KPA)
-        through = well.evp.law.steepest_SL_per_s_kPa + well.dvp.law.steepest_SL_per_s_kPa
+        leak = _with_hole(healthy.reservoir_leak, mishaps.bottle.opening, _FULL_BOTTLE_KPA)
+        through = healthy.evp.law.steepest_SL_per_s_kPa + healthy.dvp.law.steepest_SL_per_s_kPa
         quickest_per_s = (
-            well.gamma * ALPHA_KPA * well.reservoir_per_L * (through + leak.steepest_SL_per_s_kPa)
+            healthy.gamma * ALPHA_KPA * healthy.reservoir_per_L * (through + leak.steepest_SL_per_s_kPa)
         )
         numbers = numbers._replace(
-            reservoir_leak=leak, standing_per_s=max(well.standing_per_s, quickest_per_s)
+            reservoir_leak=leak, standing_per_s=max(healthy.standing_per_s, quickest_per_s)
         )
     if mishaps.actuator is not None:
-        leak = _with_hole(well.cv_leak, mishaps.actuator.opening, _BENT_VINE_KPA)
+        leak = _with_hole(healthy.cv_leak, mishaps.actuator.opening, _BENT_VINE_KPA)
         numbers = numbers._replace(cv_leak=leak)
     match mishaps.hose:
         case HoseOff():
             # The actuator empties through the rest of its hose.
-            tube = Ohm(1.0 / well.line_SL_per_s_kPa).numbers() if well.has_tubing else _HOSE_BORE.opening
+            tube = (
+                Ohm(1.0 / healthy.line_SL_per_s_kPa).numbers() if healthy.has_tubing else _HOSE_BORE.opening
+            )
             leak = _with_hole(numbers.cv_leak, tube, _BENT_VINE_KPA)
             numbers = _parted(numbers)._replace(line_hole=_HOSE_BORE.opening, cv_leak=leak)
         case Kinked(flow_resistance_kPa_s_per_SL):
@@ -430,11 +369,3 @@ def _with_hole(own: Leak, hole: Opening, at_kPa: float) -> Leak:
         steepest_SL_per_s_kPa=(1.0 + already) * hole.steepest_SL_per_s_kPa,
     )
     return own._replace(orifice=both, steepest_SL_per_s_kPa=steepest + already * hole.steepest_SL_per_s_kPa)
-
-
-def _log_uniform(random: Random, low: float, high: float) -> float:
-    return float(low * (high / low) ** random.random())
-
-
-def _either_sign(random: Random, low: float, high: float) -> float:
-    return random.choice([-1.0, 1.0]) * _log_uniform(random, low, high)

@@ -11,7 +11,7 @@ import contextlib
 import os
 import random
 import tty
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -35,7 +35,6 @@ from flying_vines.simulation.phlosar.mishaps import (
     Filled,
     Hanging,
     Heated,
-    Mishap,
     MishapKind,
     Mishaps,
     Reset,
@@ -43,12 +42,13 @@ from flying_vines.simulation.phlosar.mishaps import (
     SensorReading,
     Unpowered,
     WatchdogReset,
+    check_place,
     with_mishaps,
 )
-from flying_vines.simulation.phlosar.regulator import SAFE, Drive
+from flying_vines.simulation.phlosar.regulator import SAFE
 
 STEP_US = round(TICK_S * 1e6)
-_UNPOWERED = Drive(0.0, 0.0, False)
+_UNPOWERED = Inputs(0.0, 0.0, False)
 
 
 class SimulatedPhlosar:
@@ -58,8 +58,8 @@ class SimulatedPhlosar:
     effects, and ideal sensors with noise; `Effects()` is the paper's ideal rig, and fast. A `TrueRig`
     specifies everything. `firmware` has settings for the simulated firmware, or is a board.
 
-    To simulate a hardware failure, set it in `mishaps`, e.g. `phlosar.mishaps.evp = StuckAt(1.0)`; it acts
-    from the next `advance` on. None repairs it. `suffer` plans failures.
+    To simulate a hardware failure, call `inject`; or set it in `mishaps`, e.g. `phlosar.mishaps.evp =
+    StuckAt(1.0)`: it acts from the next `advance` on. None repairs it.
 
     Equal seeds, bytes and times give equal bytes and pressures. `reservoir_kPa` and `cv_kPa` are the true
     pressures. The firmware reads them with noise, and the control volume's pressure at the valve end of its
@@ -80,12 +80,11 @@ class SimulatedPhlosar:
         self.firmware: Board = (
             Firmware(firmware) if firmware is None or isinstance(firmware, Mapping) else firmware
         )
-        self.drive: Drive = SAFE
+        self.drive: Inputs = SAFE
         self.mishaps = Mishaps()
-        self._suffered = Mishaps()
-        self._planned: list[tuple[int, str, MishapKind | None]] = []
+        self._applied = Mishaps()
         self._simulator = Simulator(setup.plant, at_rest(setup.plant, reservoir_kPa, cv_kPa))
-        self._well = self._simulator.numbers
+        self._healthy = self._simulator.numbers
         self._conditions = self._simulator.conditions
         self._steps = 0
         self._hangs_until: int | None = None
@@ -128,14 +127,8 @@ class SimulatedPhlosar:
         """Simulate until `to_t_s`; a past time changes nothing. Returns the firmware's bytes."""
         last = round(to_t_s * 1e6) // STEP_US
         sent: list[bytes] = []
-        self._suffer_now()
+        self._apply_mishaps()
         while self._steps < last:
-            while self._planned and self._planned[0][0] <= self._steps:
-                # Collect earlier output first: the mishap may reset the board.
-                sent.append(self.firmware.take_output())
-                _, place, kind = self._planned.pop(0)
-                self.befall(place, kind)
-                self._suffer_now()
             self._step_plant()
             self._steps += 1
             self._step_firmware()
@@ -145,21 +138,17 @@ class SimulatedPhlosar:
         sent.append(self.firmware.take_output())
         return b"".join(sent)
 
-    def suffer(self, planned: Iterable[Mishap]) -> None:
-        """Plan mishaps, each at its time. One with a past time happens at once."""
-        for mishap in planned:
-            self._planned.append((round(mishap.begins_s / TICK_S), mishap.place, mishap.kind))
-            if mishap.ends_s is not None:
-                self._planned.append((round(mishap.ends_s / TICK_S), mishap.place, None))
-        self._planned.sort(key=lambda change: change[0])
+    def inject(self, place: str, kind: MishapKind | None) -> None:
+        """Apply a mishap at a place now; a lasting one is stored in `mishaps`. None repairs it.
 
-    def befall(self, place: str, kind: MishapKind | None) -> None:
-        """Apply a mishap at a place now; a lasting one is stored in `mishaps`. None repairs it."""
+        Raises `ValueError` if this place cannot have it.
+        """
+        check_place(place, kind)
         match kind:
             case Filled(kPa):
                 self.fill(kPa)
             case Heated(kelvin):
-                self.heat_bottle(kelvin)
+                self.heat_reservoir(kelvin)
             case Reset() | WatchdogReset():
                 self.reset_firmware(watchdog=isinstance(kind, WatchdogReset))
             case _:
@@ -179,11 +168,11 @@ class SimulatedPhlosar:
             )
         )
 
-    def heat_bottle(self, kelvin: float) -> None:
+    def heat_reservoir(self, kelvin: float) -> None:
         """Heat bottle and gas by `kelvin`. In an isothermal model, added air makes the pressure rise."""
         now = self._conditions
         ratio = 1.0 + kelvin / now.reservoir_K
-        if not self._well.reservoir_heat.own_temperature:
+        if not self._healthy.reservoir_heat.own_temperature:
             self.fill(ratio * (now.reservoir_kPa + now.ambient_kPa) - now.ambient_kPa)
             return
         state = self.state
@@ -203,23 +192,23 @@ class SimulatedPhlosar:
         self._simulator.state = state
         self._conditions = self._simulator.conditions
 
-    def _suffer_now(self) -> None:
+    def _apply_mishaps(self) -> None:
         """Apply all changes of `mishaps`."""
-        now, before = self.mishaps, self._suffered
+        now, before = self.mishaps, self._applied
         if now == before:
             return
-        self._suffered = replace(now)
-        self._cv_sensor.suffer(now.cv_sensor)
-        self._reservoir_sensor.suffer(now.reservoir_sensor)
-        numbers = with_mishaps(self._well, now)
+        self._applied = replace(now)
+        self._cv_sensor.set_mishap(now.cv_sensor)
+        self._reservoir_sensor.set_mishap(now.reservoir_sensor)
+        numbers = with_mishaps(self._healthy, now)
         if numbers.has_tubing != self._simulator.numbers.has_tubing:
             self._put(_with_stub(numbers, self.state, self._conditions))
         self._simulator.numbers = numbers
         self._conditions = self._simulator.conditions
         if now.board != before.board:
-            self._suffer_board(before.board)
+            self._apply_to_board(before.board)
 
-    def _suffer_board(self, before: Unpowered | Hanging | None) -> None:
+    def _apply_to_board(self, before: Unpowered | Hanging | None) -> None:
         board = self.mishaps.board
         self._hangs_until = self._steps + WATCHDOG_MS if isinstance(board, Hanging) else None
         if isinstance(board, Unpowered):
@@ -228,9 +217,9 @@ class SimulatedPhlosar:
             self.firmware.reset()
 
     def _step_plant(self) -> None:
-        command = Inputs(*self.drive)
-        if self._suffered.solenoid is not None:
-            command = command._replace(solenoid=self._suffered.solenoid.opening >= 0.5)
+        command = self.drive
+        if self._applied.solenoid is not None:
+            command = command._replace(solenoid=self._applied.solenoid.opening >= 0.5)
         if self._simulator.advance(command):
             self._conditions = self._simulator.conditions
 
@@ -238,7 +227,7 @@ class SimulatedPhlosar:
         gauss = self._random.gauss
         cv_kPa = self._cv_sensor.read(self.line_kPa, gauss(0.0, 1.0))
         reservoir_kPa = self._reservoir_sensor.read(self.reservoir_kPa, gauss(0.0, 1.0))
-        if self._suffered.board is not None and not self._reset_by_watchdog():
+        if self._applied.board is not None and not self._reset_by_watchdog():
             return
         self.drive = self.firmware.step(self._steps * STEP_US, cv_kPa, reservoir_kPa)
 
@@ -246,7 +235,7 @@ class SimulatedPhlosar:
         """Reset a hanging board if its watchdog time is over. Returns True if so."""
         if self._hangs_until is None or self._steps < self._hangs_until:
             return False
-        self.mishaps.board = self._suffered.board = self._hangs_until = None
+        self.mishaps.board = self._applied.board = self._hangs_until = None
         self.firmware.reset(watchdog=True)
         return True
 
@@ -262,7 +251,7 @@ class _SensorChannel:
         self._last_kPa = kPa
         self._for_ms = 0
 
-    def suffer(self, mishap: SensorMishap | None) -> None:
+    def set_mishap(self, mishap: SensorMishap | None) -> None:
         if mishap != self._mishap:
             self._mishap = mishap
             self._for_ms = 0

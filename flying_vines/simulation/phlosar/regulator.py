@@ -8,21 +8,11 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Mapping
 from functools import cache
-from typing import NamedTuple
 
+from flying_vines.physics.baseline import Inputs
 from flying_vines.simulation.phlosar.core_library import load
 
-
-class Drive(NamedTuple):
-    """Valve commands: openings 0…1 of EVP (inflation valve) and DVP (Venturi's supply valve); solenoid
-    open or not."""
-
-    evp: float
-    dvp: float
-    solenoid: bool
-
-
-SAFE = Drive(0.0, 0.0, True)
+SAFE = Inputs(0.0, 0.0, True)
 """Inflation valve shut, outlet open, Venturi off."""
 
 Tuning = Mapping[str, float]
@@ -70,10 +60,10 @@ class Regulator:
         """Start at the measured pressure, so that the setpoint does not jump."""
         self._library.phlosar_regulator_begin(self.address, cv_kPa)
 
-    def step(self, target_kPa: float, rate_kPa_per_s: float, cv_kPa: float, reservoir_kPa: float) -> Drive:
+    def step(self, target_kPa: float, rate_kPa_per_s: float, cv_kPa: float, reservoir_kPa: float) -> Inputs:
         """Valve commands for the next millisecond; the setpoint moves to the target at this rate."""
         outputs = self._outputs
         self._library.phlosar_regulator_step(
             self.address, target_kPa, rate_kPa_per_s, cv_kPa, reservoir_kPa, outputs
         )
-        return Drive(outputs[0], outputs[1], outputs[2] > 0.0)
+        return Inputs(outputs[0], outputs[1], outputs[2] > 0.0)

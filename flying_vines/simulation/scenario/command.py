@@ -8,7 +8,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from itertools import accumulate
 
-from flying_vines.simulation.phlosar.regulator import Drive
+from flying_vines.physics.baseline import Inputs
 from flying_vines.simulation.scenario.kinds import (
     BendsRun,
     ChirpRun,
@@ -24,7 +24,7 @@ from flying_vines.simulation.scenario.kinds import (
 
 OpeningOverTime = Callable[[float], float]
 """Setpoint (kPa gauge) as a function of time (s)."""
-ValveCommand = Callable[[float, float], Drive]
+ValveCommand = Callable[[float, float], Inputs]
 """Openings as a function of time (s) and the control volume's reading (kPa). Called once per sample."""
 
 _SLACK_S = 1e-9
@@ -56,7 +56,7 @@ def valves_of(run: RunKind, pattern: random.Random) -> ValveCommand | None:
     """The openings of a run; None if the run regulates."""
     match run:
         case DischargeRun():
-            drive = Drive(run.opening, 0.0, True) if run.valve == "evp" else Drive(0.0, run.opening, False)
+            drive = Inputs(run.opening, 0.0, True) if run.valve == "evp" else Inputs(0.0, run.opening, False)
             return lambda t_s, cv_kPa: drive
         case OpeningsRun():
             return _Sequence(run.valves)
@@ -105,13 +105,13 @@ class _Sequence:
         self._at = 0
         self._ends_s = valves[0].for_s
 
-    def __call__(self, t_s: float, cv_kPa: float) -> Drive:
+    def __call__(self, t_s: float, cv_kPa: float) -> Inputs:
         while self._at < len(self._valves) - 1 and self._is_over(t_s, cv_kPa):
             left_early = t_s + _SLACK_S < self._ends_s
             self._at += 1
             self._ends_s = (t_s if left_early else self._ends_s) + self._valves[self._at].for_s
         now = self._valves[self._at]
-        return Drive(now.evp, now.dvp, now.solenoid)
+        return Inputs(now.evp, now.dvp, now.solenoid)
 
     def _is_over(self, t_s: float, cv_kPa: float) -> bool:
         until_kPa = self._valves[self._at].until_kPa
@@ -124,22 +124,22 @@ class _RandomValves:
     def __init__(self, run: PrbsRun, pattern: random.Random) -> None:
         self._run = run
         self._pattern = pattern
-        self._drive = Drive(0.0, 0.0, False)
+        self._drive = Inputs(0.0, 0.0, False)
         self._ends_s = 0.0
 
-    def __call__(self, t_s: float, cv_kPa: float) -> Drive:
+    def __call__(self, t_s: float, cv_kPa: float) -> Inputs:
         full = cv_kPa >= self._run.most_kPa
         while t_s + _SLACK_S >= self._ends_s:
             self._ends_s += self._pattern.uniform(self._run.min_hold_s, self._run.max_hold_s)
             self._drive = self._next(full)
         if full and self._drive.evp > 0.0:
-            self._drive = Drive(0.0, 0.0, False)
+            self._drive = Inputs(0.0, 0.0, False)
         return self._drive
 
-    def _next(self, full: bool) -> Drive:
+    def _next(self, full: bool) -> Inputs:
         run, pattern, last = self._run, self._pattern, self._drive
         # Always draw all numbers, so that one reading does not change all later moves.
         vent = pattern.random() < run.vent_share
         venturi = pattern.choice(_VENTURI_LEVELS)
         level = pattern.choice([other for other in run.levels_opening if other != last.evp or last.solenoid])
-        return Drive(0.0, venturi, True) if vent or full else Drive(level, 0.0, False)
+        return Inputs(0.0, venturi, True) if vent or full else Inputs(level, 0.0, False)

@@ -23,7 +23,7 @@ from flying_vines.physics.plant.setup import Setup
 from flying_vines.physics.plant.simulator import TICK_S, Simulator
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.rig import ControlVolume, Rig
-from flying_vines.simulation.phlosar.regulator import SAFE, Drive, Regulator
+from flying_vines.simulation.phlosar.regulator import SAFE, Regulator
 from flying_vines.simulation.scenario.command import OpeningOverTime, ValveCommand, command_of, valves_of
 from flying_vines.simulation.scenario.kinds import FIRMWARE_HZ, RunKind
 from flying_vines.simulation.scenario.regulation import FASTEST_KPA_PER_S, tuning_for
@@ -98,7 +98,7 @@ def simulate(rig: Rig | TrueRig, run: RunKind, seed: int = 1, *, index: int = 0)
         first = sample * steps
         t_s = first / FIRMWARE_HZ
         wanted_kPa, command_drive = controller.sample(t_s, reading)
-        drive = Drive(
+        drive = Inputs(
             round(command_drive.evp, OPENING_DIGITS),
             round(command_drive.dvp, OPENING_DIGITS),
             command_drive.solenoid,
@@ -159,7 +159,7 @@ class _Controller(Protocol):
     @property
     def faults(self) -> str: ...
 
-    def sample(self, t_s: float, reading: _Reading) -> tuple[float, Drive]: ...
+    def sample(self, t_s: float, reading: _Reading) -> tuple[float, Inputs]: ...
 
     def watch(self, t_s: float, reading: _Reading) -> None: ...
 
@@ -170,7 +170,7 @@ class _OpenLoop:
     def __init__(self, valves: ValveCommand) -> None:
         self._valves = valves
 
-    def sample(self, t_s: float, reading: _Reading) -> tuple[float, Drive]:
+    def sample(self, t_s: float, reading: _Reading) -> tuple[float, Inputs]:
         return float("nan"), self._valves(t_s, reading.cv_kPa)
 
     def watch(self, t_s: float, reading: _Reading) -> None:
@@ -187,7 +187,7 @@ class _ClosedLoop:
         self._wanted_kPa = 0.0
         self._readings_over = 0
 
-    def sample(self, t_s: float, reading: _Reading) -> tuple[float, Drive]:
+    def sample(self, t_s: float, reading: _Reading) -> tuple[float, Inputs]:
         wanted_kPa = self._command(t_s)
         # The serial protocol sends single precision.
         self._wanted_kPa = float(np.float32(wanted_kPa))
@@ -196,7 +196,7 @@ class _ClosedLoop:
     def watch(self, t_s: float, reading: _Reading) -> None:
         self._step(reading)
 
-    def _step(self, reading: _Reading) -> Drive:
+    def _step(self, reading: _Reading) -> Inputs:
         self._readings_over = self._readings_over + 1 if reading.cv_kPa > _LIMIT_KPA else 0
         if self._readings_over >= _READINGS_OVER:
             self.faults = "cv overpressure"

@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_args
 import msgspec
 from msgspec import Meta
 
-from flying_vines.config.toml_text import dotted, not_finite, one_line, parsed, read_text
+from flying_vines.config.toml_text import OneLineError, dotted, not_finite, parsed, read_text
 from flying_vines.simulation.scenario.kinds import RunKind, ScenarioSegment, Valves
 
 _EXAMPLES = resources.files("flying_vines.simulation.scenario") / "examples"
@@ -19,11 +19,8 @@ _KINDS = {str(kind.__struct_config__.tag): kind for kind in get_args(RunKind)}
 _SEGMENTS = tuple(str(segment.__struct_config__.tag) for segment in get_args(ScenarioSegment))
 
 
-class ScenarioError(ValueError):
+class ScenarioError(OneLineError, ValueError):
     """A scenario is invalid; the text is one line, `file: key: reason`."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(one_line(text))
 
 
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

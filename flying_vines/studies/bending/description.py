@@ -9,7 +9,7 @@ from typing import Annotated, get_args
 import msgspec
 from msgspec import Meta
 
-from flying_vines.config.toml_text import explained, located, not_finite, one_line, parsed, read_text
+from flying_vines.config.toml_text import OneLineError, explained, located, not_finite, parsed, read_text
 from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
 from flying_vines.studies.bending.body import Body
 from flying_vines.studies.bending.cpam import Cpam
@@ -21,11 +21,8 @@ _KINDS = {str(kind.__struct_config__.tag): kind for kind in get_args(ActuatorKin
 _EXAMPLES = resources.files("flying_vines.studies.bending") / "examples"
 
 
-class VineError(ValueError):
+class VineError(OneLineError, ValueError):
     """A description cannot be used; the text is one line, `file:line: key: reason`."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(one_line(text))
 
 
 class BendingVine(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -225,7 +225,7 @@ def catalogue(*folders: Path) -> Catalogue:
 
 
 def parse(text: str, source: str) -> Part:
-    """The part in the text of a file; `source` is its name in errors."""
+    """The part in the text of a file; `source` is its name in errors. Raises `ConfigError`."""
     known = {"kind", *Number.__struct_fields__}
     for kind in (ValvePart, ReservoirPart, VenturiPart, SolenoidPart, Fixed):
         known.update(kind.__struct_fields__)

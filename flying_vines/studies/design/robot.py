@@ -131,7 +131,7 @@ def load(path: Path) -> Robot:
 
 
 def parse(text: str, source: str) -> Robot:
-    """The robot in the text of a profile; `source` is its name in errors."""
+    """The robot in the text of a profile; `source` is its name in errors. Raises `ConfigError`."""
     known = [*Robot.__struct_fields__, *PartNames.__struct_fields__]
     robot: Any = decode(text, source, Robot, known)
     if not isinstance(robot, Robot):

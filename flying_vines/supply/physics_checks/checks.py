@@ -13,7 +13,7 @@ from flying_vines.supply import Belief, Features
 from flying_vines.supply.physics_checks.expected import Expected, expected
 from flying_vines.supply.physics_checks.filling import Filling, StuckVineSensor
 from flying_vines.supply.physics_checks.leak import VineLeak
-from flying_vines.supply.physics_checks.reservoir import BottleSensor, Hot, ReservoirLoss
+from flying_vines.supply.physics_checks.reservoir import Hot, ReservoirLoss, ReservoirSensor
 from flying_vines.supply.physics_checks.venting import VentingCheck
 from flying_vines.supply.physics_checks.vine_sensor import SuddenFall, Unsteady, Zero
 
@@ -51,7 +51,7 @@ CHECKS: dict[str, Callable[[Expected], Check]] = {
     "vine_sensor": StuckVineSensor,
     "vine_zero": Zero,
     "bottle_loss": ReservoirLoss,
-    "bottle_sensor": BottleSensor,
+    "bottle_sensor": ReservoirSensor,
     "bottle_hot": Hot,
     "vine_leak": VineLeak,
     "unsteady": lambda _: Unsteady(),

@@ -12,8 +12,8 @@ from flying_vines.config.config import ChecksConfig
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.plant.flow import Opening
 from flying_vines.supply import Belief, Features
+from flying_vines.supply.air_use import driving_kPa
 from flying_vines.supply.belief import AMBIENT_KPA, MIN_RISE_SHARE, conductance_SL_per_s_kPa
-from flying_vines.supply.flying import driving_kPa
 
 MIN_FLOW, MAX_FLOW = 0.7, 1.4
 """The valve's flow as a share of its rating."""

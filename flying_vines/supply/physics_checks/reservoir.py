@@ -78,7 +78,7 @@ class ReservoirLoss:
         return None
 
 
-class BottleSensor:
+class ReservoirSensor:
     """Finds a stuck or blind sensor: the vine filled, and the reading did not fall."""
 
     def __init__(self, rig: Expected) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 from flying_vines.config import on_disk
 from flying_vines.config.config import Config
-from flying_vines.config.toml_text import one_line, parsed, place, read_text
+from flying_vines.config.toml_text import OneLineError, parsed, place, read_text
 from flying_vines.vehicle.component.parameter_table import (
     BY_NAME,
     SETTINGS,
@@ -31,11 +31,8 @@ _REMOVED = {"VINE_AP_ACTION": "a lost autopilot always vents, because the altitu
 """Parameters of earlier versions, and why they were removed."""
 
 
-class ParameterFileError(Exception):
+class ParameterFileError(OneLineError):
     """The file cannot be used. The text is one line with file, line number and what to do."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(one_line(text))
 
 
 def read(path: Path, profile: Config) -> dict[str, float]:

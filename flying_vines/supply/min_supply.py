@@ -13,8 +13,8 @@ from __future__ import annotations
 import math
 
 from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.supply.air_use import ObservedInflation, driving_kPa, tolerance_kPa
 from flying_vines.supply.belief import AMBIENT_KPA, Belief
-from flying_vines.supply.flying import ObservedInflation, driving_kPa, tolerance_kPa
 
 WIDE_OPEN_SD = 0.05
 SLUGGISH_S = 0.04

@@ -1,4 +1,4 @@
-"""What is told of the cycles left: a new interval never leaps past an earlier one without an event.
+"""The cycles left as a person is told: a new interval never leaps past an earlier one without an event.
 
 All intervals are compared as the cycles of a whole filling: those that are left and those whose air is gone.
 So flying moves none of them. If a new interval has no value in common with those of the last `WINDOW_S`, then
@@ -19,43 +19,43 @@ WINDOW_S = 120.0
 SETTLED_S = 10.0
 """Jumps that follow one another faster than this are one refill or one loss.
 
-They are told once, unless the number leaps again. For this time no other reason for a leap is told.
+They are reported once, unless the number leaps again. For this time no other reason for a leap is reported.
 """
 NONE_LEFT = 0.5
-"""Fewer cycles are told as 0."""
+"""Fewer cycles are reported as 0."""
 LEAKS = "the leak has changed"
 RHYTHM = "another rhythm"
 BENDS = "another kind of bend"
 
 
 @dataclass(frozen=True, slots=True)
-class _Told:
+class _Reported:
     t: float
     low: float
-    """Cycles of the whole filling. Minus infinity if 0 was told: 0 does not say how much air is missing."""
+    """Cycles of the whole filling. Minus infinity if 0 was reported: the missing air is unknown."""
     high: float
     basis: Basis
 
 
 def surely_left(left: CyclesLeft) -> float:
-    """The low end. Minus infinity if it is told as 0, because 0 does not say how much air is missing."""
+    """The low end. Minus infinity if it is reported as 0, because 0 does not say how much air is missing."""
     return left.low if left.low >= NONE_LEFT else -math.inf
 
 
-class ToldCycles:
+class ReportedCycles:
     """Call `update` for each prediction. `left` is what a person is told."""
 
     def __init__(self, estimate: ReservoirEstimate) -> None:
         self._estimate = estimate
         self.left: CyclesLeft | None = None
         """None before the first reading."""
-        self._told: deque[_Told] = deque()
+        self._reported: deque[_Reported] = deque()
         self._gone = 0.0
         """Cycles whose air is gone."""
         self._x_kPa = math.nan
         self._jump_at = -math.inf
         self._from_before = estimate.measured_cycles > 0.0
-        """An earlier run has learned of this rig, and perhaps told another number a moment ago."""
+        """An earlier run has learned of this rig, and perhaps reported another number a moment ago."""
         self.lost = False
 
     def update(self, t: float, lost: bool) -> str:
@@ -67,11 +67,11 @@ class ToldCycles:
             self._estimate.restart()
             return "cycles left are learned again"
         self.lost = lost
-        new, basis, bottle = self._estimate.cycles_left(), self._estimate.basis, self._estimate.bottle
-        if new is None or basis is None or bottle is None:
+        new, basis, air = self._estimate.cycles_left(), self._estimate.basis, self._estimate.filter
+        if new is None or basis is None or air is None:
             self.left = None
             return ""
-        jumped_kPa, bottle.jumped_kPa = bottle.jumped_kPa, 0.0
+        jumped_kPa, air.jumped_kPa = air.jumped_kPa, 0.0
         if lost:
             self._forget()
             zero = dict.fromkeys(("expected", "low", "high", "minutes", "minutes_low", "minutes_high"), 0.0)
@@ -81,17 +81,17 @@ class ToldCycles:
             self._from_before = False
             self._compare(t, new, basis)
             return f"as learned before: {new}"
-        if jumped_kPa and self._is_told(t, new):
+        if jumped_kPa and self._is_reported(t, new):
             self._forget()
             self._compare(t, new, basis)
             return f"{'bottle refilled' if jumped_kPa > 0.0 else 'bottle lost air at once'}, {new}"
         return self._compare(t, new, basis)
 
     def _forget(self) -> None:
-        self._told.clear()
+        self._reported.clear()
         self._x_kPa = math.nan
 
-    def _is_told(self, t: float, new: CyclesLeft) -> bool:
+    def _is_reported(self, t: float, new: CyclesLeft) -> bool:
         """True for the first of several jumps, and for one after which the number has leapt."""
         settled = t - self._jump_at > SETTLED_S
         self._jump_at = t
@@ -102,24 +102,24 @@ class ToldCycles:
         if not math.isnan(self._x_kPa):
             self._gone += (self._x_kPa - basis.mean[X]) / new.cost_kPa
         self._x_kPa = basis.mean[X]
-        while self._told and self._told[0].t < t - WINDOW_S:
-            self._told.popleft()
+        while self._reported and self._reported[0].t < t - WINDOW_S:
+            self._reported.popleft()
         event = ""
-        if self._told:
-            low = max(self._told, key=lambda told: told.low)
-            high = min(self._told, key=lambda told: told.high)
+        if self._reported:
+            low = max(self._reported, key=lambda reported: reported.low)
+            high = min(self._reported, key=lambda reported: reported.high)
             least, most = low.low - self._gone, high.high - self._gone
             conflict = low if new.high < least else high if surely_left(new) > most else None
             if conflict is not None:
-                # Shortly after a jump the numbers are too uncertain to tell another reason.
+                # Shortly after a jump the numbers are too uncertain to report another reason.
                 event = self._reason(conflict.basis, basis) if t - self._jump_at > SETTLED_S else ""
                 if event:
-                    self._told.clear()
+                    self._reported.clear()
                     event = f"{event}: {new}"
                 else:
                     new = replace(new, low=max(0.0, min(new.low, most)), high=max(new.high, least))
         self.left = new
-        self._told.append(_Told(t, surely_left(new) + self._gone, new.high + self._gone, basis))
+        self._reported.append(_Reported(t, surely_left(new) + self._gone, new.high + self._gone, basis))
         return event
 
     def _reason(self, before: Basis, now: Basis) -> str:

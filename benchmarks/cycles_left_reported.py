@@ -1,6 +1,6 @@
 """What a pilot is told of the air in flights that are disturbed: 200 random ones, without sockets or clock.
 
-    .venv/bin/python benchmarks/cycles_left_told.py [--flights N] [--first SEED] [--each] [--check]
+    .venv/bin/python benchmarks/cycles_left_reported.py [--flights N] [--first SEED] [--each] [--check]
 
 A flight is one of the rigs of `cycles_left_rigs.py`, and four to seven episodes in random order: bends, a
 pause, movements that are cut off, a new leak, a refill, air lost at once, a latched loss that a person
@@ -24,10 +24,10 @@ from cycles_left_rigs import HOST_TICK_S, Case, draw
 from flying_vines.physics.plant.flow import Ohm
 from flying_vines.physics.plant.plant import State, at_rest
 from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
-from flying_vines.supply import CyclesLeft, ReservoirEstimate, TelemetryReader, ToldCycles, nominal
+from flying_vines.supply import CyclesLeft, ReportedCycles, ReservoirEstimate, TelemetryReader, nominal
 from flying_vines.supply.learned_file import learned_from, text_of
+from flying_vines.supply.reported_cycles import surely_left
 from flying_vines.supply.reservoir import X
-from flying_vines.supply.told import surely_left
 
 EPISODES = ("bends", "pause", "cut off", "leak", "refill", "lost air", "latched", "restart")
 WINDOW_S = 120.0
@@ -56,7 +56,7 @@ class Flown:
         self.belief = nominal(case.believed)
         self.reader = TelemetryReader(self.belief)
         self.estimate = ReservoirEstimate(self.belief)
-        self.cycles = ToldCycles(self.estimate)
+        self.cycles = ReportedCycles(self.estimate)
         self.state: State = at_rest(case.plant, case.fill_kPa)
         self.outcome = Outcome(case.seed)
         self.t = 0.0
@@ -172,7 +172,7 @@ class Flown:
             assert learned is not None
             known, _ = learned_from(text_of(self.belief, learned), self.belief)
             self.reader, self.estimate = TelemetryReader(self.belief), ReservoirEstimate(self.belief, known)
-            self.cycles = ToldCycles(self.estimate)
+            self.cycles = ReportedCycles(self.estimate)
             self.fly([], 3.0)
 
     def fill(self, reservoir_kPa: float) -> None:

@@ -82,7 +82,7 @@ class ObservedInflation:
         return self.swing_kPa > 0.95 * other.swing_kPa and self.given_s < 1.05 * other.given_s
 
 
-class Flying:
+class AirUse:
     """Follows telemetry. `take` sets `block`, `reading_kPa` and `inflation` when they are complete."""
 
     def __init__(self, belief: Belief) -> None:

@@ -10,9 +10,9 @@ import pytest
 from bottle_bench import DEMONSTRATION, Bench
 
 from firmware_link.protocol import Mode
-from flying_vines.supply import CyclesLeft, ReservoirEstimate, ToldCycles, nominal
+from flying_vines.supply import CyclesLeft, ReportedCycles, ReservoirEstimate, nominal
 from flying_vines.supply.learned_file import learned_from, text_of
-from flying_vines.supply.told import RHYTHM
+from flying_vines.supply.reported_cycles import RHYTHM
 
 BELIEF = nominal(DEMONSTRATION)
 
@@ -22,7 +22,7 @@ class Told:
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
-        self.cycles = ToldCycles(bench.estimate)
+        self.cycles = ReportedCycles(bench.estimate)
         self.events: list[str] = []
 
     def tell(self, lost: bool = False) -> CyclesLeft | None:
@@ -185,12 +185,12 @@ def test_the_number_after_a_jump_agrees_with_that_at_the_jump() -> None:
     told = Told(bench)
     told.rest(6.0)
     told.bend(5)
-    before, bottle = told.left, bench.estimate.bottle
-    assert bottle is not None
+    before, air = told.left, bench.estimate.filter
+    assert air is not None
     predicted = [replace(before, expected=21.0, low=10.0, high=40.0)]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bench.estimate, "cycles_left", lambda: predicted[-1])
-        bottle.jumped_kPa = -300.0
+        air.jumped_kPa = -300.0
         assert told.left.expected == 21.0
         assert told.events == ["bottle lost air at once, 21 cycles left (10-40)"]
         bench.t += 2.0
@@ -261,7 +261,7 @@ def test_a_restart_with_what_was_learned_is_told_once() -> None:
     assert told.events == []
     learned = told.bench.estimate.learned
     told.bench.estimate = ReservoirEstimate(BELIEF, learned)
-    told.cycles = ToldCycles(told.bench.estimate)
+    told.cycles = ReportedCycles(told.bench.estimate)
     told.bench.rest(2.0)
     left = told.left
     told.rest(20.0)
