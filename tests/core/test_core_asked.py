@@ -9,7 +9,6 @@ import pytest
 from flying_vines.config import config
 from flying_vines.config.config import Config
 from flying_vines.core.events import Asked, Decision
-from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vine.intent import (
@@ -27,7 +26,8 @@ from flying_vines.vine.intent import (
     VentVine,
 )
 
-from .flights import HIGH, LOW, airborne, assert_vented, bent, configured, run_for
+from .flights import HIGH, LOW, airborne, assert_vented, bent, configured, on_the_ground, run_for
+from .prepared import prepared
 
 TAKES_AIR: list[Intent] = [
     BendTo(30.0),
@@ -61,14 +61,6 @@ def ask(
         if isinstance(action, Decision)
     )
     return decision
-
-
-def on_the_ground(conf: Config | None = None) -> SimulatedFlight:
-    autopilot = FakeAutopilot("ardupilot")
-    autopilot.set_rc(9, LOW)
-    flight = SimulatedFlight(conf or config.default(), autopilot)
-    flight.run(4.0)
-    return flight
 
 
 def on_the_bench() -> SimulatedFlight:
@@ -193,6 +185,10 @@ def test_the_broker_may_do_what_the_profile_lists() -> None:
 
 def with_latched_fault() -> SimulatedFlight:
     """Latched two seconds ago; its cause is gone."""
+    return prepared(_with_latched_fault)
+
+
+def _with_latched_fault() -> SimulatedFlight:
     flight = bent(conf=open_to("vent", "clear_faults"))
     flight.phlosar.reset_firmware()
     run_for(flight, 2.0)
