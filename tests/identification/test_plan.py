@@ -115,6 +115,7 @@ def test_it_settles_what_the_example_scenario_leaves_open(short: RecordingPlan) 
     assert GAINS in short.by_commands.open
 
 
+@pytest.mark.long
 def test_a_plan_keeps_its_budgets(short: RecordingPlan) -> None:
     """Time and air agree with the simulated rig, including the air between the runs."""
     runs = simulate_scenario(short.rig, short.best.scenario, seed=4)
