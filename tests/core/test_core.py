@@ -593,6 +593,7 @@ def test_what_was_learned_of_the_air_goes_into_the_next_run_of_the_same_rig() ->
         assert ("as learned before: " in told) is same
 
 
+@pytest.mark.long
 def test_a_new_leak_is_stored_though_nothing_bends() -> None:
     flight = airborne()
     for _ in range(4):

@@ -33,7 +33,6 @@ def closed(pressure_kPa: Array) -> Readings:
     return Readings(TIME, pressure_kPa + noise, np.zeros(TIME.size))
 
 
-@pytest.mark.long
 def test_a_leak_by_ohms_law_is_found_by_its_law_and_number() -> None:
     best, *_ = leak(closed(700.0 * np.exp(-ALPHA_KPA * TIME / (VOLUME_L * 2e4))), VOLUME_L)
     assert best.law == "ohm"
