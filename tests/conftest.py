@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import settings
 
+from examples import ALL
+
 # Machines are shared and slow at times; a late example is no fault of what it tests.
-settings.register_profile("flying_vines", deadline=None, print_blob=True)
-settings.load_profile("flying_vines")
+settings.register_profile("all", deadline=None, print_blob=True, max_examples=ALL)
+settings.register_profile("quick", settings.get_profile("all"), max_examples=ALL // 3)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    settings.load_profile("quick" if config.option.markexpr == "not long" else "all")

@@ -9,6 +9,7 @@ from calibration_worlds import CoreWorld, PaperWorld
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from examples import examples
 from flying_vines.calibration.calibrator import Calibrator, EvaluationTask, Question, StageBegan, StageResult
 from flying_vines.calibration.plan import STAGES, CalibrationRequest, plan
 from flying_vines.config import config
@@ -64,7 +65,7 @@ def test_repeats_an_imprecise_movement_but_not_forever() -> None:
     assert len(moves) == len(stage.movements) + stage.max_repeats * len(stage.again)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(
     after=st.integers(0, 700),
     how=st.sampled_from(["ctrl-c", "serial", "fault", "failsafe", "page", "refused"]),

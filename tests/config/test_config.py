@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from examples import examples
 from flying_vines.config import config
 from flying_vines.config.config import CARRIERS, Config, ConfigError
 from flying_vines.vine.profile import flatten
@@ -410,13 +411,13 @@ def parses_or_is_refused(text: str) -> None:
 
 
 @given(st.dictionaries(st.one_of(st.sampled_from(KEYS), st.text(max_size=5)), values, max_size=6))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 def test_any_toml_parses_or_is_refused_in_one_line(tables: dict[str, Any]) -> None:
     parses_or_is_refused("\n".join(f"{toml(key)} = {toml(value)}" for key, value in tables.items()))
 
 
 @given(table=st.sampled_from(TABLES), data=st.data())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 def test_any_value_of_any_key_parses_or_is_refused(table: str, data: st.DataObject) -> None:
     fields = getattr(config.default(), table).__struct_fields__
     keys = data.draw(st.dictionaries(st.sampled_from(fields), st.one_of(scalars, values), max_size=3))
@@ -425,19 +426,19 @@ def test_any_value_of_any_key_parses_or_is_refused(table: str, data: st.DataObje
 
 
 @given(st.lists(st.dictionaries(st.sampled_from(SEGMENT_KEYS), scalars, max_size=5), max_size=4))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 def test_any_segments_parse_or_are_refused(parts: list[dict[str, Any]]) -> None:
     parses_or_is_refused(f"{PROFILES}\n[profiles.x]\nsegments = {toml(parts)}")
 
 
 @given(st.text(max_size=200))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 def test_any_text_parses_or_is_refused(text: str) -> None:
     parses_or_is_refused(text)
 
 
 @given(at=st.integers(0, 20_000), length=st.integers(0, 40), put=st.text(max_size=10))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 def test_any_slip_in_the_built_in_profile_parses_or_is_refused(at: int, length: int, put: str) -> None:
     whole = config.default_text()
     at %= len(whole)

@@ -24,20 +24,13 @@ from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.notice import Notice
 
+from .prepared import prepared
+
 LOW, MIDDLE, HIGH = 1000, 1500, 2000
 
 
 def configured(**tables: object) -> Config:
     return msgspec.structs.replace(config.default(), **tables)
-
-
-def on_the_ground(conf: Config | None = None) -> SimulatedFlight:
-    """Autopilot, RC and phloSAR are there, the switch is low."""
-    autopilot = FakeAutopilot("ardupilot")
-    autopilot.set_rc(9, LOW)
-    flight = SimulatedFlight(conf or config.default(), autopilot)
-    flight.run(4.0)
-    return flight
 
 
 def airborne(
@@ -47,6 +40,14 @@ def airborne(
 ) -> SimulatedFlight:
     """In the air at 10 m, RC good, switch low, nothing bent; 4 s have passed."""
     conf = conf or config.default()
+    if autopilot or phlosar:
+        return _climbed(conf, autopilot, phlosar)
+    return prepared(_climbed, conf)
+
+
+def _climbed(
+    conf: Config, autopilot: FakeAutopilot | None = None, phlosar: SimulatedPhlosar | None = None
+) -> SimulatedFlight:
     autopilot = autopilot or FakeAutopilot("ardupilot", rc_failsafe_mode=None)
     flight = SimulatedFlight(conf, autopilot, phlosar)
     autopilot.set_rc(9, LOW)
@@ -54,6 +55,19 @@ def airborne(
     autopilot.takeoff(10.0)
     autopilot.flight.take_off_to(10.0)
     autopilot.flight.height_m = 10.0  # a climb would only cost time
+    flight.run(4.0)
+    return flight
+
+
+def on_the_ground(conf: Config | None = None) -> SimulatedFlight:
+    """Autopilot, RC and phloSAR are there, the switch is low; 4 s have passed."""
+    return prepared(_on_the_ground, conf or config.default())
+
+
+def _on_the_ground(conf: Config) -> SimulatedFlight:
+    autopilot = FakeAutopilot("ardupilot")
+    autopilot.set_rc(9, LOW)
+    flight = SimulatedFlight(conf, autopilot)
     flight.run(4.0)
     return flight
 
@@ -99,6 +113,11 @@ def ground_command(
 
 
 def bent(phlosar: SimulatedPhlosar | None = None, conf: Config | None = None) -> SimulatedFlight:
+    conf = conf or config.default()
+    return begin_bent(conf, phlosar) if phlosar else prepared(begin_bent, conf)
+
+
+def begin_bent(conf: Config, phlosar: SimulatedPhlosar | None = None) -> SimulatedFlight:
     flight = airborne(conf, phlosar=phlosar)
     flight.autopilot.set_rc(9, HIGH)
     (decision,) = decisions(run_for(flight, 2.0))

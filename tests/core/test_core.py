@@ -41,6 +41,7 @@ from .flights import (
     airborne,
     answers,
     assert_vented,
+    begin_bent,
     bent,
     configured,
     decisions,
@@ -58,6 +59,23 @@ def test_the_switch_bends_and_straightens(likely: bool) -> None:
     (decision,) = decisions(run_for(flight, 2.0))
     assert (decision.trigger, decision.intent) == ("switch", "straight")
     assert_vented(flight)
+
+
+def test_a_prepared_flight_goes_on_like_the_one_that_it_was_copied_from() -> None:
+    def flown(flight: SimulatedFlight) -> list[str]:
+        actions: list[Action] = []
+        for pulse_us in (LOW, HIGH):
+            flight.autopilot.set_rc(9, pulse_us)
+            actions += run_for(flight, 1.0)
+        return [
+            *(str(a.message) if isinstance(a, ToVehicle) else str(a) for a in actions),
+            str(flight.phlosar.state),
+        ]
+
+    first, copy, untouched = begin_bent(config.default()), bent(), bent()
+    state = untouched.phlosar.state
+    assert flown(first) == flown(copy)
+    assert untouched.phlosar.state == state
 
 
 def test_a_query_changes_nothing() -> None:
@@ -603,6 +621,7 @@ def test_what_was_learned_of_the_air_goes_into_the_next_run_of_the_same_rig() ->
         assert ("as learned before: " in told) is same
 
 
+@pytest.mark.long
 def test_a_new_leak_is_stored_though_nothing_bends() -> None:
     flight = airborne()
     for _ in range(4):

@@ -27,6 +27,7 @@ from flying_vines.vine.intent import (
 )
 
 from .flights import HIGH, LOW, airborne, assert_vented, bent, configured, on_the_ground, run_for
+from .prepared import prepared
 
 TAKES_AIR: list[Intent] = [
     BendTo(30.0),
@@ -184,6 +185,10 @@ def test_the_broker_may_do_what_the_profile_lists() -> None:
 
 def with_latched_fault() -> SimulatedFlight:
     """Latched two seconds ago; its cause is gone."""
+    return prepared(_with_latched_fault)
+
+
+def _with_latched_fault() -> SimulatedFlight:
     flight = bent(conf=open_to("vent", "clear_faults"))
     flight.phlosar.reset_firmware()
     run_for(flight, 2.0)

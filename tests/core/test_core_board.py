@@ -11,41 +11,18 @@ import pytest
 from firmware_link import protocol
 from firmware_link.protocol import Mode, Setpoint, Telemetry, Vent
 from flying_vines.config import config
-from flying_vines.core.events import Action, Asked, Decision, ToFirmware, ToVehicle
+from flying_vines.core.events import Action, Asked, ToFirmware, ToVehicle
 from flying_vines.gateway.gateway import Gateway
-from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.terminal.screen import event_line
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vine import intent
 
-LOW, HIGH = 1000, 2000
+from .flights import HIGH, LOW, airborne, bent, decisions, run_for
+
 Change = Callable[[Telemetry], Telemetry]
 
 WAITING = "Vine: waiting for: switch down, then up"
-
-
-def airborne() -> SimulatedFlight:
-    """At 10 m, RC good, switch low; 8 s have passed."""
-    autopilot = FakeAutopilot("ardupilot", rc_failsafe_mode=None)
-    flight = SimulatedFlight(config.default(), autopilot)
-    autopilot.set_rc(9, LOW)
-    flight.run(2.0)
-    autopilot.takeoff(10.0)
-    flight.run(8.0)
-    return flight
-
-
-def bent() -> SimulatedFlight:
-    flight = airborne()
-    flight.autopilot.set_rc(9, HIGH)
-    run_for(flight, 2.0)
-    assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
-    return flight
-
-
-def run_for(flight: SimulatedFlight, seconds: float) -> list[Action]:
-    return flight.run(flight.world.now + seconds)
 
 
 def notices(actions: Sequence[Action]) -> list[Notice]:
@@ -55,10 +32,6 @@ def notices(actions: Sequence[Action]) -> list[Notice]:
 def told(actions: Sequence[Action]) -> list[str]:
     """What is not for the log alone."""
     return [notice.text for notice in notices(actions) if notice.severity is not Severity.DEBUG]
-
-
-def decisions(actions: Sequence[Action]) -> list[Decision]:
-    return [a for a in actions if isinstance(a, Decision)]
 
 
 def sent(actions: Sequence[Action], kind: type[Setpoint] | type[Vent]) -> int:
@@ -240,7 +213,7 @@ def rebooting(flight: SimulatedFlight, every_s: float, for_s: float) -> list[Act
     return actions
 
 
-@pytest.mark.parametrize("every_s", [0.1, 2.5])
+@pytest.mark.parametrize("every_s", [0.1, pytest.param(2.5, marks=pytest.mark.long)])
 def test_a_loop_of_restarts_is_told_at_once_and_then_counted(every_s: float) -> None:
     flight = bent()
     actions = rebooting(flight, every_s, 30.0)

@@ -27,6 +27,7 @@ from flying_vines.vine.intent import (
 )
 
 from .flights import HIGH, airborne, decisions, ground_command, run_for
+from .prepared import prepared
 
 TAKEOFF, DELAY, LAND = 22, 93, 21
 
@@ -50,6 +51,10 @@ def mission(angle_deg: float) -> list[MissionItem]:
 
 def flying(until_item_s: float = 0.0) -> SimulatedFlight:
     """On the way to item 3, so many seconds before it runs."""
+    return prepared(_flying, until_item_s)
+
+
+def _flying(until_item_s: float) -> SimulatedFlight:
     autopilot = FakeAutopilot("ardupilot", mission=mission(40.0))
     flight = SimulatedFlight(config.default(), autopilot)
     flight.run(3.0)

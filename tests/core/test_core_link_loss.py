@@ -15,6 +15,8 @@ from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.notice import Notice
 from flying_vines.vehicle.state import HEARTBEAT_FRESH_S
 
+from .prepared import prepared
+
 LOW, HIGH = 1000, 2000
 WAITING = "Vine: waiting for: switch down, then up"
 HEARTBEAT, RC_CHANNELS = 0, 65
@@ -22,8 +24,12 @@ HEARTBEAT, RC_CHANNELS = 0, 65
 
 def bent(profile: Config | None = None, rc: bool = True) -> SimulatedFlight:
     """At 10 m; the switch has bent the vine, or a person where this flight has no RC."""
+    return prepared(_bent, profile or config.default(), rc)
+
+
+def _bent(profile: Config, rc: bool) -> SimulatedFlight:
     autopilot = FakeAutopilot("ardupilot", rc_failsafe_mode=None)
-    flight = SimulatedFlight(profile or config.default(), autopilot)
+    flight = SimulatedFlight(profile, autopilot)
     autopilot.set_rc(9, LOW)
     flight.run(2.0)
     autopilot.takeoff(10.0)

@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import msgspec
 import pytest
 
 from flying_vines.config import config
 from flying_vines.core import core
-from flying_vines.core.events import Action, Asked, Decision
+from flying_vines.core.events import Asked, Decision
 from flying_vines.simulation.simulated_world import SimulatedFlight
-from flying_vines.vehicle.notice import Notice
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vine.intent import BendTo, Intent, SetPressure, StartBench, StopBench
 
-from .flights import on_the_ground
-
-LOW, HIGH = 1000, 2000
+from .flights import notices, on_the_ground, run_for
 
 
 def ask(flight: SimulatedFlight, intent: Intent) -> Decision:
     (decision,) = (a for a in flight.feed(Asked(flight.world.now, "page", intent)) if isinstance(a, Decision))
     return decision
-
-
-def run_for(flight: SimulatedFlight, seconds: float) -> list[Action]:
-    return flight.run(flight.world.now + seconds)
 
 
 def bent_on_the_bench() -> SimulatedFlight:
@@ -36,10 +27,6 @@ def bent_on_the_bench() -> SimulatedFlight:
     run_for(flight, 1.5)
     assert flight.phlosar.cv_kPa > 8.0
     return flight
-
-
-def notices(actions: Sequence[Action]) -> list[str]:
-    return [a.text for a in actions if isinstance(a, Notice)]
 
 
 def vented(flight: SimulatedFlight) -> bool:

@@ -372,6 +372,7 @@ def test_the_referee_sees_who_cheats(cheat: Cheat) -> None:
     assert cheat.rules & {foul.rule for foul in cheating.fouls}, cheating.timeline
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "cheat", {cheat.flown: cheat for cheat in CHEATS}.values(), ids=lambda c: c.flown.__name__
 )

@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from docs.references import BLOCK, PAGES, arguments, commands, filled, marked, tables
+from examples import examples
 from flying_vines.config import config
 from flying_vines.config.config import Config, ConfigError, ItemConfig, TriggerConfig
 from flying_vines.vine.profile import PressureProfile
@@ -150,7 +151,7 @@ def why_not(text: str) -> str:
 
 
 @given(number=st.sampled_from(STATED), by=st.floats(1e-6, 1e6), data=st.data())
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=examples(400), deadline=None)
 def test_a_value_outside_its_range_is_refused(number: Stated, by: float, data: st.DataObject) -> None:
     step = float(round(by) + 1) if number.whole else by
     too_low = (
@@ -162,7 +163,7 @@ def test_a_value_outside_its_range_is_refused(number: Stated, by: float, data: s
 
 
 @given(number=st.sampled_from(STATED), share=st.floats(0, 1), data=st.data())
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=examples(400), deadline=None)
 def test_a_value_inside_it_is_not_refused_for_itself(
     number: Stated, share: float, data: st.DataObject
 ) -> None:

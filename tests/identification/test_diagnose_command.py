@@ -28,8 +28,10 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
     return command_line.run(capsys, "diagnose", *arguments)
 
 
-def test_json_is_one_object_of_the_format(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    status, out, _ = run(capsys, str(case), "--json")
+def test_json_is_one_object_of_the_format_and_the_extended_rig_can_be_simulated(
+    case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, out, _ = run(capsys, str(case), "--json", "--write-rig", str(tmp_path / "extended.toml"))
     assert status == 0
     verdict = json.loads(out)
     assert verdict["cause"] == draw("short", 1).hidden[0].name
@@ -46,6 +48,10 @@ def test_json_is_one_object_of_the_format(case: Path, capsys: pytest.CaptureFixt
     assert rough["estimate"] == estimate["estimate"]
     assert rough["high"] - rough["low"] == pytest.approx(estimate["high"] - estimate["low"], rel=0.2)
     assert verdict["also"] == [] and isinstance(verdict["next_experiment"], str)
+    rig = load_true_rig(tmp_path / "extended.toml")
+    (value,) = rig.causes[verdict["cause"]].values()
+    assert value == pytest.approx(estimate["estimate"])
+    assert rig.setup.plant.effects != Effects() or rig.setup.plant.rig != rig.nominal
 
 
 def test_words_tell_the_cause_and_what_it_is_worth(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -53,19 +59,6 @@ def test_words_tell_the_cause_and_what_it_is_worth(case: Path, capsys: pytest.Ca
     assert status == 0
     assert draw("short", 1).hidden[0].name in out
     assert "Unseen data" in out and "noise alone" in out
-
-
-def test_the_extended_rig_can_be_simulated(
-    case: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    status, out, _ = run(capsys, str(case), "--json", "--write-rig", str(tmp_path / "extended.toml"))
-    assert status == 0
-    verdict = json.loads(out)
-    rig = load_true_rig(tmp_path / "extended.toml")
-    (value,) = rig.causes[verdict["cause"]].values()
-    (estimate,) = verdict["parameters"].values()
-    assert value == pytest.approx(estimate["estimate"])
-    assert rig.setup.plant.effects != Effects() or rig.setup.plant.rig != rig.nominal
 
 
 def test_what_cannot_be_read_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,6 +15,7 @@ from command_line import run
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
+from examples import examples
 from flying_vines.identification.case import read_case
 from flying_vines.identification.importing.answers import (
     Answers,
@@ -192,7 +193,7 @@ def text_of(run: Run, how: Written) -> str:
     return how.title + "\n".join(separator.join(row) + end for row in rows) + "\n"
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(how=written)
 def test_a_known_run_in_any_layout_comes_back(tmp_path: Path, how: Written) -> None:
     run = {name: values.copy() for name, values in known().items()}
@@ -474,7 +475,7 @@ def test_wrong_answers(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[
     assert status == 2 and error.count("\n") == 1 and "plenum_discharge.import.toml" in error
 
 
-@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(150), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.binary(max_size=400)
     | st.text("0123456789.,;:-+eE \t\n\"'/apkPst", max_size=300).map(str.encode)

@@ -66,6 +66,7 @@ def same(outcomes: dict[Path, CaseOutcome], season: list[Path], alone: dict[Path
     }
 
 
+@pytest.mark.long
 def test_processes_find_what_a_loop_finds(season: list[Path], alone: dict[Path, Verdict]) -> None:
     assert same(dict(diagnose_all(season, workers=2)), season, alone)
 

@@ -115,6 +115,7 @@ def test_it_settles_what_the_example_scenario_leaves_open(short: RecordingPlan) 
     assert GAINS in short.by_commands.open
 
 
+@pytest.mark.long
 def test_a_plan_keeps_its_budgets(short: RecordingPlan) -> None:
     """Time and air agree with the simulated rig, including the air between the runs."""
     runs = simulate_scenario(short.rig, short.best.scenario, seed=4)
@@ -143,6 +144,7 @@ def test_what_no_run_can_tell_is_reported(made: RecordingPlan) -> None:
     assert sigmas(usual) > sqrt(SETTLED) and usual.runs[0].name in usual.in_words()
 
 
+@pytest.mark.long
 def test_floors_hold_against_full_fits(made: RecordingPlan, layout: Layout) -> None:
     """Pairs that are hard to separate have a low distance."""
     runs = [part for run in made.best.runs[:2] for part in parts(layout, [run.kind])]
@@ -230,6 +232,7 @@ def test_a_new_cause_is_planned_for_without_more_ado() -> None:
     assert apart(laid, part.gram)[0, -1] > 0.0
 
 
+@pytest.mark.long
 def test_the_scenario_and_the_profiles_are_readable(made: RecordingPlan) -> None:
     assert parse_scenario(scenario_text(made.best), "plan").runs == made.best.scenario.runs
     text = configuration.default_text() + profiles_text(made.by_commands)
@@ -242,6 +245,7 @@ def test_the_scenario_and_the_profiles_are_readable(made: RecordingPlan) -> None
         assert [item.profile for item in read.items if item.match == {"param1": number}] == [name]
 
 
+@pytest.mark.long
 def test_planned_simulated_and_diagnosed(
     made: RecordingPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import msgspec
 import pytest
-from mission_building import HEAD, HOMES, KINDS, built, reviewed, said, waypoint
+from mission_building import HEAD, HOMES, built, reviewed, said, waypoint
 
 from flying_vines.config import config as configuration
 from flying_vines.physics.plant.effects import Effects
@@ -88,7 +88,7 @@ def test_a_vine_with_hysteresis_is_let_down_further() -> None:
     assert final[1] == pytest.approx(up - 3.0)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["ardupilot", pytest.param("px4", marks=pytest.mark.long)])
 def test_the_service_flies_what_the_budget_says(kind: AutopilotKind) -> None:
     given = built(SHORT, kind)
     belief = nominal(CONFIG.pneumatics)

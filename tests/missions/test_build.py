@@ -25,6 +25,7 @@ from mission_building import (
     waypoint,
 )
 
+from examples import examples
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config, ItemConfig
 from flying_vines.vehicle.autopilots import AUTOPILOTS
@@ -141,7 +142,7 @@ PLACE = st.tuples(st.integers(-200, 200), st.integers(-200, 200), st.floats(3, 1
 WAYPOINTS = st.lists(st.tuples(PLACE, st.lists(st.tuples(ACTION, HOLD), max_size=2)), min_size=1, max_size=5)
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(WAYPOINTS, st.sampled_from(KINDS), st.sampled_from(("land", "return")))
 def test_any_mission_passes_its_own_check_and_means_the_same_once_stored(
     places: list[tuple[tuple[int, int, float], list[tuple[tuple[str, Intent], str]]]],

@@ -60,9 +60,9 @@ RIGID = dataclasses.replace(EVERYTHING, cv_shape=None)
     [
         pytest.param(EVERYTHING, 0.1, 8.0, id="everything"),
         pytest.param(EVERYTHING, 0.1, 45.0, id="everything, long", marks=pytest.mark.long),
-        pytest.param(RIGID, 0.5, 8.0, id="rigid half litre"),
+        pytest.param(RIGID, 0.5, 8.0, id="rigid half litre", marks=pytest.mark.long),
         pytest.param(COMPLIANT, 0.1, 8.0, id="compliant without tube"),
-        pytest.param(Effects(), 0.1, 45.0, id="baseline"),
+        pytest.param(Effects(), 0.1, 45.0, id="baseline", marks=pytest.mark.long),
     ],
 )
 def test_it_agrees_with_radau_to_a_hundredth_of_a_kilopascal(

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from examples import examples
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.plant.ambient import Climb, Recorded, Steady, air_at
 from flying_vines.physics.plant.effects import Effects
@@ -100,7 +101,7 @@ def air_SL(state: State) -> float:
     return state.reservoir_air_SL + state.cv_air_SL + state.line_air_SL + state.vented_SL
 
 
-@settings(max_examples=800, deadline=None)
+@settings(max_examples=examples(800), deadline=None)
 @given(plants, reservoirs_kPa, cvs_kPa, commands)
 def test_no_air_is_lost_or_made(
     plant: Plant, reservoir_kPa: float, cv_kPa: float, told: list[Inputs]
@@ -120,7 +121,7 @@ def test_no_air_is_lost_or_made(
         assert found.cv_kPa <= max(reservoir_kPa, cv_kPa) * 1.5 + 10.0
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(
     warm_plants,
     reservoirs_kPa,
@@ -217,7 +218,7 @@ def test_the_first_law_at_every_instant(
         assert wall_W == pytest.approx(outside_W - flow.cv_heat_W, abs=1e-9, rel=1e-9)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 @given(
     st.builds(Reservoir, volumes),
     st.builds(ControlVolume, volumes),
@@ -252,7 +253,7 @@ def test_a_closed_rig_keeps_its_energy(
     assert energy_J(simulator.state) == pytest.approx(before, rel=1e-12)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(warm_plants, st.floats(100.0, 760.0), commands)
 def test_what_is_vented_is_what_flowed(plant: Plant, reservoir_kPa: float, told: list[Inputs]) -> None:
     """The balances agree with the independently summed flows."""

@@ -12,6 +12,7 @@ from closed_forms import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from examples import examples
 from flying_vines.physics import baseline
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.constants import GAMMA
@@ -51,7 +52,7 @@ def discharging(
     return Simulator(plant, at_rest(plant, kPa))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(rigs, st.floats(0.0, 760.0), st.floats(-50.0, 60.0), commands)
 def test_without_effects_it_is_the_baseline(
     rig: Rig, reservoir_kPa: float, cv_kPa: float, told: list[Inputs]

@@ -25,6 +25,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from examples import examples
 from flying_vines.simulation.autopilot import AutopilotKind, FakeAutopilot, MissionRefused, RcLoss
 from flying_vines.vehicle.mission.item import MissionItem
 
@@ -549,7 +550,7 @@ FLOATS = st.floats(width=32)
 UINT16 = st.integers(0, 65535)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(KINDS, st.lists(st.binary(max_size=300), max_size=5))
 def test_random_bytes_do_no_harm(kind: AutopilotKind, chunks: list[bytes]) -> None:
     autopilot = FakeAutopilot(kind)
@@ -570,7 +571,7 @@ def valid_frames() -> bytes:
     return b"".join(bytes(message.pack(peer)) for message in messages)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(KINDS, st.lists(st.tuples(st.integers(0, 200), st.integers(0, 255)), max_size=8))
 def test_damaged_frames_do_no_harm(kind: AutopilotKind, damage: list[tuple[int, int]]) -> None:
     frames = bytearray(valid_frames())
@@ -628,7 +629,7 @@ def strange_messages(draw: st.DrawFn) -> Any:
     return mavlink.MAVLink_set_mode_message(1, 1, draw(st.sampled_from([3, 4, 6, 9, 67371008, 0])))
 
 
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=examples(250), deadline=None)
 @given(KINDS, st.lists(strange_messages(), max_size=8), st.lists(SEVEN, min_size=1, max_size=3), COMMANDS)
 def test_strange_messages_do_no_harm(
     kind: AutopilotKind, messages: list[Any], uploaded: list[tuple[float, ...]], command: int

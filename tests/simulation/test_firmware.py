@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from examples import examples
 from firmware_link.protocol import (
     PROTOCOL_VERSION,
     ClearFaults,
@@ -659,7 +660,7 @@ turns = st.tuples(st.lists(said, max_size=3), pressures, supplies, st.integers(1
 Story = list[tuple[list[HostMessage | bytes], float, float, int]]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(st.lists(turns, max_size=12))
 def test_it_never_inflates_when_it_must_not(story: Story) -> None:
     bench = Bench(Firmware())

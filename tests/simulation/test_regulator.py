@@ -149,7 +149,9 @@ def complaints(rig: Drawn, tuning: Tuning | None = None) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize(
+    "seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(4, 12))]
+)
 def test_rigs_drawn_at_random_bend_and_stay(seed: int) -> None:
     assert complaints(drawn(seed)) == []
 

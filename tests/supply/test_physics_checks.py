@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from examples import examples
 from firmware_link import protocol
 from firmware_link.protocol import PROTOCOL_VERSION, Fault, Hello, Mode, Setpoint, Telemetry, Vent
 from flying_vines.config.config import ChecksConfig, PneumaticsConfig
@@ -88,7 +89,7 @@ def likely(cv_volume_L: float = 0.1, bottle_kPa: float = 690.0) -> SimulatedPhlo
     return SimulatedPhlosar(Rig(cv=ControlVolume(cv_volume_L)), reservoir_kPa=bottle_kPa)
 
 
-@pytest.mark.parametrize("believed_share", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("believed_share", [0.5, pytest.param(1.0, marks=pytest.mark.long), 2.0])
 @pytest.mark.parametrize(("cv_volume_L", "bottle_kPa"), [(0.05, 690.0), (0.1, 120.0), (1.0, 600.0)])
 def test_a_healthy_rig_is_not_accused(cv_volume_L: float, bottle_kPa: float, believed_share: float) -> None:
     flying = Flying(likely(cv_volume_L, bottle_kPa), checks_of(believed_share * cv_volume_L))
@@ -152,7 +153,7 @@ def test_a_hose_off_is_found_within_1_s_at_10_Hz_of_which_a_fifth_is_lost(seed: 
     assert "filling" in [finding.name for _, finding in flying.run(1.0, TOP_KPA)]
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2, 3))])
 def test_a_hose_off_before_the_bend_is_found_at_10_Hz_nearly_as_soon_as_at_100_Hz(seed: int) -> None:
     found_s = []
     for flying in (Flying(SimulatedPhlosar(seed=seed), checks_of()), slowly_told(seed, 0.2)):
@@ -162,7 +163,7 @@ def test_a_hose_off_before_the_bend_is_found_at_10_Hz_nearly_as_soon_as_at_100_H
     assert found_s[1] <= found_s[0] + 1.0
 
 
-@pytest.mark.parametrize("loses", [0.0, 0.2, 0.5])
+@pytest.mark.parametrize("loses", [0.0, pytest.param(0.2, marks=pytest.mark.long), 0.5])
 @pytest.mark.parametrize("cv_volume_L", [0.05, 0.3])
 def test_a_healthy_rig_is_not_accused_by_telemetry_of_10_Hz(cv_volume_L: float, loses: float) -> None:
     flying = slowly_told(1, loses, cv_volume_L)
@@ -334,7 +335,7 @@ TOLD = st.builds(
 
 
 @given(st.lists(st.tuples(TOLD, st.integers(0, 150)), max_size=120))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_any_telemetry_is_taken(told: list[tuple[Telemetry, int]]) -> None:
     checks = checks_of()
     at_ms = 0

@@ -9,6 +9,7 @@ from bottle_bench import DEMONSTRATION, Bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from examples import examples
 from firmware_link.protocol import Fault, Mode, Telemetry
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.true_rig import TrueRig
@@ -247,7 +248,7 @@ def test_what_a_rise_takes_scales_with_it() -> None:
     assert ReservoirEstimate(nominal(DEMONSTRATION)).spending_kPa(20.7) == pytest.approx(2.07)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(
     st.sampled_from(BELIEFS),
     st.lists(

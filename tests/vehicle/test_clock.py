@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from examples import examples
 from flying_vines.vehicle.clock import BACKLOG_S, LATE_S, WAIT_FOR_STAMP_S, AutopilotClock, Mark
 
 UP_S = 500.0
@@ -228,7 +229,7 @@ def test_a_reboot_leaves_what_was_late_before_it_late() -> None:
 
 
 @given(seed=st.integers(0, 2**32), every_s=st.floats(0.02, 1.0), stall_s=st.floats(0.0, 12.0))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 def test_never_a_young_item_and_always_an_old_one(seed: int, every_s: float, stall_s: float) -> None:
     """Streams of any spacing up to a second on a link that is late by up to 0.3 s and stalls once."""
     dice = random.Random(seed)

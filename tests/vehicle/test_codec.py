@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from examples import examples
 from flying_vines.vehicle.mavlink.codec import (
     MAX_SENDERS,
     REMEMBERED_FRAMES,
@@ -59,7 +60,7 @@ def chunked(data: bytes, cuts: list[int]) -> list[bytes]:
     ),
     cuts=st.lists(st.integers(0, 4000), max_size=40),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 def test_any_chunking_gives_the_same_messages(parts: list[str | int | bytes], cuts: list[int]) -> None:
     sender = Sender()
     stream = b""
@@ -86,7 +87,7 @@ def test_one_byte_at_a_time() -> None:
 
 
 @given(st.lists(st.binary(max_size=700), max_size=8))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 def test_random_bytes_never_raise_and_good_frames_are_read_after_them(garbage: list[bytes]) -> None:
     codec, sender = MavlinkCodec(1, 191), Sender()
     for chunk in garbage:
@@ -102,7 +103,7 @@ def test_random_bytes_never_raise_and_good_frames_are_read_after_them(garbage: l
     changes=st.lists(st.tuples(st.integers(0, 80), st.integers(0, 255)), min_size=1, max_size=4),
     cut=st.integers(0, 80),
 )
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 def test_changed_and_cut_frames_never_raise(words: str, changes: list[tuple[int, int]], cut: int) -> None:
     codec, sender = MavlinkCodec(1, 191), Sender()
     frame = bytearray(sender.frame(text(words)))

@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from examples import examples
 from flying_vines.config import config
 from flying_vines.core.core import Core
 from flying_vines.core.events import Action, Event, ToVehicle, VehicleMessage
@@ -189,7 +190,7 @@ LINES = st.text("abxyz 019()%/-", min_size=1, max_size=180).map(
 
 
 @given(st.lists(LINES, max_size=5))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_long_texts_come_in_chunks_that_join_again(texts: list[str]) -> None:
     different = list(dict.fromkeys(texts))
     sent = said(different, for_s=5.0)

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from examples import examples
 from flying_vines.vehicle.mavlink.frames import MAX_FRAME_SIZE, Frame, Frames
 
 
@@ -109,7 +110,7 @@ def test_a_frame_that_must_be_understood_in_ways_that_we_do_not_know_is_not_know
     ),
     cuts=st.lists(st.integers(0, 5000), max_size=30),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 def test_chunking_changes_nothing(parts: list[int | bytes], cuts: list[int]) -> None:
     good = packed(10) + packed(10, version_1=True) + [unknown(frame) for frame in packed(10)]
     stream = b"".join(good[part] if isinstance(part, int) else part for part in parts)

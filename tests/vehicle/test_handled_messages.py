@@ -20,6 +20,8 @@ from flying_vines.vehicle.mavlink.tlog import TlogReader
 NAMES = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
 ROOM = Path(handled.__file__).parents[1]
 RECORDINGS = sorted((Path(__file__).parents[1] / "data" / "recordings").glob("*.tlog"))
+QUICK = ("ardupilot_vine_mission", "px4_vine_mission", "rc_switch")
+"""These are replayed by `make test`, too."""
 
 
 def test_whatever_is_looked_for_by_name_is_heard() -> None:
@@ -37,7 +39,11 @@ def test_whatever_is_asked_of_us_is_heard() -> None:
     assert {NAMES[number] for number in (*Requests.MESSAGES, *Parameters.MESSAGES)} <= handled.ALL
 
 
-@pytest.mark.parametrize("path", RECORDINGS, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [path if path.stem in QUICK else pytest.param(path, marks=pytest.mark.long) for path in RECORDINGS],
+    ids=lambda path: path.stem,
+)
 def test_nothing_comes_of_the_others(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def flown(codec: MavlinkCodec) -> list[str]:
         core, ticked, done = Core(config.default()), 0.0, []

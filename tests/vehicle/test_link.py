@@ -17,6 +17,7 @@ from ports import free_port
 from pseudo_terminal import Terminal
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from examples import examples
 from firmware_link import serial_port
 from flying_vines.config.address import Address, NetworkAddress, SerialAddress
 from flying_vines.vehicle.mavlink import link as link_module
@@ -354,7 +355,7 @@ moments = st.lists(st.tuples(st.integers(0, 12), st.booleans(), st.floats(0.0, 1
 
 
 @given(moments)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 def test_who_speaks_often_enough_never_loses_his_place(
     others: list[tuple[int, bool, float]],
 ) -> None:

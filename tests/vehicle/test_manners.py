@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 import flying_vines
+from examples import examples
 from flying_vines.config import config
 from flying_vines.vehicle.component import Component
 from flying_vines.vehicle.component.clash import REPORT_AGAIN_S, WITHIN_S, Clash
@@ -67,7 +68,7 @@ NASTY = st.lists(PIECES | st.text(max_size=12), max_size=30).map("".join)
 
 
 @given(NASTY)
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=examples(400), deadline=None)
 def test_any_text_is_made_harmless(text: str) -> None:
     made = harmless(text)
     assert problems(made) == []
@@ -79,7 +80,7 @@ def test_any_text_is_made_harmless(text: str) -> None:
 
 
 @given(NASTY)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 def test_no_chunk_begins_with_what_others_look_for(text: str) -> None:
     """Some ground stations show each chunk alone."""
     ours = Component(config.default())

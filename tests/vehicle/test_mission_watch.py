@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from examples import examples
 from flying_vines.config.config import CARRIERS
 from flying_vines.vehicle.autopilots.ardupilot_mission import (
     ASK_AGAIN_S,
@@ -688,7 +689,7 @@ def watched(flight: Flight, messages: list[tuple[float, MavlinkMessage]]) -> lis
     copies=st.sampled_from([0.0, 0.3]),
     late_s=st.sampled_from([0.0, 0.01, 0.1]),
 )
-@settings(max_examples=70, deadline=None)
+@settings(max_examples=examples(70), deadline=None)
 def test_never_an_item_that_did_not_run_and_never_twice(
     seed: int, loss: float, copies: float, late_s: float
 ) -> None:

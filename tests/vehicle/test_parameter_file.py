@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 
+from examples import examples
 from flying_vines.config import config
 from flying_vines.vehicle.component.parameter_file import ParameterFileError, read, write
 from flying_vines.vehicle.component.parameter_table import SETTINGS, ParameterRefused, bounds
@@ -40,7 +41,7 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
 
 
 @given(st.data())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_any_set_of_allowed_values_is_read_again(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from examples import examples
 from flying_vines.config import config
 from flying_vines.config.config import Config
 from flying_vines.vehicle.component.parameter_table import (
@@ -320,7 +321,7 @@ ANY = st.floats(width=32) | st.floats(0, 130, width=32) | st.integers(0, 20).map
 
 
 @given(st.lists(st.tuples(st.sampled_from(SETTINGS), ANY, st.booleans()), max_size=25))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 def test_whatever_is_sent_the_configuration_stays_one_that_the_profile_allows(
     sets: list[tuple[Any, float, bool]],
 ) -> None:

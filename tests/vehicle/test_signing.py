@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from examples import examples
 from flying_vines.config import config
 from flying_vines.core.events import Snapshot
 from flying_vines.simulation.autopilot.autopilot import FakeAutopilot
@@ -160,7 +161,7 @@ clocks = st.lists(
 
 
 @given(st.integers(0, 2**47), clocks)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 def test_whatever_the_clock_does_no_timestamp_comes_twice_on_one_link_id(
     kept: int, steps: list[tuple[float, float | None, bool] | int | None]
 ) -> None:
@@ -233,7 +234,7 @@ def test_one_changed_bit_anywhere_and_the_frame_is_not_heard() -> None:
 
 
 @given(st.lists(st.one_of(st.binary(max_size=80), st.text("abc", max_size=20)), max_size=12))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 def test_random_bytes_never_raise_and_are_never_heard(parts: list[bytes | str]) -> None:
     ours, peer = Ours(), Peer()
     said = [part for part in parts if isinstance(part, str)]
@@ -460,7 +461,7 @@ sendings = st.lists(
 
 
 @given(sendings)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 def test_no_frame_is_believed_twice_over_any_restarts(steps: list[tuple[str, int, int]]) -> None:
     signing, now_s = Signing(KEY), NOW_S
     signing.advance(now_s, 0.0, synchronised=True)

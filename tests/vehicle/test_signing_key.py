@@ -10,6 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from examples import examples
 from flying_vines.vehicle.mavlink.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S, Signing, SigningMemory
 from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampFile, read_key
 
@@ -188,7 +189,9 @@ def test_a_file_of_an_earlier_version_is_gone_on_from(file: Path) -> None:
     st.integers(0, 255),
     st.dictionaries(st.tuples(*[st.integers(0, 255)] * 3), st.integers(0, 2**47), max_size=64),
 )
-@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=examples(50), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 def test_all_is_read_as_it_was_written(
     file: Path, timestamp: int, link_id: int, streams: dict[tuple[int, int, int], int]
 ) -> None:

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from examples import examples
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.state import (
     ALTITUDE_FRESH_S,
@@ -236,7 +237,7 @@ def test_a_ready_of_somebody_else_is_not_ours() -> None:
     up_s=st.floats(0.0, 4_000_000.0),
     period_s=st.floats(0.02, 1.0),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 def test_delays_of_a_link_are_no_reboot(delays_s: list[float], up_s: float, period_s: float) -> None:
     state = found()
     arrives_at = 0.0

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
+from examples import examples
 from flying_vines.vehicle.radio.switch import (
     BOUNDARIES_US,
     SAMPLING_SLACK_S,
@@ -202,7 +203,7 @@ def test_passing_through_the_middle_is_no_stop_there(rate_Hz: float) -> None:
         st.tuples(st.floats(0.015, 0.3), st.one_of(st.none(), st.floats(800, 2200))), min_size=1, max_size=150
     ),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 def test_a_position_that_is_believed_is_the_one_of_the_pulse(
     positions: int, steps: list[tuple[float, float | None]]
 ) -> None:

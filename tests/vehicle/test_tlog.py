@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from examples import examples
 from flying_vines.vehicle.mavlink.tlog import TlogError, TlogReader
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
@@ -100,7 +101,7 @@ def test_a_real_recording_truncated_anywhere_in_its_end(tmp_path: Path) -> None:
 
 
 @given(garbage=st.binary(min_size=1, max_size=400), at=st.integers(0, 10))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 def test_garbage_between_records_costs_no_record_around_it(
     tmp_path_factory: pytest.TempPathFactory, garbage: bytes, at: int
 ) -> None:
@@ -133,7 +134,7 @@ def test_damage_within_a_record_costs_no_more_than_its_length_byte_can_claim(tmp
 
 
 @given(st.binary(max_size=600))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 def test_any_file_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
     path = tmp_path_factory.getbasetemp() / "any.tlog"
     try:

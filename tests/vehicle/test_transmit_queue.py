@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from examples import examples
 from flying_vines.vehicle.component.answer import acknowledgement
 from flying_vines.vehicle.component.identity import autopilot_version
 from flying_vines.vehicle.component.transmit_queue import MAX_WAITING, TransmitQueue
@@ -150,7 +151,7 @@ LOADS = st.lists(
 
 
 @given(LOADS)
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 def test_never_a_burst_nothing_lost_and_each_rank_in_order(loads: list[tuple[float, list[Maker]]]) -> None:
     line = Line()
     for pause_s, makers in loads:
@@ -168,7 +169,7 @@ def test_never_a_burst_nothing_lost_and_each_rank_in_order(loads: list[tuple[flo
 
 
 @given(LOADS, PAUSES_S)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 def test_an_answer_and_a_heartbeat_wait_two_ticks_at_most(
     loads: list[tuple[float, list[Maker]]], pause_s: float
 ) -> None:

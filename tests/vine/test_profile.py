@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from examples import examples
 from flying_vines.vine.curve import BendCurve
 from flying_vines.vine.motion import Motion, plan
 from flying_vines.vine.profile import (
@@ -60,7 +61,7 @@ def sampled(motion: Motion, count: int = 4000) -> list[tuple[float, float]]:
 
 
 @given(segments, st.floats(0, 20), rates)
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=examples(120), deadline=None)
 def test_continuous_and_never_steeper_than_the_limit(
     parts: list[Segment], start_kPa: float, rate_kPa_per_s: float
 ) -> None:
@@ -74,7 +75,7 @@ def test_continuous_and_never_steeper_than_the_limit(
 
 
 @given(segments, st.floats(0, 20), rates)
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=examples(120), deadline=None)
 def test_peak_and_rise_are_those_of_the_pressure(
     parts: list[Segment], start_kPa: float, rate_kPa_per_s: float
 ) -> None:
@@ -91,7 +92,7 @@ def test_peak_and_rise_are_those_of_the_pressure(
 
 
 @given(segments, st.floats(0, 20), rates)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_pieces_follow_each_other_without_gaps(
     parts: list[Segment], start_kPa: float, rate_kPa_per_s: float
 ) -> None:
@@ -233,7 +234,7 @@ def test_a_swing_meets_both_of_its_angles(from_deg: float, to_deg: float, before
 
 
 @given(segments, st.floats(0, 20), st.floats(0, 6), rates, st.floats(0, 4))
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 def test_with_hysteresis_no_limit_is_passed_and_the_bend_is_known(
     parts: list[Segment], start_kPa: float, further_kPa: float, rate_kPa_per_s: float, width_kPa: float
 ) -> None:

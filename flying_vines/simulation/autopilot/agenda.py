@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import heapq
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -29,11 +28,12 @@ class Agenda:
     def __init__(self) -> None:
         self.now_s = 0.0
         self._heap: list[tuple[float, int, AgendaEntry]] = []
-        self._order = itertools.count()
+        self._entries = 0
 
     def at(self, t_s: float, callback: Callable[[], None]) -> AgendaEntry:
         entry = AgendaEntry(callback)
-        heapq.heappush(self._heap, (t_s, next(self._order), entry))
+        self._entries += 1
+        heapq.heappush(self._heap, (t_s, self._entries, entry))
         return entry
 
     def after(self, delay_s: float, callback: Callable[[], None]) -> AgendaEntry:

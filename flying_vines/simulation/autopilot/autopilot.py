@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from random import Random
 from typing import Any
 
@@ -125,7 +126,7 @@ class FakeAutopilot:
             receiver,
             self.agenda,
             Random(seed),
-            lambda name: self.parameters[name],
+            self._parameter,
             self._rc_failsafe_changed,
         )
         self.payload_log: list[tuple[float, MissionItem]] = []
@@ -413,10 +414,13 @@ class FakeAutopilot:
 
     # Internals
 
+    def _parameter(self, name: str) -> float:
+        return self.parameters[name]
+
     def _new_runner(self) -> Runner:
         if self.kind == "ardupilot":
             return ArduPilotMission(self)
-        return Px4Mission(self, self._sender, lambda: self.parameters["MIS_COMMAND_TOUT"])
+        return Px4Mission(self, self._sender, partial(self._parameter, "MIS_COMMAND_TOUT"))
 
     def _come_up(self) -> None:
         self._running = True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -79,14 +80,17 @@ class StreamSender:
             return
 
         begin_s = self._agenda.now_s + (interval_s if first_s is None else first_s)
+        self._schedule(port, message_id, interval_s, begin_s, 0)
 
-        def send(count: int = 1) -> None:
-            # Computed from a count, so that rounding errors do not add up.
-            entry = self._agenda.at(begin_s + count * interval_s, lambda: send(count + 1))
-            port.streams[message_id] = PortStream(interval_s, entry)
-            self.once(port, message_id)
+    def _schedule(self, port: Port, message_id: int, interval_s: float, begin_s: float, count: int) -> None:
+        # Computed from a count, so that rounding errors do not add up.
+        t_s = begin_s + count * interval_s
+        entry = self._agenda.at(t_s, partial(self._repeat, port, message_id, interval_s, begin_s, count))
+        port.streams[message_id] = PortStream(interval_s, entry)
 
-        port.streams[message_id] = PortStream(interval_s, self._agenda.at(begin_s, send))
+    def _repeat(self, port: Port, message_id: int, interval_s: float, begin_s: float, count: int) -> None:
+        self._schedule(port, message_id, interval_s, begin_s, count + 1)
+        self.once(port, message_id)
 
     def once(self, port: Port, message_id: int) -> None:
         """Send a message now, if it has content."""
