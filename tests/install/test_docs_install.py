@@ -30,7 +30,7 @@ def test_every_file_has_its_row(path: Path) -> None:
 @pytest.mark.parametrize(
     ("setting", "said"),
     [
-        ("WatchdogSec=4", "silent for 4 s it is aborted"),
+        ("WatchdogSec=4", "If it is silent for 4 s, it is aborted"),
         ("RestartSec=1", "a new start after a second"),
         ("StartLimitIntervalSec=0", "however often"),
         ("RestartPreventExitStatus=2", "(exit status 2)"),
