@@ -312,6 +312,13 @@ def test_pressures_without_a_unit_have_the_same_one(tmp_path: Path) -> None:
     assert one_run(proposal)["reservoir_pressure"][0] == pytest.approx(39.1, abs=0.1)
 
 
+def test_a_chamber_that_rests_at_14_kPa_is_not_in_psi(tmp_path: Path) -> None:
+    rows = "\n".join(f"{i / 10},{14.0 + 26.0 * 0.97**i:.3f}" for i in range(300))
+    assert (
+        meanings(proposed(tmp_path / "a.csv", f"t,chamber pressure\n{rows}"))["reservoir_pressure"] == "kPa"
+    )
+
+
 def test_several_runs_in_a_file(tmp_path: Path) -> None:
     back = "time_s2,pressure kPa\n" + "\n".join(f"{i % 50 / 10},{600 - i % 50}" for i in range(150))
     assert [len(r["time"]) for r in proposed(tmp_path / "a.csv", back).runs.values()] == [50, 50, 50]

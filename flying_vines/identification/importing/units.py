@@ -77,8 +77,11 @@ _TYPICAL_KPA = (50.0, 1.5)
 """Largest reading of a pressure column, and the spread of its natural logarithm."""
 AMBIENT_KPA = 85.0, 106.0
 """Of laboratories; absolute."""
-_RESTS = 3.0
-"""A unit is e³ times as likely if readings rest at ambient pressure in it, as those of an absolute sensor."""
+_RESTS = 1.5
+"""Off the cost of a unit in which readings rest at ambient pressure, as those of an absolute sensor do.
+
+It does not turn a chamber in kPa that rests at 14 into one in psi.
+"""
 
 
 def parse_unit(text: str) -> Unit:
