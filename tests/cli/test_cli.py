@@ -87,6 +87,7 @@ def test_bad_input_is_one_line_and_status_2(
     assert says in complaint(capsys)
 
 
+@pytest.mark.long
 def test_replay_prints_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("replay", RECORDINGS / "px4_vine_mission.tlog", "--json") == 0
     found = json.loads(capsys.readouterr().out)

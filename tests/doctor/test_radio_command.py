@@ -40,6 +40,7 @@ def having_learned(monkeypatch: pytest.MonkeyPatch, learned: RadioLearned) -> No
     monkeypatch.setattr(radio_command, "_test", test)
 
 
+@pytest.mark.long
 @real_time
 def test_on_the_fake_it_goes_by_itself(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, err = run(capsys, "doctor", "--radio", "--fakes", "--json")

@@ -98,6 +98,7 @@ def rewritten(path: Path, to: Path, change: Callable[[LogEntry], bytes | None]) 
 ONE_BEND = ((0, 3000, Mode.VENT), (3000, 5000, Mode.REGULATE), (5000, 12_000, Mode.VENT))
 
 
+@pytest.mark.long
 def test_a_hidden_leak_is_named_and_measured(leaky: Path) -> None:
     verdict = diagnose(read_flight(leaky))
     assert verdict.cause == "cv_leak" and not verdict.also

@@ -267,6 +267,7 @@ def test_planned_simulated_and_diagnosed(
     assert estimate["low"] < 0.02 < estimate["high"]
 
 
+@pytest.mark.long
 def test_the_command_on_a_rig_without_control_volume(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

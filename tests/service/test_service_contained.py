@@ -92,7 +92,14 @@ BREAKS: dict[str, Callable[[Service, pytest.MonkeyPatch], None]] = {
 }
 
 
-@pytest.mark.parametrize("broken", BREAKS)
+@pytest.mark.parametrize(
+    "broken",
+    [
+        "the core",
+        "vehicle bytes",
+        *(pytest.param(name, marks=pytest.mark.long) for name in list(BREAKS)[2:]),
+    ],
+)
 async def test_an_error_on_the_flying_way_is_a_commanded_shutdown(
     serving: Serving, monkeypatch: pytest.MonkeyPatch, broken: str
 ) -> None:

@@ -221,6 +221,7 @@ valves = [{ for_s = 3, evp = 0.5, until_kPa = 40 }, { for_s = 9 }]
 SUSPECTS = ("cv_leak", "dead_volume", "evp_lag")
 
 
+@pytest.mark.long
 def test_a_diagnosis_makes_the_flight_after_it_predictable(tmp_path: Path) -> None:
     there = TrueRig(BELIEVED, {"cv_leak": {RESISTANCE: 800.0}})
     runs = simulate_scenario(there, parse_scenario(SCENARIO, "short"), seed=1)

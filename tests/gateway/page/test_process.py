@@ -11,6 +11,7 @@ import socket
 from pathlib import Path
 from typing import Any
 
+import pytest
 from aiohttp import ClientSession, ClientWebSocketResponse
 from page_bench import client, heard
 from page_service import Served, serving
@@ -63,6 +64,7 @@ async def test_it_bends_and_vents_the_vine_and_its_process_may_die(tmp_path: Pat
             assert not served.bench.phlosar.firmware.faults
 
 
+@pytest.mark.long
 async def test_a_page_that_hangs_or_dies_is_back_within_five_seconds(tmp_path: Path) -> None:
     async with serving(tmp_path) as served, client() as session:
         async with session.ws_connect(served.url + "live") as viewing:
