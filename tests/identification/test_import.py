@@ -312,6 +312,12 @@ def test_pressures_without_a_unit_have_the_same_one(tmp_path: Path) -> None:
     assert one_run(proposal)["reservoir_pressure"][0] == pytest.approx(39.1, abs=0.1)
 
 
+def test_a_barometer_may_have_another_unit(tmp_path: Path) -> None:
+    rows = "\n".join(f"{i / 10},{400.0 * 0.99**i:.2f},{1013.0 + i % 3}" for i in range(300))
+    found = meanings(proposed(tmp_path / "a.csv", f"t,tank pressure,barometer\n{rows}"))
+    assert (found["reservoir_pressure"], found["ambient_pressure"]) == ("kPa", "mbar")
+
+
 def test_a_chamber_that_rests_at_14_kPa_is_not_in_psi(tmp_path: Path) -> None:
     rows = "\n".join(f"{i / 10},{14.0 + 26.0 * 0.97**i:.3f}" for i in range(300))
     assert (

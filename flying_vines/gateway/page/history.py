@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from typing import NamedTuple
 
 import msgspec
 
@@ -13,8 +14,13 @@ EVERY_S = 0.19
 """Takes every second one of ten snapshots per second."""
 
 
-Sample = tuple[float, float | None, float | None, float | None]
-"""Time in seconds, then vine, command and reservoir in gauge kPa; None if unknown."""
+class Sample(NamedTuple):
+    """Time in seconds; gauge kPa, None if unknown. The page gets it as an array."""
+
+    t: float
+    cv_kPa: float | None
+    command_kPa: float | None
+    reservoir_kPa: float | None
 
 
 class _Pressures(msgspec.Struct, frozen=True):
@@ -32,12 +38,12 @@ class History:
 
     def take(self, seen: SnapshotMessage) -> None:
         now = _PRESSURES.decode(seen.snapshot)
-        if self.samples and now.t - self.samples[-1][0] < EVERY_S:
+        if self.samples and now.t - self.samples[-1].t < EVERY_S:
             return
-        while self.samples and now.t - self.samples[0][0] > HISTORY_S:
+        while self.samples and now.t - self.samples[0].t > HISTORY_S:
             self.samples.popleft()
         pressures = _rounded(now.cv_kPa), _rounded(now.command_kPa), _rounded(now.reservoir_kPa)
-        self.samples.append((round(now.t, 2), *pressures))
+        self.samples.append(Sample(round(now.t, 2), *pressures))
 
 
 def _rounded(pressure_kPa: float | None) -> float | None:

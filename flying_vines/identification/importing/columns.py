@@ -74,6 +74,8 @@ QUANTITIES: Mapping[str, Quantity] = {
     "ambient_temperature": "temperature",
 }
 MEANINGS = (*WORDS, IGNORED)
+_ONE_UNIT = ("cv_pressure", "reservoir_pressure", "command_kPa")
+"""If a file names no unit of these, they have the same one. A barometer often has another one."""
 
 
 class ImportedColumn(msgspec.Struct, forbid_unknown_fields=True):
@@ -158,7 +160,7 @@ EVIDENCE: tuple[tuple[str, _Test, Mapping[str, float]], ...] = (
 )  # fmt: skip
 """Evidence in the values: what to say, the test, and its points for meanings."""
 _LONG = 5
-"""Letters of a word that is also known as a part of another."""
+"""Minimum letters of a word that is also recognised at either end of a longer one."""
 _UNIT_FITS, _UNIT_CONTRADICTS = 3.0, -9.0
 _UNNAMED = {"cv_pressure": 1.0, "reservoir_pressure": 1.0}
 """Points of a column without a name and a unit."""
@@ -190,7 +192,7 @@ def guess_columns(table: ForeignTable, given: Sequence[ImportedColumn] = ()) -> 
     unlabelled = [
         (signal, meanings[signal.number])
         for signal in signals
-        if QUANTITIES.get(meanings.get(signal.number, "")) == "pressure" and not signal.unit
+        if meanings.get(signal.number) in _ONE_UNIT and not signal.unit
     ]
     found = []
     for signal in signals:
@@ -218,7 +220,7 @@ def _score(signal: _Signal, meaning: str) -> tuple[float, str]:
     if len(signal.readings) == 0:
         return -1.0, ""
     names = words_of(signal.name)
-    points = {f"“{word}”": _points(word, meaning) for word in names if _points(word, meaning)}
+    points = {f"“{word}”": gives for word in names if (gives := _points(word, meaning))}
     if _NOT_READ & set(names):
         points["not read"] = -20.0
     elif signal.unit and meaning in QUANTITIES:
@@ -243,7 +245,7 @@ def _score(signal: _Signal, meaning: str) -> tuple[float, str]:
 
 
 def _points(word: str, meaning: str) -> float:
-    """Points of a word of a name, or of a known long word at one end of it, as in “tankpressure”."""
+    """Points of a word of a name, or of a long known word that it begins or ends with, as “tankpressure”."""
     points = WORDS[meaning]
     parts = (part for part in points if len(part) >= _LONG and (word.startswith(part) or word.endswith(part)))
     return points[word] if word in points else max((points[part] for part in parts), default=0.0)
@@ -303,7 +305,7 @@ def _compare_pressures(
 def _unit(signal: _Signal, meaning: str, unlabelled: Sequence[tuple[_Signal, str]]) -> tuple[str, str]:
     """The unit of a column and why; empty if its meaning has none.
 
-    Pressures of the file that have no unit (`unlabelled`, with their meanings) have the same one.
+    The file's pressures in the rig that have no unit (`unlabelled`, with their meanings) have the same one.
     """
     quantity = QUANTITIES.get(meaning)
     if quantity is None or len(signal.readings) == 0:
@@ -320,7 +322,7 @@ def _unit(signal: _Signal, meaning: str, unlabelled: Sequence[tuple[_Signal, str
     elif named:
         return _gauge_or_absolute(signal, named, meaning)
     else:
-        others = [(other, what) for other, what in unlabelled if other.number != signal.number]
+        others = [(other, what) for other, what in unlabelled if other is not signal and meaning in _ONE_UNIT]
         doubt = (
             guess_time(signal.values)
             if quantity == "time"
@@ -340,7 +342,7 @@ def _gauge_or_absolute(signal: _Signal, unit: Unit, meaning: str) -> tuple[str, 
     """An absolute sensor rests at ambient pressure and hardly ever reads less."""
     if unit.quantity != "pressure" or unit.absolute or meaning not in ("cv_pressure", "reservoir_pressure"):
         return unit.name, ""
-    low = rest_kPa(signal.readings * unit.factor + unit.offset)
+    low = rest_kPa(np.sort(signal.readings) * unit.factor + unit.offset)
     if low is not None:
         return as_absolute(unit).name, f"rests at {low:.4g} kPa, as an absolute sensor does"
     return unit.name, ""

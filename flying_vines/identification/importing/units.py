@@ -78,9 +78,9 @@ _TYPICAL_KPA = (50.0, 1.5)
 AMBIENT_KPA = 85.0, 106.0
 """Of laboratories; absolute."""
 _RESTS = 1.5
-"""Off the cost of a unit in which readings rest at ambient pressure, as those of an absolute sensor do.
+"""Subtracted from the cost of a unit if readings rest at ambient pressure in it: an absolute sensor does that.
 
-It does not turn a chamber in kPa that rests at 14 into one in psi.
+It is small enough that a chamber that rests at 14 kPa is not taken for one in psi.
 """
 
 
@@ -162,25 +162,26 @@ def guess_pressure(values: Array, meaning: str, beside: Sequence[tuple[Array, st
     Args:
         values: the readings.
         meaning: of the column.
-        beside: readings and meanings of the file's other pressures without a unit: they have the same one.
+        beside: readings and meanings of other columns in the same unit.
     """
-    top = _top(values)
     costs = {unit: unit.cost for unit in UNITS if unit.quantity == "pressure" and unit.cost < inf}
     for readings, what in ((values, meaning), *beside):
         center_kPa, width = _TYPICAL.get(what, _TYPICAL_KPA)
+        in_order, top = np.sort(readings[np.isfinite(readings)]), _top(readings)
         for unit in costs:
-            costs[unit] += 0.5 * (log(_top(readings) * unit.factor / center_kPa) / width) ** 2
-            costs[unit] -= _RESTS * (rest_kPa(readings[np.isfinite(readings)] * unit.factor) is not None)
+            costs[unit] += 0.5 * (log(top * unit.factor / center_kPa) / width) ** 2
+            costs[unit] -= _RESTS * (rest_kPa(in_order * unit.factor) is not None)
     best, second = sorted(costs, key=lambda unit: costs[unit])[:2]
-    why = f"readings up to {top:.4g} are usual in {best.name}"
+    why = f"readings up to {_top(values):.4g} are usual in {best.name}"
     return UnitGuess(best, why, second.name if costs[second] - costs[best] < 1.5 else "")
 
 
-def rest_kPa(readings_kPa: Array) -> float | None:
-    """The pressure at which an absolute sensor rests, if these are readings of one; else None."""
-    kPa = np.sort(readings_kPa)
-    low = float(kPa[len(kPa) // 100]) if len(kPa) else 0.0
-    at_rest = float(np.mean(kPa < low + 2.0)) if len(kPa) else 0.0
+def rest_kPa(kPa: Array) -> float | None:
+    """The pressure at which an absolute sensor rests, if these sorted readings are of one; else None."""
+    if not len(kPa):
+        return None
+    low = float(kPa[len(kPa) // 100])
+    at_rest = float(np.mean(kPa < low + 2.0))
     rests = AMBIENT_KPA[0] < low < AMBIENT_KPA[1] and at_rest > 0.04 and kPa[-1] > low + 5.0
     return low if rests else None
 

@@ -118,10 +118,10 @@ def test_two_minutes_are_remembered_five_times_a_second() -> None:
     history = History()
     for i in range(3000):
         history.take(SnapshotMessage(raw(snapshot(0.1 * i, cv_kPa=math.nan if i % 2 else 0.123456))))
-    times = [sample[0] for sample in history.samples]
+    times = [sample.t for sample in history.samples]
     assert times[-1] - times[0] == pytest.approx(HISTORY_S, abs=0.5)
     assert len(times) == pytest.approx(5 * HISTORY_S, abs=3)
-    assert history.samples[-1][1] == 0.12
+    assert history.samples[-1].cv_kPa == 0.12
     assert len(msgspec.json.encode(tuple(history.samples))) < 25_000
 
 
