@@ -78,7 +78,7 @@ _TYPICAL_KPA = (50.0, 1.5)
 AMBIENT_KPA = 85.0, 106.0
 """Of laboratories; absolute."""
 _RESTS = 1.5
-"""Subtracted from the cost of a unit if readings rest at ambient pressure in it: an absolute sensor does that.
+"""Subtracted from the cost of a unit if readings rest at ambient pressure in it, as of an absolute sensor.
 
 It is small enough that a chamber that rests at 14 kPa is not taken for one in psi.
 """
