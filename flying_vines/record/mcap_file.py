@@ -86,10 +86,11 @@ def read_chunks(data: mmap.mmap) -> Iterator[list[McapRecord]]:
 def read_summary(data: mmap.mmap) -> list[McapRecord]:
     """The records of the summary; empty if it is missing or damaged."""
     footer_at = len(data) - len(MAGIC) - _FOOTER.size
-    if footer_at < 0:
+    if footer_at < 0 or data[-len(MAGIC) :] != MAGIC:
         return []
     opcode, _, begin, _, checksum = _FOOTER.unpack_from(data, footer_at)
-    checked = data[begin : footer_at + _FOOTER.size - _CRC_BYTES]
-    if opcode != Opcode.FOOTER or zlib.crc32(checked) != checksum:
+    if opcode != Opcode.FOOTER or begin >= footer_at:
+        return []
+    if zlib.crc32(data[begin : footer_at + _FOOTER.size - _CRC_BYTES]) != checksum:
         return []
     return list(StreamReader(BytesIO(data[begin:]), skip_magic=True).records)

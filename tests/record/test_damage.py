@@ -46,6 +46,18 @@ def test_cut_off_anywhere_it_is_read_up_to_there(
     assert counts == sorted(counts) and counts[-1] > 0.9 * len(entries) and len(set(counts)) > 10
 
 
+def test_an_incomplete_log_has_no_summary(whole: Path, tmp_path: Path) -> None:
+    """Some cuts leave bytes that look like a footer: its opcode, and zeros for a checksum of nothing."""
+    data, cut = whole.read_bytes(), tmp_path / "cut.mcap"
+    begins_behind_itself = b"\x02" + bytes(15) + b"\x7f" + bytes(12)
+    half, magic = data[: len(data) // 2], data[-8:]
+    for end in (data[len(data) // 2 : -1], begins_behind_itself + bytes(8), begins_behind_itself + magic):
+        cut.write_bytes(half + end)
+        log = FlightLog(cut)
+        assert list(log.entries())
+        assert ("is incomplete" in log.damage) == (not end.endswith(magic))
+
+
 def test_a_damaged_place_costs_half_a_second(whole: Path, entries: list[LogEntry], tmp_path: Path) -> None:
     data, hurt = whole.read_bytes(), tmp_path / "hurt.mcap"
     chance = random.Random(2)
