@@ -224,6 +224,8 @@ class ReservoirEstimate:
         """The number of flown cycles from which the cost was learned."""
         self.basis: Basis | None = None
         """That of the latest prediction."""
+        self._cycle_kPa = math.nan
+        """The expected cost of one cycle now. A decision must not wait for it, so each block renews it."""
         if learned:
             self._demand.ln, self._demand.variance = learned.demand_ln, learned.demand_variance
             self._mix.sums = learned.mix
@@ -267,6 +269,9 @@ class ReservoirEstimate:
                 self.filter.read(use.reading_kPa, READING_SD_KPA / math.sqrt(use.readings))
         if use.inflation is not None:
             self._add(use.inflation, self.filter)
+        if use.block is not None or use.inflation is not None or math.isnan(self._cycle_kPa):
+            basis = Basis(self.filter.possible_mean(), self._mix.mean(), 0.0)
+            self._cycle_kPa = _Forecast(self._belief, basis).cost_kPa()
 
     def cut_off(self) -> None:
         """The present movement is replaced before its end: nothing is learned from it."""
@@ -276,6 +281,7 @@ class ReservoirEstimate:
         """Forget the air that a bend takes, and the leaks: vine or reservoir were repaired or exchanged."""
         self._use.cut_off()
         self.filter = self._rates = None
+        self._cycle_kPa = math.nan
         self.measured_cycles = 0.0
         self._warmed_up = False
 
@@ -307,8 +313,7 @@ class ReservoirEstimate:
     def spending_kPa(self, rise_kPa: float) -> float:
         if self.filter is None:
             return 2.0 * self._p.cv_volume_L * rise_kPa / self._p.reservoir_volume_L
-        basis = Basis(self.filter.possible_mean(), self._mix.mean(), 0.0)
-        return _Forecast(self._belief, basis).cost_kPa() * (rise_kPa / self._p.cycle_swing_kPa)
+        return self._cycle_kPa * (rise_kPa / self._p.cycle_swing_kPa)
 
     def cycles_left(self) -> CyclesLeft | None:
         """None before the first reading."""
