@@ -84,6 +84,8 @@ def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progre
         ):
             progress("again, with the noise of the data", 0.0)
             found = Search(FitProblem(case, left), every).resumed(found, progress)
+        if not found.chosen.adequate:
+            found = found.search.together(found, progress)
         return _verdict(found, progress)
 
 

@@ -36,8 +36,14 @@ AHEAD = 2
 LEFT_TOGETHER = 0.05
 """Maximum share of the slow residuals' squares that such causes leave. Any three causes imitate a part of an
 effect that the catalogue lacks, but hardly ever nearly all of it."""
+ROUNDS, LOWER = 5, 0.75
+"""A set that leaves more than noise is changed this often, while each change lowers χ² to this share."""
+IDLE = 1.01
+"""Without an idle cause, χ² rises by at most this factor."""
 PROMISING = 4
 """Number of further causes that are fitted: those with the largest expected gain."""
+EXCHANGES = 5
+"""Number of exchanges of one cause for another that are fitted: those with the lowest expected χ²."""
 LEADERS, LEADERS_LEFT = 6, 3
 """Number of fits that are completed: those with the lowest χ² after their first steps. Fewer of several
 causes while even the best leaves more than noise: the next cause decides then."""
@@ -129,13 +135,24 @@ class Search:
         over = candidate.excess
         return min(exact, candidate, key=lambda c: c.score_at(over))
 
-    def further(self, bases: Sequence[Candidate]) -> list[Candidate]:
-        """Fits of the bases with one more cause, the best first; only the most promising are fitted."""
+    def further(self, bases: Sequence[Candidate], most: int | None = None) -> list[Candidate]:
+        """Fits of the bases with one more cause, the best first; only the most promising are fitted.
+
+        `most`: at most this many, those with the lowest expected χ².
+        """
+        expected: dict[frozenset[str], float] = {}
         pairs: dict[frozenset[str], tuple[Candidate, Cause]] = {}
-        for base, others in zip(bases, mapped(self._promising, bases), strict=True):
-            for cause in others:
-                pairs.setdefault(frozenset((*base.names, cause.name)), (base, cause))
-        return self._finished(list(pairs.values()))
+        for base, promises in zip(bases, mapped(self._promises, bases), strict=True):
+            for cause in sorted(promises, key=lambda cause: -promises[cause])[:PROMISING]:
+                names = frozenset((*base.names, cause.name))
+                pairs.setdefault(names, (base, cause))
+                expected.setdefault(names, base.fit.chi2 - promises[cause])
+        return self._finished([pairs[names] for names in sorted(pairs, key=expected.__getitem__)[:most]])
+
+    def _exchanged(self, candidate: Candidate) -> list[Candidate]:
+        """Fits of the candidate with one more cause, or with another one for each of its causes."""
+        more = [candidate] if len(candidate.causes) < MAX_CAUSES else []
+        return self.further([*more, *self._vacancies(candidate)], EXCHANGES)
 
     def _may_gain(self, candidate: Candidate) -> bool:
         """True if a further cause may pay."""
@@ -143,11 +160,6 @@ class Search:
             return True
         promises = self._promises(candidate)
         return bool(promises) and max(promises.values()) > CLAIM + log(self.problem.readings)
-
-    def _promising(self, base: Candidate) -> list[Cause]:
-        """The further causes with the largest expected gain."""
-        promises = self._promises(base)
-        return sorted(promises, key=lambda cause: -promises[cause])[:PROMISING]
 
     def _promises(self, base: Candidate) -> dict[Cause, float]:
         """The expected gain of each further cause."""
@@ -183,6 +195,33 @@ class Search:
         while chosen.impossible:
             chosen = self._without(chosen, chosen.impossible[0])
         return self._grown([*tried, chosen], [chosen], [chosen], progress)
+
+    def together(self, earlier: SearchResult, progress: Progress = silent) -> SearchResult:
+        """Go on from a result that leaves more than noise: many causes may only pay together.
+
+        The set with the lowest χ² gets a further cause, or another one for its own, until it explains all.
+        """
+        best = min((c for c in earlier.tried if c.possible), key=_chi2)
+        for _ in range(ROUNDS):
+            progress("many causes together", 0.8)
+            lowest = min((c for c in self._exchanged(best) if c.possible), key=_chi2, default=best)
+            if lowest.fit.chi2 > LOWER * best.fit.chi2:
+                break
+            best = self._without_idle(lowest)
+            if best.adequate:
+                best = self.settled(best)
+                if not self._pays(best, earlier.chosen):
+                    break
+                return self._grown([*earlier.tried, best], [best], [best], progress)
+        return earlier
+
+    def _without_idle(self, candidate: Candidate) -> Candidate:
+        """The candidate without causes that hardly lower χ²."""
+        fewer = mapped(partial(self._without, candidate), candidate.doubtful())
+        lowest = min(fewer, key=_chi2, default=None)
+        if lowest is None or lowest.fit.chi2 > IDLE * candidate.fit.chi2:
+            return candidate
+        return self._without_idle(lowest)
 
     def _grown(
         self,
@@ -294,6 +333,10 @@ class Search:
         return self.settled(
             Candidate(self.problem, self.problem.fit(candidate.fit.point.freed(self.keys).without(index)))
         )
+
+
+def _chi2(candidate: Candidate) -> float:
+    return candidate.fit.chi2
 
 
 def _distinct(candidates: Sequence[Candidate]) -> list[Candidate]:

@@ -59,6 +59,14 @@ def test_several_effects_are_found_with_their_shares(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+def test_effects_are_found_that_only_pay_together(tmp_path: Path) -> None:
+    """With fewer than four of the five, no set explains more than a false one."""
+    truth, verdict = verdict_on("several", 690_004, tmp_path)
+    assert {named.cause for named in verdict.named} == {one.name for one in truth.hidden}
+    assert verdict.cause == "compressible_flow" and verdict.remainder is None
+
+
+@pytest.mark.long
 def test_an_effect_of_the_catalogue_is_measured_beside_one_that_nobody_has_named(tmp_path: Path) -> None:
     """The dead zone imitates a valve whose flow is a power of its command; the late solenoid is there."""
     truth, verdict = verdict_on("several_outside", 7000, tmp_path)
