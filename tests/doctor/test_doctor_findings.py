@@ -194,6 +194,7 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (profile.PARAMETERS, of_profile(parameters={"FV_MAX_KPA": 15.0})),
     (profile.BAD_PARAMETERS, of_profile(parameters_problem="p.toml:1: damaged")),
     (profile.DISARMED, of_profile(disarming="vine.disarmed")),
+    (profile.LATCHED, of_profile(latched={"overpressure": "vine at 60.0 kPa, limit 50"})),
     (profile.BENCH, of_profile(config=changed("interlocks", bench_mode=True))),
     (machine.GOOD, of_machine()),
     (machine.NOT_LINUX, of_machine(system="Darwin 24")),

@@ -325,11 +325,13 @@ def test_a_profile_is_read_with_all_that_it_names(tmp_path: Path) -> None:
     (tmp_path / "key").write_text("passphrase: long enough")
     (tmp_path / "key").chmod(0o644)
     (tmp_path / "vine.disarmed").write_text("")
+    (tmp_path / "vine.latched.json").write_text('{"deaf": "phloSAR gets no commands"}')
     (tmp_path / "vine.parameters.toml").write_text("FV_NONE = 3\n")
     facts = profile.read(path).facts
     assert "none.toml" in facts.rig_problem
     assert "chmod 600" in facts.signing_problem
     assert facts.disarming == str(tmp_path / "vine.disarmed")
+    assert facts.latched == {"deaf": "phloSAR gets no commands"}
     assert "FV_NONE" in facts.parameters_problem
     (tmp_path / "key").chmod(0o600)
     assert profile.read(path).signing is not None

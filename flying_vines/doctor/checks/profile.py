@@ -29,6 +29,8 @@ class ProfileFacts:
     parameters_problem: str = ""
     disarming: str = ""
     """The file that marks the pneumatics as disarmed; empty if it does not exist."""
+    latched: Mapping[str, str] = field(default_factory=dict)
+    """The latched faults that nobody has cleared: a sentence by name."""
 
 
 GOOD = FindingText(
@@ -65,6 +67,12 @@ DISARMED = FindingText(
     "the pneumatics are disarmed ({path}): the vine does not bend",
     "arm them from a ground station (command USER_4, 3), or delete the file",
 )
+LATCHED = FindingText(
+    "configuration",
+    "bad",
+    "latched in the last run: {faults}; the vine does not bend",
+    "find the cause; start the service; then clear it from a ground station (command USER_5, 1)",
+)
 BENCH = FindingText(
     "configuration",
     "bad",
@@ -94,6 +102,8 @@ def check(facts: ProfileFacts) -> list[DoctorFinding]:
         found.append(PARAMETERS(parameters=values))
     if facts.disarming:
         found.append(DISARMED(path=facts.disarming))
+    if facts.latched:
+        found.append(LATCHED(faults="; ".join(facts.latched.values())))
     if config.interlocks.bench_mode:
         found.append(BENCH())
     return found

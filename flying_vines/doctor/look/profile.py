@@ -71,6 +71,7 @@ def read(path: Path) -> ServiceProfile:
         parameters=parameters,
         parameters_problem=parameters_problem,
         disarming=str(state.disarming) if _exists(state.disarming) else "",
+        latched=state.read_latched(),
     )
     return ServiceProfile(facts, belief, signing, state.parameters.parent, state.signing_timestamp)
 
