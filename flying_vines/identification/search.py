@@ -78,8 +78,9 @@ class Search:
         """Fits of each cause alone, the best first."""
         return self._finished([(self.nulls[1], cause) for cause in self.catalogue])
 
-    def _finished(self, pairs: Sequence[tuple[Candidate, Cause]]) -> list[Candidate]:
-        """Fits of each base with its further cause, the best first; only the leaders are completed.
+    def _finished(self, pairs: Sequence[tuple[Candidate, Cause]], most: int = LEADERS) -> list[Candidate]:
+        """Fits of each base with its further cause, the best first; only the leaders, at most `most`, are
+        completed.
 
         If the best fit is adequate, only fits close to it are completed.
         """
@@ -91,7 +92,7 @@ class Search:
         best = Candidate(self.problem, first)
         reach = self._reach(best)
         leaders = LEADERS if best.adequate or len(best.causes) == 1 else LEADERS_LEFT
-        near = [fit for fit in others[: leaders - 1] if fit.chi2 < reach]
+        near = [fit for fit in others[: min(leaders, most) - 1] if fit.chi2 < reach]
         fits = [first, *mapped(lambda fit: self.problem.fit(fit.point), near), *others[len(near) :]]
         complete = 1 + len(near)
         fits[:complete] = mapped(self._off_bounds, fits[:complete])
@@ -138,7 +139,7 @@ class Search:
     def further(self, bases: Sequence[Candidate], most: int | None = None) -> list[Candidate]:
         """Fits of the bases with one more cause, the best first; only the most promising are fitted.
 
-        `most`: at most this many, those with the lowest expected χ².
+        `most`: at most this many, those with the lowest expected χ²; only the best of them is completed.
         """
         expected: dict[frozenset[str], float] = {}
         pairs: dict[frozenset[str], tuple[Candidate, Cause]] = {}
@@ -147,7 +148,8 @@ class Search:
                 names = frozenset((*base.names, cause.name))
                 pairs.setdefault(names, (base, cause))
                 expected.setdefault(names, base.fit.chi2 - promises[cause])
-        return self._finished([pairs[names] for names in sorted(pairs, key=expected.__getitem__)[:most]])
+        first = sorted(pairs, key=expected.__getitem__)[:most]
+        return self._finished([pairs[names] for names in first], LEADERS if most is None else 1)
 
     def _exchanged(self, candidate: Candidate) -> list[Candidate]:
         """Fits of the candidate with one more cause, or with another one for each of its causes."""
@@ -201,7 +203,7 @@ class Search:
 
         The set with the lowest χ² gets a further cause, or another one for its own, until it explains all.
         """
-        best = min((c for c in earlier.tried if c.possible), key=_chi2)
+        best = self._without_idle(min((c for c in earlier.tried if c.possible), key=_chi2))
         for _ in range(ROUNDS):
             progress("many causes together", 0.8)
             lowest = min((c for c in self._exchanged(best) if c.possible), key=_chi2, default=best)
