@@ -312,6 +312,74 @@ def test_pressures_without_a_unit_have_the_same_one(tmp_path: Path) -> None:
     assert one_run(proposal)["reservoir_pressure"][0] == pytest.approx(39.1, abs=0.1)
 
 
+HEADINGS: dict[str, tuple[str, Callable[[int], str], dict[str, str]]] = {
+    "a target without a unit has that of the reading": (
+        "t,Setpoint,Feedback_kPa,PWM",
+        lambda i: f"{i / 10},{i // 60},{min(i / 60, 1.0) + i % 2 / 100:.2f},{255 * (i > 20)}",
+        {"time": "s", "command_kPa": "kPa", "cv_pressure": "kPa", "evp_opening": "0-255"},
+    ),
+    "a unit alone is a measured pressure": (
+        "ms,valve,thrust_g,tank_g,psi",
+        lambda i: f"{90 * i},{int(i > 30)},{i % 7},{-790 - i % 5},{min(max(0, i - 30) / 9, 5 - i % 4):.2f}",
+        {"time": "ms", "evp_opening": "0-1", "cv_pressure": "psi"},
+    ),
+    "a ball valve between two tanks": (
+        "millis,speed,valveAngle,setPoint,hp (psi),lp (psi),dp/dt,cv_dimensionless",
+        lambda i: f"{20 * i},{i % 9},{9 * min(i, 120 - i)},90,{900 - 5 * i},{i},{i % 4},{i if i > 9 else ''}",
+        {"time": "ms", "evp_opening": "0-1023", "command_kPa": "psi", "reservoir_pressure": "psi",
+         "cv_pressure": "psi"},
+    ),
+    "a tank that empties through its valve": (
+        "time,pressure (kPa),motor_angle",
+        lambda i: f"{i / 10},{600 - 8 * min(max(0, i - 30), 50)},{max(0, 25 - abs(i - 55))}",
+        {"time": "s", "reservoir_pressure": "kPa", "evp_opening": "%"},
+    ),
+    "sucked below ambient pressure": (
+        "pwm,pressure_kPa,timestamp",
+        lambda i: f"{100 + i % 60},{i / 2 if i < 60 else 30 - i},{1_700_000_000 + 3 * i}",
+        {"time": "s", "cv_pressure": "kPa", "evp_opening": "0-255"},
+    ),
+    "Dutch": ("tijd,druk (mb)", lambda i: f"{i},{7000 - i}", {"time": "s", "reservoir_pressure": "mbar"}),
+    "a volume is no pressure": (
+        "time(sec) pressure net_flow volume",
+        lambda i: f"{i / 50} {60 - i / 10:.1f} {i % 9} {i % 50}",
+        {"time": "s", "reservoir_pressure": "kPa"},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HEADINGS)
+def test_names_of_columns(name: str, tmp_path: Path) -> None:
+    header, row, expected = HEADINGS[name]
+    found = meanings(proposed(tmp_path / "a.csv", "\n".join([header, *(row(i) for i in range(120))])))
+    assert found == expected
+
+
+def test_an_error_says_which_column_is_read_as_what(tmp_path: Path) -> None:
+    rows = "\n".join(f"{i / 10},{i},{600 - i},{i}" for i in range(40))
+    with pytest.raises(CaseError, match=r"2 Angle \(ignored\), 3 tank kPa \(reservoir_pressure\)"):
+        proposed(tmp_path / "a.csv", f"t,Angle,tank kPa,chamber kPa\n{rows}")
+
+
+def test_spikes_of_a_disturbed_sensor_are_left_out(tmp_path: Path) -> None:
+    p = [600.0 * 0.99**i + 40.0 * (i < 50) + 0.2 * (i % 3) for i in range(200)]
+    for at, kPa in ((20, 2300.0), (21, 2200.0), (120, -400.0), (177, 900.0)):
+        p[at] = kPa
+    rows = "\n".join(f"{i / 10},{kPa:.1f}" for i, kPa in enumerate(p))
+    found = proposed(tmp_path / "a.csv", f"t,tank kPa\n{rows}")
+    there = one_run(found)["reservoir_pressure"]
+    assert np.isnan(there).sum() == 4
+    assert "4 spikes of reservoir_pressure" in "".join(found.notes)
+
+
+def test_a_cylinder_at_100_bar_is_read(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    p = 1e4 * 0.98 ** np.arange(200) + rng.normal(0.0, 5.0, 200)
+    rows = "\n".join(f"{i / 10},{kPa / 100:.3f}" for i, kPa in enumerate(p))
+    write_case([proposed(tmp_path / "a.csv", f"t,tank bar\n{rows}")], tmp_path / "case")
+    assert np.max(read_case(tmp_path / "case").runs[0].reservoir_kPa) > 9000.0
+
+
 def test_a_barometer_may_have_another_unit(tmp_path: Path) -> None:
     rows = "\n".join(f"{i / 10},{400.0 * 0.99**i:.2f},{1013.0 + i % 3}" for i in range(300))
     found = meanings(proposed(tmp_path / "a.csv", f"t,tank pressure,barometer\n{rows}"))

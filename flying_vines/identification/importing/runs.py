@@ -26,9 +26,15 @@ from flying_vines.identification.importing.answers import (
     missing_line,
     read_answers,
 )
-from flying_vines.identification.importing.columns import IGNORED, QUANTITIES, guess_columns
+from flying_vines.identification.importing.columns import (
+    IGNORED,
+    QUANTITIES,
+    ImportedColumn,
+    guess_columns,
+)
 from flying_vines.identification.importing.layout import ForeignTable, read_foreign
 from flying_vines.identification.importing.pump import PUMP_TOLERANCE_PERCENT, guessed_pump
+from flying_vines.identification.importing.spikes import is_spike
 from flying_vines.identification.importing.units import parse_unit, psi_instead
 from flying_vines.identification.noise import MIN_KPA, measured_noise, rounded_noise, rounding_step
 from flying_vines.identification.recording import CaseError
@@ -99,7 +105,10 @@ def propose(path: Path, said: Answers, volume_L: Mapping[str, float] | None = No
         if meanings.count(meaning) > 1:
             raise CaseError(f"{path}: two columns are {meaning}; write {IGNORED} for one of them")
     if not set(_PRESSURES) & set(meanings):
-        raise CaseError(f"{path}: no column looks like a pressure; say which is: --column N=cv_pressure:kPa")
+        raise CaseError(
+            f"{path}: no column looks like a pressure; say which is: --column N=cv_pressure:kPa"
+            f"{_read_as(columns)}"
+        )
     notes = list(table.remarks)
     questions = []
     for c in columns:
@@ -121,6 +130,12 @@ def propose(path: Path, said: Answers, volume_L: Mapping[str, float] | None = No
             answers.rig[vessel or measured] = {**table_of, "volume_L": litres}
         questions += [*_missing_volumes(answers, runs), *_guessed_setup(said, answers)]
     return Proposal(path, table, answers, tuple(questions), tuple(notes), runs)
+
+
+def _read_as(columns: Sequence[ImportedColumn]) -> str:
+    """Which column is read as what, as the end of an error."""
+    texts = [f"{c.number} {c.name}".strip() + f" ({c.meaning})" for c in columns]
+    return "; the columns: " + ", ".join(texts[:12]) + (", …" if len(texts) > 12 else "")
 
 
 def answers_of_similar(path: Path, before: Proposal) -> Answers:
@@ -217,6 +232,11 @@ def _runs(table: ForeignTable, answers: Answers, notes: list[str]) -> Iterator[t
     for count, rows in enumerate(kept, start=1):
         run = {meaning: column[rows] for meaning, column in values.items()}
         run["time"] = _in_order(run, notes)
+        for meaning in _PRESSURES.keys() & run.keys():
+            spikes = is_spike(run[meaning])
+            if spikes.any():
+                run[meaning] = np.where(spikes, np.nan, run[meaning])
+                notes.append(f"{np.sum(spikes)} spikes of {meaning} are left out, as of a disturbed sensor")
         yield (table.path.stem if len(kept) == 1 else f"{table.path.stem}_{count}"), run
 
 
@@ -275,12 +295,15 @@ def _drives(path: Path, answers: Answers, runs: dict[str, Run], notes: list[str]
             )
         return runs
     if "reservoir_pressure" in has and "cv_pressure" in has:
-        raise CaseError(f"{path}: no column is the inflation valve; say which is: --column N=evp_opening")
+        raise CaseError(
+            f"{path}: no column is the inflation valve; say which is: --column N=evp_opening, or that one of "
+            f"the pressures is not read: --column N={IGNORED}{_read_as(answers.columns)}"
+        )
     if "cv_pressure" in has:
         if any(_rises(run["cv_pressure"]) for run in runs.values()):
             raise CaseError(
                 f"{path}: the chamber is filled, but no column looks like its pump or valve; say which is: "
-                "--column N=evp_opening"
+                f"--column N=evp_opening{_read_as(answers.columns)}"
             )
         notes.append(
             f"{name}: a chamber alone is written as a reservoir; the rig file has no other vessel for it"
