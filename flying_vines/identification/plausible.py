@@ -129,17 +129,12 @@ def _check_swapped(path: Path, run: RecordedRun) -> None:
 def _check_levels(path: Path, run: RecordedRun, rig: Rig) -> None:
     for channel in _CHANNELS:
         time_s, readings = _readings(run, channel)
-        highest_kPa, noise_kPa, beyond_kPa = (
-            channel.highest_kPa,
-            *(
-                (rig.sensors.cv_noise_std_kPa, _RESERVOIR.highest_kPa)
-                if channel is _CV
-                else (rig.sensors.reservoir_noise_std_kPa, _CYLINDER_KPA)
-            ),
-        )
-        if highest_kPa < _top(readings) <= beyond_kPa and _noise(run, channel).std < 3.0 * noise_kPa:
+        highest_kPa = channel.highest_kPa
+        sensors = rig.sensors
+        noise_kPa = sensors.cv_noise_std_kPa if channel is _CV else sensors.reservoir_noise_std_kPa
+        if highest_kPa < _top(readings) <= _CYLINDER_KPA and _noise(run, channel).std < 3.0 * noise_kPa:
             # A chamber at 300 kPa, or a cylinder. In hPa the noise would be ten times as large.
-            highest_kPa = beyond_kPa
+            highest_kPa = _CYLINDER_KPA
         beyond = (readings > highest_kPa) | (readings < channel.lowest_kPa)
         if not beyond.any():
             continue

@@ -326,7 +326,7 @@ HEADINGS: dict[str, tuple[str, Callable[[int], str], dict[str, str]]] = {
     "a ball valve between two tanks": (
         "millis,speed,valveAngle,setPoint,hp (psi),lp (psi),dp/dt,cv_dimensionless",
         lambda i: f"{20 * i},{i % 9},{9 * min(i, 120 - i)},90,{900 - 5 * i},{i},{i % 4},{i if i > 9 else ''}",
-        {"time": "ms", "evp_opening": "0-1023", "command_kPa": "psi", "reservoir_pressure": "psi",
+        {"time": "ms", "evp_opening": "0-540", "command_kPa": "psi", "reservoir_pressure": "psi",
          "cv_pressure": "psi"},
     ),
     "a tank that empties through its valve": (
@@ -342,7 +342,7 @@ HEADINGS: dict[str, tuple[str, Callable[[int], str], dict[str, str]]] = {
     "Dutch": ("tijd,druk (mb)", lambda i: f"{i},{7000 - i}", {"time": "s", "reservoir_pressure": "mbar"}),
     "a volume is no pressure": (
         "time(sec) pressure net_flow volume",
-        lambda i: f"{i / 50} {60 - i / 10:.1f} {i % 9} {i % 50}",
+        lambda i: f"{i / 50} {600 - i / 10:.1f} {i % 9} {i % 50}",
         {"time": "s", "reservoir_pressure": "kPa"},
     ),
 }  # fmt: skip
@@ -370,6 +370,16 @@ def test_spikes_of_a_disturbed_sensor_are_left_out(tmp_path: Path) -> None:
     there = one_run(found)["reservoir_pressure"]
     assert np.isnan(there).sum() == 4
     assert "4 spikes of reservoir_pressure" in "".join(found.notes)
+
+
+def test_the_resistance_of_a_valve_that_is_partly_open(tmp_path: Path) -> None:
+    fall = 100.0 * np.log(np.array([500.0 * np.exp(-max(0, i - 20) / 100) for i in range(120)]))
+    rows = [f"{i / 10},{np.exp(at / 100):.2f},{50 if i >= 20 else 0}" for i, at in enumerate(fall)]
+    rows[60] = "6.0,nan,50"
+    write_case([proposed(tmp_path / "a.csv", "\n".join(["t,tank kPa,valve %", *rows]))], tmp_path / "case")
+    resistance = tomllib.loads((tmp_path / "case" / "rig.toml").read_text())["evp"]
+    # R V / alpha = 10 s at half the opening, of 2 L.
+    assert resistance["flow_resistance_kPa_s_per_SL"] == pytest.approx(10.0 * 0.5 * 101.3 / 2.0, rel=0.02)
 
 
 def test_a_cylinder_at_100_bar_is_read(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from flying_vines.identification.importing.layout import ForeignTable
 from flying_vines.identification.importing.spikes import is_spike
 from flying_vines.identification.importing.units import (
     AMBIENT_KPA,
+    STROKES,
     Quantity,
     Unit,
     as_absolute,
@@ -67,9 +68,7 @@ WORDS: Mapping[str, Mapping[str, float]] = {
 _NOT_READ = frozenset({"error", "err", "norm", "integral", "derivative", "flow", "current", "force", "kp",
                        "ki", "kd", "std", "noise", "rate", "dt", "coefficient", "dimensionless", "thrust",
                        "mass", "weight", "load", "humidity"})  # fmt: skip
-"""A name with such a word is of none of these meanings."""
-_STROKES = frozenset({"angle", "position", "displacement", "stroke", "speed", "rpm"})
-"""Not read either, unless it is that of a valve or pump."""
+"""A name with such a word is of none of these meanings; one of STROKES is neither, without one of these:"""
 _DRIVES = frozenset({"valve", "ventil", "vanne", "válvula", "valvola", "throttle", "servo", "motor", "pump",
                      "compressor"})  # fmt: skip
 _OTHER_UNITS = frozenset({"g", "kg", "lb", "lbs", "mm", "cm", "lpm", "slm", "sccm", "ma"})
@@ -158,7 +157,7 @@ def _names_of(name: str) -> list[str]:
 def _is_read(signal: _Signal) -> bool:
     """False for a name that says that the column is of none of the meanings."""
     names = set(_names_of(signal.name))
-    if names & _NOT_READ or (names & _STROKES and not names & _DRIVES):
+    if names & _NOT_READ or (names & STROKES and not names & _DRIVES):
         return False
     if signal.unit or names & _PRESSURE.keys():
         return True

@@ -445,17 +445,18 @@ def _noise_kPa(readings: Sequence[Array]) -> float:
 
 
 def _fall_s(run: Run) -> float | None:
-    """Time constant of the pressure while the outlet is open; None if it is shut or the fall too short."""
-    p = run["reservoir_pressure"]
-    use = np.isfinite(p) & (run.get("evp_opening", np.ones_like(p)) > 0.0)
-    use &= p > 0.1 * np.nanmax(p, initial=0.0)
+    """Time constant through the fully open outlet; None if it is shut or the fall too short."""
+    there = np.isfinite(run["reservoir_pressure"])
+    time_s, p = run["time"][there], run["reservoir_pressure"][there]
+    opening = run["evp_opening"][there] if "evp_opening" in run else np.ones_like(p)
+    use = (opening > 0.0) & (p > 0.1 * np.max(p, initial=0.0))
     first_gap = np.flatnonzero(np.diff(use.astype(int)) < 0)
     if len(first_gap):
         use[first_gap[0] + 1 :] = False
     if use.sum() < 5 or p[use][-1] > 0.7 * p[use][0]:
         return None
-    slope = float(np.polyfit(run["time"][use], np.log(p[use]), 1)[0])
-    return -1.0 / slope if slope < 0.0 else None
+    slope = float(np.polyfit(time_s[use], np.log(p[use]), 1)[0])
+    return -float(opening[use].mean()) / slope if slope < 0.0 else None
 
 
 def _csv(run: Run) -> str:

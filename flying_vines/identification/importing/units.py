@@ -74,6 +74,8 @@ _POINTS = re.compile(
     r"\s*(\w+)\s*\(?\s*([-+.\d]+)\s*=\s*([-+.\d]+)(?: kpa)?\s*,\s*([-+.\d]+)\s*=\s*([-+.\d]+)(?: kpa)?\s*\)?"
 )
 _FULL_SCALE = re.compile(r"0\s*(?:-|–|…|\.\.+|to)\s*(\d+)")
+STROKES = frozenset({"angle", "position", "displacement", "stroke", "speed", "rpm"})
+"""Words of what a valve or pump does."""
 FULL_SCALES = (1.0, 100.0, 255.0, 1023.0, 4095.0, 65535.0)
 _TYPICAL = {"reservoir_pressure": (600.0, 1.0), "ambient_pressure": (100.0, 0.1)}
 _TYPICAL_KPA = (50.0, 1.5)
@@ -225,6 +227,8 @@ def guess_opening(values: Array, name: str) -> UnitGuess:
     is_pwm = "pwm" in words_of(name) and bool(np.all(values[np.isfinite(values)] % 1.0 == 0.0))
     smallest = 255.0 if is_pwm and top > 1.0 else 1.0
     scale = next((scale for scale in FULL_SCALES if scale >= max(top, smallest)), max(top, 1.0))
+    if scale > 100.0 and not STROKES.isdisjoint(words_of(name)):
+        scale = np.ceil(top)  # steps of an encoder have no usual full scale
     unit = parse_unit("%") if scale == 100.0 else parse_unit(f"0-{scale:.0f}")
     return UnitGuess(unit, f"values up to {top:g}")
 
