@@ -135,7 +135,7 @@ def _check_levels(path: Path, run: RecordedRun, rig: Rig) -> None:
         if highest_kPa < _top(readings) <= _CYLINDER_KPA and _noise(run, channel).std < 3.0 * noise_kPa:
             # A chamber at 300 kPa, or a cylinder. In hPa the noise would be ten times as large.
             highest_kPa = _CYLINDER_KPA
-        beyond = (readings > highest_kPa) | (readings < channel.lowest_kPa)
+        beyond = (readings > highest_kPa) | (readings < channel.lowest_kPa - 5.0 * noise_kPa)
         if not beyond.any():
             continue
         where = f"{path}: {channel.column}"

@@ -370,6 +370,11 @@ def test_spikes_of_a_disturbed_sensor_are_left_out(tmp_path: Path) -> None:
     there = one_run(found)["reservoir_pressure"]
     assert np.isnan(there).sum() == 4
     assert "4 spikes of reservoir_pressure" in "".join(found.notes)
+    # Where readings are too far apart to follow the pressure, a single one may be true.
+    moves = "\n".join(f"{i},{600 * (i % 12 in (5, 8, 9, 10)) + 2 * i}" for i in range(100))
+    assert not np.isnan(
+        one_run(proposed(tmp_path / "b.csv", f"t,tank kPa\n{moves}"))["reservoir_pressure"]
+    ).any()
 
 
 def test_the_resistance_of_a_valve_that_is_partly_open(tmp_path: Path) -> None:
@@ -440,6 +445,17 @@ def test_the_outlet_of_a_vessel_alone(tmp_path: Path) -> None:
     found = proposed(tmp_path / "a.csv", f"t (s),tank kPa,vent\n{rows[:-1]}0")
     write_case([found], tmp_path / "case")
     assert read_case(tmp_path / "case").runs[0].evp_opening[0] == 1.0
+
+
+@pytest.mark.parametrize("late", [0.0, 0.2, 0.5, 0.8])
+def test_an_outlet_opens_before_the_first_reading_that_has_fallen(late: float, tmp_path: Path) -> None:
+    """However late between two readings it opens."""
+    t, p = fall(600.0, 0.1)
+    p = np.concatenate([np.full(8, 600.0), np.interp(t + 0.1 * (1.0 - late), t, p)])
+    rows = "\n".join(f"{0.1 * i:.2f},{kPa:.1f}" for i, kPa in enumerate(p[:100]))
+    found = one_run(proposed(tmp_path / "a.csv", f"t (s),tank kPa\n{rows}", Answers()))
+    first = int(np.argmax(found["evp_opening"] > 0.0))
+    assert (first, found["after_gap"][8]) == (7, 1.0)
 
 
 def test_the_filling_of_a_vessel_alone_is_left_out(tmp_path: Path) -> None:

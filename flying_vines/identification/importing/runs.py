@@ -377,6 +377,10 @@ def _opening_time(time_s: Array, pressure_kPa: Array) -> float | None:
     rates = np.diff(p) / np.maximum(np.diff(t), 1e-9)
     steepest = float(np.min(rates))
     first = int(np.argmax(rates < 0.4 * steepest))
+    # The valve may open late between two readings: then the first step of the fall is a small one.
+    held = float(np.median(rates[:first])) if first else 0.0
+    while first > 3 and rates[first - 1] < held + 0.1 * (steepest - held):
+        first -= 1
     return float(t[first]) if first >= 3 and np.median(rates[:first]) > 0.1 * steepest else None
 
 

@@ -12,6 +12,8 @@ _MIN_SPAN = 0.1
 """Minimum distance of a spike from its neighbours, over the span of the other readings."""
 _MIN_NOISE = 12.0
 """Minimum distance in standard deviations of the noise."""
+_SMOOTH = 0.98
+"""Share of the steps between the other readings that must be smaller than a spike."""
 _MAX_SHARE = 0.1
 """More spikes than this are no spikes."""
 
@@ -26,16 +28,19 @@ def is_spike(readings: Array) -> BoolArray:
     """True for each spike; none if they are too many. Missing readings are no spikes."""
     found = np.zeros(len(readings), dtype=bool)
     there = np.flatnonzero(np.isfinite(readings))
-    if len(there) < 4 * _WIDTH:
-        return found
-    x = readings[there]
-    padded = np.pad(x, _WIDTH // 2, mode="edge")
-    middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, _WIDTH), axis=1)
-    distance = np.abs(x - middle)
-    noise = 1.48 * float(np.median(distance[distance > 0.0])) if (distance > 0.0).any() else 0.0
-    # Where the pressure itself moves as far from reading to reading, a single one may be true.
-    moves = float(np.max(np.abs(np.diff(middle))))
-    far = distance > max(_MIN_SPAN * float(np.ptp(middle)), _MIN_NOISE * noise, 2.0 * moves)
-    if np.mean(far) <= _MAX_SHARE:
-        found[there] = far
-    return found
+    few, nearest = _MAX_SHARE * len(there), np.inf
+    while len(there) >= 4 * _WIDTH:
+        x = readings[there]
+        padded = np.pad(x, _WIDTH // 2, mode="edge")
+        middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, _WIDTH), axis=1)
+        distance = np.abs(x - middle)
+        noise = 1.48 * float(np.median(distance[distance > 0.0])) if (distance > 0.0).any() else 0.0
+        far = distance > max(_MIN_SPAN * float(np.ptp(middle)), _MIN_NOISE * noise)
+        if not far.any():
+            # Where the pressure itself moves as far from reading to reading, a single one may be true.
+            smooth = 2.0 * float(np.quantile(np.abs(np.diff(middle)), _SMOOTH)) < nearest
+            return found if smooth and found.sum() <= few else np.zeros_like(found)
+        nearest = min(nearest, float(np.min(distance[far])))
+        found[there[far]] = True
+        there = there[~far]
+    return np.zeros_like(found)
