@@ -60,6 +60,8 @@ _RESISTANCE_TOLERANCE_PERCENT = 50.0
 """Of an outlet's flow resistance that was estimated from the time in which the pressure falls."""
 _MAX_VALVE_S = 3.0
 """Time constant up to which a fall is taken for an outlet that was opened; slower ones are leaks."""
+_VACUUM_KPA = 130.0
+"""No pressure is lower than ambient by more, whatever the offset of its sensor."""
 _EPOCH_S = 1e8
 """A time that begins later is a date; runs then begin at zero."""
 
@@ -233,7 +235,8 @@ def _runs(table: ForeignTable, answers: Answers, notes: list[str]) -> Iterator[t
         run = {meaning: column[rows] for meaning, column in values.items()}
         run["time"] = _in_order(run, notes)
         for meaning in _PRESSURES.keys() & run.keys():
-            spikes = is_spike(run[meaning])
+            spikes, below = is_spike(run[meaning]), run[meaning] < -_VACUUM_KPA
+            spikes |= below & (below.mean() < 0.01)
             if spikes.any():
                 run[meaning] = np.where(spikes, np.nan, run[meaning])
                 notes.append(f"{np.sum(spikes)} spikes of {meaning} are left out, as of a disturbed sensor")
