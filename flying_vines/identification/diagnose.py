@@ -65,7 +65,7 @@ def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progre
     """
     largest_kPa = _largest_kPa(case)
     every = [
-        cause.within_readings(largest_kPa) for cause in (causes_of(case.rig) if causes is None else causes)
+        cause.within_readings(largest_kPa) for cause in (possible_causes(case) if causes is None else causes)
     ]
     # The fits already use all cores: more BLAS threads would only slow the small matrices down.
     with threadpool_limits(1):
@@ -85,6 +85,12 @@ def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progre
             progress("again, with the noise of the data", 0.0)
             found = Search(FitProblem(case, left), every).resumed(found, progress)
         return _verdict(found, progress)
+
+
+def possible_causes(case: Case) -> list[Cause]:
+    """The causes that the rig can have, without a change of an ambient pressure that was recorded."""
+    recorded = all(run.ambient_kPa is not None for run in case.runs)
+    return [cause for cause in causes_of(case.rig) if not (recorded and cause.name == "ambient_drop")]
 
 
 def _largest_kPa(case: Case) -> dict[Sensor, float]:

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from examples import examples
 from flying_vines.identification.case import read_case
+from flying_vines.identification.diagnose import possible_causes
 from flying_vines.identification.importing.answers import (
     Answers,
     ImportSetup,
@@ -380,6 +381,14 @@ def test_spikes_of_a_disturbed_sensor_are_left_out(tmp_path: Path) -> None:
     assert not np.isnan(
         one_run(proposed(tmp_path / "b.csv", f"t,tank kPa\n{moves}"))["reservoir_pressure"]
     ).any()
+
+
+def test_the_ambient_pressure_of_a_laboratory_is_constant(tmp_path: Path) -> None:
+    rows = "\n".join(f"{i / 10},{600.0 * 0.99**i:.2f}" for i in range(300))
+    write_case([proposed(tmp_path / "a.csv", f"t,tank kPa\n{rows}")], tmp_path / "case")
+    case = read_case(tmp_path / "case")
+    assert case.runs[0].ambient_kPa == pytest.approx(101.325, abs=0.1)
+    assert "ambient_drop" not in {cause.name for cause in possible_causes(case)}
 
 
 def test_the_resistance_of_a_valve_that_is_partly_open(tmp_path: Path) -> None:

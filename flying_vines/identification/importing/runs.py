@@ -39,7 +39,7 @@ from flying_vines.identification.importing.units import parse_unit, psi_instead
 from flying_vines.identification.noise import MIN_KPA, measured_noise, rounded_noise, rounding_step
 from flying_vines.identification.recording import CaseError
 from flying_vines.physics.arrays import Array
-from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.rig import rig_from
 
 _CASE_COLUMNS = {
@@ -467,6 +467,8 @@ def _fall_s(run: Run) -> float | None:
 
 
 def _csv(run: Run) -> str:
+    # A laboratory does not climb.
+    run = {"ambient_pressure": np.full(len(run["time"]), STANDARD_PRESSURE_KPA), **run}
     names = [meaning for meaning in _CASE_COLUMNS if meaning in run]
     cells = [[_cell(meaning, value) for value in run[meaning].tolist()] for meaning in names]
     head = ",".join(_CASE_COLUMNS[name] for name in names)
