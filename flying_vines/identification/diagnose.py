@@ -212,7 +212,7 @@ def _noise_remarks(problem: FitProblem) -> list[str]:
         f"{key} is {value:g} in the rig file; the data give {used.std_kPa:.3g}{_correlated(used)}, "
         "which is used"
         for (key, value), used in zip(stated.items(), problem.noise, strict=True)
-        if f"{used.std_kPa:.2g}" != f"{value:.2g}" or used.correlation
+        if abs(used.std_kPa - value) > 0.05 * value or used.correlation
     ]
 
 
