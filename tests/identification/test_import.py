@@ -340,6 +340,11 @@ HEADINGS: dict[str, tuple[str, Callable[[int], str], dict[str, str]]] = {
         lambda i: f"{100 + i % 60},{i / 2 if i < 60 else 30 - i},{1_700_000_000 + 3 * i}",
         {"time": "s", "cv_pressure": "kPa", "evp_opening": "0-255"},
     ),
+    "a vacuum pump": (
+        " Time since start (s) \t Presure (mb)",
+        lambda i: f"{2.7 * i:.1f} \t {max(952.0 * 0.8**i, 1.2):e} ",
+        {"time": "s", "reservoir_pressure": "mbar abs"},
+    ),
     "Dutch": ("tijd,druk (mb)", lambda i: f"{i},{7000 - i}", {"time": "s", "reservoir_pressure": "mbar"}),
     "a volume is no pressure": (
         "time(sec) pressure net_flow volume",

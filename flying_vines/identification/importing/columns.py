@@ -194,6 +194,8 @@ EVIDENCE: tuple[tuple[str, _Test, Mapping[str, float]], ...] = (
 """Evidence in the values: what to say, the test, and its points for meanings."""
 _LONG = 5
 """Minimum letters of a word that is also recognised at either end of a longer one."""
+_VACUUM = 0.003
+"""Lowest over highest reading of a vacuum gauge; a gauge pressure that ends so near zero also reads less."""
 _UNIT_FITS, _UNIT_CONTRADICTS = 3.0, -9.0
 _NAMED_ONLY = ("command_kPa", "ambient_pressure")
 """A unit alone does not make a column one of these."""
@@ -403,10 +405,13 @@ def _unit(
 
 
 def _gauge_or_absolute(signal: _Signal, unit: Unit, meaning: str) -> tuple[str, str]:
-    """An absolute sensor rests at ambient pressure and hardly ever reads less."""
+    """An absolute sensor rests at ambient pressure and hardly ever reads less, or is that of a vacuum."""
     if unit.quantity != "pressure" or unit.absolute or meaning not in ("cv_pressure", "reservoir_pressure"):
         return unit.name, ""
     low = rest_kPa(np.sort(signal.readings) * unit.factor + unit.offset)
     if low is not None:
         return as_absolute(unit).name, f"rests at {low:.4g} kPa, as an absolute sensor does"
+    least, most = (float(end(signal.readings)) * unit.factor for end in (np.min, np.max))
+    if AMBIENT_KPA[0] < most < AMBIENT_KPA[1] and 0.0 < least < _VACUUM * most:
+        return as_absolute(unit).name, f"from ambient pressure to {least:.2g} kPa, as a vacuum gauge reads"
     return unit.name, ""
