@@ -331,7 +331,7 @@ def _alone(run: Run, answers: Answers, notes: list[str], name: str) -> Run:
         notes.append(f"{name}: the vessel is filled until {filled_s:.6g} s; these rows are left out")
         run = {meaning: column[run["time"] >= filled_s] for meaning, column in run.items()}
     time_s, p = run["time"], run["reservoir_pressure"]
-    opens_s = _opening_time(time_s, p)
+    opens_s = _opening_time(time_s, p, late=True)
     if answers.setup.outlet is None:
         fall_s = _fall_s({**run, "evp_opening": np.where(time_s >= (opens_s or 0.0), 1.0, 0.0)})
         leaks = opens_s is None or fall_s is None or fall_s > _MAX_VALVE_S
@@ -340,7 +340,7 @@ def _alone(run: Run, answers: Answers, notes: list[str], name: str) -> Run:
     shut = np.zeros_like(time_s)
     if outlet == "open":
         return run
-    if outlet == "shut" and opens_s is not None:
+    if outlet == "shut" and (opens_s := _opening_time(time_s, p, late=False)) is not None:
         notes.append(
             f"{name}: the pressure is held by a supply until {opens_s:.6g} s; these rows are left out"
         )
@@ -371,8 +371,11 @@ def _filled_time(time_s: Array, pressure_kPa: Array) -> float | None:
     return float(t[top]) if p[0] < 0.5 * p[top] and _long_enough(t[top:]) else None
 
 
-def _opening_time(time_s: Array, pressure_kPa: Array) -> float | None:
-    """When a held pressure begins to fall; None if it never does, or falls from its first reading."""
+def _opening_time(time_s: Array, pressure_kPa: Array, *, late: bool) -> float | None:
+    """When a held pressure begins to fall; None if it never does, or falls from its first reading.
+
+    An outlet may open late between two readings: then the first step of the fall is a small one.
+    """
     there = np.isfinite(pressure_kPa)
     t, p = time_s[there], pressure_kPa[there]
     if len(p) < MIN_SAMPLES or float(p[0] - np.min(p)) < 0.5 * abs(float(p[0])):
@@ -380,9 +383,8 @@ def _opening_time(time_s: Array, pressure_kPa: Array) -> float | None:
     rates = np.diff(p) / np.maximum(np.diff(t), 1e-9)
     steepest = float(np.min(rates))
     first = int(np.argmax(rates < 0.4 * steepest))
-    # The valve may open late between two readings: then the first step of the fall is a small one.
     held = float(np.median(rates[:first])) if first else 0.0
-    while first > 3 and rates[first - 1] < held + 0.1 * (steepest - held):
+    while late and first > 3 and rates[first - 1] < held + 0.1 * (steepest - held):
         first -= 1
     return float(t[first]) if first >= 3 and np.median(rates[:first]) > 0.1 * steepest else None
 
