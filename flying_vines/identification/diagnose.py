@@ -65,7 +65,7 @@ def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progre
     """
     largest_kPa = _largest_kPa(case)
     every = [
-        cause.within_readings(largest_kPa) for cause in (causes_of(case.rig) if causes is None else causes)
+        cause.within_readings(largest_kPa) for cause in (possible_causes(case) if causes is None else causes)
     ]
     # The fits already use all cores: more BLAS threads would only slow the small matrices down.
     with threadpool_limits(1):
@@ -87,6 +87,12 @@ def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progre
         if not found.chosen.adequate:
             found = found.search.together(found, progress)
         return _verdict(found, progress)
+
+
+def possible_causes(case: Case) -> list[Cause]:
+    """The causes that the rig can have, without a change of an ambient pressure that was recorded."""
+    recorded = all(run.ambient_kPa is not None for run in case.runs)
+    return [cause for cause in causes_of(case.rig) if not (recorded and cause.name == "ambient_drop")]
 
 
 def _largest_kPa(case: Case) -> dict[Sensor, float]:
@@ -175,7 +181,8 @@ def _shares(found: SearchResult) -> dict[str, float]:
         return {chosen.names[0]: 1.0}
     removed = found.search.null.fit.chi2 - chosen.fit.chi2
     return {
-        name: max(0.0, less.fit.chi2 - chosen.fit.chi2) / removed
+        # Without it the others may fit worse than the baseline, as cooling without the flow law does.
+        name: min(1.0, max(0.0, less.fit.chi2 - chosen.fit.chi2) / removed)
         for name, less in zip(chosen.names, found.without, strict=True)
     }
 
@@ -207,7 +214,7 @@ def _noise_remarks(problem: FitProblem) -> list[str]:
         f"{key} is {value:g} in the rig file; the data give {used.std_kPa:.3g}{_correlated(used)}, "
         "which is used"
         for (key, value), used in zip(stated.items(), problem.noise, strict=True)
-        if f"{used.std_kPa:.2g}" != f"{value:.2g}" or used.correlation
+        if abs(used.std_kPa - value) > 0.05 * value or used.correlation
     ]
 
 

@@ -199,7 +199,8 @@ class FitProblem:
         """Residuals of these runs (default: all), as in `Fit`."""
         every = range(len(self.data)) if runs is None else runs
         simulated = self.simulated(point, runs)
-        return [(self.data[i] - s) * self.weights[i] for i, s in zip(every, simulated, strict=True)]
+        with np.errstate(invalid="ignore"):  # The simulation may have diverged.
+            return [(self.data[i] - s) * self.weights[i] for i, s in zip(every, simulated, strict=True)]
 
     def chi2(self, point: FitPoint) -> float:
         """The sum of squared residuals at a point."""

@@ -39,10 +39,11 @@ class RunJacobian:
 
     def _shares(self, columns: Array) -> list[Array]:
         """For each stretch (columns, 2): the change of its two pressures that best fits each column."""
-        return [
-            columns[:, :, stretch].reshape(len(columns), -1) @ inverse
-            for stretch, inverse in zip(self._stretches, self._inverses, strict=True)
-        ]
+        with np.errstate(invalid="ignore"):  # The simulation may have diverged.
+            return [
+                columns[:, :, stretch].reshape(len(columns), -1) @ inverse
+                for stretch, inverse in zip(self._stretches, self._inverses, strict=True)
+            ]
 
     def orthogonal_part(self, columns: Array) -> Array:
         """(columns, 2 n): the part of (columns, 2, n) orthogonal to the effect of the initial pressures."""

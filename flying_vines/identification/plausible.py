@@ -49,6 +49,8 @@ class _Channel(NamedTuple):
 _CV = _Channel("cv_pressure_kPa", "cv_kPa", -130.0, 280.0, 0.0)
 _RESERVOIR = _Channel("reservoir_pressure_kPa", "reservoir_kPa", -60.0, 1200.0, 200.0)
 _CHANNELS = (_CV, _RESERVOIR)
+_CYLINDER_KPA = 40_000.0
+"""Highest pressure of gas cylinders and rockets' tanks."""
 
 
 class _Noise(NamedTuple):
@@ -128,14 +130,12 @@ def _check_levels(path: Path, run: RecordedRun, rig: Rig) -> None:
     for channel in _CHANNELS:
         time_s, readings = _readings(run, channel)
         highest_kPa = channel.highest_kPa
-        if (
-            channel is _CV
-            and _noise(run, _CV).std < 3.0 * rig.sensors.cv_noise_std_kPa
-            and (highest_kPa < _top(readings) <= _RESERVOIR.highest_kPa)
-        ):
-            # A chamber at 300 kPa. In hPa the noise would be ten times as large.
-            highest_kPa = _RESERVOIR.highest_kPa
-        beyond = (readings > highest_kPa) | (readings < channel.lowest_kPa)
+        sensors = rig.sensors
+        noise_kPa = sensors.cv_noise_std_kPa if channel is _CV else sensors.reservoir_noise_std_kPa
+        if highest_kPa < _top(readings) <= _CYLINDER_KPA and _noise(run, channel).std < 3.0 * noise_kPa:
+            # A chamber at 300 kPa, or a cylinder. In hPa the noise would be ten times as large.
+            highest_kPa = _CYLINDER_KPA
+        beyond = (readings > highest_kPa) | (readings < channel.lowest_kPa - 5.0 * noise_kPa)
         if not beyond.any():
             continue
         where = f"{path}: {channel.column}"

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from examples import examples
 from flying_vines.identification.case import read_case
+from flying_vines.identification.diagnose import possible_causes
 from flying_vines.identification.importing.answers import (
     Answers,
     ImportSetup,
@@ -312,6 +313,107 @@ def test_pressures_without_a_unit_have_the_same_one(tmp_path: Path) -> None:
     assert one_run(proposal)["reservoir_pressure"][0] == pytest.approx(39.1, abs=0.1)
 
 
+HEADINGS: dict[str, tuple[str, Callable[[int], str], dict[str, str]]] = {
+    "a target without a unit has that of the reading": (
+        "t,Setpoint,Feedback_kPa,PWM",
+        lambda i: f"{i / 10},{i // 60},{min(i / 60, 1.0) + i % 2 / 100:.2f},{255 * (i > 20)}",
+        {"time": "s", "command_kPa": "kPa", "cv_pressure": "kPa", "evp_opening": "0-255"},
+    ),
+    "a unit alone is a measured pressure": (
+        "ms,valve,thrust_g,tank_g,psi",
+        lambda i: f"{90 * i},{int(i > 30)},{i % 7},{-790 - i % 5},{min(max(0, i - 30) / 9, 5 - i % 4):.2f}",
+        {"time": "ms", "evp_opening": "0-1", "cv_pressure": "psi"},
+    ),
+    "a ball valve between two tanks": (
+        "millis,speed,valveAngle,setPoint,hp (psi),lp (psi),dp/dt,cv_dimensionless",
+        lambda i: f"{20 * i},{i % 9},{9 * min(i, 120 - i)},90,{900 - 5 * i},{i},{i % 4},{i if i > 9 else ''}",
+        {"time": "ms", "evp_opening": "0-540", "command_kPa": "psi", "reservoir_pressure": "psi",
+         "cv_pressure": "psi"},
+    ),
+    "a tank that empties through its valve": (
+        "time,pressure (kPa),motor_angle",
+        lambda i: f"{i / 10},{600 - 8 * min(max(0, i - 30), 50)},{max(0, 25 - abs(i - 55))}",
+        {"time": "s", "reservoir_pressure": "kPa", "evp_opening": "%"},
+    ),
+    "sucked below ambient pressure": (
+        "pwm,pressure_kPa,timestamp",
+        lambda i: f"{100 + i % 60},{i / 2 if i < 60 else 30 - i},{1_700_000_000 + 3 * i}",
+        {"time": "s", "cv_pressure": "kPa", "evp_opening": "0-255"},
+    ),
+    "a vacuum pump": (
+        " Time since start (s) \t Presure (mb)",
+        lambda i: f"{2.7 * i:.1f} \t {max(952.0 * 0.8**i, 1.2):e} ",
+        {"time": "s", "reservoir_pressure": "mbar abs"},
+    ),
+    "Dutch": ("tijd,druk (mb)", lambda i: f"{i},{7000 - i}", {"time": "s", "reservoir_pressure": "mbar"}),
+    "a volume is no pressure": (
+        "time(sec) pressure net_flow volume",
+        lambda i: f"{i / 50} {600 - i / 10:.1f} {i % 9} {i % 50}",
+        {"time": "s", "reservoir_pressure": "kPa"},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HEADINGS)
+def test_names_of_columns(name: str, tmp_path: Path) -> None:
+    header, row, expected = HEADINGS[name]
+    found = meanings(proposed(tmp_path / "a.csv", "\n".join([header, *(row(i) for i in range(120))])))
+    assert found == expected
+
+
+def test_an_error_says_which_column_is_read_as_what(tmp_path: Path) -> None:
+    rows = "\n".join(f"{i / 10},{i},{600 - i},{i}" for i in range(40))
+    with pytest.raises(CaseError, match=r"2 Angle \(ignored\), 3 tank kPa \(reservoir_pressure\)"):
+        proposed(tmp_path / "a.csv", f"t,Angle,tank kPa,chamber kPa\n{rows}")
+
+
+def test_spikes_of_a_disturbed_sensor_are_left_out(tmp_path: Path) -> None:
+    p = [600.0 * 0.99**i + 40.0 * (i < 50) + 0.2 * (i % 3) for i in range(200)]
+    for at, kPa in ((20, 2300.0), (21, 2200.0), (120, -400.0), (177, 900.0)):
+        p[at] = kPa
+    rows = "\n".join(f"{i / 10},{kPa:.1f}" for i, kPa in enumerate(p))
+    found = proposed(tmp_path / "a.csv", f"t,tank kPa\n{rows}")
+    there = one_run(found)["reservoir_pressure"]
+    assert np.isnan(there).sum() == 4
+    assert "4 spikes of reservoir_pressure" in "".join(found.notes)
+    # Nothing reads below vacuum, though a noisy sensor hides its spikes.
+    noise = np.random.default_rng(1).normal(0.0, 60.0, 200)
+    noisy = "\n".join(f"{i / 10},{600 + noise[i] if i != 90 else -200:.0f}" for i in range(200))
+    there = one_run(proposed(tmp_path / "c.csv", f"t,tank kPa\n{noisy}"))["reservoir_pressure"]
+    assert np.flatnonzero(np.isnan(there)).tolist() == [90]
+    # Where readings are too far apart to follow the pressure, a single one may be true.
+    moves = "\n".join(f"{i},{600 * (i % 12 in (5, 8, 9, 10)) + 2 * i}" for i in range(100))
+    assert not np.isnan(
+        one_run(proposed(tmp_path / "b.csv", f"t,tank kPa\n{moves}"))["reservoir_pressure"]
+    ).any()
+
+
+def test_the_ambient_pressure_of_a_laboratory_is_constant(tmp_path: Path) -> None:
+    rows = "\n".join(f"{i / 10},{600.0 * 0.99**i:.2f}" for i in range(300))
+    write_case([proposed(tmp_path / "a.csv", f"t,tank kPa\n{rows}")], tmp_path / "case")
+    case = read_case(tmp_path / "case")
+    assert case.runs[0].ambient_kPa == pytest.approx(101.325, abs=0.1)
+    assert "ambient_drop" not in {cause.name for cause in possible_causes(case)}
+
+
+def test_the_resistance_of_a_valve_that_is_partly_open(tmp_path: Path) -> None:
+    fall = 100.0 * np.log(np.array([500.0 * np.exp(-max(0, i - 20) / 100) for i in range(120)]))
+    rows = [f"{i / 10},{np.exp(at / 100):.2f},{50 if i >= 20 else 0}" for i, at in enumerate(fall)]
+    rows[60] = "6.0,nan,50"
+    write_case([proposed(tmp_path / "a.csv", "\n".join(["t,tank kPa,valve %", *rows]))], tmp_path / "case")
+    resistance = tomllib.loads((tmp_path / "case" / "rig.toml").read_text())["evp"]
+    # R V / alpha = 10 s at half the opening, of 2 L.
+    assert resistance["flow_resistance_kPa_s_per_SL"] == pytest.approx(10.0 * 0.5 * 101.3 / 2.0, rel=0.02)
+
+
+def test_a_cylinder_at_100_bar_is_read(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    p = 1e4 * 0.98 ** np.arange(200) + rng.normal(0.0, 5.0, 200)
+    rows = "\n".join(f"{i / 10},{kPa / 100:.3f}" for i, kPa in enumerate(p))
+    write_case([proposed(tmp_path / "a.csv", f"t,tank bar\n{rows}")], tmp_path / "case")
+    assert np.max(read_case(tmp_path / "case").runs[0].reservoir_kPa) > 9000.0
+
+
 def test_a_barometer_may_have_another_unit(tmp_path: Path) -> None:
     rows = "\n".join(f"{i / 10},{400.0 * 0.99**i:.2f},{1013.0 + i % 3}" for i in range(300))
     found = meanings(proposed(tmp_path / "a.csv", f"t,tank pressure,barometer\n{rows}"))
@@ -362,6 +464,17 @@ def test_the_outlet_of_a_vessel_alone(tmp_path: Path) -> None:
     found = proposed(tmp_path / "a.csv", f"t (s),tank kPa,vent\n{rows[:-1]}0")
     write_case([found], tmp_path / "case")
     assert read_case(tmp_path / "case").runs[0].evp_opening[0] == 1.0
+
+
+@pytest.mark.parametrize("late", [0.0, 0.2, 0.5, 0.8])
+def test_an_outlet_opens_before_the_first_reading_that_has_fallen(late: float, tmp_path: Path) -> None:
+    """However late between two readings it opens."""
+    t, p = fall(600.0, 0.1)
+    p = np.concatenate([np.full(8, 600.0), np.interp(t + 0.1 * (1.0 - late), t, p)])
+    rows = "\n".join(f"{0.1 * i:.2f},{kPa:.1f}" for i, kPa in enumerate(p[:100]))
+    found = one_run(proposed(tmp_path / "a.csv", f"t (s),tank kPa\n{rows}", Answers()))
+    first = int(np.argmax(found["evp_opening"] > 0.0))
+    assert (first, found["after_gap"][8]) == (7, 1.0)
 
 
 def test_the_filling_of_a_vessel_alone_is_left_out(tmp_path: Path) -> None:

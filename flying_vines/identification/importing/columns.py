@@ -13,8 +13,10 @@ import msgspec
 import numpy as np
 
 from flying_vines.identification.importing.layout import ForeignTable
+from flying_vines.identification.importing.spikes import is_spike
 from flying_vines.identification.importing.units import (
     AMBIENT_KPA,
+    STROKES,
     Quantity,
     Unit,
     as_absolute,
@@ -31,22 +33,26 @@ from flying_vines.identification.recording import CaseError
 from flying_vines.physics.arrays import Array
 
 IGNORED = "ignored"
+_PRESSURE = {"pressure": 3, "press": 3, "p": 2, "druck": 3, "pression": 3, "presion": 3, "presión": 3,
+             "pressione": 3, "pressão": 3, "pressao": 3, "druk": 3, "tryk": 3, "tryck": 3, "trykk": 3,
+             "paine": 3, "tlak": 3, "ciśnienie": 3, "cisnienie": 3, "basınç": 3, "давление": 3, "压力": 3,
+             "压强": 3, "圧力": 3, "압력": 3}  # fmt: skip
 WORDS: Mapping[str, Mapping[str, float]] = {
     "time": {"time": 4, "timestamp": 4, "t": 3, "zeit": 4, "temps": 4, "tiempo": 4, "tempo": 4, "elapsed": 3,
-             "clock": 2, "date": 1, "millis": 3, "micros": 3, "index": -3, "sample": -3},
+             "clock": 2, "date": 1, "millis": 3, "micros": 3, "index": -3, "sample": -3, "tijd": 4, "tid": 4,
+             "czas": 4, "čas": 4, "время": 4, "时间": 4, "時間": 4, "시간": 4},
     "run": {"run": 4, "trial": 4, "test": 3, "experiment": 3, "rep": 3, "repeat": 3, "cycle": 2},
     "command_kPa": {"target": 5, "setpoint": 5, "set": 2, "sp": 3, "reference": 4, "ref": 4, "desired": 5,
                     "command": 4, "cmd": 4, "goal": 4, "soll": 5, "sollwert": 5, "consigne": 5, "demand": 4,
-                    "wanted": 4, "pressure": 1},
+                    "wanted": 4, "pressure": 1, "目标": 5, "目標": 5},
     "cv_pressure": {"cv": 6, "chamber": 4, "actuator": 4, "vine": 4, "feedback": 4, "bladder": 4, "muscle": 4,
                     "finger": 4, "gripper": 4, "balloon": 4, "soft": 3, "volume": 1, "output": 2, "out": 2,
-                    "downstream": 3, "measured": 2, "actual": 2, "ist": 2, "istwert": 2, "p2": 2,
-                    "pressure": 3, "press": 3, "p": 2, "druck": 3, "pression": 3, "presion": 3, "presión": 3,
-                    "kammer": 4, "kammerdruck": 5, "pressione": 3},
+                    "lp": 4, "low": 1, "downstream": 3, "measured": 2, "actual": 2, "ist": 2,
+                    "istwert": 2, "p2": 2, "kammer": 4, "kammerdruck": 5, **_PRESSURE},
     "reservoir_pressure": {"reservoir": 6, "tank": 5, "bottle": 5, "supply": 5, "source": 4, "plenum": 5,
                            "accumulator": 5, "cylinder": 4, "vessel": 4, "inlet": 3, "upstream": 4, "line": 2,
-                           "p1": 2, "in": 1, "pressure": 3, "press": 3, "p": 2, "druck": 3, "pression": 3,
-                           "presion": 3, "presión": 3, "behälter": 5, "behälterdruck": 5, "pressione": 3},
+                           "p1": 2, "in": 1, "hp": 4, "high": 1, "behälter": 5, "behälterdruck": 5,
+                           **_PRESSURE},
     "evp_opening": {"evp": 7, "ev": 5, "inflation": 4, "inflate": 4, "fill": 4, "pump": 4, "pwm": 3,
                     "duty": 3, "valve": 3, "opening": 3, "inlet": 3, "main": 1, "ventil": 3, "vanne": 3,
                     "motor": 2, "proportional": 3, "control": 1, "u": 1, "in": 1},
@@ -59,9 +65,14 @@ WORDS: Mapping[str, Mapping[str, float]] = {
     "ambient_temperature": {"temperature": 5, "temp": 5, "temperatur": 5, "ambient": 1, "room": 1},
 }  # fmt: skip
 """Points that a word of a column's name gives to a meaning."""
-_NOT_READ = frozenset({"error", "err", "norm", "integral", "derivative", "flow", "current", "angle",
-                       "force", "position", "displacement", "kp", "ki", "kd", "std", "noise"})  # fmt: skip
-"""A name with such a word is of none of these meanings."""
+_NOT_READ = frozenset({"error", "err", "norm", "integral", "derivative", "flow", "current", "force", "kp",
+                       "ki", "kd", "std", "noise", "rate", "dt", "coefficient", "dimensionless", "thrust",
+                       "mass", "weight", "load", "humidity"})  # fmt: skip
+"""A name with such a word is of none of these meanings; one of STROKES is neither, without one of these:"""
+_DRIVES = frozenset({"valve", "ventil", "vanne", "válvula", "valvola", "throttle", "servo", "motor", "pump",
+                     "compressor"})  # fmt: skip
+_OTHER_UNITS = frozenset({"g", "kg", "lb", "lbs", "mm", "cm", "lpm", "slm", "sccm", "ma"})
+"""Units of what is not read, at the end of a name."""
 QUANTITIES: Mapping[str, Quantity] = {
     "time": "time",
     "command_kPa": "pressure",
@@ -134,11 +145,31 @@ class _Signal:
         return bool(np.mean(np.diff(self.readings) == 0.0) > 0.9) if len(self.readings) > 1 else False
 
 
+def _names_of(name: str) -> list[str]:
+    """The words of a name; two that are one known word together, as in `setPoint`, count as that word."""
+    words = words_of(name)
+    for at in range(len(words) - 1, 0, -1):
+        if (both := words[at - 1] + words[at]) in _ALL_WORDS:
+            words[at - 1 : at + 1] = [both]
+    return words
+
+
+def _is_read(signal: _Signal) -> bool:
+    """False for a name that says that the column is of none of the meanings."""
+    names = set(_names_of(signal.name))
+    if names & _NOT_READ or (names & STROKES and not names & _DRIVES):
+        return False
+    if signal.unit or names & _PRESSURE.keys():
+        return True
+    return "volume" not in names and words_of(signal.name)[-1:] not in [[unit] for unit in _OTHER_UNITS]
+
+
 def _known(name: str) -> bool:
     """True if a word of a name is a word of a meaning."""
-    return any(word in words for word in words_of(name) for words in WORDS.values())
+    return not _ALL_WORDS.isdisjoint(_names_of(name))
 
 
+_ALL_WORDS = frozenset(word for words in WORDS.values() for word in words)
 _Test = Callable[[_Signal], bool]
 EVIDENCE: tuple[tuple[str, _Test, Mapping[str, float]], ...] = (
     ("clock times", lambda s: s.is_clock, {"time": 8}),
@@ -156,12 +187,18 @@ EVIDENCE: tuple[tuple[str, _Test, Mapping[str, float]], ...] = (
      {"evp_opening": -8, "dvp_opening": -8, "solenoid": -8}),
     ("no known word, but on and off", lambda s: s.is_switched() and not _known(s.name),
      {"evp_opening": 3, "cv_pressure": -6, "reservoir_pressure": -6}),
+    ("negative all the time", lambda s: bool(np.all(s.readings < 0.0)),
+     {"reservoir_pressure": -4, "command_kPa": -2}),
     ("not a whole number", lambda s: bool(np.any(s.readings % 1.0 != 0.0)), {"run": -9}),
 )  # fmt: skip
 """Evidence in the values: what to say, the test, and its points for meanings."""
 _LONG = 5
 """Minimum letters of a word that is also recognised at either end of a longer one."""
+_VACUUM = 0.003
+"""Lowest over highest reading of a vacuum gauge; a gauge pressure that ends so near zero also reads less."""
 _UNIT_FITS, _UNIT_CONTRADICTS = 3.0, -9.0
+_NAMED_ONLY = ("command_kPa", "ambient_pressure")
+"""A unit alone does not make a column one of these."""
 _UNNAMED = {"cv_pressure": 1.0, "reservoir_pressure": 1.0}
 """Points of a column without a name and a unit."""
 
@@ -194,6 +231,9 @@ def guess_columns(table: ForeignTable, given: Sequence[ImportedColumn] = ()) -> 
         for signal in signals
         if meanings.get(signal.number) in _ONE_UNIT and not signal.unit
     ]
+    labelled = [
+        signal.unit for signal in signals if signal.unit and meanings.get(signal.number) in _ONE_UNIT
+    ] + [parse_unit(column.unit) for column in given if column.unit and column.meaning in _ONE_UNIT]
     found = []
     for signal in signals:
         known = fixed.get(signal.number) or ImportedColumn(signal.number, "")
@@ -201,7 +241,7 @@ def guess_columns(table: ForeignTable, given: Sequence[ImportedColumn] = ()) -> 
         why = (known.why or "as answered") if known.meaning else reasons.get((signal.number, meaning), "")
         if signal.number in copies and not known.meaning:
             why = f"the same signal as column {copies[signal.number]}"
-        unit, reason = (known.unit, "") if known.unit else _unit(signal, meaning, unlabelled)
+        unit, reason = (known.unit, "") if known.unit else _unit(signal, meaning, unlabelled, labelled)
         if unit:
             parse_unit(unit)
         why = "; ".join(part for part in (why, reason) if part)
@@ -219,10 +259,12 @@ def _score(signal: _Signal, meaning: str) -> tuple[float, str]:
     """Points of a column for a meaning, and the strongest reasons."""
     if len(signal.readings) == 0:
         return -1.0, ""
-    names = words_of(signal.name)
+    names = _names_of(signal.name)
     points = {f"“{word}”": gives for word in names if (gives := _points(word, meaning))}
-    if _NOT_READ & set(names):
+    if not _is_read(signal):
         points["not read"] = -20.0
+    elif signal.unit and meaning in _NAMED_ONLY and not points:
+        return -1.0, ""
     elif signal.unit and meaning in QUANTITIES:
         fits = signal.unit.quantity == QUANTITIES[meaning]
         fits |= signal.unit.quantity == "raw" and QUANTITIES[meaning] == "pressure"
@@ -256,7 +298,7 @@ def _copies(signals: Sequence[_Signal]) -> dict[int, int]:
     copies = {}
     for at, one in enumerate(signals):
         for other in signals[at + 1 :]:
-            if _NOT_READ & {*words_of(one.name), *words_of(other.name)}:
+            if not _is_read(one) or not _is_read(other):
                 continue  # an error is the reading with another sign while its target is constant
             both = np.isfinite(one.values) & np.isfinite(other.values)
             x, y = one.values[both], other.values[both]
@@ -293,19 +335,38 @@ def _compare_pressures(
             scores.pop((signal.number, "command_kPa"), None)
         best = _best_meanings(signals, scores)
     driven = not {"command_kPa", "evp_opening"}.isdisjoint({*taken, *best.values()})
+    opening = next((s for s in signals if best.get(s.number) == "evp_opening"), None)
     level = {s.number: float(np.median(s.readings)) * (s.unit.factor if s.unit else 1.0) for s in signals
              if best.get(s.number) in pairs}  # fmt: skip
     for number in level:
         p = signals[number - 1].readings
-        falls = float(np.median(p[-len(p) // 10 :])) < 0.5 * float(np.median(p[: len(p) // 10 + 1]))
+        first, last = float(np.median(p[: len(p) // 10 + 1])), float(np.median(p[-len(p) // 10 :]))
+        falls = -0.1 * first < last < 0.5 * first  # a vessel that was sucked empty does not supply air
+        falls |= opening is not None and _empties(signals[number - 1].values, opening.values)
         reservoir = level[number] == max(level.values()) if len(level) > 1 else falls or not driven
         scores[number, pairs[int(reservoir)]] += 1.5
 
 
-def _unit(signal: _Signal, meaning: str, unlabelled: Sequence[tuple[_Signal, str]]) -> tuple[str, str]:
+def _empties(pressure: Array, opening: Array) -> bool:
+    """True if a pressure falls towards ambient pressure while the valve is open, and only then."""
+    there = np.isfinite(pressure) & ~is_spike(pressure)
+    pressure, opening = pressure[there], opening[there]
+    if np.min(pressure, initial=0.0) < -0.1 * np.max(pressure, initial=0.0):
+        return False
+    change = np.diff(pressure, append=pressure[-1:])
+    is_open = opening > 0.02 * np.nanmax(opening, initial=0.0)
+    span = np.ptp(pressure) if len(pressure) else 0.0
+    fall, rest = np.nansum(change[is_open]), np.nansum(change[~is_open])
+    return bool(fall < -0.3 * span and rest > 0.2 * fall)
+
+
+def _unit(
+    signal: _Signal, meaning: str, unlabelled: Sequence[tuple[_Signal, str]], labelled: Sequence[Unit]
+) -> tuple[str, str]:
     """The unit of a column and why; empty if its meaning has none.
 
-    The file's pressures in the rig that have no unit (`unlabelled`, with their meanings) have the same one.
+    The file's pressures in the rig that have no unit (`unlabelled`, with their meanings) have the same one,
+    probably that of the others (`labelled`).
     """
     quantity = QUANTITIES.get(meaning)
     if quantity is None or len(signal.readings) == 0:
@@ -326,7 +387,12 @@ def _unit(signal: _Signal, meaning: str, unlabelled: Sequence[tuple[_Signal, str
         doubt = (
             guess_time(signal.values)
             if quantity == "time"
-            else guess_pressure(signal.values, meaning, [(other.values, what) for other, what in others])
+            else guess_pressure(
+                signal.values,
+                meaning,
+                [(other.values, what) for other, what in others],
+                labelled if meaning in _ONE_UNIT else (),
+            )
         )
         if quantity == "pressure":
             name, why = _gauge_or_absolute(signal, doubt.unit, meaning)
@@ -339,10 +405,13 @@ def _unit(signal: _Signal, meaning: str, unlabelled: Sequence[tuple[_Signal, str
 
 
 def _gauge_or_absolute(signal: _Signal, unit: Unit, meaning: str) -> tuple[str, str]:
-    """An absolute sensor rests at ambient pressure and hardly ever reads less."""
+    """An absolute sensor rests at ambient pressure and hardly ever reads less, or is that of a vacuum."""
     if unit.quantity != "pressure" or unit.absolute or meaning not in ("cv_pressure", "reservoir_pressure"):
         return unit.name, ""
     low = rest_kPa(np.sort(signal.readings) * unit.factor + unit.offset)
     if low is not None:
         return as_absolute(unit).name, f"rests at {low:.4g} kPa, as an absolute sensor does"
+    least, most = (float(end(signal.readings)) * unit.factor for end in (np.min, np.max))
+    if AMBIENT_KPA[0] < most < AMBIENT_KPA[1] and 0.0 < least < _VACUUM * most:
+        return as_absolute(unit).name, f"from ambient pressure to {least:.2g} kPa, as a vacuum gauge reads"
     return unit.name, ""

@@ -26,14 +26,20 @@ from flying_vines.identification.importing.answers import (
     missing_line,
     read_answers,
 )
-from flying_vines.identification.importing.columns import IGNORED, QUANTITIES, guess_columns
+from flying_vines.identification.importing.columns import (
+    IGNORED,
+    QUANTITIES,
+    ImportedColumn,
+    guess_columns,
+)
 from flying_vines.identification.importing.layout import ForeignTable, read_foreign
 from flying_vines.identification.importing.pump import PUMP_TOLERANCE_PERCENT, guessed_pump
+from flying_vines.identification.importing.spikes import is_spike
 from flying_vines.identification.importing.units import parse_unit, psi_instead
 from flying_vines.identification.noise import MIN_KPA, measured_noise, rounded_noise, rounding_step
 from flying_vines.identification.recording import CaseError
 from flying_vines.physics.arrays import Array
-from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.rig import rig_from
 
 _CASE_COLUMNS = {
@@ -54,6 +60,8 @@ _RESISTANCE_TOLERANCE_PERCENT = 50.0
 """Of an outlet's flow resistance that was estimated from the time in which the pressure falls."""
 _MAX_VALVE_S = 3.0
 """Time constant up to which a fall is taken for an outlet that was opened; slower ones are leaks."""
+_VACUUM_KPA = 130.0
+"""No pressure is lower than ambient by more, whatever the offset of its sensor."""
 _EPOCH_S = 1e8
 """A time that begins later is a date; runs then begin at zero."""
 
@@ -99,7 +107,10 @@ def propose(path: Path, said: Answers, volume_L: Mapping[str, float] | None = No
         if meanings.count(meaning) > 1:
             raise CaseError(f"{path}: two columns are {meaning}; write {IGNORED} for one of them")
     if not set(_PRESSURES) & set(meanings):
-        raise CaseError(f"{path}: no column looks like a pressure; say which is: --column N=cv_pressure:kPa")
+        raise CaseError(
+            f"{path}: no column looks like a pressure; say which is: --column N=cv_pressure:kPa"
+            f"{_read_as(columns)}"
+        )
     notes = list(table.remarks)
     questions = []
     for c in columns:
@@ -121,6 +132,12 @@ def propose(path: Path, said: Answers, volume_L: Mapping[str, float] | None = No
             answers.rig[vessel or measured] = {**table_of, "volume_L": litres}
         questions += [*_missing_volumes(answers, runs), *_guessed_setup(said, answers)]
     return Proposal(path, table, answers, tuple(questions), tuple(notes), runs)
+
+
+def _read_as(columns: Sequence[ImportedColumn]) -> str:
+    """Which column is read as what, as the end of an error."""
+    texts = [f"{c.number} {c.name}".strip() + f" ({c.meaning})" for c in columns]
+    return "; the columns: " + ", ".join(texts[:12]) + (", …" if len(texts) > 12 else "")
 
 
 def answers_of_similar(path: Path, before: Proposal) -> Answers:
@@ -217,6 +234,12 @@ def _runs(table: ForeignTable, answers: Answers, notes: list[str]) -> Iterator[t
     for count, rows in enumerate(kept, start=1):
         run = {meaning: column[rows] for meaning, column in values.items()}
         run["time"] = _in_order(run, notes)
+        for meaning in _PRESSURES.keys() & run.keys():
+            spikes, below = is_spike(run[meaning]), run[meaning] < -_VACUUM_KPA
+            spikes |= below & (below.mean() < 0.01)
+            if spikes.any():
+                run[meaning] = np.where(spikes, np.nan, run[meaning])
+                notes.append(f"{np.sum(spikes)} spikes of {meaning} are left out, as of a disturbed sensor")
         yield (table.path.stem if len(kept) == 1 else f"{table.path.stem}_{count}"), run
 
 
@@ -275,12 +298,15 @@ def _drives(path: Path, answers: Answers, runs: dict[str, Run], notes: list[str]
             )
         return runs
     if "reservoir_pressure" in has and "cv_pressure" in has:
-        raise CaseError(f"{path}: no column is the inflation valve; say which is: --column N=evp_opening")
+        raise CaseError(
+            f"{path}: no column is the inflation valve; say which is: --column N=evp_opening, or that one of "
+            f"the pressures is not read: --column N={IGNORED}{_read_as(answers.columns)}"
+        )
     if "cv_pressure" in has:
         if any(_rises(run["cv_pressure"]) for run in runs.values()):
             raise CaseError(
                 f"{path}: the chamber is filled, but no column looks like its pump or valve; say which is: "
-                "--column N=evp_opening"
+                f"--column N=evp_opening{_read_as(answers.columns)}"
             )
         notes.append(
             f"{name}: a chamber alone is written as a reservoir; the rig file has no other vessel for it"
@@ -305,7 +331,7 @@ def _alone(run: Run, answers: Answers, notes: list[str], name: str) -> Run:
         notes.append(f"{name}: the vessel is filled until {filled_s:.6g} s; these rows are left out")
         run = {meaning: column[run["time"] >= filled_s] for meaning, column in run.items()}
     time_s, p = run["time"], run["reservoir_pressure"]
-    opens_s = _opening_time(time_s, p)
+    opens_s = _opening_time(time_s, p, late=True)
     if answers.setup.outlet is None:
         fall_s = _fall_s({**run, "evp_opening": np.where(time_s >= (opens_s or 0.0), 1.0, 0.0)})
         leaks = opens_s is None or fall_s is None or fall_s > _MAX_VALVE_S
@@ -314,7 +340,7 @@ def _alone(run: Run, answers: Answers, notes: list[str], name: str) -> Run:
     shut = np.zeros_like(time_s)
     if outlet == "open":
         return run
-    if outlet == "shut" and opens_s is not None:
+    if outlet == "shut" and (opens_s := _opening_time(time_s, p, late=False)) is not None:
         notes.append(
             f"{name}: the pressure is held by a supply until {opens_s:.6g} s; these rows are left out"
         )
@@ -345,8 +371,11 @@ def _filled_time(time_s: Array, pressure_kPa: Array) -> float | None:
     return float(t[top]) if p[0] < 0.5 * p[top] and _long_enough(t[top:]) else None
 
 
-def _opening_time(time_s: Array, pressure_kPa: Array) -> float | None:
-    """When a held pressure begins to fall; None if it never does, or falls from its first reading."""
+def _opening_time(time_s: Array, pressure_kPa: Array, *, late: bool) -> float | None:
+    """When a held pressure begins to fall; None if it never does, or falls from its first reading.
+
+    An outlet may open late between two readings: then the first step of the fall is a small one.
+    """
     there = np.isfinite(pressure_kPa)
     t, p = time_s[there], pressure_kPa[there]
     if len(p) < MIN_SAMPLES or float(p[0] - np.min(p)) < 0.5 * abs(float(p[0])):
@@ -354,6 +383,9 @@ def _opening_time(time_s: Array, pressure_kPa: Array) -> float | None:
     rates = np.diff(p) / np.maximum(np.diff(t), 1e-9)
     steepest = float(np.min(rates))
     first = int(np.argmax(rates < 0.4 * steepest))
+    held = float(np.median(rates[:first])) if first else 0.0
+    while late and first > 3 and rates[first - 1] < held + 0.1 * (steepest - held):
+        first -= 1
     return float(t[first]) if first >= 3 and np.median(rates[:first]) > 0.1 * steepest else None
 
 
@@ -422,20 +454,23 @@ def _noise_kPa(readings: Sequence[Array]) -> float:
 
 
 def _fall_s(run: Run) -> float | None:
-    """Time constant of the pressure while the outlet is open; None if it is shut or the fall too short."""
-    p = run["reservoir_pressure"]
-    use = np.isfinite(p) & (run.get("evp_opening", np.ones_like(p)) > 0.0)
-    use &= p > 0.1 * np.nanmax(p, initial=0.0)
+    """Time constant through the fully open outlet; None if it is shut or the fall too short."""
+    there = np.isfinite(run["reservoir_pressure"])
+    time_s, p = run["time"][there], run["reservoir_pressure"][there]
+    opening = run["evp_opening"][there] if "evp_opening" in run else np.ones_like(p)
+    use = (opening > 0.0) & (p > 0.1 * np.max(p, initial=0.0))
     first_gap = np.flatnonzero(np.diff(use.astype(int)) < 0)
     if len(first_gap):
         use[first_gap[0] + 1 :] = False
     if use.sum() < 5 or p[use][-1] > 0.7 * p[use][0]:
         return None
-    slope = float(np.polyfit(run["time"][use], np.log(p[use]), 1)[0])
-    return -1.0 / slope if slope < 0.0 else None
+    slope = float(np.polyfit(time_s[use], np.log(p[use]), 1)[0])
+    return -float(opening[use].mean()) / slope if slope < 0.0 else None
 
 
 def _csv(run: Run) -> str:
+    # A laboratory does not climb.
+    run = {"ambient_pressure": np.full(len(run["time"]), STANDARD_PRESSURE_KPA), **run}
     names = [meaning for meaning in _CASE_COLUMNS if meaning in run]
     cells = [[_cell(meaning, value) for value in run[meaning].tolist()] for meaning in names]
     head = ",".join(_CASE_COLUMNS[name] for name in names)

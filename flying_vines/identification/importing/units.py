@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from flying_vines.identification.importing.spikes import without_spikes
 from flying_vines.identification.recording import CaseError
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
@@ -34,7 +35,7 @@ UNITS = (
     Unit("kPa", "pressure", 1.0, ("kilopascal", "kilopascals"), cost=0.0),
     Unit("bar", "pressure", 100.0, ("bars",), cost=0.5),
     Unit("psi", "pressure", 6.894757, ("lbf/in2", "lb/in2"), cost=1.2),
-    Unit("mbar", "pressure", 0.1, ("millibar", "hpa", "hectopascal"), cost=1.5),
+    Unit("mbar", "pressure", 0.1, ("millibar", "mb", "hpa", "hectopascal"), cost=1.5),
     Unit("Pa", "pressure", 0.001, ("pascal", "pascals"), cost=1.0),
     Unit("MPa", "pressure", 1000.0, ("megapascal",), cost=1.5),
     Unit("cmH2O", "pressure", 0.0980665, ("cm h2o", "cmwc")),
@@ -43,7 +44,9 @@ UNITS = (
     Unit("inH2O", "pressure", 0.2490889, ("in h2o", "inwc")),
     Unit("kgf/cm2", "pressure", 98.0665, ("kg/cm2", "kgf/cm²", "kg/cm²")),
     Unit("atm", "pressure", 101.325),
-    Unit("s", "time", 1.0, ("sec", "secs", "second", "seconds", "sek", "seg"), cost=0.0),
+    Unit(
+        "s", "time", 1.0, ("sec", "secs", "second", "seconds", "sek", "seg", "segundos", "sekunden"), cost=0.0
+    ),
     Unit("ms", "time", 1e-3, ("msec", "millis", "millisecond", "milliseconds"), cost=1.0),
     Unit("us", "time", 1e-6, ("µs", "μs", "usec", "micros", "microsecond", "microseconds"), cost=2.0),
     Unit("ns", "time", 1e-9, ("nsec", "nanoseconds"), cost=6.0),
@@ -71,6 +74,8 @@ _POINTS = re.compile(
     r"\s*(\w+)\s*\(?\s*([-+.\d]+)\s*=\s*([-+.\d]+)(?: kpa)?\s*,\s*([-+.\d]+)\s*=\s*([-+.\d]+)(?: kpa)?\s*\)?"
 )
 _FULL_SCALE = re.compile(r"0\s*(?:-|–|…|\.\.+|to)\s*(\d+)")
+STROKES = frozenset({"angle", "position", "displacement", "stroke", "speed", "rpm"})
+"""Words of what a valve or pump does."""
 FULL_SCALES = (1.0, 100.0, 255.0, 1023.0, 4095.0, 65535.0)
 _TYPICAL = {"reservoir_pressure": (600.0, 1.0), "ambient_pressure": (100.0, 0.1)}
 _TYPICAL_KPA = (50.0, 1.5)
@@ -82,6 +87,8 @@ _RESTS = 1.5
 
 It is small enough that a chamber that rests at 14 kPa is not taken for one in psi.
 """
+_SAID = 4.0
+"""Subtracted from the cost of a unit that the file names for another pressure."""
 
 
 def parse_unit(text: str) -> Unit:
@@ -156,15 +163,23 @@ class UnitGuess(NamedTuple):
     other: str = ""
 
 
-def guess_pressure(values: Array, meaning: str, beside: Sequence[tuple[Array, str]] = ()) -> UnitGuess:
+def guess_pressure(
+    values: Array, meaning: str, beside: Sequence[tuple[Array, str]] = (), labelled: Sequence[Unit] = ()
+) -> UnitGuess:
     """The unit of a pressure column by the size of its readings.
 
     Args:
         values: the readings.
         meaning: of the column.
         beside: readings and meanings of other columns in the same unit.
+        labelled: units that the file names for other pressures; probably it is one of them.
     """
-    costs = {unit: unit.cost for unit in UNITS if unit.quantity == "pressure" and unit.cost < inf}
+    said = {unit.name.removesuffix(" abs") for unit in labelled}
+    costs = {
+        unit: (0.0 if unit.name in said else unit.cost) - _SAID * (unit.name in said)
+        for unit in UNITS
+        if unit.quantity == "pressure" and (unit.cost < inf or unit.name in said)
+    }
     for readings, what in ((values, meaning), *beside):
         center_kPa, width = _TYPICAL.get(what, _TYPICAL_KPA)
         in_order, top = np.sort(readings[np.isfinite(readings)]), _top(readings)
@@ -187,7 +202,7 @@ def rest_kPa(kPa: Array) -> float | None:
 
 
 def _top(readings: Array) -> float:
-    return float(np.nanmax(np.abs(readings), initial=0.0)) or 1.0
+    return float(np.max(np.abs(without_spikes(readings)), initial=0.0)) or 1.0
 
 
 def guess_time(values: Array) -> UnitGuess:
@@ -212,6 +227,8 @@ def guess_opening(values: Array, name: str) -> UnitGuess:
     is_pwm = "pwm" in words_of(name) and bool(np.all(values[np.isfinite(values)] % 1.0 == 0.0))
     smallest = 255.0 if is_pwm and top > 1.0 else 1.0
     scale = next((scale for scale in FULL_SCALES if scale >= max(top, smallest)), max(top, 1.0))
+    if scale > 100.0 and not STROKES.isdisjoint(words_of(name)):
+        scale = np.ceil(top)  # steps of an encoder have no usual full scale
     unit = parse_unit("%") if scale == 100.0 else parse_unit(f"0-{scale:.0f}")
     return UnitGuess(unit, f"values up to {top:g}")
 

@@ -22,7 +22,7 @@ CAUSE = Cause(
             high=50.0,
             seeds=(0.0,),
             neutral=0.0,
-            of_largest=("reservoir", 0.3),
+            of_largest=("reservoir", 0.05),
             source="2 % of the span in a minute of warming up: 30 kPa of 1500",
         ),
     ),

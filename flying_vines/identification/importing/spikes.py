@@ -1,0 +1,46 @@
+"""Single readings far from their neighbours, as a disturbed sensor gives them beside a motor or a valve."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from flying_vines.physics.arrays import Array, BoolArray
+
+_WIDTH = 5
+"""Readings of the running median: up to two spikes in succession are seen, and steps remain."""
+_MIN_SPAN = 0.1
+"""Minimum distance of a spike from its neighbours, over the span of the other readings."""
+_MIN_NOISE = 12.0
+"""Minimum distance in standard deviations of the noise."""
+_SMOOTH = 0.98
+"""Share of the steps between the other readings that must be smaller than a spike."""
+_MAX_SHARE = 0.1
+"""More spikes than this are no spikes."""
+
+
+def without_spikes(readings: Array) -> Array:
+    """The readings that are no spikes, without missing ones."""
+    kept: Array = readings[np.isfinite(readings) & ~is_spike(readings)]
+    return kept
+
+
+def is_spike(readings: Array) -> BoolArray:
+    """True for each spike; none if they are too many. Missing readings are no spikes."""
+    found = np.zeros(len(readings), dtype=bool)
+    there = np.flatnonzero(np.isfinite(readings))
+    few, nearest = _MAX_SHARE * len(there), np.inf
+    while len(there) >= 4 * _WIDTH:
+        x = readings[there]
+        padded = np.pad(x, _WIDTH // 2, mode="edge")
+        middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, _WIDTH), axis=1)
+        distance = np.abs(x - middle)
+        noise = 1.48 * float(np.median(distance[distance > 0.0])) if (distance > 0.0).any() else 0.0
+        far = distance > max(_MIN_SPAN * float(np.ptp(middle)), _MIN_NOISE * noise)
+        if not far.any():
+            # Where the pressure itself moves as far from reading to reading, a single one may be true.
+            smooth = 2.0 * float(np.quantile(np.abs(np.diff(middle)), _SMOOTH)) < nearest
+            return found if smooth and found.sum() <= few else np.zeros_like(found)
+        nearest = min(nearest, float(np.min(distance[far])))
+        found[there[far]] = True
+        there = there[~far]
+    return np.zeros_like(found)
