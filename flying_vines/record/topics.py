@@ -31,13 +31,13 @@ from flying_vines.core.events import (
     LinkChanged,
     Measured,
     Said,
-    Snapshot,
     Stop,
     Tick,
     ToFirmware,
     ToVehicle,
     VehicleMessage,
 )
+from flying_vines.core.snapshot import Snapshot
 from flying_vines.record.schema import Schema, merged, obj, of_dataclass, of_mavlink, of_type
 from flying_vines.vehicle.mavlink import handled_messages as handled
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
