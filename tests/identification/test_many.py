@@ -1,4 +1,4 @@
-"""Many cases: processes and a cluster give equal verdicts, and an error in one case does not stop the others."""
+"""Many cases: processes and a cluster give equal verdicts, and an error in one case stops no other."""
 
 from __future__ import annotations
 
