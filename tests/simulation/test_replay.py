@@ -15,7 +15,9 @@ import pytest
 from flying_vines.config import config
 from flying_vines.core.events import Action, Decision, ToFirmware, ToVehicle
 from flying_vines.simulation.replay import as_json, replay
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mavlink.tlog import TlogReader
+from flying_vines.vehicle.mission.book import item_of
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.notice import Notice
 from missions.waypoints import read_waypoints
@@ -251,9 +253,17 @@ def test_the_json_of_a_decision() -> None:
     assert first["what"] == {"channel": 9, "position": 1, "from": 0}
 
 
-def test_the_recorded_plan_file_agrees_with_the_download() -> None:
+def test_a_waypoints_file_gives_the_items_of_the_download() -> None:
+    codec = MavlinkCodec(1, 191)
+    frames = TlogReader(RECORDINGS / "ardupilot_vine_mission.tlog").frames()
+    messages = [message for _, frame in frames for message in codec.decode(frame)]
+    downloaded = {m.seq: item_of(m) for m in messages if m.get_type() == "MISSION_ITEM_INT"}
     mission = read_waypoints(RECORDINGS / "ardupilot_vine_mission.waypoints")
-    assert [i.seq for i in mission if i.command in (217, 211)] == [3, 5, 7, 9]
+    assert [item.seq for item in mission] == sorted(downloaded)
+    for item in mission:
+        other = downloaded[item.seq]
+        assert (item.command, item.frame) == (other.command, other.frame)
+        assert item.params == pytest.approx(other.params, rel=1e-8)
 
 
 def test_items_that_arrive_late_bend_nothing() -> None:
