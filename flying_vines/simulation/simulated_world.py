@@ -140,12 +140,18 @@ class SimulatedFlight:
             if link == COMPANION:
                 for message in self._codec.decode(self.from_autopilot(frame)):
                     actions.extend(self.world.feed(VehicleMessage(t, message)))
+        self._send(t, actions)
+        return actions
+
+    def _send(self, t: float, actions: Sequence[Action]) -> None:
+        """Send the messages among the actions to the autopilot."""
         for action in actions:
             if isinstance(action, ToVehicle):
                 frame = self._codec.encode(action.message, action.system_id)
                 self.autopilot.receive(t, COMPANION, frame)
-        return actions
 
     def feed(self, event: Event) -> list[Action]:
         """Feed one event now. Returns the core's actions."""
-        return list(self.world.feed(event))
+        actions = list(self.world.feed(event))
+        self._send(self.world.now, actions)
+        return actions
