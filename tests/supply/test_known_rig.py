@@ -13,8 +13,9 @@ import msgspec
 import numpy as np
 import pytest
 from command_line import status as command
+from plant_telemetry import telemetry_of
 
-from firmware_link.protocol import Fault, Mode, Telemetry
+from firmware_link.protocol import Telemetry
 from flying_vines.config import config
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.identification.case import read_case
@@ -138,33 +139,25 @@ WAIT_S = 2.0
 FULL_KPA = 500.0
 
 
-def telemetry_of(there: TrueRig, seconds: float) -> Iterator[tuple[float, Telemetry]]:
-    """The telemetry of repeated cycles of `[pneumatics]`, with a short rest after each."""
+def cycles(there: TrueRig, seconds: float) -> Iterator[tuple[float, Telemetry]]:
+    """Telemetry of repeated cycles of `[pneumatics]`, with a short rest after each."""
     times = np.arange(WAIT_S, seconds, 0.02).tolist()
     setpoints = []
     for t in times:
         phase = ((t + 0.02 - WAIT_S) % CYCLE_S) / RISE_S
         share = max(0.0, min(1.0, phase, 2.2 - phase))
         setpoints.append(SetpointChange(t, TOP_KPA * share, P.cycle_rate_kPa_per_s))
-    plant, setup = there.setup.plant, there.setup
-    state = at_rest(plant, FULL_KPA)
+    setup = there.setup
     run = closed_loop(
-        plant,
+        setup.plant,
         setpoints,
         seconds,
-        state,
+        at_rest(setup.plant, FULL_KPA),
         cv_sensor=setup.cv_sensor,
         reservoir_sensor=setup.reservoir_sensor,
         seed=1,
     )
-    for row in run.table:
-        setpoint = float(np.nan_to_num(row["setpoint_kPa"]))
-        cv, reservoir = float(row["cv_reading_kPa"]), float(row["reservoir_reading_kPa"])
-        evp, dvp, solenoid = float(row["evp"]), float(row["dvp"]), bool(row["solenoid"] > 0.5)
-        yield (
-            float(row["time_s"]),
-            Telemetry(0, Mode.REGULATE, Fault.NONE, 0, setpoint, cv, reservoir, evp, dvp, solenoid),
-        )
+    return telemetry_of(run)
 
 
 def errors(there: TrueRig, beliefs: tuple[Belief, ...]) -> list[tuple[float, ...]]:
@@ -173,7 +166,7 @@ def errors(there: TrueRig, beliefs: tuple[Belief, ...]) -> list[tuple[float, ...
     estimates = [ReservoirEstimate(belief) for belief in beliefs]
     predicted: dict[int, list[float]] = {}
     best_kPa, missed, cycle = 0.0, 0, -1
-    for t, telemetry in telemetry_of(there, 600.0):
+    for t, telemetry in cycles(there, 600.0):
         if t >= WAIT_S + (cycle + 1) * CYCLE_S - 1e-6:
             if cycle >= 0:
                 missed = missed + 1 if best_kPa < TOP_KPA - 2.07 else 0

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from plant_telemetry import telemetry_of
 
-from firmware_link.protocol import Fault, Mode, Telemetry
+from firmware_link.protocol import Telemetry
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics import paper
 from flying_vines.physics.plant.effects import Effects
@@ -61,7 +62,7 @@ def rigs() -> Iterator[Flight]:
     yield Flight(real(0.25, replace(likely, cv_shape=Pouch(0.03))), eager, cycle_s=4.0)
 
 
-def telemetry_of(flight: Flight, seconds: float) -> Iterator[tuple[float, Telemetry]]:
+def flown(flight: Flight, seconds: float) -> Iterator[tuple[float, Telemetry]]:
     times = np.arange(WAIT_S, min(seconds, flight.until_s), 0.02).tolist()
     rate = TOP_KPA / flight.up_s
     setpoints = [SetpointChange(t, flight.setpoint_kPa(t + 0.02), rate) for t in times]
@@ -77,23 +78,7 @@ def telemetry_of(flight: Flight, seconds: float) -> Iterator[tuple[float, Teleme
         reservoir_sensor=replace(HONEYWELL_15BAR, adc=Adc(10), offset_kPa=6.0),
         seed=4,
     )
-    for row in run.table:
-        setpoint = float(np.nan_to_num(row["setpoint_kPa"]))
-        yield (
-            float(row["time_s"]),
-            Telemetry(
-                0,
-                Mode.REGULATE,
-                Fault.NONE,
-                0,
-                setpoint,
-                float(row["cv_reading_kPa"]),
-                float(row["reservoir_reading_kPa"]),
-                float(row["evp"]),
-                float(row["dvp"]),
-                bool(row["solenoid"] > 0.5),
-            ),
-        )
+    return telemetry_of(run)
 
 
 def by_paper(reservoir_kPa: float) -> float:
@@ -112,7 +97,7 @@ def test_an_early_prediction_holds(flight: Flight) -> None:
     reader, estimate = TelemetryReader(nominal(BELIEVED)), ReservoirEstimate(nominal(BELIEVED))
     predicted: dict[int, tuple[CyclesLeft, float]] = {}
     best_kPa, missed, cycle = 0.0, 0, 0
-    for t, telemetry in telemetry_of(flight, 700.0):
+    for t, telemetry in flown(flight, 700.0):
         if t >= WAIT_S + (cycle + 1) * flight.cycle_s:
             cycle += 1
             missed = missed + 1 if best_kPa < TOP_KPA - 2.07 else 0
@@ -144,7 +129,7 @@ def test_a_pause_after_fast_cycles_changes_the_prediction_little() -> None:
     reader, estimate = TelemetryReader(nominal(BELIEVED)), ReservoirEstimate(nominal(BELIEVED))
     lowest_kPa = math.inf
     after_cycles: CyclesLeft | None = None
-    for t, telemetry in telemetry_of(flight, fast_until_s + 40.0):
+    for t, telemetry in flown(flight, fast_until_s + 40.0):
         estimate.update(reader.read(t, telemetry))
         lowest_kPa = min(lowest_kPa, estimate.reservoir_kPa)
         if t >= fast_until_s + 0.5 and round(100.0 * t) % 50 == 0:
