@@ -14,7 +14,9 @@ from rich.table import Table
 from rich.text import Text
 
 from flying_vines.vehicle.autopilots import AUTOPILOTS
+from flying_vines.vehicle.component.texts import CHUNK_LENGTH
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.notice import Severity
 from missions.checks import name_of
 from missions.link import ReceivedMessage, VehicleLinkError, vehicle
 
@@ -25,11 +27,9 @@ SET_MESSAGE_INTERVAL = 511
 _AUTOPILOT = 1
 _ARMED = 128
 _ACTIVE, _COMPLETE = 3, 5
-_WARNING = 4
 _ITEM_TEXT = re.compile(r"Mission: (\d+) ")
 _REACHED_TEXT = "Reached command #"
 _DISARMING = "Disarming motors"
-_FULL_CHUNK = 50
 _ITEM_VALUES = ("BEND_DEG", "RES_KPA", "CYC_LEFT")
 _SHOWN_ITEMS, _BEFORE = 14, 5
 _SHOWN_TEXTS = 6
@@ -148,7 +148,7 @@ class MissionView:
             if text.startswith(_REACHED_TEXT):
                 return []
             text = f"autopilot: {text}"
-        style = "red" if message.fields["severity"] < _WARNING else "cyan"
+        style = "red" if message.fields["severity"] < Severity.WARNING else "cyan"
         return [WatchLine(t, text, style)]
 
     def _complete_text(self, message: ReceivedMessage) -> str | None:
@@ -158,7 +158,7 @@ class MissionView:
             return str(text)
         key = message.component, number
         before = self._chunks.pop(key, "") if message.fields.get("chunk_seq", 0) else ""
-        if len(text) < _FULL_CHUNK:
+        if len(text) < CHUNK_LENGTH:
             return f"{before}{text}"
         self._chunks = {key: before + text}  # one text at a time: an unfinished one is dropped
         return None
