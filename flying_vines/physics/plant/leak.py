@@ -2,7 +2,7 @@
 
     Q = (p − p_a) (1/R + (p + p_a)/C) + the flow of an orifice + a curve over p − p_a
 
-Ohm's law and viscous flow add up exactly. A volume has at most one orifice and one curve.
+Leaks by Ohm's law add up exactly, and so do viscous leaks. A volume has at most one orifice and one curve.
 """
 
 from __future__ import annotations
