@@ -22,8 +22,9 @@ from flying_vines.calibration.calibrator import (
 from flying_vines.calibration.evaluation import StageRecording
 from flying_vines.calibration.plan import CalibrationPlan
 from flying_vines.core.core import TICK_S
-from flying_vines.core.events import Decision, Measured, Snapshot
+from flying_vines.core.events import Decision, Measured
 from flying_vines.core.motion_planner import MotionPlanner
+from flying_vines.core.snapshot import Snapshot
 from flying_vines.physics.plant.plant import State, at_rest
 from flying_vines.physics.plant.setup import Setup
 from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop

@@ -1,4 +1,4 @@
-"""Follows a vehicle's mission: the present item, the vine's actions, and the bottle."""
+"""Follows a vehicle's mission: the present item, the vine's texts and its values."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from rich.table import Table
 from rich.text import Text
 
 from flying_vines.vehicle.autopilots import AUTOPILOTS
+from flying_vines.vehicle.component.texts import CHUNK_LENGTH
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.notice import Severity
 from missions.checks import name_of
 from missions.link import ReceivedMessage, VehicleLinkError, vehicle
 
@@ -25,11 +27,9 @@ SET_MESSAGE_INTERVAL = 511
 _AUTOPILOT = 1
 _ARMED = 128
 _ACTIVE, _COMPLETE = 3, 5
-_WARNING = 4
 _ITEM_TEXT = re.compile(r"Mission: (\d+) ")
 _REACHED_TEXT = "Reached command #"
 _DISARMING = "Disarming motors"
-_FULL_CHUNK = 50
 _ITEM_VALUES = ("BEND_DEG", "RES_KPA", "CYC_LEFT")
 _SHOWN_ITEMS, _BEFORE = 14, 5
 _SHOWN_TEXTS = 6
@@ -52,13 +52,12 @@ class WatchLine:
 class MissionView:
     """The state of a flown mission, from the vehicle's messages. No I/O.
 
-    It ends when the autopilot reports the mission as complete or disarms, after it was active or armed.
+    It ends when the autopilot reports the mission as complete or disarms, after the mission was active.
     """
 
     items: Sequence[MissionItem]
     current: int | None = None
     begun: set[int] = field(default_factory=set)
-    """Items that have begun."""
     values: dict[str, float] = field(default_factory=dict)
     ended: bool = False
     last_message_at: float = 0.0
@@ -67,12 +66,12 @@ class MissionView:
     _armed: bool | None = None
     _was_active: bool = False
     _announced: set[int] = field(default_factory=set)
-    """Items already shown because of a status text, which may come before MISSION_CURRENT."""
+    """Items already shown because of a status text. It may come before MISSION_CURRENT."""
     _shown_values: str = ""
     _chunks: dict[tuple[int, int], str] = field(default_factory=dict)
 
     def handle(self, t: float, message: ReceivedMessage) -> list[WatchLine]:
-        """New lines because of a message."""
+        """The new lines from a message."""
         if self.ended:
             return []
         from_autopilot = message.component == _AUTOPILOT
@@ -134,7 +133,7 @@ class MissionView:
         return [WatchLine(t, f"item {seq} reached")] if seq in self.begun else self._begin(t, seq)
 
     def _text(self, t: float, message: ReceivedMessage) -> list[WatchLine]:
-        text = self._whole(message)
+        text = self._complete_text(message)
         if text is None:
             return []
         if message.component == _AUTOPILOT:
@@ -149,19 +148,19 @@ class MissionView:
             if text.startswith(_REACHED_TEXT):
                 return []
             text = f"autopilot: {text}"
-        style = "red" if message.fields["severity"] < _WARNING else "cyan"
+        style = "red" if message.fields["severity"] < Severity.WARNING else "cyan"
         return [WatchLine(t, text, style)]
 
-    def _whole(self, message: ReceivedMessage) -> str | None:
-        """The whole text; None until its last chunk has arrived."""
+    def _complete_text(self, message: ReceivedMessage) -> str | None:
+        """The complete text; None until its last chunk has arrived."""
         text, number = message.fields["text"], message.fields.get("id", 0)
         if not number:
             return str(text)
         key = message.component, number
-        begun = self._chunks.pop(key, "") if message.fields.get("chunk_seq", 0) else ""
-        if len(text) < _FULL_CHUNK:
-            return f"{begun}{text}"
-        self._chunks = {key: begun + text}  # one text at a time: an unfinished one is dropped
+        before = self._chunks.pop(key, "") if message.fields.get("chunk_seq", 0) else ""
+        if len(text) < CHUNK_LENGTH:
+            return f"{before}{text}"
+        self._chunks = {key: before + text}  # one text at a time: an unfinished one is dropped
         return None
 
 

@@ -20,7 +20,8 @@ from flying_vines.calibration.calibrator import (
 from flying_vines.calibration.driver import result_of
 from flying_vines.calibration.findings import Result
 from flying_vines.calibration.plan import CalibrationPlan
-from flying_vines.core.events import Action, Asked, Decision, Measured, Snapshot
+from flying_vines.core.events import Action, Asked, Decision, Measured
+from flying_vines.core.snapshot import Snapshot
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedWorld
 from flying_vines.vine.intent import Intent, SetPressure, StartProfile, VentVine

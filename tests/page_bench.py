@@ -16,7 +16,8 @@ from ports import free_port
 
 from flying_vines.config import config
 from flying_vines.config.config import PageConfig
-from flying_vines.core.events import Decision, Snapshot
+from flying_vines.core.events import Decision
+from flying_vines.core.snapshot import Snapshot
 from flying_vines.gateway import page
 from flying_vines.gateway.feed import Feed
 from flying_vines.gateway.messages import (

@@ -15,7 +15,8 @@ from flying_vines.calibration.evaluation import StageRecording
 from flying_vines.calibration.findings import Chart, Findings, MeasuredQuantity, Result
 from flying_vines.calibration.plan import ANSWER_S, SETTLE_S, CalibrationPlan, Movement, Stage
 from flying_vines.calibration.readings import ReadingsBuffer
-from flying_vines.core.events import Action, Decision, Measured, Snapshot
+from flying_vines.core.events import Action, Decision, Measured
+from flying_vines.core.snapshot import Snapshot
 from flying_vines.vine.intent import Asker, Intent, SetPressure, StartBench, StartProfile, VentVine
 
 BY: Asker = "calibration"

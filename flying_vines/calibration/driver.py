@@ -24,7 +24,8 @@ from flying_vines.calibration.terminal import CalibrationTerminal
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config, PneumaticsConfig
 from flying_vines.config.config_text import profile_text
-from flying_vines.core.events import Action, Snapshot, StoredState
+from flying_vines.core.events import Action, StoredState
+from flying_vines.core.snapshot import Snapshot
 from flying_vines.record import recorder
 from flying_vines.service.persistent_state import PersistentState
 from flying_vines.supply import Belief

@@ -29,7 +29,8 @@ from flying_vines.calibration.plan import CalibrationPlan, CalibrationRequest
 from flying_vines.calibration.real_rig import EVERY_STEP_HZ
 from flying_vines.calibration.terminal import CalibrationTerminal
 from flying_vines.config.config import Config
-from flying_vines.core.events import Action, Asked, Event, Snapshot, Stop, ToVehicle
+from flying_vines.core.events import Action, Asked, Event, Stop, ToVehicle
+from flying_vines.core.snapshot import Snapshot
 from flying_vines.physics.plant.true_rig import load_true_rig
 from flying_vines.record.recorder import Recorder
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar

@@ -24,12 +24,12 @@ from flying_vines.core.events import (
     Failed,
     InternalError,
     LinkChanged,
-    Snapshot,
     Tick,
     ToFirmware,
     ToVehicle,
 )
 from flying_vines.core.safety import INTERNAL_ERROR
+from flying_vines.core.snapshot import Snapshot
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vine.intent import VentVine as VentIntent

@@ -32,7 +32,6 @@ from flying_vines.core.events import (
     LinkChanged,
     Measured,
     Said,
-    Snapshot,
     Stop,
     StoredState,
     Tick,
@@ -44,6 +43,7 @@ from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.parts import IsolatedParts
 from flying_vines.core.restarts import Restarts
 from flying_vines.core.safety import LossEnded, ResponseNeeded, Ruling, Safety, SafetyInputs
+from flying_vines.core.snapshot import Snapshot
 from flying_vines.core.waiting import FreshRequest, Waiting, source
 from flying_vines.supply import Belief, Features, ReportedCycles, ReservoirEstimate, TelemetryReader, nominal
 from flying_vines.supply.estimate import AirNeeded

@@ -1,15 +1,12 @@
-"""The core's inputs and outputs: events, actions, and a snapshot for displays and logs."""
+"""The core's inputs and outputs: events and actions."""
 
 from __future__ import annotations
 
-import math
 import traceback
 from dataclasses import dataclass, field
 from typing import Literal
 
 from firmware_link import protocol
-from flying_vines.core.waiting import Waiting
-from flying_vines.supply import CyclesLeft
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vine.intent import Asker, Intent
@@ -208,43 +205,3 @@ Action = (
     | KeepLatched
     | InternalError
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Snapshot:
-    """Everything that a display or a log shows of one moment. Gauge kPa, degrees; NaN is unknown."""
-
-    t: float
-    vehicle: str
-    mode: str
-    armed: bool
-    altitude_m: float
-    rc: str
-    switch_position: int | None
-    actuator: str
-    """Its name: phloSAR, or the kind of an installed package."""
-    firmware: str
-    round_trip_s: float | None
-    """Round trip of the latest ping to the firmware."""
-    telemetry_gaps: int
-    reservoir_kPa: float
-    cv_kPa: float
-    command_kPa: float
-    bend_deg: float
-    evp_opening: float
-    """Opening of the inflation valve, 0…1."""
-    dvp_opening: float
-    """Opening of the Venturi's supply valve, 0…1."""
-    solenoid: bool | None
-    cycles: CyclesLeft | None
-    doing: str
-    safe_state: dict[str, str] = field(default_factory=dict)
-    findings: dict[str, int] = field(default_factory=dict)
-    """The number of findings of each physics check."""
-    ambient_kPa: float = math.nan
-    """Absolute, from the autopilot's barometer."""
-    pneumatics_armed: bool = True
-    bench: bool = False
-    """Bench mode is on: the vine may bend on the ground."""
-    waiting: Waiting | None = None
-    """Somebody asks for a bend, and nothing moves until a fresh request."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from flying_vines.core.events import Action, Event, Snapshot
+from flying_vines.core.events import Action, Event
+from flying_vines.core.snapshot import Snapshot
 
 
 class Watcher:

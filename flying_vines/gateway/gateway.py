@@ -17,7 +17,8 @@ from importlib import metadata
 import msgspec
 
 from flying_vines.config.config import Config
-from flying_vines.core.events import Action, Decision, Snapshot
+from flying_vines.core.events import Action, Decision
+from flying_vines.core.snapshot import Snapshot
 from flying_vines.core.watcher import Watcher
 from flying_vines.gateway.keep_alive import keep_alive
 from flying_vines.gateway.messages import (

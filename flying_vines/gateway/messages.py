@@ -13,7 +13,8 @@ from flying_vines.vine.intent import COMMAND_OF, Asker, BendTo, CommandName, Int
 
 if TYPE_CHECKING:
     # Imported only for type checks, because the gateway must start fast.
-    from flying_vines.core.events import Action, Snapshot
+    from flying_vines.core.events import Action
+    from flying_vines.core.snapshot import Snapshot
 
 COMMANDS: tuple[CommandName, ...] = get_args(CommandName)
 ALIVE_EVERY_S = 0.5

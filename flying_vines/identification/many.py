@@ -64,7 +64,7 @@ def diagnose_all(
     jobs: Iterable[Job] = [(c.path, c) if isinstance(c, Case) else (Path(c), Path(c)) for c in cases]
     if scheduler is not None:
         with _cluster(scheduler) as (pool, at_once):
-            yield from _as_they_come(pool, (_read(job, rig) for job in jobs), at_once, 1, rig)
+            yield from _as_completed(pool, (_read(job, rig) for job in jobs), at_once, 1, rig)
         return
     workers = min(workers or cores(), len(cases))
     if workers <= 1:
@@ -74,24 +74,24 @@ def diagnose_all(
     # Spawned, because a fork would copy locks that threads of numerical libraries hold.
     with ProcessPoolExecutor(workers, get_context("spawn"), _ignore_interrupts) as pool:
         try:
-            yield from _as_they_come(pool, jobs, workers, max(1, cores() // workers), rig)
+            yield from _as_completed(pool, jobs, workers, max(1, cores() // workers), rig)
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _as_they_come(
+def _as_completed(
     pool: Executor, jobs: Iterable[Job], at_once: int, threads: int, rig: Path | str | None
 ) -> Iterator[tuple[Path, CaseOutcome]]:
     waiting: dict[Future[CaseOutcome], Path] = {}
     for job in jobs:
-        waiting[_handed_out(pool, job, threads, rig)] = job[0]
+        waiting[_submit(pool, job, threads, rig)] = job[0]
         if len(waiting) >= AHEAD * at_once:
             yield from _finished(waiting)
     while waiting:
         yield from _finished(waiting)
 
 
-def _handed_out(pool: Executor, job: Job, threads: int, rig: Path | str | None) -> Future[CaseOutcome]:
+def _submit(pool: Executor, job: Job, threads: int, rig: Path | str | None) -> Future[CaseOutcome]:
     try:
         return pool.submit(_outcome, job, threads, rig)
     except RuntimeError as error:  # a pool that has lost a process accepts no jobs

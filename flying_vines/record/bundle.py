@@ -1,4 +1,4 @@
-"""One flight in one zip file, for the search of a fault. It never contains keys."""
+"""One flight in one zip file, for a bug report. It never contains keys."""
 
 from __future__ import annotations
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from flying_vines.core.events import Action, Event, Snapshot
+from flying_vines.core.events import Action, Event
+from flying_vines.core.snapshot import Snapshot
 from flying_vines.core.watcher import Watcher
 from flying_vines.record.background_writer import BackgroundWriter
 from flying_vines.record.folders import FlightStart, Folders

@@ -31,13 +31,13 @@ from flying_vines.core.events import (
     LinkChanged,
     Measured,
     Said,
-    Snapshot,
     Stop,
     Tick,
     ToFirmware,
     ToVehicle,
     VehicleMessage,
 )
+from flying_vines.core.snapshot import Snapshot
 from flying_vines.record.schema import Schema, merged, obj, of_dataclass, of_mavlink, of_type
 from flying_vines.vehicle.mavlink import handled_messages as handled
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
@@ -46,7 +46,7 @@ from flying_vines.vehicle.mavlink.payloads import message_of
 from flying_vines.vehicle.notice import Notice
 from flying_vines.vine.intent import Intent, name_of
 
-_ANOTHER = bytes((mavlink.PROTOCOL_MARKER_V2,))
+_NEXT_FRAME = bytes((mavlink.PROTOCOL_MARKER_V2,))
 _encode = msgspec.json.Encoder().encode
 _decode = msgspec.json.Decoder().decode
 
@@ -64,13 +64,13 @@ class Start:
     rig: str
     """The rig file's text; empty if there was none."""
     parameters: dict[str, float]
-    """Saved parameters that a pilot has set."""
+    """Saved parameters of the pilot."""
     disarmed: bool
     """The pneumatics were disarmed when the last service ended."""
     learned: str
-    """The text of what the last service learned of the rig's air; or empty."""
+    """What the last service learned of the rig's air, as stored on disk; or empty."""
     believed: dict[str, Any]
-    """The configuration's numbers of the rig, as the tables of a rig file."""
+    """The rig of `[pneumatics]`, as tables of a rig file."""
     continues: str
     """The folder of this service's previous flight, which this one continues; or empty."""
     latched: dict[str, str] = field(default_factory=dict)
@@ -142,7 +142,7 @@ _STATES: dict[type, str] = {
     KeepLearned: "learned",
     KeepLatched: "latched",
 }
-"""Not fed to the core, and not compared in a replay: a traceback contains line numbers."""
+"""Not fed to the core, and not compared in a replay, because a traceback contains line numbers."""
 MAVLINK_IN, MAVLINK_OUT = "mavlink/in", "mavlink/out"
 
 
@@ -194,7 +194,7 @@ def topic_of(kind: type) -> str:
 
 
 def entry_of_event(event: Event) -> RawEntry:
-    """Runs in the service's loop, so it only finds the topic."""
+    """Runs in the service's loop, so it does not encode."""
     if isinstance(event, VehicleMessage):
         return _IN, event.t, event.message.get_msgbuf()
     if isinstance(event, FirmwareMessage):
@@ -231,7 +231,7 @@ def encoded(entry: RawEntry) -> bytes:
 
 
 def _with_kind(what: Asked) -> dict[str, Any]:
-    """The fields of a request, with the kind of its intent."""
+    """The fields of a request and the name of its intent's type."""
     plain: dict[str, Any] = msgspec.to_builtins(what)
     plain["intent"] = {"kind": name_of(type(what.intent)), **plain["intent"]}
     return plain
@@ -269,7 +269,7 @@ def _mavlink(t: float, raw: bytes) -> bytes:
 def frame_of(raw: bytes) -> Frame:
     """The frame in `raw`, which was valid when it was received or sent."""
     # `Frames` returns a frame of an unknown type only if another frame follows.
-    (frame,) = Frames().take(raw + _ANOTHER)
+    (frame,) = Frames().take(raw + _NEXT_FRAME)
     return frame
 
 

@@ -11,7 +11,8 @@ import os
 import socket
 from collections.abc import MutableMapping
 
-from flying_vines.core.events import Event, Snapshot, Stop, Tick
+from flying_vines.core.events import Event, Stop, Tick
+from flying_vines.core.snapshot import Snapshot
 from flying_vines.core.watcher import Watcher
 
 PER_WATCHDOG = 4

@@ -31,7 +31,7 @@ BUFFER_BYTES = 4095
 """Size of a serial port's input buffer on Linux. Bytes that do not fit are lost."""
 
 Wire = Callable[[bytes], bytes]
-"""A function that may drop or change bytes in transit."""
+"""Takes the sent bytes and returns the received ones."""
 
 
 def perfect(data: bytes) -> bytes:
@@ -73,9 +73,9 @@ class SimulatedWorld:
             yield from self.feed(LinkChanged(0.0, "vehicle", True))
         while (tick_t := self._next_tick * TICK_S) <= to_t:
             self._next_tick += 1
-            yield from self._live_until(tick_t)
+            yield from self._advance_phlosar(tick_t)
             yield from self.feed(Tick(tick_t))
-        yield from self._live_until(to_t)
+        yield from self._advance_phlosar(to_t)
 
     def feed(self, event: Event) -> Iterator[Action]:
         """Feed one event. Yields the core's actions."""
@@ -87,11 +87,11 @@ class SimulatedWorld:
     def stall(self, until_t: float) -> Iterator[Action]:
         """The core's computer pauses until `until_t`; the phloSAR continues."""
         self._next_tick = math.ceil(until_t / TICK_S)
-        yield from self._live_until(until_t, BUFFER_BYTES)
+        yield from self._advance_phlosar(until_t, BUFFER_BYTES)
 
-    def _live_until(self, t: float, most_bytes: int | None = None) -> Iterator[Action]:
+    def _advance_phlosar(self, t: float, max_bytes: int | None = None) -> Iterator[Action]:
         self.now = t
-        for message in self._codec.decode(self.from_phlosar(self.phlosar.advance(t))[:most_bytes]):
+        for message in self._codec.decode(self.from_phlosar(self.phlosar.advance(t))[:max_bytes]):
             yield from self.feed(FirmwareMessage(t, message))
 
 
@@ -140,12 +140,18 @@ class SimulatedFlight:
             if link == COMPANION:
                 for message in self._codec.decode(self.from_autopilot(frame)):
                     actions.extend(self.world.feed(VehicleMessage(t, message)))
+        self._send(t, actions)
+        return actions
+
+    def _send(self, t: float, actions: Sequence[Action]) -> None:
+        """Send the messages among the actions to the autopilot."""
         for action in actions:
             if isinstance(action, ToVehicle):
                 frame = self._codec.encode(action.message, action.system_id)
                 self.autopilot.receive(t, COMPANION, frame)
-        return actions
 
     def feed(self, event: Event) -> list[Action]:
         """Feed one event now. Returns the core's actions."""
-        return list(self.world.feed(event))
+        actions = list(self.world.feed(event))
+        self._send(self.world.now, actions)
+        return actions

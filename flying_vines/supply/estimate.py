@@ -225,7 +225,7 @@ class ReservoirEstimate:
         self.basis: Basis | None = None
         """That of the latest prediction."""
         self._cycle_kPa = math.nan
-        """The expected cost of one cycle now. A decision must not wait for it, so each block renews it."""
+        """The cost of one cycle after the last block; NaN before. A decision must not wait for it."""
         if learned:
             self._demand.ln, self._demand.variance = learned.demand_ln, learned.demand_variance
             self._mix.sums = learned.mix
@@ -269,9 +269,8 @@ class ReservoirEstimate:
                 self.filter.read(use.reading_kPa, READING_SD_KPA / math.sqrt(use.readings))
         if use.inflation is not None:
             self._add(use.inflation, self.filter)
-        if use.block is not None or use.inflation is not None or math.isnan(self._cycle_kPa):
-            basis = Basis(self.filter.possible_mean(), self._mix.mean(), 0.0)
-            self._cycle_kPa = _Forecast(self._belief, basis).cost_kPa()
+        if use.block is not None or use.inflation is not None:
+            self._cycle_kPa = self._cost_kPa(self.filter)
 
     def cut_off(self) -> None:
         """The present movement is replaced before its end: nothing is learned from it."""
@@ -313,7 +312,14 @@ class ReservoirEstimate:
     def spending_kPa(self, rise_kPa: float) -> float:
         if self.filter is None:
             return 2.0 * self._p.cv_volume_L * rise_kPa / self._p.reservoir_volume_L
+        if math.isnan(self._cycle_kPa):
+            self._cycle_kPa = self._cost_kPa(self.filter)
         return self._cycle_kPa * (rise_kPa / self._p.cycle_swing_kPa)
+
+    def _cost_kPa(self, air: ReservoirFilter) -> float:
+        """The expected cost of one cycle now."""
+        basis = Basis(air.possible_mean(), self._mix.mean(), 0.0)
+        return _Forecast(self._belief, basis).cost_kPa()
 
     def cycles_left(self) -> CyclesLeft | None:
         """None before the first reading."""

@@ -19,7 +19,8 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from flying_vines.core.events import Action, Decision, InternalError, Snapshot
+from flying_vines.core.events import Action, Decision, InternalError
+from flying_vines.core.snapshot import Snapshot
 from flying_vines.record.background_writer import BackgroundWriter
 from flying_vines.supply import CyclesLeft
 from flying_vines.supply.estimate import MAX_MINUTES

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from flying_vines.core.events import Decision, Snapshot
+from flying_vines.core.events import Decision
+from flying_vines.core.snapshot import Snapshot
 from flying_vines.vehicle.notice import Notice
 
 VENT_AGAIN_S = 0.5

@@ -1,4 +1,4 @@
-"""A text for people, shown on the screen here and on the ground station."""
+"""A text for the pilot, shown on the terminal and on the ground station."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ class Severity(IntEnum):
     NOTICE = 5
     INFO = 6
     DEBUG = 7
-    """Only for the log; there may be very many."""
+    """Only logged, because there may be very many."""
 
 
 @dataclass(frozen=True, slots=True)
 class Notice:
-    """A sentence for people, at time `t`."""
+    """A sentence for the pilot, at time `t`."""
 
     t: float
     severity: Severity

@@ -37,7 +37,7 @@ def test_true_values_are_found(outcome: Any, name: str, relative: float, absolut
     assert found.value == pytest.approx(outcome.truth[name], rel=relative, abs=absolute)
 
 
-def test_it_ends_within_the_announced_time_and_air(outcome: Any) -> None:
+def test_it_takes_less_than_330_s_and_80_kPa(outcome: Any) -> None:
     assert outcome.outcome == "done"
     assert outcome.seconds < 330.0 and outcome.air_kPa < 80.0
 

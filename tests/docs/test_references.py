@@ -18,6 +18,7 @@ from docs.references import BLOCK, PAGES, arguments, commands, filled, marked, t
 from examples import examples
 from flying_vines.config import config
 from flying_vines.config.config import Config, ConfigError, ItemConfig, TriggerConfig
+from flying_vines.doctor.checks.machine import MIN_FREE_MB
 from flying_vines.vine.profile import PressureProfile
 
 COMMANDS, CONFIGURATION, _, FAULTS, DOCTOR = (page.read_text(encoding="utf-8") for page in PAGES)
@@ -76,6 +77,10 @@ def test_all_that_the_doctor_looks_at_has_its_row() -> None:
         if line.do:
             given.setdefault(line.check.replace("{name}", "messages"), set()).add(line.verdict)
     assert stated == given
+
+
+def test_the_memory_that_the_doctor_asks_for_is_stated() -> None:
+    assert f"less than {MIN_FREE_MB:.0f} MB free" in DOCTOR
 
 
 def test_of_everything_something_is_said() -> None:

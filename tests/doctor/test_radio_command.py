@@ -21,7 +21,7 @@ from flying_vines.doctor.radio_test import RadioLearned, Sign, TransmitterLoss
 
 SIGN = Sign("RC status", 1.1, "RC status (present, enabled, health) 1 1 1 → 0 1 0")
 HELD = TransmitterLoss(True, 1000, 1000, (SIGN,), ()), TransmitterLoss(True, 2000, 2000, (SIGN,), ())
-HOLDS = RadioLearned("px4", losses=HELD, shows_within_s=1.6)
+HOLDING = RadioLearned("px4", losses=HELD, shows_within_s=1.6)
 STRAIGHT = '[profiles.straight]\nsegments = [{ kind = "step", to_deg = 0 }]\n'
 LINE = 'receiver_failsafe = "hold"'
 
@@ -33,7 +33,7 @@ def profile(tmp_path: Path) -> Path:
     return path
 
 
-def having_learned(monkeypatch: pytest.MonkeyPatch, learned: RadioLearned) -> None:
+def replace_test(monkeypatch: pytest.MonkeyPatch, learned: RadioLearned) -> None:
     async def test(*arguments: Any) -> RadioLearned:
         return learned
 
@@ -42,25 +42,25 @@ def having_learned(monkeypatch: pytest.MonkeyPatch, learned: RadioLearned) -> No
 
 @pytest.mark.long
 @real_time
-def test_on_the_fake_it_goes_by_itself(capsys: pytest.CaptureFixture[str]) -> None:
+def test_with_fakes_it_needs_no_person(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, err = run(capsys, "doctor", "--radio", "--fakes", "--json")
-    told = json.loads(out)
+    printed = json.loads(out)
     assert status == 0
-    assert (told["safe"], told["receiver_failsafe"], told["written_to"]) == (True, "hold", None)
-    assert told["autopilot"] == "ardupilot"
-    for loss, lost_us in zip(told["losses"], (1000, 2000), strict=True):
+    assert (printed["safe"], printed["receiver_failsafe"], printed["written_to"]) == (True, "hold", None)
+    assert printed["autopilot"] == "ardupilot"
+    for loss, lost_us in zip(printed["losses"], (1000, 2000), strict=True):
         assert loss["lost_us"] == lost_us
         assert [sign["kind"] for sign in loss["signs"]] == ["text", "RC status"]
         assert 0.8 < loss["shown_after_s"] < 1.6
-    assert told["parameters"]["RC_OVERRIDE_TIME"] == 3.0
-    # What a person reads is on standard error meanwhile.
+    assert printed["parameters"]["RC_OVERRIDE_TIME"] == 3.0
+    # The instructions for a person are on standard error.
     steps = [line for line in err.splitlines() if line[:1].isdigit()]
     assert [line[:3] for line in steps] == ["1/5", "2/5", "3/5", "4/5", "5/5"]
     assert "position 3 (bend-full)" in steps[2]
     assert "\x1b" not in err
 
 
-def test_nobody_at_the_terminal_is_a_line_and_status_two(
+def test_without_a_terminal_it_is_one_line_and_status_2(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def test(*arguments: Any) -> RadioLearned:
@@ -77,7 +77,7 @@ def test_nobody_at_the_terminal_is_a_line_and_status_two(
     ("arguments", "answer", "written"),
     [((), "y\n", True), ((), "\n", False), ((), "", False), (("--yes",), "", True)],
 )
-def test_the_profile_is_changed_only_when_somebody_says_so(
+def test_the_profile_is_changed_only_after_a_yes(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     profile: Path,
@@ -85,7 +85,7 @@ def test_the_profile_is_changed_only_when_somebody_says_so(
     answer: str,
     written: bool,
 ) -> None:
-    having_learned(monkeypatch, HOLDS)
+    replace_test(monkeypatch, HOLDING)
     stdin = io.StringIO(answer)
     monkeypatch.setattr(stdin, "isatty", lambda: bool(answer))
     monkeypatch.setattr(sys, "stdin", stdin)
@@ -98,10 +98,10 @@ def test_the_profile_is_changed_only_when_somebody_says_so(
     assert LINE in out
 
 
-def test_a_profile_that_has_it_already_is_left_alone(
+def test_a_profile_that_has_the_line_is_not_written(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, profile: Path
 ) -> None:
-    having_learned(monkeypatch, HOLDS)
+    replace_test(monkeypatch, HOLDING)
     profile.write_text(profile.read_text().replace('receiver_failsafe = "unknown"', LINE))
     before = profile.read_text()
     _, out, _ = run(capsys, "doctor", "--radio", "--config", profile, "--yes")
@@ -112,18 +112,16 @@ def test_a_profile_that_has_it_already_is_left_alone(
 def test_for_the_built_in_profile_the_line_is_printed(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    having_learned(monkeypatch, HOLDS)
+    replace_test(monkeypatch, HOLDING)
     status, out, _ = run(capsys, "doctor", "--radio", "--yes")
     assert status == 0
     assert f"[switch]\n{LINE}" in out
 
 
-def test_a_loss_that_does_not_show_is_status_one_and_takes_the_bends_from_the_switch(
+def test_a_hidden_loss_is_status_1_and_written_to_the_profile(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, profile: Path
 ) -> None:
-    having_learned(
-        monkeypatch, RadioLearned("ardupilot", losses=(TransmitterLoss(True, 1000, 1000, (), ()),))
-    )
+    replace_test(monkeypatch, RadioLearned("ardupilot", losses=(TransmitterLoss(True, 1000, 1000, (), ()),)))
     status, out, _ = run(capsys, "doctor", "--radio", "--config", profile, "--yes")
     assert status == 1
     assert "BAD  RC loss:" in out
@@ -131,19 +129,17 @@ def test_a_loss_that_does_not_show_is_status_one_and_takes_the_bends_from_the_sw
     assert configuration.load(profile).switch.receiver_failsafe == "hidden"
 
 
-def test_contradictory_losses_write_that_it_is_unknown(
+def test_contradictory_losses_write_unknown(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, profile: Path
 ) -> None:
     profile.write_text(profile.read_text().replace('receiver_failsafe = "unknown"', LINE))
     losses = HELD[0], TransmitterLoss(True, 2000, 1500, (SIGN,), ())
-    having_learned(monkeypatch, RadioLearned("px4", losses=losses, shows_within_s=1.6))
+    replace_test(monkeypatch, RadioLearned("px4", losses=losses, shows_within_s=1.6))
     run(capsys, "doctor", "--radio", "--config", profile, "--yes")
     assert configuration.load(profile).switch.receiver_failsafe == "unknown"
 
 
-def test_a_port_that_is_not_there_is_said_and_nothing_asked(
-    capsys: pytest.CaptureFixture[str], profile: Path
-) -> None:
+def test_with_a_missing_port_nothing_is_asked(capsys: pytest.CaptureFixture[str], profile: Path) -> None:
     profile.write_text(profile.read_text().replace("udpin:127.0.0.1:14540", "serial:/dev/none-a"))
     status, out, err = run(capsys, "doctor", "--radio", "--config", profile)
     assert (status, err) == (1, "")
@@ -151,7 +147,7 @@ def test_a_port_that_is_not_there_is_said_and_nothing_asked(
     assert "1/5" not in out
 
 
-def test_only_the_one_line_changes_and_its_comment_stays() -> None:
+def test_only_one_line_changes_and_its_comment_stays() -> None:
     text = configuration.default_text()
     edited = with_learned(text, "vine.toml", 1999, "2026-11-22")
     changed = [
@@ -172,7 +168,7 @@ def test_a_profile_without_the_key_gets_it() -> None:
     assert configuration.parse(edited, "vine.toml").switch.receiver_failsafe == "hold"
 
 
-def test_a_profile_that_is_not_written_by_lines_is_refused() -> None:
+def test_a_switch_table_in_one_line_is_refused() -> None:
     text = f'switch = {{ positions = ["straight", ""] }}\n{STRAIGHT}'
     with pytest.raises(ConfigError, match="by hand"):
         with_learned(text, "vine.toml", "hold", "2026-11-22")

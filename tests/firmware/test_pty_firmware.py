@@ -177,7 +177,7 @@ async def test_sensors_that_always_read_the_same(program: Path) -> None:
         (["--cv-kPa", "much"], "--cv-kPa much: is not a pressure"),
         (["--link", "."], ". is not a link and is not replaced"),
         (["--settings", "."], "cannot read"),
-        (["here"], "here is no option"),
+        (["here"], "here is not an option"),
         (["--speed"], "--boot-id N"),
     ],
 )

@@ -1,4 +1,4 @@
-"""The host session without a clock: handshake, repetition, and what ends them."""
+"""The host session in simulated time: handshake, repeated commands, resets, telemetry, and clock."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def commands(sent: list[HostMessage]) -> list[HostMessage]:
     return [message for message in sent if not isinstance(message, Ping)]
 
 
-def test_nothing_is_said_while_closed() -> None:
+def test_a_closed_session_sends_and_reports_nothing() -> None:
     session = HostSession()
     assert session.tick(0.0) == []
     assert session.command(0.0, BEND) == []
@@ -76,7 +76,7 @@ def test_nothing_is_said_while_closed() -> None:
     assert session.telemetry_age(5.0) == math.inf
 
 
-def test_greeting_repeats_every_half_second() -> None:
+def test_hello_is_repeated_every_half_second() -> None:
     session = HostSession()
     session.opened(10.0)
     times = [tick / 100 for tick in range(1000, 1200)]
@@ -93,7 +93,7 @@ def test_the_handshake() -> None:
     assert session.welcome == welcome(40)
 
 
-def test_every_opening_has_a_nonce_of_its_own() -> None:
+def test_each_opening_uses_a_new_nonce() -> None:
     session = HostSession()
     nonces = []
     for t in (0.0, 1.0, 2.0):
@@ -108,12 +108,12 @@ def test_a_ready_session_starts_with_vent() -> None:
     assert commands(session.tick(0.0)) == [Vent(1)]
 
 
-def test_a_command_at_once_still_comes_after_the_first_vent() -> None:
+def test_a_vent_precedes_even_an_immediate_command() -> None:
     session = ready()
     assert session.command(0.0, BEND) == [Vent(1), Setpoint(15.0, 20.0, 250, 2)]
 
 
-def test_the_command_is_repeated_with_its_number() -> None:
+def test_a_repeated_command_keeps_its_number() -> None:
     session = ready()
     session.tick(0.0)
     assert session.command(0.1, BEND) == [Setpoint(15.0, 20.0, 250, 2)]
@@ -121,7 +121,7 @@ def test_the_command_is_repeated_with_its_number() -> None:
     assert sent == [Setpoint(15.0, 20.0, 250, 2)] * 50
 
 
-def test_a_late_tick_is_not_made_up_for() -> None:
+def test_a_late_tick_sends_only_one_repeat() -> None:
     session = ready()
     session.tick(0.0)
     assert len(commands(session.tick(5.0))) == 1
@@ -137,7 +137,7 @@ def test_a_new_command_is_sent_at_once_and_an_equal_one_is_not() -> None:
     assert session.current_command == VENTING
 
 
-def test_numbers_wrap_past_zero() -> None:
+def test_command_numbers_wrap_and_skip_zero() -> None:
     session = ready()
     session.tick(0.0)
     numbers = [
@@ -151,7 +151,7 @@ def test_numbers_wrap_past_zero() -> None:
     assert numbers[-1] < 10000
 
 
-def test_no_command_survives_a_closed_port() -> None:
+def test_a_closed_port_drops_the_command() -> None:
     session = ready()
     session.command(0.0, BEND)
     session.closed(1.0)
@@ -193,7 +193,7 @@ def test_another_boot_id_is_a_reset() -> None:
     assert session.state is SessionState.GREETING
 
 
-def test_a_firmware_that_forgot_the_handshake_is_a_reset() -> None:
+def test_a_refusal_for_a_missing_handshake_is_a_reset() -> None:
     session = ready()
     session.command(0.0, BEND)
     (event,) = session.receive(0.1, Refusal(2, RefusalReason.NO_HANDSHAKE))
@@ -201,7 +201,7 @@ def test_a_firmware_that_forgot_the_handshake_is_a_reset() -> None:
     assert len(session.tick(0.1)) == 1
 
 
-def test_a_firmware_that_heard_a_newer_command_is_greeted_anew() -> None:
+def test_the_current_command_refused_as_overtaken_is_a_reset() -> None:
     session = ready()
     session.command(0.0, BEND)
     older, current = session.number - 1, session.number
@@ -212,7 +212,7 @@ def test_a_firmware_that_heard_a_newer_command_is_greeted_anew() -> None:
     assert session.state is SessionState.GREETING
 
 
-def test_a_reset_while_the_port_was_closed_is_told() -> None:
+def test_a_reset_while_the_port_was_closed_is_reported() -> None:
     session = ready()
     session.closed(1.0)
     session.opened(2.0)
@@ -231,7 +231,7 @@ def test_a_reset_while_the_port_was_closed_is_told() -> None:
         ({"dead_man_ms": 0}, "dead-man"),
     ],
 )
-def test_whom_we_must_not_command(wrong: dict[str, float], why: str) -> None:
+def test_an_incompatible_firmware_gets_no_commands(wrong: dict[str, float], why: str) -> None:
     session = HostSession()
     session.opened(0.0)
     nonce = greeting_nonce(session, 0.0)
@@ -247,7 +247,7 @@ def test_whom_we_must_not_command(wrong: dict[str, float], why: str) -> None:
     assert session.receive(0.3, welcome(nonce)) == [Ready(welcome(nonce))]
 
 
-def test_a_refused_version_is_told_once() -> None:
+def test_a_refused_version_is_reported_once() -> None:
     session = HostSession()
     session.opened(0.0)
     session.tick(0.0)
@@ -256,7 +256,7 @@ def test_a_refused_version_is_told_once() -> None:
     assert session.receive(0.2, refusal) == []
 
 
-def test_a_refused_command_is_told_once_and_ends_in_vent() -> None:
+def test_a_refused_command_is_reported_once_and_then_vents() -> None:
     session = ready()
     session.command(0.0, BEND)
     refusal = Refusal(2, RefusalReason.FAULT_LATCHED)
@@ -267,7 +267,7 @@ def test_a_refused_command_is_told_once_and_ends_in_vent() -> None:
     assert session.command(0.2, BEND) == [Setpoint(15.0, 20.0, 250, 4)]
 
 
-def test_the_refusal_of_an_older_command_leaves_the_current_one() -> None:
+def test_the_refusal_of_an_older_command_keeps_the_current_one() -> None:
     session = ready()
     session.command(0.0, BEND)
     session.command(0.1, Regulate(10.0, 20.0))
@@ -290,7 +290,7 @@ def test_telemetry_and_its_age() -> None:
     assert session.telemetry_age(0.35) == pytest.approx(0.25)
 
 
-def test_telemetry_before_the_handshake_is_not_believed() -> None:
+def test_telemetry_before_the_handshake_is_ignored() -> None:
     session = HostSession()
     session.opened(0.0)
     assert session.receive(0.0, telemetry(100)) == []
@@ -299,7 +299,7 @@ def test_telemetry_before_the_handshake_is_not_believed() -> None:
 
 @pytest.mark.parametrize("field", ["setpoint_kPa", "cv_kPa", "reservoir_kPa"])
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_what_is_not_a_number_counts_as_lost(field: str, value: float) -> None:
+def test_non_finite_telemetry_counts_as_lost(field: str, value: float) -> None:
     session = ready()
     session.receive(0.1, telemetry(100))
     assert session.receive(0.11, replace(telemetry(110), **{field: value})) == []  # type: ignore[arg-type]
@@ -337,12 +337,12 @@ def ping_for(
     back_s: Callable[[int], float],
     device_s: Callable[[float], float],
 ) -> float:
-    """A ping a second, with these delays and this device clock; when the last pong came."""
+    """Answer a ping each second with these delays and this device clock. Return the time of the last pong."""
     t = began
     for second in range(for_s):
         asked = began + second
         (ping,) = (message for message in session.tick(asked) if isinstance(message, Ping))
-        # The device's clock tells whole milliseconds that have passed, and wraps.
+        # The device's clock counts whole milliseconds, and wraps.
         device_ms = int(device_s(asked + there_s(second)) * 1000) % 2**32
         t = asked + there_s(second) + back_s(second)
         session.receive(t, Pong(ping.host_time_us, device_ms))
@@ -378,7 +378,7 @@ def test_the_drift_of_the_clock(drift_ppm: float) -> None:
     assert session.clock_drift_ppm == pytest.approx(drift_ppm, abs=10.0)
 
 
-def test_there_is_no_drift_to_tell_within_the_first_minute() -> None:
+def test_no_drift_is_reported_in_the_first_minute() -> None:
     session = ready(t=100.0)
     ping_for(session, 100.0, 60, lambda second: 0.001, lambda second: 0.001, lambda t: t)
     assert session.clock_offset_s == pytest.approx(0.0, abs=0.002)
@@ -393,7 +393,7 @@ def test_the_offset_survives_the_wrap_of_the_clock() -> None:
     assert session.clock_drift_ppm == pytest.approx(0.0, abs=20.0)
 
 
-def test_telemetry_that_was_overtaken_is_passed_over() -> None:
+def test_out_of_order_telemetry_is_ignored() -> None:
     session = ready()
     session.receive(0.10, telemetry(5010, cv_kPa=2.0))
     assert session.receive(0.11, telemetry(5000, cv_kPa=1.0)) == []
@@ -404,7 +404,7 @@ def test_telemetry_that_was_overtaken_is_passed_over() -> None:
 
 
 @pytest.mark.parametrize(("before_ms", "after_ms"), [(5000, 4899), (150, 90), (50, 0), (2**31 + 7, 10)])
-def test_a_clock_that_went_further_back_is_a_reset(before_ms: int, after_ms: int) -> None:
+def test_a_larger_step_back_of_the_clock_is_a_reset(before_ms: int, after_ms: int) -> None:
     session = ready()
     session.receive(0.1, telemetry(before_ms))
     (event,) = session.receive(0.2, telemetry(after_ms))
@@ -417,7 +417,7 @@ def test_pings_once_a_second() -> None:
     assert pings == [0, 100, 200, 300]
 
 
-def test_pongs_that_cannot_be_ours_are_passed_over() -> None:
+def test_pongs_with_impossible_times_are_ignored() -> None:
     session = ready(t=100.0)
     session.tick(100.0)
     for host_time_us in (0, 99_900_000, 2**64 - 1):
@@ -438,47 +438,45 @@ def test_pongs_that_cannot_be_ours_are_passed_over() -> None:
         (1.0, 1.0, 65536),
     ],
 )
-def test_a_command_that_makes_no_sense_is_a_mistake(target: float, rate: float, ttl: int) -> None:
+def test_an_invalid_command_raises(target: float, rate: float, ttl: int) -> None:
     with pytest.raises(ValueError, match=r"not (a|within)"):
         Regulate(target, rate, ttl)
 
 
-anything: st.SearchStrategy[Message] = st.one_of(
+messages: st.SearchStrategy[Message] = st.one_of(
     st.builds(welcome, st.integers(1, 4), st.integers(1, 2)),
     st.builds(telemetry, st.integers(0, 2**32 - 1), st.floats(width=32)),
     st.builds(Refusal, st.integers(0, 5), st.sampled_from(RefusalReason)),
     st.builds(Pong, st.integers(0, 2**64 - 1), st.integers(0, 2**32 - 1)),
     st.builds(Vent, st.integers(0, 5)),
 )
-happenings = st.one_of(
-    anything, st.sampled_from(["open", "close", "tick", "bend", "vent"]), st.floats(0.0, 0.3)
-)
+events = st.one_of(messages, st.sampled_from(["open", "close", "tick", "bend", "vent"]), st.floats(0.0, 0.3))
 
 
-@given(st.lists(happenings, max_size=60))
-def test_a_setpoint_is_only_ever_sent_for_a_bend_of_this_readiness(
-    story: list[Message | str | float],
+@given(st.lists(events, max_size=60))
+def test_a_setpoint_is_sent_only_for_a_bend_since_the_last_handshake(
+    sequence: list[Message | str | float],
 ) -> None:
     session = HostSession()
     t, bent = 0.0, False
-    for happening in story:
+    for event in sequence:
         sent: list[HostMessage] = []
-        if isinstance(happening, float):
-            t += happening
-        elif happening == "open":
+        if isinstance(event, float):
+            t += event
+        elif event == "open":
             session.opened(t)
-        elif happening == "close":
+        elif event == "close":
             session.closed(t)
-        elif happening == "tick":
+        elif event == "tick":
             sent = session.tick(t)
-        elif happening == "bend":
+        elif event == "bend":
             sent = session.command(t, BEND)
             bent = session.state is SessionState.READY
-        elif happening == "vent":
+        elif event == "vent":
             sent = session.command(t, VENTING)
             bent = False
-        elif not isinstance(happening, str):
-            session.receive(t, happening)
+        elif not isinstance(event, str):
+            session.receive(t, event)
         bent = bent and session.state is SessionState.READY
         assert bent or not any(isinstance(message, Setpoint) for message in sent)
         if session.telemetry is not None:

@@ -8,7 +8,8 @@ import msgspec
 
 from flying_vines.config import config
 from flying_vines.config.config import Config
-from flying_vines.core.events import Decision, Snapshot
+from flying_vines.core.events import Decision
+from flying_vines.core.snapshot import Snapshot
 from flying_vines.gateway.messages import GatewayStart, Happened, SnapshotMessage, raw
 from flying_vines.supply import CyclesLeft
 from flying_vines.vehicle.notice import Notice, Severity

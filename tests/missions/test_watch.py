@@ -1,4 +1,4 @@
-"""What `mission watch` reports, from messages alone."""
+"""The lines of `mission watch` for given messages."""
 
 from __future__ import annotations
 
@@ -17,48 +17,48 @@ MISSION = [
 ]
 
 
-class Story:
-    """A view, fed message by message."""
+class Watched:
+    """A view and its lines."""
 
     def __init__(self) -> None:
         self.view = MissionView(MISSION)
         self.lines: list[str] = []
         self.t = 0.0
 
-    def hears(self, kind: str, component: int = 1, /, **fields: Any) -> None:
+    def receive(self, kind: str, component: int = 1, /, **fields: Any) -> None:
         self.t += 0.1
         self.lines += [
             line.text for line in self.view.handle(self.t, ReceivedMessage(kind, component, fields))
         ]
 
-    def beat(self, armed: bool) -> None:
-        self.hears("HEARTBEAT", base_mode=128 if armed else 0)
+    def heartbeat(self, armed: bool) -> None:
+        self.receive("HEARTBEAT", base_mode=128 if armed else 0)
 
     def current(self, seq: int, state: int = 3) -> None:
-        self.hears("MISSION_CURRENT", seq=seq, mission_state=state)
+        self.receive("MISSION_CURRENT", seq=seq, mission_state=state)
 
     def text(self, text: str, component: int = 1, severity: int = 6, **more: int) -> None:
-        self.hears("STATUSTEXT", component, text=text, severity=severity, **more)
+        self.receive("STATUSTEXT", component, text=text, severity=severity, **more)
 
 
-def test_ardupilot_tells_items_by_text_and_progress_once_each() -> None:
-    story = Story()
-    story.beat(False)
-    story.text("Mission: 1 Takeoff")
-    story.current(1)
-    story.beat(True)
-    story.current(2)
-    story.text("Mission: 2 WP")
-    story.hears("MISSION_ITEM_REACHED", seq=2)
-    story.text("Reached command #2")
-    story.text("Mission: 3 Scripting")
-    story.text("Mission: 4 Land")
-    story.current(4)
-    assert not story.view.ended
-    story.text("Disarming motors")
-    assert story.view.ended
-    story.text("Mission: 1 Takeoff")
-    assert story.lines == [
+def test_each_item_of_ardupilot_is_shown_once() -> None:
+    watched = Watched()
+    watched.heartbeat(False)
+    watched.text("Mission: 1 Takeoff")
+    watched.current(1)
+    watched.heartbeat(True)
+    watched.current(2)
+    watched.text("Mission: 2 WP")
+    watched.receive("MISSION_ITEM_REACHED", seq=2)
+    watched.text("Reached command #2")
+    watched.text("Mission: 3 Scripting")
+    watched.text("Mission: 4 Land")
+    watched.current(4)
+    assert not watched.view.ended
+    watched.text("Disarming motors")
+    assert watched.view.ended
+    watched.text("Mission: 1 Takeoff")
+    assert watched.lines == [
         "item 1: take-off",
         "armed",
         "item 2: waypoint",
@@ -69,59 +69,59 @@ def test_ardupilot_tells_items_by_text_and_progress_once_each() -> None:
     ]
 
 
-def test_px4_tells_an_item_that_is_over_at_once_by_reached_alone() -> None:
-    story = Story()
-    story.current(2)
+def test_an_item_for_which_px4_sends_only_reached_is_shown() -> None:
+    watched = Watched()
+    watched.current(2)
     for _ in range(3):
-        story.hears("MISSION_ITEM_REACHED", seq=3)
-    story.current(4)
-    story.current(4, state=5)
-    assert story.view.ended
-    assert story.lines == ["item 2: waypoint", "item 3: script message (1, 40)", "item 4: land"]
+        watched.receive("MISSION_ITEM_REACHED", seq=3)
+    watched.current(4)
+    watched.current(4, state=5)
+    assert watched.view.ended
+    assert watched.lines == ["item 2: waypoint", "item 3: script message (1, 40)", "item 4: land"]
 
 
-def test_an_item_that_runs_again_is_told_again() -> None:
-    story = Story()
+def test_an_item_that_runs_again_is_shown_again() -> None:
+    watched = Watched()
     for _ in range(2):
-        story.text("Mission: 2 WP")
-        story.current(2)
-        story.text("Mission: 3 Scripting")
-        story.text("Mission: 4 Land")
-        story.current(4)
-    assert story.lines.count("item 3: script message (1, 40)") == 2
+        watched.text("Mission: 2 WP")
+        watched.current(2)
+        watched.text("Mission: 3 Scripting")
+        watched.text("Mission: 4 Land")
+        watched.current(4)
+    assert watched.lines.count("item 3: script message (1, 40)") == 2
 
 
-def test_values_are_those_of_the_vine_and_stand_beside_the_items() -> None:
-    story = Story()
-    story.hears("NAMED_VALUE_FLOAT", 191, name="RES_KPA", value=612.3456)
-    story.hears("NAMED_VALUE_FLOAT", 191, name="CYC_LEFT", value=None)
-    story.hears("NAMED_VALUE_FLOAT", 1, name="RES_KPA", value=1.0)
-    story.current(2)
-    assert story.lines == ["item 2: waypoint   RES_KPA 612.3"]
+def test_items_are_shown_with_the_values_of_the_vine_only() -> None:
+    watched = Watched()
+    watched.receive("NAMED_VALUE_FLOAT", 191, name="RES_KPA", value=612.3456)
+    watched.receive("NAMED_VALUE_FLOAT", 191, name="CYC_LEFT", value=None)
+    watched.receive("NAMED_VALUE_FLOAT", 1, name="RES_KPA", value=1.0)
+    watched.current(2)
+    assert watched.lines == ["item 2: waypoint   RES_KPA 612.3"]
 
 
-def test_texts_of_the_vine_are_put_together() -> None:
-    story = Story()
-    story.text("V" * 50, 191, id=7, chunk_seq=0)
-    story.text("W" * 50, 191, id=7, chunk_seq=1)
-    story.text("end", 191, id=7, chunk_seq=2)
-    story.text("Vine: vented", 191)
-    assert story.lines == ["V" * 50 + "W" * 50 + "end", "Vine: vented"]
+def test_chunks_of_a_text_are_joined() -> None:
+    watched = Watched()
+    watched.text("V" * 50, 191, id=7, chunk_seq=0)
+    watched.text("W" * 50, 191, id=7, chunk_seq=1)
+    watched.text("end", 191, id=7, chunk_seq=2)
+    watched.text("Vine: vented", 191)
+    assert watched.lines == ["V" * 50 + "W" * 50 + "end", "Vine: vented"]
 
 
 def test_a_mission_completed_before_does_not_end_the_watch() -> None:
-    story = Story()
-    story.beat(False)
-    story.current(4, state=5)
-    story.current(0, state=2)
-    assert not story.view.ended
-    story.current(1)
-    story.beat(True)
-    story.beat(False)
-    assert story.view.ended
+    watched = Watched()
+    watched.heartbeat(False)
+    watched.current(4, state=5)
+    watched.current(0, state=2)
+    assert not watched.view.ended
+    watched.current(1)
+    watched.heartbeat(True)
+    watched.heartbeat(False)
+    assert watched.view.ended
 
 
-def test_an_item_that_nobody_knows_is_said_so() -> None:
-    story = Story()
-    story.current(9)
-    assert story.lines == ["item 9: not in the downloaded mission"]
+def test_an_item_that_was_not_downloaded() -> None:
+    watched = Watched()
+    watched.current(9)
+    assert watched.lines == ["item 9: not in the downloaded mission"]

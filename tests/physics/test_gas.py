@@ -15,7 +15,8 @@ from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.effects import setup
 from flying_vines.physics.gas import AIR, GASES, Gas, nozzle_critical_ratio, sonic_conductance_ratio
 from flying_vines.physics.plant.effects import Effects
-from flying_vines.physics.plant.flow import Iso6358, flow_SL_per_s, orifice
+from flying_vines.physics.plant.flow import Iso6358, flow_SL_per_s
+from flying_vines.physics.plant.leak import orifice
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.simulator import Simulator
 from flying_vines.physics.plant.true_rig import true_rig_from, true_rig_text

@@ -9,7 +9,7 @@ import pytest
 
 from flying_vines.physics.rig import ControlVolume, Rig, RigError, load_rig
 
-WHOLE = """
+COMPLETE = """
 [reservoir]
 volume_L = 4.0
 [cv]
@@ -53,8 +53,8 @@ def test_a_rig_cannot_be_changed_in_place() -> None:
     assert dataclasses.replace(Rig(), cv=None).cv is None
 
 
-def test_a_whole_file(path: Path) -> None:
-    path.write_text(WHOLE)
+def test_a_complete_file(path: Path) -> None:
+    path.write_text(COMPLETE)
     rig = load_rig(path)
     assert rig.reservoir.volume_L == 4.0
     assert rig.cv == ControlVolume(volume_L=0.5)
@@ -64,7 +64,7 @@ def test_a_whole_file(path: Path) -> None:
     assert rig.tolerance("cv.volume_L") == 1.0
 
 
-def test_without_a_control_volume_the_reservoir_discharges_to_atmosphere(path: Path) -> None:
+def test_a_rig_file_without_cv_has_no_control_volume(path: Path) -> None:
     path.write_text("[reservoir]\nvolume_L = 4.0\n")
     rig = load_rig(path)
     assert rig.cv is None
@@ -77,7 +77,7 @@ def test_tolerances_may_be_written_as_dotted_keys(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "why"),
+    ("text", "message"),
     [
         (
             "[reservoir]\nvolume = 2.0",
@@ -118,15 +118,15 @@ def test_tolerances_may_be_written_as_dotted_keys(path: Path) -> None:
         ("[reservoir", "cannot be read"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(path: Path, text: str, why: str) -> None:
+def test_each_error_is_one_line_with_the_path(path: Path, text: str, message: str) -> None:
     path.write_text(text)
     with pytest.raises(RigError) as caught:
         load_rig(path)
-    assert why in str(caught.value)
+    assert message in str(caught.value)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_a_file_that_is_not_there(path: Path) -> None:
+def test_a_missing_file(path: Path) -> None:
     with pytest.raises(RigError, match="cannot be read"):
         load_rig(path)

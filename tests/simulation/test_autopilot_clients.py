@@ -1,4 +1,4 @@
-"""What real clients need: parameters, files, overrides, forwarding, signatures, missions."""
+"""The simulated autopilot for real clients: parameters, files, overrides, forwarding, signing, missions."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def set_parameter(world: World, name: str, value: float, kind: int) -> None:
 
 
 @pytest.mark.parametrize("kind", ["ardupilot", "px4"])
-def test_all_parameters_come_once_and_again_by_index_and_name(kind: AutopilotKind) -> None:
+def test_all_parameters_are_listed_once_and_can_be_read_by_index_and_name(kind: AutopilotKind) -> None:
     world = World(FakeAutopilot(kind))
     world.gcs.say(mavlink.MAVLink_param_request_list_message(1, 1))
     world.on(0.5)
@@ -46,7 +46,7 @@ def test_all_parameters_come_once_and_again_by_index_and_name(kind: AutopilotKin
     assert again[::2] == again[1::2] == [(m.param_id, parameter_bytes(m)) for m in values]
 
 
-def test_ardupilot_casts_integers_and_px4_sends_their_bytes() -> None:
+def test_ardupilot_sends_integers_as_floats_and_px4_sends_their_bytes() -> None:
     ardupilot, px4 = World(FakeAutopilot("ardupilot")), World(FakeAutopilot("px4"))
     set_parameter(ardupilot, "SYSID_MYGCS", 250.0, 4)
     assert [m.param_value for m in ardupilot.gcs.of("PARAM_VALUE")] == [250.0]
@@ -56,13 +56,13 @@ def test_ardupilot_casts_integers_and_px4_sends_their_bytes() -> None:
     assert px4.autopilot.parameters["NAV_RCL_ACT"] == -1.0
 
 
-def test_a_change_is_told_to_everyone_and_what_is_the_autopilots_own_is_kept() -> None:
+def test_a_change_is_sent_on_every_link_but_the_system_id_stays() -> None:
     world = World(FakeAutopilot("ardupilot"))
     world.companion.hello()
     set_parameter(world, "SCR_ENABLE", 1.0, 2)
     set_parameter(world, "SYSID_THISMAV", 7.0, 4)
-    told = [(m.param_id, m.param_value) for m in world.companion.of("PARAM_VALUE")]
-    assert told == [("SCR_ENABLE", 1.0), ("SYSID_THISMAV", 1.0)]
+    sent = [(m.param_id, m.param_value) for m in world.companion.of("PARAM_VALUE")]
+    assert sent == [("SCR_ENABLE", 1.0), ("SYSID_THISMAV", 1.0)]
     set_parameter(world, "NO_SUCH", 1.0, 9)
     assert len(world.gcs.of("PARAM_VALUE")) == 2
     world = World(FakeAutopilot("px4"))
@@ -71,7 +71,7 @@ def test_a_change_is_told_to_everyone_and_what_is_the_autopilots_own_is_kept() -
     assert world.gcs.texts() == ["[pm] unknown param: NO_SUCH"]
 
 
-def test_px4_begins_its_list_with_a_hash_that_ends_it_when_sent_back() -> None:
+def test_px4_starts_the_list_with_a_hash_and_stops_when_it_is_sent_back() -> None:
     world = World(FakeAutopilot("px4"))
     world.gcs.say(mavlink.MAVLink_param_request_list_message(1, 1))
     world.on(0.035)
@@ -119,7 +119,7 @@ def channel_9(world: World) -> list[int]:
     return changes(message.chan9_raw for message in world.companion.of("RC_CHANNELS"))
 
 
-def test_ardupilot_takes_overrides_from_its_ground_station_alone_and_for_three_seconds() -> None:
+def test_ardupilot_accepts_overrides_of_its_ground_station_only_for_3_s() -> None:
     world = World(FakeAutopilot("ardupilot"))
     world.request_streams()
     world.on(0.5)
@@ -143,7 +143,7 @@ def test_ardupilot_takes_overrides_from_its_ground_station_alone_and_for_three_s
     assert {message.chan1_raw for message in world.companion.of("RC_CHANNELS")} == {1500}
 
 
-def test_overrides_clear_a_failsafe_while_rc_is_really_lost() -> None:
+def test_overrides_clear_the_failsafe_of_a_lost_transmitter() -> None:
     world = World(FakeAutopilot("ardupilot"))
     world.request_streams()
     world.autopilot.lose_rc()
@@ -158,8 +158,8 @@ def test_overrides_clear_a_failsafe_while_rc_is_really_lost() -> None:
 # Forwarding
 
 
-def test_px4_passes_on_two_of_a_burst() -> None:
-    for kind, arrive in (("px4", 2), ("ardupilot", 6)):
+def test_px4_forwards_only_two_messages_of_a_burst() -> None:
+    for kind, forwarded in (("px4", 2), ("ardupilot", 6)):
         world = World(FakeAutopilot(kind))  # type: ignore[arg-type]
         world.gcs.hello()
         world.companion.hello()
@@ -167,17 +167,17 @@ def test_px4_passes_on_two_of_a_burst() -> None:
         for number in range(6):
             world.companion.say(mavlink.MAVLink_statustext_message(6, b"%d" % number))
         world.on(0.1)
-        assert world.gcs.texts() == [str(number) for number in range(arrive)]
+        assert world.gcs.texts() == [str(number) for number in range(forwarded)]
         for number in range(6):
             world.companion.say(mavlink.MAVLink_statustext_message(6, b"%d" % number))
             world.on(0.02)
-        assert len(world.gcs.texts()) == arrive + 6
+        assert len(world.gcs.texts()) == forwarded + 6
 
 
-def test_px4_forwards_for_a_companion_only_if_it_is_set_so_at_boot() -> None:
+def test_px4_forwards_for_a_companion_only_if_set_at_boot() -> None:
     world = World(FakeAutopilot("px4", parameters={"MAV_1_FORWARD": 0}))
 
-    def heard_by_gcs() -> int:
+    def received_by_gcs() -> int:
         world.gcs.hello()
         world.companion.hello()
         world.on(0.05)
@@ -185,15 +185,15 @@ def test_px4_forwards_for_a_companion_only_if_it_is_set_so_at_boot() -> None:
         world.on(0.1)
         return len([m for _, m in world.gcs.heard if m.get_srcComponent() == 191])
 
-    assert heard_by_gcs() == 0
+    assert received_by_gcs() == 0
     set_parameter(world, "MAV_1_FORWARD", struct.unpack("<f", struct.pack("<i", 1))[0], 6)
-    assert heard_by_gcs() == 0
+    assert received_by_gcs() == 0
     world.autopilot.reboot()
     world.on(2.0)
-    assert heard_by_gcs() == 2
+    assert received_by_gcs() == 2
 
 
-def test_px4_says_named_values_again_itself_with_a_shorter_name() -> None:
+def test_px4_repeats_named_values_as_its_own_with_a_shorter_name() -> None:
     ours, echo = (191, "ABCDEFGHIJ"), (1, "ABCDEFGHI")
     for kind, expected in (("px4", {ours, echo}), ("ardupilot", {ours})):
         world = World(FakeAutopilot(kind))  # type: ignore[arg-type]
@@ -208,7 +208,7 @@ def test_px4_says_named_values_again_itself_with_a_shorter_name() -> None:
 
 
 @pytest.mark.parametrize(("kind", "arrives"), [("ardupilot", False), ("px4", True)])
-def test_fuel_status_is_passed_on_by_px4_alone(kind: AutopilotKind, arrives: bool) -> None:
+def test_only_px4_forwards_fuel_status(kind: AutopilotKind, arrives: bool) -> None:
     world = World(FakeAutopilot(kind))
     world.gcs.hello()
     world.companion.hello()
@@ -231,7 +231,7 @@ def sign(peer: Any, link_id: int) -> None:
     peer._mav.signing.timestamp = int((1_795_211_406.0 - 1_420_070_400) * 1e5)
 
 
-def test_with_a_key_only_signed_messages_are_heard_except_on_usb() -> None:
+def test_with_a_key_unsigned_messages_are_ignored_except_on_usb() -> None:
     world = World(FakeAutopilot("ardupilot", signing_key=KEY))
     world.gcs.command(512, 148)
     world.on(0.1)
@@ -240,11 +240,11 @@ def test_with_a_key_only_signed_messages_are_heard_except_on_usb() -> None:
     world.gcs.command(512, 148)
     world.on(0.1)
     assert len(world.gcs.of("COMMAND_ACK")) == 1
-    assert all(frame[2] & 1 for frame in world.gcs.frames), "all that it sends is signed"
-    ears = mavlink.MAVLink(None)
-    ears.signing.secret_key = KEY
-    heard = [ears.parse_buffer(frame)[0].get_type() for frame in world.gcs.frames]
-    assert heard.count("HEARTBEAT") >= 1
+    assert all(frame[2] & 1 for frame in world.gcs.frames), "a frame is not signed"
+    receiver = mavlink.MAVLink(None)
+    receiver.signing.secret_key = KEY
+    received = [receiver.parse_buffer(frame)[0].get_type() for frame in world.gcs.frames]
+    assert received.count("HEARTBEAT") >= 1
     hello = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(mavlink.MAVLink(None, 255, 190))
     for link in ("other", "usb"):
         world.autopilot.receive(world.t, link, bytes(hello))
@@ -252,7 +252,7 @@ def test_with_a_key_only_signed_messages_are_heard_except_on_usb() -> None:
     assert (ports["other"].active, ports["usb"].active) == (False, True)
 
 
-def test_a_signed_message_counts_once_and_with_the_right_key() -> None:
+def test_a_signed_message_needs_the_right_key_and_counts_once() -> None:
     world = World(FakeAutopilot("ardupilot", signing_key=KEY))
     sign(world.gcs, 5)
     frame = bytes(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(world.gcs._mav))
@@ -269,7 +269,7 @@ def test_a_signed_message_counts_once_and_with_the_right_key() -> None:
 # Missions
 
 
-def test_px4_ends_an_upload_that_was_given_up() -> None:
+def test_px4_stops_a_cancelled_upload() -> None:
     world = World(FakeAutopilot("px4"))
     world.gcs.say(mavlink.MAVLink_mission_count_message(1, 1, 3))
     world.on(1.5)
@@ -280,7 +280,7 @@ def test_px4_ends_an_upload_that_was_given_up() -> None:
 
 
 @pytest.mark.parametrize("mission_type", [1, 2])
-def test_fences_and_rally_points_are_none(mission_type: int) -> None:
+def test_there_are_no_fences_and_rally_points(mission_type: int) -> None:
     world = World(FakeAutopilot("ardupilot", mission=plan(TAKEOFF, LAND)))
     world.gcs.say(mavlink.MAVLink_mission_request_list_message(1, 1, mission_type))
     world.gcs.say(mavlink.MAVLink_mission_clear_all_message(1, 1, mission_type))
@@ -290,11 +290,11 @@ def test_fences_and_rally_points_are_none(mission_type: int) -> None:
     assert len(world.autopilot.items) == 3
 
 
-# What clients ask first
+# First requests
 
 
 @pytest.mark.parametrize("kind", ["ardupilot", "px4"])
-def test_what_clients_ask_first_is_answered(kind: AutopilotKind) -> None:
+def test_the_first_requests_of_clients_are_answered(kind: AutopilotKind) -> None:
     world = World(FakeAutopilot(kind))
     for command, param1 in ((512, 148), (520, 1), (410, 0), (511, 33), (510, 33)):
         world.gcs.command(command, param1, 200_000.0)
@@ -310,7 +310,7 @@ def test_what_clients_ask_first_is_answered(kind: AutopilotKind) -> None:
         assert world.gcs.of("HOME_POSITION")[0].latitude == round(PX4_HOME.latitude_deg * 1e7)
 
 
-def test_px4_sends_a_ground_station_what_it_needs_unasked() -> None:
+def test_px4_streams_to_a_ground_station_without_a_request() -> None:
     world = World(FakeAutopilot("px4"))
     world.gcs.hello()
     world.on(10.0)

@@ -1,4 +1,4 @@
-"""The core on recordings of a real ArduCopter and PX4 decides as their logs of stimuli say."""
+"""Replays of recorded ArduCopter and PX4 flights: each stimulus in their logs gives its decision."""
 
 from __future__ import annotations
 
@@ -15,14 +15,16 @@ import pytest
 from flying_vines.config import config
 from flying_vines.core.events import Action, Decision, ToFirmware, ToVehicle
 from flying_vines.simulation.replay import as_json, replay
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mavlink.tlog import TlogReader
+from flying_vines.vehicle.mission.book import item_of
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.notice import Notice
 from missions.waypoints import read_waypoints
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
 SETTLING_S = 0.45
-"""RC_CHANNELS comes at 10 Hz in the recordings: up to 0.1 s of delay, debounce, and a sample to spare."""
+"""RC_CHANNELS at 10 Hz: up to 0.1 s of delay, the debounce time, and two more samples."""
 
 
 @functools.cache
@@ -31,7 +33,7 @@ def replayed(name: str, seconds: float = math.inf) -> list[Action]:
 
 
 def fresh_replay(name: str, mission: Sequence[MissionItem] = (), seconds: float = math.inf) -> list[Action]:
-    """Of the recording, so many seconds from its start."""
+    """The actions for the first `seconds` of a recording."""
     reader = TlogReader(RECORDINGS / f"{name}.tlog")
     frames = list(reader.frames())
     taken = (frame for frame in frames if frame[0] < frames[0][0] + seconds)
@@ -45,13 +47,13 @@ def decisions(actions: list[Action], trigger: str | None = None) -> list[Decisio
 
 
 def assert_moves(found: list[Decision], wanted: list[tuple[float, int]], offset_s: float) -> None:
-    """Each stimulus gives one decision, at its time and in its order, and there is no other."""
+    """Each stimulus gives exactly one decision, in order and in time."""
     assert [d.what["position"] for d in found] == [position for _, position in wanted]
     for decision, (at_s, _) in zip(found, wanted, strict=True):
         assert 0.0 < decision.t - (at_s + offset_s) < SETTLING_S
 
 
-def test_every_move_of_the_switch_once_and_no_failsafe_as_a_move() -> None:
+def test_each_move_of_the_switch_counts_once_and_a_failsafe_never() -> None:
     actions = replayed("rc_switch")
     first_frame_after_start_s = 0.09
     wanted = [
@@ -69,14 +71,14 @@ def test_every_move_of_the_switch_once_and_no_failsafe_as_a_move() -> None:
     assert len(decisions(actions)) == len(wanted) + len(losses)
 
 
-def test_a_move_while_rc_is_lost_is_told_and_not_made() -> None:
-    told = [a.t for a in replayed("rc_switch") if isinstance(a, Notice) and "move it again" in a.text]
-    assert len(told) == 1
-    assert 49.0 < told[0] < 52.0
+def test_a_move_while_rc_is_lost_is_only_reported() -> None:
+    notices_s = [a.t for a in replayed("rc_switch") if isinstance(a, Notice) and "move it again" in a.text]
+    assert len(notices_s) == 1
+    assert 49.0 < notices_s[0] < 52.0
 
 
 CONFIRMED_S = (1.6, 1.85)
-"""On PX4, from the move to the bend: what RC status must still say then, and a period of RC and of status."""
+"""Delay of a bend on PX4: the RC status must stay good for 1.6 s. Then the next messages decide."""
 
 
 def bends(actions: list[Action]) -> list[tuple[float, str | None]]:
@@ -100,7 +102,7 @@ def vents(actions: list[Action]) -> list[float]:
         ),
     ],
 )
-def test_on_px4_only_what_the_pilot_holds_bends_and_every_loss_vents(
+def test_on_px4_only_held_positions_bend_and_every_loss_vents(
     name: str, seconds: float, bent_s: list[float], losses_s: list[float]
 ) -> None:
     actions = replayed(name, seconds)
@@ -109,12 +111,12 @@ def test_on_px4_only_what_the_pilot_holds_bends_and_every_loss_vents(
         assert intent == "bend-full"
     for t, lost_s in zip(vents(actions), losses_s, strict=True):
         assert 0.0 < t - lost_s < 1.5
-    told = [a.text for a in actions if isinstance(a, Notice)]
-    assert sum("move it again" in text for text in told) >= len(losses_s) - 1
+    texts = [a.text for a in actions if isinstance(a, Notice)]
+    assert sum("move it again" in text for text in texts) >= len(losses_s) - 1
 
 
 @pytest.mark.long
-def test_a_receiver_that_holds_its_channels_costs_the_pilot_nothing() -> None:
+def test_with_a_receiver_that_holds_bends_are_immediate() -> None:
     base = config.default()
     holds = msgspec.structs.replace(
         base, switch=msgspec.structs.replace(base.switch, receiver_failsafe="hold")
@@ -125,7 +127,7 @@ def test_a_receiver_that_holds_its_channels_costs_the_pilot_nothing() -> None:
         assert 0.0 < t - at_s < 0.25
 
 
-def test_where_ardupilot_hides_a_loss_nothing_bends() -> None:
+def test_an_ardupilot_that_hides_losses_bends_nothing() -> None:
     actions = replayed("ardupilot_hidden_rc_loss")
     assert bends(actions) == []
     refused = [d for d in decisions(actions, "switch") if d.safety == "refused"]
@@ -134,11 +136,11 @@ def test_where_ardupilot_hides_a_loss_nothing_bends() -> None:
 
 
 @pytest.mark.long
-def test_an_override_that_ends_uncovers_the_switch_and_bends_nothing() -> None:
+def test_the_end_of_an_override_bends_nothing() -> None:
     actions = replayed("ardupilot_override_and_late_texts")
     assert [round(t, 1) for t, _ in bends(actions)] == [49.1]
-    told = [a.t for a in actions if isinstance(a, Notice) and "is back where it was" in a.text]
-    assert [round(t, 1) for t in told] == [59.5]
+    notices_s = [a.t for a in actions if isinstance(a, Notice) and "is back where it was" in a.text]
+    assert [round(t, 1) for t in notices_s] == [59.5]
 
 
 def test_reboots_on_the_ground_bend_nothing() -> None:
@@ -158,7 +160,7 @@ EXECUTED = re.compile(r" PAYLOAD \S+ item (\d+) \S+\((\d+)\).* at (\d+\.\d+)")
 
 
 @pytest.mark.parametrize("name", ["ardupilot_vine_mission", "px4_vine_mission"])
-def test_every_item_once_at_its_execution(name: str) -> None:
+def test_each_item_counts_once_when_it_runs(name: str) -> None:
     timeline = (RECORDINGS / f"{name}.timeline.txt").read_text()
     truth = [
         (float(m[3]), int(m[1]), int(m[2])) for line in timeline.splitlines() if (m := EXECUTED.search(line))
@@ -175,14 +177,14 @@ def test_every_item_once_at_its_execution(name: str) -> None:
     assert decisions(actions) == found
 
 
-def test_the_angle_of_a_script_message_is_the_items() -> None:
+def test_script_messages_give_their_angles_and_profiles() -> None:
     found = decisions(replayed("ardupilot_vine_mission"), "mission_item")
     assert [d.intent for d in found] == ["bend 40°", "bend-full", "reach", "straight"]
     assert found[0].setpoint_kPa == pytest.approx(2.0 + 18.7 * 40 / 60, abs=0.01)
 
 
 @pytest.mark.long
-def test_px4_switch_on_the_ground_and_copies_of_commands() -> None:
+def test_px4_switch_on_the_ground_and_repeated_commands() -> None:
     actions = replayed("px4_mission")
     moves = decisions(actions, "switch")
     assert_moves(moves, [(3.001, 1), (6.001, 2)], 0.0)
@@ -193,7 +195,7 @@ def test_px4_switch_on_the_ground_and_copies_of_commands() -> None:
 
 
 @pytest.mark.long
-def test_items_whose_numbers_are_unknown_are_seen_and_refused() -> None:
+def test_items_with_unknown_params_are_refused() -> None:
     found = decisions(replayed("mission_do_items"), "mission_item")
     assert [d.what["seq"] for d in found] == [2, 6, 7, 37, 40, 42, 44]
     assert {d.safety for d in found} == {"refused"}
@@ -201,7 +203,7 @@ def test_items_whose_numbers_are_unknown_are_seen_and_refused() -> None:
 
 
 @pytest.mark.long
-def test_a_mission_from_a_file_gives_the_numbers() -> None:
+def test_a_given_mission_has_the_params() -> None:
     given = {2: (217, (1, 25.0)), 6: (211, (1, 0)), 37: (217, (0, 0)), 40: (217, (9, 0))}
     mission = [MissionItem(seq, *_item(given.get(seq, (16, (0, 0))))) for seq in range(47)]
     found = {d.what["seq"]: d for d in decisions(fresh_replay("mission_do_items", mission), "mission_item")}
@@ -221,10 +223,10 @@ def _item(
 
 @pytest.mark.long
 def test_the_same_recording_gives_the_same_actions() -> None:
-    def essence(actions: list[Action]) -> list[str]:
+    def as_text(actions: list[Action]) -> list[str]:
         return [str(a.message) if isinstance(a, ToVehicle | ToFirmware) else str(a) for a in actions]
 
-    assert essence(fresh_replay("px4_vine_mission")) == essence(replayed("px4_vine_mission"))
+    assert as_text(fresh_replay("px4_vine_mission")) == as_text(replayed("px4_vine_mission"))
 
 
 def test_pace_waits_for_the_recorded_time() -> None:
@@ -243,7 +245,7 @@ def test_time_that_runs_backwards_does_not_stop_the_replay() -> None:
     assert list(replay(shuffled, config.default()))
 
 
-def test_json_carries_what_is_promised() -> None:
+def test_the_json_of_a_decision() -> None:
     found = [as_json(d) for d in decisions(replayed("rc_switch"))]
     first: dict[str, Any] = found[0]
     assert set(first) == {"t", "trigger", "what", "intent", "safety", "reason", "setpoint_kPa"}
@@ -251,12 +253,20 @@ def test_json_carries_what_is_promised() -> None:
     assert first["what"] == {"channel": 9, "position": 1, "from": 0}
 
 
-def test_the_recorded_plan_file_agrees_with_the_download() -> None:
+def test_a_waypoints_file_gives_the_items_of_the_download() -> None:
+    codec = MavlinkCodec(1, 191)
+    frames = TlogReader(RECORDINGS / "ardupilot_vine_mission.tlog").frames()
+    messages = [message for _, frame in frames for message in codec.decode(frame)]
+    downloaded = {m.seq: item_of(m) for m in messages if m.get_type() == "MISSION_ITEM_INT"}
     mission = read_waypoints(RECORDINGS / "ardupilot_vine_mission.waypoints")
-    assert [i.seq for i in mission if i.command in (217, 211)] == [3, 5, 7, 9]
+    assert [item.seq for item in mission] == sorted(downloaded)
+    for item in mission:
+        other = downloaded[item.seq]
+        assert (item.command, item.frame) == (other.command, other.frame)
+        assert item.params == pytest.approx(other.params, rel=1e-8)
 
 
-def test_what_a_stalled_link_and_a_halted_process_heard_late_bends_nothing() -> None:
+def test_items_that_arrive_late_bend_nothing() -> None:
     """Item 2 ran 7.5 s late at 79.1 s, and 4.5 s late at 96.1 s."""
     actions = replayed("ardupilot_override_and_late_texts", 100.0)
     found = decisions(actions, "mission_item")
@@ -267,15 +277,15 @@ def test_what_a_stalled_link_and_a_halted_process_heard_late_bends_nothing() -> 
     ]
     assert [d.what["late_s"] for d in found] == pytest.approx([7.5, 3.5, 4.9], abs=0.2)
     assert [d.reason for d in found if d.safety == "refused"] == ["came 7.5 s late", "came 5.0 s late"]
-    told = [a.text for a in actions if isinstance(a, Notice) and "s late" in a.text]
-    assert told == [
+    texts = [a.text for a in actions if isinstance(a, Notice) and "s late" in a.text]
+    assert texts == [
         "Vine: refused item 2, bend 40°: came 7.5 s late",
         "Vine: refused item 2, bend 40°: came 5.0 s late",
     ]
 
 
 @pytest.mark.long
-def test_the_mission_behind_it_is_flown_in_time_with_its_own_numbers() -> None:
+def test_the_later_mission_is_in_time_and_has_its_own_angles() -> None:
     actions = replayed("ardupilot_override_and_late_texts")
     found = [d for d in decisions(actions, "mission_item") if d.t > 100.0]
     assert [d.intent for d in found][2:6] == ["bend 13°", "bend 16°", "bend 19°", "bend 22°"]

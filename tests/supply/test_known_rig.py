@@ -1,4 +1,4 @@
-"""A diagnosed rig before its flight: the effect of its causes on the air, and their benefit."""
+"""The prior of a diagnosed rig: the effect of its causes on the air, and how it improves the cycles left."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ import msgspec
 import numpy as np
 import pytest
 from command_line import status as command
+from plant_telemetry import telemetry_of
 
-from firmware_link.protocol import Fault, Mode, Telemetry
+from firmware_link.protocol import Telemetry
 from flying_vines.config import config
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.identification.case import read_case
@@ -39,11 +40,11 @@ RESISTANCE = "flow_resistance_kPa_s_per_SL"
 
 
 def known(causes: dict[str, dict[str, float]] | None = None, effects: Effects | None = None) -> Belief:
-    """A rig of which all is told: these causes and effects, and nothing else."""
+    """The belief for a fully diagnosed rig: it has these causes and effects, and no others."""
     return belief_of(P, TrueRig(RIG, causes or {}, effects or Effects(), none_found=not causes))
 
 
-def test_a_rig_that_has_nothing_else_is_rigid_tight_and_isothermal() -> None:
+def test_a_rig_without_causes_is_rigid_tight_and_isothermal() -> None:
     belief = known()
     assert belief.rise.mean == pytest.approx(0.05)
     assert belief.flat.mean == belief.leak.mean == belief.cv_leak.mean == belief.cycle_venturi_s == 0.0
@@ -51,7 +52,7 @@ def test_a_rig_that_has_nothing_else_is_rigid_tight_and_isothermal() -> None:
     assert belief.zero_sd_kPa < nominal(P).zero_sd_kPa
 
 
-def test_what_is_only_believed_leaves_the_rest_open() -> None:
+def test_a_rig_file_without_a_diagnosis_has_the_priors_of_pneumatics() -> None:
     bigger = Rig(Reservoir(1.5), ControlVolume(0.2))
     numbers = msgspec.structs.replace(P, reservoir_volume_L=1.5, cv_volume_L=0.2)
     assert belief_of(P, TrueRig(bigger)) == nominal(numbers)
@@ -65,7 +66,7 @@ def test_what_is_only_believed_leaves_the_rest_open() -> None:
         ("dead_volume", {"volume_L": 0.03}, lambda b: b.rise.mean, 0.065),
         ("dead_volume", {"volume_L": 0.03}, lambda b: b.pneumatics.cv_volume_L, 0.13),
         ("cv_compliance", {"per_kPa": 0.01}, lambda b: b.rise.mean, 0.05 * (1 + 0.01 * (101.325 + 20.7))),
-        # So slow a wall that nothing is lost in the inflation: 1/γ of the air fills it.
+        # A slow wall takes no heat during the inflation: 1/γ of the air fills the vine.
         ("cv_heating", {"time_constant_s": 1e6}, lambda b: b.rise.mean, 0.05 / 1.4),
         ("cv_heating", {"time_constant_s": 1e-3}, lambda b: b.rise.mean, 0.05),
         ("reservoir_volume", {"scale": 0.8}, lambda b: b.rise.mean, 0.1 / 1.6),
@@ -83,7 +84,7 @@ def test_what_is_only_believed_leaves_the_rest_open() -> None:
         ),
     ],
 )
-def test_a_cause_does_to_the_air_what_its_equation_says(
+def test_the_effect_of_a_cause_on_the_air(
     cause: str, parameters: dict[str, float], what: object, expected: object
 ) -> None:
     assert callable(what)
@@ -98,12 +99,12 @@ def test_a_pouch_is_filled_from_flat() -> None:
     assert belief.packed_kPa == belief.flat.mean
 
 
-def test_a_slow_outlet_calls_the_venturi() -> None:
+def test_with_a_slow_outlet_the_venturi_runs() -> None:
     slow = TrueRig(Rig(cv=ControlVolume(0.6)), none_found=True)
     assert known().cycle_venturi_s == 0.0 < belief_of(P, slow).cycle_venturi_s < 0.1
 
 
-EVERY = {
+SOME_USED = {
     "cv_leak": {RESISTANCE: 900.0},
     "dead_volume": {"volume_L": 0.02},
     "ambient_drop": {"rate_kPa_per_s": 0.1},
@@ -111,9 +112,9 @@ EVERY = {
 }
 
 
-def test_it_says_which_causes_it_rests_on(tmp_path: Path) -> None:
+def test_it_lists_used_and_unused_causes(tmp_path: Path) -> None:
     file = tmp_path / "extended.toml"
-    file.write_text(true_rig_text(TrueRig(RIG, EVERY)))
+    file.write_text(true_rig_text(TrueRig(RIG, SOME_USED)))
     calibration = load_calibration(file, P)
     assert calibration.used == ("cv_leak", "dead_volume")
     assert calibration.unused == ("ambient_drop", "venturi_stall")
@@ -122,14 +123,14 @@ def test_it_says_which_causes_it_rests_on(tmp_path: Path) -> None:
     assert load_calibration(file, P).belief == known()
 
 
-def test_a_bottle_with_nothing_to_inflate_is_refused(tmp_path: Path) -> None:
+def test_a_rig_without_a_control_volume_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "discharge.toml"
     file.write_text("[reservoir]\nvolume_L = 2\n")
     with pytest.raises(RigError, match=r"discharge\.toml: .*no \[cv\]"):
         load_calibration(file, P)
 
 
-# What it is worth, in flight.
+# The cycles left in flight.
 
 TOP_KPA = 20.7
 RISE_S = TOP_KPA / P.cycle_rate_kPa_per_s
@@ -138,42 +139,34 @@ WAIT_S = 2.0
 FULL_KPA = 500.0
 
 
-def told(there: TrueRig, seconds: float) -> Iterator[tuple[float, Telemetry]]:
-    """The cycle of `[pneumatics]` again and again, and a short rest after each."""
+def cycles(there: TrueRig, seconds: float) -> Iterator[tuple[float, Telemetry]]:
+    """Telemetry of repeated cycles of `[pneumatics]`, with a short rest after each."""
     times = np.arange(WAIT_S, seconds, 0.02).tolist()
     setpoints = []
     for t in times:
         phase = ((t + 0.02 - WAIT_S) % CYCLE_S) / RISE_S
         share = max(0.0, min(1.0, phase, 2.2 - phase))
         setpoints.append(SetpointChange(t, TOP_KPA * share, P.cycle_rate_kPa_per_s))
-    plant, setup = there.setup.plant, there.setup
-    state = at_rest(plant, FULL_KPA)
+    setup = there.setup
     run = closed_loop(
-        plant,
+        setup.plant,
         setpoints,
         seconds,
-        state,
+        at_rest(setup.plant, FULL_KPA),
         cv_sensor=setup.cv_sensor,
         reservoir_sensor=setup.reservoir_sensor,
         seed=1,
     )
-    for row in run.table:
-        setpoint = float(np.nan_to_num(row["setpoint_kPa"]))
-        cv, reservoir = float(row["cv_reading_kPa"]), float(row["reservoir_reading_kPa"])
-        evp, dvp, solenoid = float(row["evp"]), float(row["dvp"]), bool(row["solenoid"] > 0.5)
-        yield (
-            float(row["time_s"]),
-            Telemetry(0, Mode.REGULATE, Fault.NONE, 0, setpoint, cv, reservoir, evp, dvp, solenoid),
-        )
+    return telemetry_of(run)
 
 
 def errors(there: TrueRig, beliefs: tuple[Belief, ...]) -> list[tuple[float, ...]]:
-    """Of ln of the cycles left, belief by belief, before the first cycle and after five."""
+    """|ln(predicted / true cycles left)| for each belief: before the first cycle, and after five."""
     readers = [TelemetryReader(belief) for belief in beliefs]
     estimates = [ReservoirEstimate(belief) for belief in beliefs]
-    said: dict[int, list[float]] = {}
+    predicted: dict[int, list[float]] = {}
     best_kPa, missed, cycle = 0.0, 0, -1
-    for t, telemetry in told(there, 600.0):
+    for t, telemetry in cycles(there, 600.0):
         if t >= WAIT_S + (cycle + 1) * CYCLE_S - 1e-6:
             if cycle >= 0:
                 missed = missed + 1 if best_kPa < TOP_KPA - 2.07 else 0
@@ -182,14 +175,14 @@ def errors(there: TrueRig, beliefs: tuple[Belief, ...]) -> list[tuple[float, ...
                 break
             if cycle in (0, 5):
                 found = [estimate.cycles_left() for estimate in estimates]
-                said[cycle] = [left.expected for left in found if left]
+                predicted[cycle] = [left.expected for left in found if left]
         best_kPa = max(best_kPa, telemetry.cv_kPa)
         for reader, estimate in zip(readers, estimates, strict=True) if cycle < 5 else ():
             estimate.update(reader.read(t, telemetry))
     assert missed == 3, "the bottle lasted too long for this test"
     total = cycle - missed
     assert total > 25
-    return [tuple(abs(math.log(n / (total - cycle))) for n in left) for cycle, left in said.items()]
+    return [tuple(abs(math.log(n / (total - cycle))) for n in left) for cycle, left in predicted.items()]
 
 
 HIDDEN = {
@@ -200,7 +193,7 @@ BELIEVED = replace(RIG, reservoir=Reservoir(1.0), cv=ControlVolume(0.2))
 
 
 @pytest.mark.parametrize("causes", HIDDEN.values(), ids=HIDDEN)
-def test_a_known_rig_is_told_right_from_the_start(causes: dict[str, dict[str, float]]) -> None:
+def test_a_known_rig_gives_right_cycles_from_the_start(causes: dict[str, dict[str, float]]) -> None:
     there = TrueRig(BELIEVED, causes)
     before, after = errors(there, (belief_of(P, TrueRig(BELIEVED)), belief_of(P, there)))
     assert before[1] < 0.12 and before[0] > 0.5
@@ -222,7 +215,7 @@ SUSPECTS = ("cv_leak", "dead_volume", "evp_lag")
 
 
 @pytest.mark.long
-def test_a_diagnosis_makes_the_flight_after_it_predictable(tmp_path: Path) -> None:
+def test_a_diagnosis_improves_the_prediction_of_the_next_flight(tmp_path: Path) -> None:
     there = TrueRig(BELIEVED, {"cv_leak": {RESISTANCE: 800.0}})
     runs = simulate_scenario(there, parse_scenario(SCENARIO, "short"), seed=1)
     write_case(runs, true_rig_text(TrueRig(BELIEVED)).encode(), tmp_path / "case")
@@ -245,11 +238,11 @@ def profile(folder: Path, rig: str) -> Path:
     return path
 
 
-def test_a_profile_names_its_rig_from_where_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "extended.toml").write_text(true_rig_text(TrueRig(RIG, EVERY)))
+def test_the_rig_is_relative_to_the_profile(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "extended.toml").write_text(true_rig_text(TrueRig(RIG, SOME_USED)))
     assert command("config", "check", profile(tmp_path, "extended.toml")) == 0
-    said = capsys.readouterr().out
-    assert "used for cycles left: cv_leak, dead_volume; unused: ambient_drop, venturi_stall" in said
+    out = capsys.readouterr().out
+    assert "used for cycles left: cv_leak, dead_volume; unused: ambient_drop, venturi_stall" in out
 
 
 @pytest.mark.parametrize(
@@ -262,7 +255,7 @@ def test_a_profile_names_its_rig_from_where_it_is(tmp_path: Path, capsys: pytest
         ("[cv", "cannot be read"),
     ],
 )
-def test_a_wrong_rig_is_one_line_and_status_2(
+def test_an_invalid_rig_is_one_line_and_status_2(
     text: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rig = tmp_path / "wrong.toml"
@@ -277,7 +270,7 @@ def test_a_wrong_rig_is_one_line_and_status_2(
         assert "wrong.toml" in err and says in err
 
 
-def test_the_core_flies_by_what_is_known_of_its_rig() -> None:
+def test_the_core_uses_the_known_rig() -> None:
     there = TrueRig(BELIEVED, {"reservoir_sensor_offset": {"offset_kPa": 30.0}})
     conf = config.default()
     cycles = []
@@ -290,8 +283,8 @@ def test_the_core_flies_by_what_is_known_of_its_rig() -> None:
     assert cycles[1].high / cycles[1].low < 0.3 * cycles[0].high / cycles[0].low
 
 
-def test_reading_a_rig_needs_no_package_of_the_analysis(tmp_path: Path) -> None:
-    (tmp_path / "extended.toml").write_text(true_rig_text(TrueRig(RIG, EVERY)))
+def test_reading_a_rig_needs_no_analysis_package(tmp_path: Path) -> None:
+    (tmp_path / "extended.toml").write_text(true_rig_text(TrueRig(RIG, SOME_USED)))
     code = (
         "import sys, pathlib\n"
         "from flying_vines.config import config\n"

@@ -1,4 +1,4 @@
-"""The estimate on the high-fidelity plant with the firmware's regulator, on three rigs that it does not know.
+"""The estimate on the high-fidelity plant with the firmware's regulator, for three rigs unknown to it.
 
 `benchmarks/cycles_left.py` does the same with hundreds.
 """
@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from plant_telemetry import telemetry_of
 
-from firmware_link.protocol import Fault, Mode, Telemetry
+from firmware_link.protocol import Telemetry
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics import paper
 from flying_vines.physics.plant.effects import Effects
@@ -32,13 +33,13 @@ TOP_KPA = 20.7
 
 
 @dataclass(frozen=True)
-class Flown:
+class Flight:
     plant: Plant
     tuning: Tuning
     cycle_s: float = 3.0
     up_s: float = 0.6
     until_s: float = math.inf
-    """Then it is vented."""
+    """The vine is vented from then on."""
 
     def setpoint_kPa(self, t_s: float) -> float:
         """Up, a second at the top, down, and a rest."""
@@ -51,49 +52,33 @@ def real(cv_L: float, effects: Effects) -> Plant:
     return Plant(Rig(Reservoir(0.97), ControlVolume(cv_L)), effects)
 
 
-def rigs() -> Iterator[Flown]:
+def rigs() -> Iterator[Flight]:
     likely = likely_effects(pouch=False)
     passive = {"venturi_least_supply_kPa": math.inf}
     leaking = replace(likely, reservoir_leak=Ohm(40_000.0), cv_leak=Ohm(15_000.0))
-    yield Flown(real(0.3, leaking), passive)
-    yield Flown(real(0.2, replace(likely, cv_shape=Compliant(0.01))), passive, cycle_s=5.0)
+    yield Flight(real(0.3, leaking), passive)
+    yield Flight(real(0.2, replace(likely, cv_shape=Compliant(0.01))), passive, cycle_s=5.0)
     eager = {"active_error_kPa": 1.0, "passive_error_kPa": 0.5, "arrival_s": 0.02, "passive_first_s": 0.0}
-    yield Flown(real(0.25, replace(likely, cv_shape=Pouch(0.03))), eager, cycle_s=4.0)
+    yield Flight(real(0.25, replace(likely, cv_shape=Pouch(0.03))), eager, cycle_s=4.0)
 
 
-def told(flown: Flown, seconds: float) -> Iterator[tuple[float, Telemetry]]:
-    times = np.arange(WAIT_S, min(seconds, flown.until_s), 0.02).tolist()
-    rate = TOP_KPA / flown.up_s
-    setpoints = [SetpointChange(t, flown.setpoint_kPa(t + 0.02), rate) for t in times]
-    if flown.until_s < seconds:
-        setpoints.append(SetpointChange(flown.until_s, math.nan, math.inf))
+def flown(flight: Flight, seconds: float) -> Iterator[tuple[float, Telemetry]]:
+    times = np.arange(WAIT_S, min(seconds, flight.until_s), 0.02).tolist()
+    rate = TOP_KPA / flight.up_s
+    setpoints = [SetpointChange(t, flight.setpoint_kPa(t + 0.02), rate) for t in times]
+    if flight.until_s < seconds:
+        setpoints.append(SetpointChange(flight.until_s, math.nan, math.inf))
     run = closed_loop(
-        flown.plant,
+        flight.plant,
         setpoints,
         seconds,
-        at_rest(flown.plant, 600.0),
-        tuning=flown.tuning,
+        at_rest(flight.plant, 600.0),
+        tuning=flight.tuning,
         cv_sensor=replace(HONEYWELL_30PSI, adc=Adc(10)),
         reservoir_sensor=replace(HONEYWELL_15BAR, adc=Adc(10), offset_kPa=6.0),
         seed=4,
     )
-    for row in run.table:
-        setpoint = float(np.nan_to_num(row["setpoint_kPa"]))
-        yield (
-            float(row["time_s"]),
-            Telemetry(
-                0,
-                Mode.REGULATE,
-                Fault.NONE,
-                0,
-                setpoint,
-                float(row["cv_reading_kPa"]),
-                float(row["reservoir_reading_kPa"]),
-                float(row["evp"]),
-                float(row["dvp"]),
-                bool(row["solenoid"] > 0.5),
-            ),
-        )
+    return telemetry_of(run)
 
 
 def by_paper(reservoir_kPa: float) -> float:
@@ -107,13 +92,13 @@ def by_paper(reservoir_kPa: float) -> float:
     )
 
 
-@pytest.mark.parametrize("flown", list(rigs()), ids=["leaking", "compliant", "venturi-and-pouch"])
-def test_what_is_said_early_then_happens(flown: Flown) -> None:
+@pytest.mark.parametrize("flight", list(rigs()), ids=["leaking", "compliant", "venturi-and-pouch"])
+def test_an_early_prediction_holds(flight: Flight) -> None:
     reader, estimate = TelemetryReader(nominal(BELIEVED)), ReservoirEstimate(nominal(BELIEVED))
-    said: dict[int, tuple[CyclesLeft, float]] = {}
+    predicted: dict[int, tuple[CyclesLeft, float]] = {}
     best_kPa, missed, cycle = 0.0, 0, 0
-    for t, telemetry in told(flown, 700.0):
-        if t >= WAIT_S + (cycle + 1) * flown.cycle_s:
+    for t, telemetry in flown(flight, 700.0):
+        if t >= WAIT_S + (cycle + 1) * flight.cycle_s:
             cycle += 1
             missed = missed + 1 if best_kPa < TOP_KPA - 2.07 else 0
             best_kPa = 0.0
@@ -121,37 +106,37 @@ def test_what_is_said_early_then_happens(flown: Flown) -> None:
                 break
             left = estimate.cycles_left()
             assert left is not None
-            said[cycle] = left, by_paper(estimate.reservoir_kPa)
+            predicted[cycle] = left, by_paper(estimate.reservoir_kPa)
         best_kPa = max(best_kPa, telemetry.cv_kPa)
-        # What comes after is the truth.
+        # The later cycles are only counted: they are the true number.
         if cycle <= 15:
             estimate.update(reader.read(t, telemetry))
     assert missed == 3, "the bottle lasted too long for this test"
     total = cycle - missed
     assert total > 25
     for after, within in ((5, 0.15), (15, 0.1)):
-        left, by_formula = said[after]
+        left, by_formula = predicted[after]
         truth = total - after
         assert left.low <= truth <= left.high
         assert left.expected == pytest.approx(truth, rel=within, abs=1.0)
         assert abs(left.expected - truth) < abs(by_formula - truth)
 
 
-def test_on_a_real_bottle_too_a_pause_after_a_burst_changes_little() -> None:
-    burst_s = WAIT_S + 10 * 1.9
+def test_a_pause_after_fast_cycles_changes_the_prediction_little() -> None:
+    fast_until_s = WAIT_S + 10 * 1.9
     tight = replace(likely_effects(pouch=False), reservoir_leak=None)
-    flown = Flown(real(0.25, tight), {}, 1.9, 0.4, burst_s)
+    flight = Flight(real(0.25, tight), {}, 1.9, 0.4, fast_until_s)
     reader, estimate = TelemetryReader(nominal(BELIEVED)), ReservoirEstimate(nominal(BELIEVED))
     lowest_kPa = math.inf
-    after_burst: CyclesLeft | None = None
-    for t, telemetry in told(flown, burst_s + 40.0):
+    after_cycles: CyclesLeft | None = None
+    for t, telemetry in flown(flight, fast_until_s + 40.0):
         estimate.update(reader.read(t, telemetry))
         lowest_kPa = min(lowest_kPa, estimate.reservoir_kPa)
-        if t >= burst_s + 0.5 and round(100.0 * t) % 50 == 0:
+        if t >= fast_until_s + 0.5 and round(100.0 * t) % 50 == 0:
             left = estimate.cycles_left()
             assert left is not None
-            after_burst = after_burst or left
-            assert after_burst.low < left.expected < after_burst.high
-            assert left.expected == pytest.approx(after_burst.expected, rel=0.06)
-    assert after_burst is not None
-    assert estimate.reservoir_kPa > lowest_kPa + after_burst.cost_kPa, "more than a cycle's worth came back"
+            after_cycles = after_cycles or left
+            assert after_cycles.low < left.expected < after_cycles.high
+            assert left.expected == pytest.approx(after_cycles.expected, rel=0.06)
+    assert after_cycles is not None
+    assert estimate.reservoir_kPa > lowest_kPa + after_cycles.cost_kPa, "more than a cycle's worth came back"

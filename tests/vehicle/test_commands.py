@@ -1,4 +1,4 @@
-"""Commands: whom they are for, which are copies, and what their sender is answered."""
+"""Commands: their addressee, repeats, intents, and acknowledgements."""
 
 from __future__ import annotations
 
@@ -58,18 +58,18 @@ def command(
     return sent(mavlink.MAVLink_command_long_message(*target, number, confirmation, *numbers), sender)
 
 
-def published(
+def broadcast(
     number: int = ACTUATOR,
     params: Sequence[float] = (0.5,),
     confirmation: int = 0,
     target: tuple[int, int] = (1, 0),
 ) -> MavlinkMessage:
-    """A mission item as PX4 sends it to everybody."""
+    """A mission item as PX4 sends it, to component 0."""
     return command(number, params, confirmation, AUTOPILOT, target)
 
 
 class Bench:
-    """Commands, decided at once; keeps what was triggered and what was answered."""
+    """A receiver whose triggers are decided at once. Keeps triggers and answers."""
 
     def __init__(
         self, items: Sequence[MissionItem] = (), kind: AutopilotKind = "px4", accepts: bool = True
@@ -96,87 +96,87 @@ class Bench:
         return [answer.result for answer in self.answers]
 
 
-def copies(
+def repeats(
     confirmations: Sequence[int], every_s: float = 0.5, params: Sequence[float] = (0.5,)
 ) -> list[tuple[float, MavlinkMessage]]:
     """As PX4 repeats a mission item."""
-    return [(10.0 + every_s * one, published(params=params, confirmation=one)) for one in confirmations]
+    return [(10.0 + every_s * one, broadcast(params=params, confirmation=one)) for one in confirmations]
 
 
 @pytest.mark.parametrize(
-    ("heard", "intents"),
+    ("received", "intents"),
     [
-        # Copies count once, at any pace, and also where the first ones are lost.
-        (copies(range(4)), [BendTo(30.0)]),
-        (copies(range(4), every_s=0.001), [BendTo(30.0)]),
-        (copies(range(1, 4)), [BendTo(30.0)]),
-        (copies(range(2, 4)), [BendTo(30.0)]),
-        (copies((3,)), [BendTo(30.0)]),
-        (copies(range(4), params=(0.0,)), [BendTo(0.0)]),
-        # Numbers that are not given do not hide a copy.
-        (copies(range(4), params=(0.5, NAN, NAN, NAN)), [BendTo(30.0)]),
-        # A first copy that was overtaken is still a copy.
+        # Repeats count once, at any pace, and also if the first ones are lost.
+        (repeats(range(4)), [BendTo(30.0)]),
+        (repeats(range(4), every_s=0.001), [BendTo(30.0)]),
+        (repeats(range(1, 4)), [BendTo(30.0)]),
+        (repeats(range(2, 4)), [BendTo(30.0)]),
+        (repeats((3,)), [BendTo(30.0)]),
+        (repeats(range(4), params=(0.0,)), [BendTo(0.0)]),
+        # Params that are NaN do not hide a repeat.
+        (repeats(range(4), params=(0.5, NAN, NAN, NAN)), [BendTo(30.0)]),
+        # Confirmation 0 that arrives after confirmation 1 is the same command.
         (
             [
-                (10.0, published(confirmation=1)),
-                (10.0 + LATE_S / 2, published()),
-                (10.9, published(confirmation=2)),
+                (10.0, broadcast(confirmation=1)),
+                (10.0 + LATE_S / 2, broadcast()),
+                (10.9, broadcast(confirmation=2)),
             ],
             [BendTo(30.0)],
         ),
-        # A new execution counts although it is like the last, also where its first copy was lost.
+        # A new execution with the same params counts, also if its first message was lost.
         (
             [
-                (t + 0.1 * repeat, published(confirmation=repeat))
+                (t + 0.1 * repeat, broadcast(confirmation=repeat))
                 for t in (10.0, 10.4, 14.0, 200.0)
                 for repeat in range(2)
             ],
             [BendTo(30.0)] * 4,
         ),
-        ([(10.0, published(confirmation=1)), (10.4 + LATE_S, published())], [BendTo(30.0)] * 2),
-        # Other numbers are another command.
+        ([(10.0, broadcast(confirmation=1)), (10.4 + LATE_S, broadcast())], [BendTo(30.0)] * 2),
+        # Other params are another command.
         (
-            [(10.0, published(params=(0.5,))), (10.6, published(params=(0.25,), confirmation=1))],
+            [(10.0, broadcast(params=(0.5,))), (10.6, broadcast(params=(0.25,), confirmation=1))],
             [BendTo(30.0), BendTo(15.0)],
         ),
-        # A ground station repeats after three seconds; a person who presses again is heard again.
+        # A ground station repeats after 3 s. A new press of the button has confirmation 0 and counts.
         ([(10.0 + 3.0 * i, command(USER_2, (20.0,), i)) for i in range(3)], [BendTo(20.0)]),
         ([(t, command(USER_1, (2.0,))) for t in (10.0, 10.8, 12.0)], [StartProfile("reach")] * 3),
-        # Two stations are no copies of each other.
+        # Commands of two stations are not repeats of each other.
         (
             [(10.0, command(USER_2, (20.0,))), (10.1, command(USER_2, (20.0,), 1, sender=(254, 190)))],
             [BendTo(20.0)] * 2,
         ),
-        # A repeat long after is a command of its own.
+        # A repeat that is much too late is a new command.
         (
-            [(10.0, published()), (10.1 + PX4_REPEAT_S + LATE_S, published(confirmation=1))],
+            [(10.0, broadcast()), (10.1 + PX4_REPEAT_S + LATE_S, broadcast(confirmation=1))],
             [BendTo(30.0)] * 2,
         ),
     ],
 )
-def test_copies_count_once_and_each_is_answered(
-    heard: list[tuple[float, MavlinkMessage]], intents: list[object]
+def test_repeats_trigger_once_and_each_is_acknowledged(
+    received: list[tuple[float, MavlinkMessage]], intents: list[object]
 ) -> None:
     bench = Bench()
-    for t, message in heard:
+    for t, message in received:
         bench.take(t, message)
     assert [trigger.intent for trigger in bench.triggers] == intents
-    assert bench.results() == [ACCEPTED] * len(heard)
+    assert bench.results() == [ACCEPTED] * len(received)
     assert [(a.command, a.target_system, a.target_component) for a in bench.answers] == [
-        (m.command, m.get_srcSystem(), m.get_srcComponent()) for _, m in heard
+        (m.command, m.get_srcSystem(), m.get_srcComponent()) for _, m in received
     ]
 
 
-def test_a_refused_item_is_refused_in_each_copy() -> None:
+def test_each_repeat_of_a_refused_item_is_refused() -> None:
     bench = Bench(accepts=False)
     for confirmation in range(3):
-        bench.take(10.0 + 0.5 * confirmation, published(confirmation=confirmation))
+        bench.take(10.0 + 0.5 * confirmation, broadcast(confirmation=confirmation))
     assert bench.results() == [DENIED] * 3
 
 
 @pytest.mark.parametrize("target", [(1, 1), (1, 154), (2, US), (2, 0), (7, 1)])
 @pytest.mark.parametrize("sender", [STATION, AUTOPILOT, (1, 100)])
-def test_what_is_for_others_is_met_with_silence(target: tuple[int, int], sender: tuple[int, int]) -> None:
+def test_commands_for_others_get_no_answer(target: tuple[int, int], sender: tuple[int, int]) -> None:
     bench = Bench()
     for number in (ACTUATOR, USER_1, USER_4, 400):
         bench.take(10.0, command(number, (0.0,), sender=sender, target=target))
@@ -186,9 +186,7 @@ def test_what_is_for_others_is_met_with_silence(target: tuple[int, int], sender:
 
 @pytest.mark.parametrize("number", [USER_2, USER_4, 400, 512, 1000, 1001, 2003])
 @pytest.mark.parametrize("sender", [STATION, AUTOPILOT])
-def test_what_is_for_all_and_no_mission_item_is_met_with_silence(
-    number: int, sender: tuple[int, int]
-) -> None:
+def test_broadcasts_that_are_no_mission_items_get_no_answer(number: int, sender: tuple[int, int]) -> None:
     bench = Bench()
     for target in ((1, 0), (0, 0)):
         bench.take(10.0, command(number, (0.0,), sender=sender, target=target))
@@ -196,21 +194,21 @@ def test_what_is_for_all_and_no_mission_item_is_met_with_silence(
     assert bench.answers == []
 
 
-def test_an_item_that_somebody_else_sends_to_all_is_not_the_missions() -> None:
+def test_an_item_that_is_not_from_the_autopilot_is_ignored() -> None:
     bench = Bench()
     bench.take(10.0, command(ACTUATOR, (0.5,), sender=(1, 100), target=(1, 0)))
     bench.take(10.0, command(ACTUATOR, (0.5,), sender=STATION, target=(0, 0)))
     assert bench.triggers == []
 
 
-def test_what_an_ardupilot_sends_to_all_was_told_by_its_texts() -> None:
+def test_a_broadcast_item_of_an_ardupilot_is_ignored() -> None:
     bench = Bench(kind="ardupilot")
-    bench.take(10.0, published(GRIPPER, (1.0, 0.0), target=(0, 0)))
+    bench.take(10.0, broadcast(GRIPPER, (1.0, 0.0), target=(0, 0)))
     assert bench.triggers == []
     assert bench.answers == []
 
 
-def test_a_script_on_an_ardupilot_sends_to_us() -> None:
+def test_a_command_of_a_script_on_ardupilot_is_a_mission_item() -> None:
     bench = Bench(kind="ardupilot")
     bench.take(10.0, command(USER_1, (1.0, 40.0), sender=AUTOPILOT))
     (trigger,) = bench.triggers
@@ -219,7 +217,7 @@ def test_a_script_on_an_ardupilot_sends_to_us() -> None:
 
 
 @pytest.mark.parametrize("number", [SET_SERVO, 400, 512, 31009, 31015, 65535])
-def test_what_we_cannot_do_is_unsupported(number: int) -> None:
+def test_unknown_commands_are_unsupported(number: int) -> None:
     bench = Bench()
     bench.take(10.0, command(number))
     bench.take(10.5, command(number, confirmation=1))
@@ -245,7 +243,7 @@ def test_what_we_cannot_do_is_unsupported(number: int) -> None:
         (ACTUATOR, (-0.5,), BendTo(-30.0)),
     ],
 )
-def test_a_persons_commands(number: int, params: tuple[float, ...], intent: object) -> None:
+def test_the_intents_of_commands(number: int, params: tuple[float, ...], intent: object) -> None:
     bench = Bench()
     bench.take(10.0, command(number, params))
     (trigger,) = bench.triggers
@@ -274,7 +272,7 @@ def test_a_persons_commands(number: int, params: tuple[float, ...], intent: obje
         (GRIPPER, (1.0, NAN), "no rule"),
     ],
 )
-def test_numbers_that_make_no_sense_are_denied_with_a_reason(
+def test_invalid_params_are_denied_with_a_reason(
     number: int, params: tuple[float, ...], problem: str
 ) -> None:
     bench = Bench()
@@ -286,7 +284,7 @@ def test_numbers_that_make_no_sense_are_denied_with_a_reason(
     assert bench.results() == [DENIED, DENIED]
 
 
-def test_only_what_comes_from_a_ground_station_is_a_persons() -> None:
+def test_only_a_command_of_a_ground_station_is_by_a_person() -> None:
     bench = Bench()
     for sender in ((1, 195), AUTOPILOT, STATION):
         bench.take(10.0, command(USER_4, (3.0,), sender=sender))
@@ -294,7 +292,7 @@ def test_only_what_comes_from_a_ground_station_is_a_persons() -> None:
 
 
 @pytest.mark.parametrize("param", [4, 5, 6])
-def test_all_seven_numbers_count(param: int) -> None:
+def test_rules_see_all_seven_params(param: int) -> None:
     rules = config.parse(
         f"[[items]]\ncommand = 'actuator'\nmatch = {{ param{param + 1} = 5 }}\nbend = 'param1'\n"
         "[profiles.straight]\nsegments = [{ kind = 'step', to_kPa = 0 }]\n[switch]\npositions = ['', '']\n",
@@ -313,7 +311,7 @@ def test_all_seven_numbers_count(param: int) -> None:
     assert isinstance(whole, Trigger) and whole.intent == BendTo(12.0)
 
 
-def test_the_other_form_of_a_command_is_the_same_to_us() -> None:
+def test_command_int_has_the_same_effect() -> None:
     bench = Bench()
     numbers = (USER_2, 0, 0, 15.0, 0.0, 0.0, 0.0, 0, 0, 0.0)
     bench.take(10.0, sent(mavlink.MAVLink_command_int_message(1, US, 0, *numbers), STATION))
@@ -322,14 +320,14 @@ def test_the_other_form_of_a_command_is_the_same_to_us() -> None:
     assert bench.results() == [ACCEPTED]
 
 
-def test_a_published_item_is_named_by_its_number_in_the_mission() -> None:
+def test_a_broadcast_item_has_its_number_in_the_mission() -> None:
     items = [MissionItem(seq, ACTUATOR, (0.1 * seq, 0, 0, 0, 0, 0, 0)) for seq in range(5)]
     bench = Bench(items)
-    bench.take(10.0, published(params=(0.3,)))
+    bench.take(10.0, broadcast(params=(0.3,)))
     assert bench.triggers[0].what["seq"] == 3
 
 
-def test_what_is_remembered_stays_bounded() -> None:
+def test_the_memory_for_repeats_is_bounded() -> None:
     bench = Bench()
     for i in range(5000):
         bench.take(0.01 * i, command(USER_2, (float(i),)))
@@ -338,8 +336,8 @@ def test_what_is_remembered_stays_bounded() -> None:
     assert len(bench.commands._repeats._commands) <= MAX_COMMANDS
 
 
-def test_a_vent_is_done_each_time_and_a_repeat_of_it_clears_nothing() -> None:
-    """Its sender may not have seen what happened since the first one."""
+def test_every_repeat_of_a_vent_vents_but_clears_no_faults() -> None:
+    """The sender of a repeat may not have seen the faults since the first message."""
     bench = Bench()
     for confirmation in range(2):
         bench.take(10.0 + confirmation, command(USER_4, (0.0,), confirmation))
@@ -347,10 +345,10 @@ def test_a_vent_is_done_each_time_and_a_repeat_of_it_clears_nothing() -> None:
     assert [trigger.by_person for trigger in bench.triggers] == [True, False]
 
 
-def test_a_repeat_of_an_item_that_is_history_is_answered_and_not_carried_out() -> None:
+def test_a_repeat_of_an_older_item_is_only_acknowledged() -> None:
     bench = Bench()
     bench.watch.forget(9.9)
-    bench.take(10.0, published(confirmation=1))
+    bench.take(10.0, broadcast(confirmation=1))
     assert bench.triggers == []
     assert bench.results() == [ACCEPTED]
 

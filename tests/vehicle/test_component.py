@@ -449,3 +449,20 @@ def test_a_key_for_another_vehicle_or_beside_our_own_is_not_told() -> None:
     profile = config.default()
     with_key = msgspec.structs.replace(profile.vehicle, signing_key="key.txt")
     assert told_of_key(msgspec.structs.replace(profile, vehicle=with_key), 1) == []
+
+
+def test_in_a_simulated_flight_the_answer_to_a_fed_command_reaches_the_autopilot(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    flight = SimulatedFlight(config.default())
+    flight.run(3.0)
+    frames: list[bytes] = []
+    monkeypatch.setattr(flight.autopilot, "receive", lambda t, link, data: frames.append(data))
+    ours = MavlinkCodec(1, US)
+    command = mavlink.MAVLink_command_long_message(1, US, mavlink.MAV_CMD_USER_4, 0, *[0.0] * 7)
+    (received,) = ours.decode(MavlinkCodec(255, 190).encode(command, 255))
+    flight.feed(VehicleMessage(flight.world.now, received))
+    sent = [message for frame in frames for message in MavlinkCodec(255, 190).decode(frame)]
+    assert [message.command for message in sent if message.get_type() == "COMMAND_ACK"] == [
+        mavlink.MAV_CMD_USER_4
+    ]

@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from examples import examples
 from flying_vines.config import config
-from flying_vines.core.events import Snapshot
+from flying_vines.core.snapshot import Snapshot
 from flying_vines.simulation.autopilot.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage

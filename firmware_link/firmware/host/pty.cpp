@@ -1,7 +1,7 @@
 // The firmware's core as a program: a phloSAR behind a pseudo-terminal, in real time, for any host.
 //
-// Its plant is the paper's: isothermal, every flow in proportion to the pressure across it. Enough to see a
-// bag fill and vent; for more there is `flying-vines fake phlosar`.
+// Its plant is the paper's: isothermal, with flows in proportion to the pressure difference. It shows how a
+// vine fills and vents. For effects of real rigs use `flying-vines fake phlosar`.
 
 #include <errno.h>
 #include <fcntl.h>
@@ -28,21 +28,21 @@ namespace {
 const char kUsage[] =
     "phlosar-pty: the phloSAR's firmware behind a pseudo-terminal, in real time.\n"
     "\n"
-    "  --link PATH          a stable name for the port; a link that is there is replaced\n"
+    "  --link PATH          a stable name for the port; an existing link is replaced\n"
     "  --cv-kPa P           the vine's sensor always reads this (gauge)\n"
-    "  --reservoir-kPa P    the bottle's sensor always reads this (gauge)\n"
-    "                       without these a bottle of 2 L at 690 kPa and a bag of 0.5 L\n"
-    "  --boot-id N          0 to 4294967295; otherwise another one each time\n"
-    "  --settings FILE      where settings are kept; made when a host changes one\n";
+    "  --reservoir-kPa P    the reservoir's sensor always reads this (gauge)\n"
+    "                       default: simulated, 2 L at 690 kPa and a vine of 0.5 L\n"
+    "  --boot-id N          0 to 4294967295; default: a new one at each start\n"
+    "  --settings FILE      stores the settings; created when a host changes one\n";
 
 constexpr char kBuild[] = PHLOSAR_VERSION " pty";
 constexpr int kBadUsage = 2;
 constexpr uint32_t kStep_us = 1000;
-// A machine that is no microcontroller wakes late, and makes up for it; in a longer stall time stands still.
-constexpr uint64_t kMostBehind_us = 500000;
+// This program may wake late. It makes up for missed steps up to this time; after a longer stall it skips them.
+constexpr uint64_t kMaxBehind_us = 500000;
 constexpr size_t kChunk = 64;
 
-// The board's converter: 5 V through the divider of 0.6, of 3.3 V.
+// 5 V behind a divider of 0.6, read by a converter of 3.3 V.
 constexpr double kSupplyCounts = 59578.0;
 
 volatile sig_atomic_t stopped = 0;
@@ -117,11 +117,11 @@ Options options_from(int argc, char** argv) {
                 exit(kBadUsage);
         }
     }
-    if (optind < argc) give_up(kBadUsage, argv[optind], "is no option; --help lists them", "");
+    if (optind < argc) give_up(kBadUsage, argv[optind], "is not an option; see --help", "");
     return options;
 }
 
-// A bottle and a bag, and the sensors on them.
+// Reservoir and vine, and their sensors.
 class Plant {
 public:
     Plant(const Options& options, const Settings& settings)
@@ -130,17 +130,17 @@ public:
           full_evp_(duty(1, settings[SettingId::kEvpFullDuty])),
           full_dvp_(duty(1, settings[SettingId::kDvpFullDuty])) {}
 
-    // Pressures, gauge, after `kStep_us` with the valves as told.
-    void step(const Outputs& told) {
-        const double evp = told.evp_duty / full_evp_;
-        const double dvp = told.dvp_duty / full_dvp_;
+    // Advances the gauge pressures by `kStep_us`.
+    void step(const Outputs& outputs) {
+        const double evp = outputs.evp_duty / full_evp_;
+        const double dvp = outputs.dvp_duty / full_dvp_;
         const double in = evp * fmax(0.0, reservoir_kPa_ - cv_kPa_) / kEvp_kPa_s_per_SL;
         const double supply = dvp * reservoir_kPa_ / kDvp_kPa_s_per_SL;
         const double vacuum_kPa = dvp * kFullVacuum_kPa * fmin(1.0, reservoir_kPa_ / kRatedSupply_kPa);
-        const double out = told.solenoid ? (cv_kPa_ + vacuum_kPa) / kSolenoid_kPa_s_per_SL : 0.0;
+        const double out = outputs.solenoid ? (cv_kPa_ + vacuum_kPa) / kSolenoid_kPa_s_per_SL : 0.0;
         const double step_s = kStep_us * 1e-6;
         reservoir_kPa_ -= (in + supply) * step_s * kStandard_kPa / kReservoir_L;
-        cv_kPa_ += (in - out) * step_s * kStandard_kPa / kBag_L;
+        cv_kPa_ += (in - out) * step_s * kStandard_kPa / kVine_L;
     }
 
     Readings read() const {
@@ -151,9 +151,9 @@ public:
     }
 
 private:
-    // The numbers of the paper's rig, and of the sensors that are soldered in.
+    // The paper's rig and sensors.
     static constexpr double kReservoir_L = 2.0;
-    static constexpr double kBag_L = 0.5;
+    static constexpr double kVine_L = 0.5;
     static constexpr double kEvp_kPa_s_per_SL = 2042.0;
     static constexpr double kDvp_kPa_s_per_SL = 618.0;
     static constexpr double kSolenoid_kPa_s_per_SL = 70.0;
@@ -170,27 +170,27 @@ private:
 
     double cv_always_kPa_;
     double reservoir_always_kPa_;
-    // What the valves are wired for: a duty that a host sets later changes their currents.
+    // Duty cycles that open the valves fully. A host that changes the settings does not change the valves.
     double full_evp_;
     double full_dvp_;
     double cv_kPa_ = 0.0;
     double reservoir_kPa_ = 690.0;
 };
 
-// Our end of a pseudo-terminal. We hold the host's end open, too: no host that leaves ends it.
+// Our end of a pseudo-terminal. The host's end stays open here, too, so the port survives a host that leaves.
 class Port {
 public:
     Port() {
-        ours_ = posix_openpt(O_RDWR | O_NOCTTY | O_NONBLOCK);
-        const bool ready = ours_ >= 0 && grantpt(ours_) == 0 && unlockpt(ours_) == 0;
-        const char* path = ready ? ptsname(ours_) : nullptr;
-        hosts_ = path != nullptr ? open(path, O_RDWR | O_NOCTTY) : -1;
+        own_end_ = posix_openpt(O_RDWR | O_NOCTTY | O_NONBLOCK);
+        const bool ready = own_end_ >= 0 && grantpt(own_end_) == 0 && unlockpt(own_end_) == 0;
+        const char* path = ready ? ptsname(own_end_) : nullptr;
+        host_end_ = path != nullptr ? open(path, O_RDWR | O_NOCTTY) : -1;
         termios raw;
-        if (hosts_ < 0 || tcgetattr(hosts_, &raw) != 0) {
-            give_up(1, "there is no pseudo-terminal to be had", "", strerror(errno));
+        if (host_end_ < 0 || tcgetattr(host_end_, &raw) != 0) {
+            give_up(1, "cannot open a pseudo-terminal", "", strerror(errno));
         }
         cfmakeraw(&raw);
-        tcsetattr(hosts_, TCSANOW, &raw);
+        tcsetattr(host_end_, TCSANOW, &raw);
         snprintf(path_, sizeof path_, "%s", path);
     }
 
@@ -205,7 +205,7 @@ public:
         if (symlink(path_, link) != 0) give_up(kBadUsage, "cannot make the link", link, strerror(errno));
     }
 
-    // Unless someone else has made it his own by now.
+    // Does nothing if the link is now another program's.
     void remove_link(const char* link) const {
         char to[PATH_MAX];
         const ssize_t size = readlink(link, to, sizeof to - 1);
@@ -214,40 +214,40 @@ public:
         if (strcmp(to, path_) == 0) unlink(link);
     }
 
-    void converse(Firmware& firmware) {
+    void exchange(Firmware& firmware) {
         uint8_t incoming[kChunk];
-        for (ssize_t size; (size = read(ours_, incoming, sizeof incoming)) > 0;) {
+        for (ssize_t size; (size = read(own_end_, incoming, sizeof incoming)) > 0;) {
             firmware.receive(incoming, static_cast<size_t>(size));
         }
-        // What the terminal does not take waits here, and then in the firmware, which drops whole frames.
+        // If the terminal is full, bytes wait here, and then in the firmware, which drops whole frames.
         while (true) {
             if (sent_ == size_) {
                 size_ = firmware.take_output(outgoing_, sizeof outgoing_);
                 sent_ = 0;
             }
-            const ssize_t taken = size_ > 0 ? write(ours_, outgoing_ + sent_, size_ - sent_) : 0;
+            const ssize_t taken = size_ > 0 ? write(own_end_, outgoing_ + sent_, size_ - sent_) : 0;
             if (taken <= 0) return;
             sent_ += static_cast<size_t>(taken);
         }
     }
 
-    // Until there is something to read, or so long.
+    // Returns early if there is something to read.
     void wait(uint64_t for_us) const {
-        pollfd reading{ours_, POLLIN, 0};
+        pollfd reading{own_end_, POLLIN, 0};
         const timespec most{0, static_cast<long>(for_us) * 1000};
         ppoll(&reading, 1, &most, nullptr);
     }
 
 private:
-    int ours_;
-    int hosts_;
+    int own_end_;
+    int host_end_;
     char path_[PATH_MAX];
     uint8_t outgoing_[kChunk];
     size_t size_ = 0;
     size_t sent_ = 0;
 };
 
-// Settings in a file, as on the chip in its flash.
+// The settings in a file, in place of the chip's flash.
 class Memory {
 public:
     explicit Memory(const char* path) : path_(path) {
@@ -262,8 +262,8 @@ public:
     const uint8_t* image() const { return image_; }
     size_t size() const { return size_; }
 
-    // All of it or, should this be the end, what was there before.
-    void keep(Firmware& firmware) {
+    // A crash leaves either the old or the new settings in the file.
+    void store(Firmware& firmware) {
         if (!firmware.unsaved(image_) || path_ == nullptr) return;
         char fresh[PATH_MAX];
         if (snprintf(fresh, sizeof fresh, "%s.new", path_) >= static_cast<int>(sizeof fresh)) return;
@@ -271,7 +271,7 @@ public:
         const bool written = file != nullptr && fwrite(image_, sizeof image_, 1, file) == 1;
         const bool closed = file != nullptr && fclose(file) == 0;
         if (!written || !closed || rename(fresh, path_) != 0) {
-            fprintf(stderr, "phlosar-pty: settings are not kept in %s: %s\n", path_, strerror(errno));
+            fprintf(stderr, "phlosar-pty: cannot store the settings in %s: %s\n", path_, strerror(errno));
         }
     }
 
@@ -284,17 +284,17 @@ private:
 void run(Firmware& firmware, Port& port, Memory& memory, Plant& plant) {
     uint64_t due_us = now_us();
     while (!stopped) {
-        port.converse(firmware);
+        port.exchange(firmware);
         const uint64_t now = now_us();
         if (now < due_us) {
             port.wait(due_us - now);
             continue;
         }
-        if (now - due_us > kMostBehind_us) due_us = now;
+        if (now - due_us > kMaxBehind_us) due_us = now;
         for (; due_us <= now; due_us += kStep_us) {
             plant.step(firmware.step(static_cast<uint32_t>(due_us), plant.read()));
         }
-        if (firmware.mode() != Mode::kRegulate) memory.keep(firmware);
+        if (firmware.mode() != Mode::kRegulate) memory.store(firmware);
     }
 }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from flying_vines.physics.cause import Cause
 from flying_vines.physics.effects.orifice_leak import HOLE
-from flying_vines.physics.plant.flow import orifice
+from flying_vines.physics.plant.leak import orifice
 from flying_vines.physics.plant.setup import Setup
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from flying_vines.physics.plant.ambient import Ambient
 from flying_vines.physics.plant.coil import Coil
 from flying_vines.physics.plant.curve import Curve
-from flying_vines.physics.plant.flow import FlowLaw, Iso6358, LeakLaw, Viscous
-from flying_vines.physics.plant.leak import leak_of
+from flying_vines.physics.plant.flow import FlowLaw, Iso6358
+from flying_vines.physics.plant.leak import LeakLaw, Viscous, leak_of
 from flying_vines.physics.plant.tubing import Tubing
 from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
 from flying_vines.physics.plant.venturi import Ejector

@@ -1,6 +1,6 @@
-"""Flow through an opening: Ohm's law, ISO 6358, or (of a leak) viscous flow.
+"""The flow laws of a valve: Ohm's law and ISO 6358.
 
-`numbers()` converts Ohm's law and ISO 6358 to the same plain numbers, with which `flow_SL_per_s` computes.
+`numbers()` converts both to the same plain numbers, with which `flow_SL_per_s` computes.
 """
 
 from __future__ import annotations
@@ -10,10 +10,7 @@ from math import sqrt
 from typing import NamedTuple
 
 from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
-from flying_vines.physics.gas import AIR, GasProperties, nozzle_critical_ratio, sonic_conductance_ratio
-
-_ANR_SL = STANDARD_PRESSURE_KPA / 100.0
-"""ISO 6358 counts volumes at 100 kPa and 20 °C, this project at 101.325 kPa and 20 °C."""
+from flying_vines.physics.gas import AIR, GasProperties, sonic_conductance_ratio
 
 
 class Opening(NamedTuple):
@@ -139,33 +136,7 @@ class Iso6358:
         )
 
 
-@dataclass(frozen=True)
-class Viscous:
-    """Q = (p₁² − p₂²) / C, absolute pressures: laminar flow of a gas through a long, narrow gap.
-
-    Isothermal Hagen-Poiseuille flow of an ideal gas, which EN 1779 uses for viscous leaks. C is that of the
-    rig's gas.
-    """
-
-    conductance_constant_kPa2_s_per_SL: float
-
-    def __post_init__(self) -> None:
-        if not self.conductance_constant_kPa2_s_per_SL > 0.0:
-            raise ValueError("a conductance constant must be positive")
-
-
 FlowLaw = Ohm | Iso6358
-LeakLaw = Ohm | Iso6358 | Viscous
-
-
-ORIFICE_CRITICAL_RATIO = 0.5
-"""Critical pressure ratio of a hole in a wall, for air. ISO 6358."""
-
-
-def orifice(sonic_conductance_SL_per_s_kPa: float, gas: GasProperties = AIR) -> Iso6358:
-    """A hole in a wall. Its critical ratio changes with the gas as that of an ideal nozzle."""
-    share = nozzle_critical_ratio(gas.gamma) / nozzle_critical_ratio(AIR.gamma)
-    return Iso6358(sonic_conductance_SL_per_s_kPa, ORIFICE_CRITICAL_RATIO * share)
 
 
 def conductance_from_rating_SL_per_s_kPa(flow_SLPM: float, supply_kPa: float) -> float:

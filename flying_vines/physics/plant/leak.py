@@ -1,21 +1,49 @@
-"""All leaks of one volume to ambient, which may follow different flow laws at once:
+"""The laws of leaks, and all leaks of one volume to ambient together:
 
     Q = (p − p_a) (1/R + (p + p_a)/C) + the flow of an orifice + a curve over p − p_a
 
-Ohm's law and viscous flow add up exactly. A volume has at most one orifice and one curve.
+Leaks by Ohm's law add up exactly, and so do viscous leaks. A volume has at most one orifice and one curve.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import NamedTuple
 
-from flying_vines.physics.gas import AIR, GasProperties
+from flying_vines.physics.gas import AIR, GasProperties, nozzle_critical_ratio
 from flying_vines.physics.plant.curve import Curve, CurveNumbers, curve_SL_per_s
-from flying_vines.physics.plant.flow import Iso6358, LeakLaw, Ohm, Opening, flow_SL_per_s
+from flying_vines.physics.plant.flow import Iso6358, Ohm, Opening, flow_SL_per_s
 
 _TOP_KPA = 1000.0
 """Absolute pressure up to which the steepest flow of a viscous leak is computed."""
+
+
+@dataclass(frozen=True)
+class Viscous:
+    """Q = (p₁² − p₂²) / C, absolute pressures: laminar flow of a gas through a long, narrow gap.
+
+    Isothermal Hagen-Poiseuille flow of an ideal gas, which EN 1779 uses for viscous leaks. C is that of the
+    rig's gas.
+    """
+
+    conductance_constant_kPa2_s_per_SL: float
+
+    def __post_init__(self) -> None:
+        if not self.conductance_constant_kPa2_s_per_SL > 0.0:
+            raise ValueError("a conductance constant must be positive")
+
+
+LeakLaw = Ohm | Iso6358 | Viscous
+
+ORIFICE_CRITICAL_RATIO = 0.5
+"""Critical pressure ratio of a hole in a wall, for air. ISO 6358."""
+
+
+def orifice(sonic_conductance_SL_per_s_kPa: float, gas: GasProperties = AIR) -> Iso6358:
+    """A hole in a wall. Its critical ratio changes with the gas as that of an ideal nozzle."""
+    share = nozzle_critical_ratio(gas.gamma) / nozzle_critical_ratio(AIR.gamma)
+    return Iso6358(sonic_conductance_SL_per_s_kPa, ORIFICE_CRITICAL_RATIO * share)
 
 
 class Leak(NamedTuple):

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Ambient, Steady
 from flying_vines.physics.plant.effects import Effects
-from flying_vines.physics.plant.tubing import Tubing, hose
+from flying_vines.physics.plant.tubing import Tubing, hose_of
 from flying_vines.physics.plant.volume import Compliant, Shape, volume_and_work
 from flying_vines.physics.rig import Rig
 
@@ -31,7 +31,7 @@ class Plant:
     @property
     def tubing(self) -> Tubing | None:
         """The tube before the control volume: that of the effects, otherwise the rig's hose."""
-        return self.effects.tubing or hose(self.rig)
+        return self.effects.tubing or hose_of(self.rig)
 
     @property
     def shape(self) -> Shape:

@@ -1,7 +1,7 @@
 """The tube between the valves and the control volume: a small volume and a resistance.
 
-Valves and pressure sensor are at its near end. Its gas is at ambient temperature (assumption: much wall,
-little gas), and Q = (P_line − P_cv) / R flows into the control volume.
+The valves and the pressure sensor are at its near end. Its gas is at ambient temperature (assumption: the
+wall is large for so little gas), and Q = (P_line − P_cv) / R flows into the control volume.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from math import pi
 
 from flying_vines.physics.rig import Rig
 
-_VISCOSITY_PA_S = 1.81e-5
+_AIR_VISCOSITY_PA_S = 1.81e-5
 """Viscosity of air at 20 °C."""
 
 
@@ -27,8 +27,8 @@ class Tubing:
             raise ValueError("a tube's volume and resistance must be positive")
 
 
-def hose(rig: Rig) -> Tubing | None:
-    """The hose of a rig."""
+def hose_of(rig: Rig) -> Tubing | None:
+    """The hose of a rig; None if it has none."""
     return Tubing(rig.hose.volume_L, rig.hose.flow_resistance_kPa_s_per_SL) if rig.hose else None
 
 
@@ -38,5 +38,5 @@ def tubing_of(length_m: float, bore_mm: float) -> Tubing:
     In a 4 mm tube the flow is turbulent from about 0.1 SL/s on; the resistance is then 2 to 3 times as high.
     """
     bore_m = bore_mm / 1000.0
-    resistance_Pa_s_per_m3 = 128.0 * _VISCOSITY_PA_S * length_m / (pi * bore_m**4)
+    resistance_Pa_s_per_m3 = 128.0 * _AIR_VISCOSITY_PA_S * length_m / (pi * bore_m**4)
     return Tubing(pi * bore_m**2 / 4.0 * length_m * 1000.0, resistance_Pa_s_per_m3 / 1e6)

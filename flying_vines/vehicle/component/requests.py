@@ -104,7 +104,7 @@ class Requests:
             self._heartbeat.now()
             return ACCEPTED, []
         if wanted == NAMED_VALUE:
-            self._values.once(t)
+            self._values.request_once(t)
             return ACCEPTED, []
         return UNSUPPORTED, []
 
@@ -118,11 +118,11 @@ class Requests:
         if wanted != NAMED_VALUE:
             return UNSUPPORTED, []
         if interval_us == USUAL_US:
-            self._values.ask(None)
+            self._values.request_period(None)
         elif interval_us == OFF_US:
-            self._values.ask(math.inf)
+            self._values.request_period(math.inf)
         elif MIN_PERIOD_S <= interval_us / 1e6 <= MAX_PERIOD_S:
-            self._values.ask(interval_us / 1e6)
+            self._values.request_period(interval_us / 1e6)
         else:
             return DENIED, []
         return ACCEPTED, []

@@ -20,7 +20,7 @@ MIN_PERIOD_S, MAX_PERIOD_S = 0.1, 10.0
 ONCE_SPACING_S = 0.1
 FUEL_S = 10.0
 LATE_S = 0.1
-"""A value that is later than this is skipped. So no burst follows a stall."""
+"""After a longer delay the schedule restarts from now. So no burst follows a stall."""
 _TICK_GRAIN_S = 0.001
 
 
@@ -75,16 +75,16 @@ class NamedValues:
         """Period of each value; infinite if a ground station switched them off."""
         return self.usual_s if self._requested_s is None else self._requested_s
 
-    def ask(self, period_s: float | None) -> None:
-        """Set the period that a ground station requests; None restores the usual period."""
+    def request_period(self, period_s: float | None) -> None:
+        """The period that a ground station requests; None restores the usual one."""
         self._requested_s = period_s
 
-    def once(self, t: float) -> None:
-        """Send each value once, now."""
+    def request_once(self, t: float) -> None:
+        """Make each value due once, now."""
         self._once_at = t
 
     def may_send(self, t: float) -> bool:
-        """False so soon after the last value that none is due."""
+        """False if so soon after the last value none can be due."""
         spacing_s = min(self.period_s / len(VALUE_NAMES), ONCE_SPACING_S)
         return t >= self._last_at + spacing_s - _TICK_GRAIN_S
 

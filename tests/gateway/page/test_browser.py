@@ -20,7 +20,7 @@ from page_service import serving
 from patience import PATIENCE_S, until
 from real_time import real_time
 
-from flying_vines.core.events import Snapshot
+from flying_vines.core.snapshot import Snapshot
 from flying_vines.core.waiting import Waiting
 from flying_vines.gateway import page_token
 from flying_vines.supply import CyclesLeft
