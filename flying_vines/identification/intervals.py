@@ -29,6 +29,8 @@ FLAT = 0.01
 """From a smaller share of the limit the crossing cannot be extrapolated."""
 WALL = 5.0
 """If the root of the rise is so many times that of the limit, the search bisects."""
+OF_A_RUN = 10
+"""Blocks of a short run. What a model lacks is correlated for longer than the errors of a prediction."""
 BLIND = 1e-4
 """First step if the curvature is zero, as a share of the parameter's range."""
 
@@ -61,7 +63,7 @@ def widening(candidate: Candidate) -> Array:
         return np.full(len(covariance), max(candidate.excess))
     scores = []
     for run, jacobian in zip(problem.case.runs, problem.jacobian(fit).runs, strict=True):
-        block = np.tile(blocks(run.time_s), 2)
+        block = np.tile(blocks([run.time_s], OF_A_RUN)[0], 2)
         products = jacobian.reduced * jacobian.reduced_residuals
         scores.append(np.stack([np.bincount(block, row) for row in products], axis=1))
     by_block = np.concatenate(scores)

@@ -18,12 +18,14 @@ from math import inf, log
 
 from flying_vines.identification.candidate import CLAIM, Candidate
 from flying_vines.identification.cores import mapped
-from flying_vines.identification.fit import MAX_SEEDS, Fit, FitProblem, Tangents
+from flying_vines.identification.fit import MAX_SEEDS, Fit, FitPoint, FitProblem, Tangents
 from flying_vines.identification.simulate import rig_number_keys
 from flying_vines.identification.unseen import Unseen
 from flying_vines.physics.cause import Cause
 
 CLAIM_LEFT = 10.0
+CLAIM_ON_BOUND = 10.0
+"""A value on its bound says that a cause is missing: one that moves it off the bound needs less gain."""
 MIN_GAIN = 0.02
 """If the residuals are more than noise, a cause needs this gain, and this error reduction on unseen data."""
 MAX_CAUSES = 9
@@ -36,8 +38,12 @@ AHEAD = 2
 LEFT_TOGETHER = 0.05
 """Maximum share of the slow residuals' squares that such causes leave. Any three causes imitate a part of an
 effect that the catalogue lacks, but hardly ever nearly all of it."""
+SURE_OF_TWO = 1 / 3
+"""Two causes may leave more if they surely lower the error on unseen data by this share."""
 ROUNDS, LOWER = 5, 0.75
 """A set that leaves more than noise is changed this often, while each change lowers χ² to this share."""
+IMPOSSIBLE = 1.1
+"""A fit within the physical ranges is better than one outside whose χ² is lower by less than this factor."""
 IDLE = 1.01
 """Without an idle cause, χ² rises by at most this factor."""
 PROMISING = 4
@@ -99,16 +105,20 @@ class Search:
         return [Candidate(self.problem, fit) for fit in sorted(fits, key=lambda fit: fit.chi2)]
 
     def _off_bounds(self, fit: Fit) -> Fit:
-        """The fit; if a parameter is on its bound, the better of it and one that adds the causes in reverse.
+        """The fit; if a parameter is on its bound, the best of it and of fits that start elsewhere.
 
-        A cause that was fitted without the others may have been driven to its bound.
+        A cause that was fitted without the others may have been driven to its bound. One start adds the
+        causes in reverse, the others are the seeds of each cause that is out of its physical range.
         """
-        if len(fit.point.causes) < 2 or not Candidate(self.problem, fit).on_bound:
+        candidate = Candidate(self.problem, fit)
+        if len(fit.point.causes) < 2 or not candidate.on_bound:
             return fit
         again = self.nulls[1].fit
         for cause in reversed(fit.point.causes):
             again = self.problem.begun(again.point, cause)
-        return min(fit, self.problem.fit(again.point), key=lambda fit: fit.chi2)
+        starts = [again.point, *_at_other_seeds(fit.point, candidate.impossible)]
+        found = [candidate, *(Candidate(self.problem, self.problem.fit(start)) for start in starts)]
+        return min(found, key=lambda c: c.fit.chi2 * (1.0 if c.possible else IMPOSSIBLE)).fit
 
     def _reach(self, first: Candidate) -> float:
         """Maximum χ² of an unfinished fit that can still win."""
@@ -161,7 +171,8 @@ class Search:
         if not candidate.adequate:
             return True
         promises = self._promises(candidate)
-        return bool(promises) and max(promises.values()) > CLAIM + log(self.problem.readings)
+        claim = CLAIM_ON_BOUND if candidate.on_bound else CLAIM
+        return bool(promises) and max(promises.values()) > claim + log(self.problem.readings)
 
     def _promises(self, base: Candidate) -> dict[Cause, float]:
         """The expected gain of each further cause."""
@@ -274,9 +285,12 @@ class Search:
         return SearchResult(self, [*tried, *without], chosen, tuple(without))
 
     def _explains_nearly_all(self, candidate: Candidate) -> bool:
-        """True if little is left of the null model's slow residuals."""
+        """True if little is left of the null model's slow residuals, or if two causes predict much better."""
         left, whole = (sum(c.excess) - 2.0 for c in (candidate, self.null))
-        return left <= LEFT_TOGETHER * whole
+        if left <= LEFT_TOGETHER * whole:
+            return True
+        pair = candidate.possible and len(candidate.causes) == 2
+        return pair and self.unseen.gain(self.null.fit.point, candidate.fit.point)[0] > SURE_OF_TWO
 
     def _first_that_pays(self, leaders: Iterable[Candidate], chosen: Candidate) -> Candidate | None:
         """The best leader that pays in comparison with the chosen candidate; None if none does."""
@@ -288,7 +302,8 @@ class Search:
             return False
         gain = less.score_at(more.excess) - more.score_at(more.excess)
         if more.adequate:
-            return gain > (CLAIM if len(more.causes) > len(less.causes) else 0.0)
+            claim = CLAIM_ON_BOUND if less.on_bound and not more.on_bound else CLAIM
+            return gain > (claim if len(more.causes) > len(less.causes) else 0.0)
         return gain > CLAIM_LEFT and self.unseen.gain(less.fit.point, more.fit.point)[0] > MIN_GAIN
 
     def _pruned(self, candidate: Candidate) -> tuple[Candidate, list[Candidate]]:
@@ -299,7 +314,8 @@ class Search:
             tried += fewer
             over, claim = candidate.excess, CLAIM if candidate.adequate else CLAIM_LEFT
             allowed = candidate.score_at(over) + claim
-            as_good = [c for c in fewer if c.possible and c.score_at(over) <= allowed]
+            fewer = [c for c in fewer if c.possible and (candidate.on_bound or not c.on_bound)]
+            as_good = [c for c in fewer if c.score_at(over) <= allowed]
             if not as_good:
                 break
             candidate = min(as_good, key=lambda c: c.score_at(over))
@@ -310,13 +326,7 @@ class Search:
 
         A seed was chosen when other causes were still missing.
         """
-        point = candidate.fit.point
-        starts = [
-            replace(point, values=(*point.values[:index], seed, *point.values[index + 1 :]))
-            for index, cause in enumerate(point.causes)
-            if len(cause.seeds()) <= MAX_SEEDS
-            for seed in cause.seeds()
-        ]
+        starts = _at_other_seeds(candidate.fit.point, range(len(candidate.causes)))
         again = mapped(self.problem.fit, starts)
         best = min([candidate.fit, *again], key=lambda fit: fit.cost)
         return (
@@ -335,6 +345,16 @@ class Search:
         return self.settled(
             Candidate(self.problem, self.problem.fit(candidate.fit.point.freed(self.keys).without(index)))
         )
+
+
+def _at_other_seeds(point: FitPoint, indices: Iterable[int]) -> list[FitPoint]:
+    """The point with each seed of each of these causes; a cause with many seeds is left out."""
+    return [
+        replace(point, values=(*point.values[:index], seed, *point.values[index + 1 :]))
+        for index in indices
+        if len(point.causes[index].seeds()) <= MAX_SEEDS
+        for seed in point.causes[index].seeds()
+    ]
 
 
 def _chi2(candidate: Candidate) -> float:

@@ -25,8 +25,9 @@ SHOWN_S = 0.5
 STRETCHES = 8
 """Alternate stretches of a run are held out: one eighth of it each."""
 BLOCK_S = 4.0
-MIN_BLOCKS = 10
-"""Blocks of a run shorter than 40 s are shorter."""
+MIN_BLOCKS = 25
+"""Of all runs together; blocks of a short recording are shorter. If its misfit were in two of ten blocks, one
+draw in ten would hold neither, and no gain would be sure."""
 BLOCK_SAMPLES = 4
 """Blocks are at least this long, in median sampling intervals."""
 STEPS = 2
@@ -87,14 +88,14 @@ def in_odd_stretch(time_s: Array) -> Bools:
     return odd
 
 
-def blocks(time_s: Array) -> NDArray[np.intp]:
-    """(n,) block numbers of the samples of a run."""
-    since = time_s - time_s[0]
-    length_s = max(
-        min(BLOCK_S, float(since[-1]) / MIN_BLOCKS), BLOCK_SAMPLES * float(np.median(np.diff(time_s)))
-    )
-    block: NDArray[np.intp] = (since // length_s).astype(np.intp)
-    return block
+def blocks(times_s: Sequence[Array], at_least: int = MIN_BLOCKS) -> list[NDArray[np.intp]]:
+    """For each run (n,) block numbers of its samples; `at_least` in all, if the readings are dense enough."""
+    longest_s = min(BLOCK_S, sum(float(time_s[-1] - time_s[0]) for time_s in times_s) / at_least)
+    found = []
+    for time_s in times_s:
+        length_s = max(longest_s, BLOCK_SAMPLES * float(np.median(np.diff(time_s))))
+        found.append(((time_s - time_s[0]) // length_s).astype(np.intp))
+    return found
 
 
 def split(problem: FitProblem, unseen: Sequence[Bools]) -> Split:
@@ -124,9 +125,10 @@ def errors(problem: FitProblem, splits: Sequence[Split], fitted: Sequence[FitPoi
     """The errors of predictions, from a model fitted to the shown data of each split."""
     squares, count = [], []
     predicted = mapped(problem.residuals, fitted)
+    blocks_of = blocks([run.time_s for run in problem.case.runs])
     for part, residuals in zip(splits, predicted, strict=True):
         for i, residual in enumerate(residuals):
-            block = blocks(problem.case.runs[i].time_s)
+            block = blocks_of[i]
             used = part.scored[i] & (problem.weights[i] > 0.0)
             squares.append(np.stack([np.bincount(block, row) for row in residual**2 * used], 1))
             count.append(np.stack([np.bincount(block, row) for row in used.astype(np.float64)], 1))
