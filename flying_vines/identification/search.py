@@ -85,10 +85,9 @@ class Search:
         return self._finished([(self.nulls[1], cause) for cause in self.catalogue])
 
     def _finished(self, pairs: Sequence[tuple[Candidate, Cause]], most: int = LEADERS) -> list[Candidate]:
-        """Fits of each base with its further cause, the best first; only the leaders, at most `most`, are
-        completed.
+        """Fits of each base with its further cause, the best first; only the `most` leaders are completed.
 
-        If the best fit is adequate, only fits close to it are completed.
+        Of several causes it may be fewer. If the best fit is adequate, only fits close to it are completed.
         """
         if not pairs:
             return []
