@@ -13,7 +13,7 @@ def findings(rows: tuple[PaperRow, ...]) -> tuple[str, ...]:
     series = ("4L_highRv", "4L_lowRv", "2L_lowRv")
     slow = [-off[f"discharge.{name}.tau_best"] for name in series]
     return (
-        "The discharge model empties the bottle too slowly: the τ that are nearest to the measurements are "
+        "The discharge model empties the reservoir too slowly: the τ that fit the measurements best are "
         f"{min(slow):.0f} to {max(slow):.0f} % shorter than the drawn ones, and no measured point lies above "
         "the model. Sec. IV-A calls it conservative, but it predicts longer times than the tests show. "
         f"The R_v of the drawn curves is {off['discharge.2L_lowRv.resistance']:.0f} % above the EVP's rated "
@@ -40,10 +40,10 @@ def findings(rows: tuple[PaperRow, ...]) -> tuple[str, ...]:
         "The measured cut-offs, 1.6 and 0.22 Hz, are where the gain falls below 1. The −3 dB points are "
         f"{ours['frequency.tc4.measured_3dB']:.2f} and {ours['frequency.tc5.measured_3dB']:.2f} Hz.",
         "The text has 1.35 Hz for the drawn 1.3587 Hz, which rounds to 1.36 Hz.",
-        "Limited in slope the response is a triangle, not the sine that Eq. 6 takes it for: at 1.2 Hz Eq. 6 "
-        f"gives {ours['sine.model']:.0f} kPa peak to peak where {paper['sine.model']:.0f} kPa were measured.",
-        f"More than 300 cycles ({ours['cycles.demonstration']:.1f}) follow from the rate of a triangle; with "
-        f"the maximum rate of a sine they are {ours['cycles.sine']:.1f}. Both assume a rigid actuator: a "
-        f"bending pouch that is flat before each inflation gives {ours['cycles.pouch']:.1f}.",
+        "Eq. 6 assumes a sine, but a response at the maximum rate is a triangle: at 1.2 Hz Eq. 6 gives "
+        f"{ours['sine.model']:.0f} kPa peak to peak, and {paper['sine.model']:.0f} kPa were measured.",
+        f'"More than 300 cycles" is true with the rate of a triangle ({ours["cycles.demonstration"]:.1f}), '
+        f"but not with the greatest rate of a sine ({ours['cycles.sine']:.1f}). Both assume a rigid "
+        f"actuator. A pouch that is flat before each inflation gives {ours['cycles.pouch']:.1f}.",
         "Sec. V-A calls the reservoir's volume V_cv.",
     )
