@@ -24,10 +24,10 @@ from flying_vines.identification.unseen import Unseen
 from flying_vines.physics.cause import Cause
 
 CLAIM_LEFT = 10.0
-CLAIM_ON_BOUND = 10.0
-"""A value on its bound says that a cause is missing: one that moves it off the bound needs less gain."""
 MIN_GAIN = 0.02
 """If the residuals are more than noise, a cause needs this gain, and this error reduction on unseen data."""
+CLAIM_ON_BOUND = 10.0
+"""A value on its bound says that a cause is missing: one that moves it off the bound needs less gain."""
 MAX_CAUSES = 9
 FIRSTS = 5
 """Number of best single causes that are tried with a second one: one may hide another."""
@@ -211,7 +211,8 @@ class Search:
     def together(self, earlier: SearchResult, progress: Progress = silent) -> SearchResult:
         """Go on from a result that leaves more than noise: many causes may only pay together.
 
-        The set with the lowest χ² gets a further cause, or another one for its own, until it explains all.
+        The set with the lowest χ² gets a further cause, or another one in place of one of its own, until it
+        explains everything.
         """
         best = self._without_idle(min((c for c in earlier.tried if c.possible), key=_chi2))
         for _ in range(ROUNDS):

@@ -66,10 +66,14 @@ def test_a_cause_says_what_it_is(cause: Cause) -> None:
             assert parameter.to_model(parameter.to_search(seed)) == pytest.approx(seed)
 
 
-def test_an_offset_is_small_beside_the_readings() -> None:
+def test_an_offset_or_a_drift_is_small_beside_the_readings() -> None:
     """A cuff of 27 kPa has a sensor for it, not one that is off by 20 kPa."""
     offset = cause_named("cv_sensor_offset")
     (parameter,) = offset.within_readings({"cv": 27.0, "reservoir": 0.0}).parameters
     assert (parameter.low, parameter.high) == pytest.approx((-8.1, 8.1))
     assert offset.within_readings({"cv": 200.0, "reservoir": 0.0}) == offset
     assert offset.within_readings({"cv": 0.0, "reservoir": 0.0}) == offset
+    (drift,) = (
+        cause_named("reservoir_sensor_drift").within_readings({"cv": 0.0, "reservoir": 100.0}).parameters
+    )
+    assert (drift.low, drift.high) == (-5.0, 5.0)

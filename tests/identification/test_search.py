@@ -13,7 +13,7 @@ import pytest
 from hidden_truth import draw, write
 
 from flying_vines.identification.case import Case, RecordedRun, read_case
-from flying_vines.identification.diagnose import _confidence
+from flying_vines.identification.diagnose import _confidence, _shares
 from flying_vines.identification.fit import FitProblem
 from flying_vines.identification.noise import stated_noise
 from flying_vines.identification.search import Search
@@ -94,3 +94,20 @@ def test_a_lower_minimum_of_the_chosen_set_leaves_a_confidence() -> None:
         tried=[higher], search=SimpleNamespace(null=null), score=lambda candidate: candidate.score
     )
     assert _confidence(cast("Any", chosen), "a", found, None) == pytest.approx(0.98)
+
+
+def test_a_share_is_at_most_all_of_the_misfit() -> None:
+    """Without the flow law, cooling alone fits worse than the baseline."""
+    null, chosen, without_law, without_cooling = (
+        SimpleNamespace(names=names, causes=names, fit=SimpleNamespace(chi2=chi2))
+        for names, chi2 in (
+            ((), 1100.0),
+            (("law", "cooling"), 100.0),
+            (("cooling",), 2500.0),
+            (("law",), 350.0),
+        )
+    )
+    found: Any = SimpleNamespace(
+        chosen=chosen, search=SimpleNamespace(null=null), without=(without_law, without_cooling)
+    )
+    assert _shares(found) == {"law": 1.0, "cooling": 0.25}
