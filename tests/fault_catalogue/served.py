@@ -148,7 +148,7 @@ async def on_bench(folder: Path, autopilot: FakeAutopilot | None = None) -> Asyn
     finally:
         if served.process is not None and served.process.returncode is None:
             served.process.kill()
-            await served.process.communicate()
+            print(await served.output())  # pytest shows it where the test fails
         await served.unplug()
         for task in running:
             task.cancel()
