@@ -27,7 +27,7 @@ from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_l
 from flying_vines.supply import CyclesLeft, ReportedCycles, ReservoirEstimate, TelemetryReader, nominal
 from flying_vines.supply.learned_file import learned_from, text_of
 from flying_vines.supply.reported_cycles import surely_left
-from flying_vines.supply.reservoir import X
+from flying_vines.supply.reservoir_filter import X
 
 EPISODES = ("bends", "pause", "cut off", "leak", "refill", "lost air", "latched", "restart")
 WINDOW_S = 120.0

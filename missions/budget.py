@@ -17,8 +17,8 @@ from flying_vines.core.safety import Ruling, Safety, SafetyInputs
 from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate
 from flying_vines.supply.air_use import BLOCK_S, FLAT_KPA
-from flying_vines.supply.estimate import READING_SD_KPA, Z90
-from flying_vines.supply.reservoir import GAS, ReservoirFilter, Spent, X
+from flying_vines.supply.cycles_left import READING_SD_KPA, Z90
+from flying_vines.supply.reservoir_filter import GAS, ReservoirFilter, Spent, X
 from flying_vines.vehicle.triggers import Rules
 from flying_vines.vine.intent import Intent
 from flying_vines.vine.motion import Motion

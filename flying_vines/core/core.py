@@ -46,7 +46,7 @@ from flying_vines.core.safety import LossEnded, ResponseNeeded, Ruling, Safety, 
 from flying_vines.core.snapshot import Snapshot
 from flying_vines.core.waiting import FreshRequest, Waiting, source
 from flying_vines.supply import Belief, Features, ReportedCycles, ReservoirEstimate, TelemetryReader, nominal
-from flying_vines.supply.estimate import AirNeeded
+from flying_vines.supply.cycles_left import AirNeeded
 from flying_vines.supply.learned_file import learned_from, text_of
 from flying_vines.supply.physics_checks import AIR_LOSSES, CHECKS, PhysicsChecks, own_checks
 from flying_vines.vehicle.clock import LATE_S

@@ -6,7 +6,7 @@
 """
 
 from flying_vines.supply.belief import Belief, nominal, nominal_rig
-from flying_vines.supply.estimate import AirNeeded, CyclesLeft, ReservoirEstimate
+from flying_vines.supply.cycles_left import AirNeeded, CyclesLeft, ReservoirEstimate
 from flying_vines.supply.features import Features, TelemetryReader
 from flying_vines.supply.reported_cycles import ReportedCycles
 

@@ -12,7 +12,7 @@ from firmware_link.protocol import Telemetry
 from flying_vines.physics.plant.flow import Opening, choked_share
 from flying_vines.supply.belief import AMBIENT_KPA, Belief
 from flying_vines.supply.features import Features
-from flying_vines.supply.reservoir import Spent
+from flying_vines.supply.reservoir_filter import Spent
 
 BLOCK_S = 0.1
 """Averaging time of a reading of the reservoir."""

@@ -11,8 +11,8 @@ import math
 import msgspec
 
 from flying_vines.supply.belief import Belief
-from flying_vines.supply.estimate import Learned
-from flying_vines.supply.reservoir import RISE, SIZE
+from flying_vines.supply.cycles_left import Learned
+from flying_vines.supply.reservoir_filter import RISE, SIZE
 
 RATES = SIZE - RISE
 

@@ -12,8 +12,8 @@ import math
 from collections import deque
 from dataclasses import dataclass, replace
 
-from flying_vines.supply.estimate import Basis, CyclesLeft, ReservoirEstimate
-from flying_vines.supply.reservoir import CV_LEAK, LEAK, X
+from flying_vines.supply.cycles_left import Basis, CyclesLeft, ReservoirEstimate
+from flying_vines.supply.reservoir_filter import CV_LEAK, LEAK, X
 
 WINDOW_S = 120.0
 SETTLED_S = 10.0

@@ -23,7 +23,7 @@ from flying_vines.core.events import Action, Decision, InternalError
 from flying_vines.core.snapshot import Snapshot
 from flying_vines.record.background_writer import BackgroundWriter
 from flying_vines.supply import CyclesLeft
-from flying_vines.supply.estimate import MAX_MINUTES
+from flying_vines.supply.cycles_left import MAX_MINUTES
 from flying_vines.vehicle.notice import Notice, Severity
 
 VERDICT_STYLE = {"accepted": "green", "limited": "yellow", "refused": "red"}

@@ -16,7 +16,7 @@ from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.supply import Belief, ReservoirEstimate, TelemetryReader, nominal
 from flying_vines.supply.known_rig import belief_of
-from flying_vines.supply.reservoir import LEAK
+from flying_vines.supply.reservoir_filter import LEAK
 
 BELIEFS = (
     nominal(DEMONSTRATION),

@@ -14,6 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.simulation.autopilot.agenda import Agenda, AgendaEntry
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.autopilots.ardupilot import whole_centimetres
+from flying_vines.vehicle.mission.book import item_of
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import (
@@ -208,7 +209,7 @@ class MissionStorage:
                 self._ack(link, *_reply(message), INVALID_SEQUENCE)
             return
         try:
-            item = self._stored(_item_of(message))
+            item = self._stored(item_of(message))
         except MissionRefused as refused:
             self._stop()
             self._ack(link, upload.system, upload.component, refused.result)
@@ -289,27 +290,8 @@ def _reply(message: Any) -> tuple[int, int]:
     return message.get_srcSystem(), message.get_srcComponent()
 
 
-def _scale(command: int, frame: int) -> float:
-    return 1e7 if has_place(command, frame) else 1.0
-
-
 def _to_int(item: MissionItem, value: float) -> int:
     if not math.isfinite(value):
         return 0
-    return max(-(1 << 31), min((1 << 31) - 1, round(value * _scale(item.command, item.frame))))
-
-
-def _item_of(message: Any) -> MissionItem:
-    x, y = float(message.x), float(message.y)
-    if message.get_type() == "MISSION_ITEM_INT":
-        scale = _scale(message.command, message.frame)
-        x, y = x / scale, y / scale
-    first_four = message.param1, message.param2, message.param3, message.param4
-    return MissionItem(
-        message.seq,
-        message.command,
-        (*first_four, x, y, message.z),
-        message.frame,
-        bool(message.current),
-        bool(message.autocontinue),
-    )
+    scale = 1e7 if has_place(item.command, item.frame) else 1.0
+    return max(-(1 << 31), min((1 << 31) - 1, round(value * scale)))

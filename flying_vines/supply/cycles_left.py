@@ -24,7 +24,7 @@ from flying_vines.supply.air_use import TRACE, AirUse, ObservedInflation
 from flying_vines.supply.belief import AMBIENT_KPA, Belief
 from flying_vines.supply.features import Features
 from flying_vines.supply.min_supply import SupplyCost, fillable, min_supply_kPa
-from flying_vines.supply.reservoir import (
+from flying_vines.supply.reservoir_filter import (
     CV_LEAK,
     FLAT,
     LEAK,
