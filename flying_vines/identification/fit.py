@@ -7,8 +7,9 @@ record).
 A rig number stays within its tolerance, with a uniform prior there. χ² uses a Gaussian prior of the same
 variance, so numbers that the data do not fix stay nominal. The typical value of a parameter is a prior too.
 
-Each Gauss-Newton step is solved exactly within the bounds (Stark & Parker 1995), with Levenberg-Marquardt
-damping if a step does not reduce the cost. The initial pressures have no bounds and may be many: they are
+Each Levenberg-Marquardt step is solved exactly within the bounds (Stark & Parker 1995). It follows the
+curvature of the model along it (geodesic acceleration, Transtrum & Sethna 2012), because χ² has long, narrow
+valleys where two causes resemble each other. The initial pressures have no bounds and may be many: they are
 eliminated from the linear system, and corrected after each step.
 """
 
@@ -39,8 +40,19 @@ THEN_STEPS = 2
 """Steps from the best seed, to compare causes."""
 MAX_SEEDS = 3
 """If there are more seeds, only those with the lowest χ² are used."""
-MIN_GAIN = 0.02
-"""A step that lowers χ² by less ends the fit; by more if χ² is far above that of noise."""
+MIN_GAIN, ROUGH_GAIN = 0.02, 0.1
+"""A step that lowers χ² by less ends the fit; by more if χ² is far above that of noise. The second value is
+for fits that are only compared with others."""
+DAMPING, HARDER, EASIER = 1e-3, 4.0, 0.1
+"""Damping of the first step, its factor after a step that fails, and after a good one."""
+LEAST_DAMPING = 2.5e-6
+"""A step that fails with less is damped as if it had failed with this."""
+MAX_TRIALS = 12
+"""Maximum number of trials of a step."""
+PROBE = 0.1
+"""Share of a step after which its curvature is measured."""
+MAX_BEND = 0.5
+"""A step fails if its curvature changes it by more than this share: it is too long for its model."""
 SHORTER = 0.3
 """Factor for a step of initial pressures that increases χ² on its own stretch."""
 NO_EFFECT = 1e-6
@@ -126,12 +138,15 @@ class Tangents:
         self._basis, _ = np.linalg.qr(directions / np.where(scale > 0.0, scale, 1.0))
         self._residual = self.orthogonal_part(residuals)
 
-    def gain(self, trace: Sequence[Array]) -> float:
-        """Reduction of χ² if the residuals could also be changed along this trace."""
+    def gain(self, trace: Sequence[Array], backwards: bool) -> float:
+        """Reduction of χ² if the residuals could also be changed along this trace, or backwards along it."""
         own = self.orthogonal_part(trace)
         length = float(own @ own)
         whole = sum(float(np.vdot(t, t)) for t in trace)
-        return float(own @ self._residual) ** 2 / length if length > 1e-9 * whole else 0.0
+        slope = float(own @ self._residual)
+        if length <= 1e-9 * whole or (slope > 0.0 and not backwards):
+            return 0.0
+        return slope**2 / length
 
     def orthogonal_part(self, trace: Sequence[Array]) -> Array:
         """The part of a trace, (2, n) for each run, orthogonal to all fitted directions; flattened."""
@@ -248,12 +263,19 @@ class FitProblem:
         alone = (self.fit(start, FIRST_STEPS, moving=len(cause.parameters)) for _, start in nearest)
         return self.fit(min(alone, key=lambda fit: fit.chi2).point, THEN_STEPS)
 
-    def fit(self, start: FitPoint, max_steps: int = MAX_STEPS, moving: int | None = None) -> Fit:
+    def fit(
+        self,
+        start: FitPoint,
+        max_steps: int = MAX_STEPS,
+        moving: int | None = None,
+        min_gain: float = MIN_GAIN,
+    ) -> Fit:
         """The local minimum of the cost near `start`.
 
         Args:
             max_steps: maximum number of steps.
             moving: only this many of the last parameters are moved; default: everything that is free.
+            min_gain: see `MIN_GAIN`.
         """
         space = _Space(self, start, moving)
         place = space.clipped(space.to_search(start))
@@ -261,26 +283,42 @@ class FitProblem:
         cost = chi2_of(residuals) + space.prior(place)
         if not np.isfinite(cost):
             return Fit(start, inf, inf, tuple(residuals))
-        damping = 1e-7
+        damping = DAMPING
         for _ in range(max_steps):
-            jacobian, enough = space.jacobian(place, residuals), MIN_GAIN * max(1.0, cost / self.readings)
+            jacobian, enough = space.jacobian(place, residuals), min_gain * max(1.0, cost / self.readings)
             own, shares = self._by_start(residuals), np.ones(len(start.initial))
-            for _ in range(10):
-                step = space.shortened(space.best_step(place, jacobian, damping), shares)
+            for _ in range(MAX_TRIALS):
+                step = self._curved_step(space, place, jacobian, damping)
+                if step is None:
+                    damping = HARDER * max(damping, LEAST_DAMPING)
+                    continue
+                step = space.shortened(step, shares)
                 there, tried = self._corrected(space, space.clipped(place + step), jacobian, enough)
                 lower = chi2_of(tried) + space.prior(there)
                 if lower <= cost:
                     break
-                damping = max(10.0 * damping, 1e-5)
+                damping = HARDER * max(damping, LEAST_DAMPING)
                 shares[~(self._by_start(tried) <= own)] *= SHORTER
             else:
                 break
             gained, cost = cost - lower, lower
             place, residuals = there, tried
-            damping *= 0.1
+            damping *= EASIER
             if gained < enough:
                 break
         return Fit(space.to_model(place), chi2_of(residuals), cost, tuple(residuals))
+
+    def _curved_step(self, space: _Space, place: Array, jacobian: Jacobian, damping: float) -> Array | None:
+        """The best step within the bounds, with the model's curvature along it; None if that is too large."""
+        straight = space.best_step(place, jacobian, damping)
+        if not len(jacobian.reduced):
+            return straight
+        along = space.clipped(place + straight) - place
+        probe = self.residuals(space.to_model(place + PROBE * along))
+        if not np.isfinite(chi2_of(probe)):
+            return None
+        curved = space.best_step(place, jacobian.curved(along, probe, PROBE), damping)
+        return curved if space.bend(jacobian, straight, curved) <= MAX_BEND else None
 
     def _corrected(
         self, space: _Space, place: Array, jacobian: Jacobian, enough: float
@@ -382,6 +420,13 @@ class _Space:
     def prior(self, place: Array) -> float:
         """The prior term of the cost."""
         return float(self._precision @ (place[: self._common] - self._typical) ** 2)
+
+    def bend(self, jacobian: Jacobian, straight: Array, curved: Array) -> float:
+        """The difference of two steps of the shared numbers, as a share of the first, by their effect."""
+        scale = np.linalg.norm(jacobian.reduced, axis=1)
+        one, other = (scale * step[: self._common] for step in (straight, curved))
+        length = float(np.linalg.norm(one))
+        return float(np.linalg.norm(other - one)) / length if length > 0.0 else 0.0
 
     def shortened(self, step: Array, shares: Array) -> Array:
         """The step, shortened by this factor in each pair of initial pressures."""

@@ -8,6 +8,7 @@ numbers (variable projection, Golub & Pereyra 2003). A fit with hundreds of star
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from functools import cached_property
 
 import numpy as np
@@ -35,7 +36,22 @@ class RunJacobian:
         self._inverses = [_inverse(initial[:, :, stretch].reshape(2, -1)) for stretch in self._stretches]
         self._initial = initial
         self._common = common
-        self._residuals = residuals
+        self.residuals = residuals
+        self.starts = len(start)
+
+    def at(self, residuals: Array) -> RunJacobian:
+        """The same derivatives with other residuals (2, n)."""
+        other = copy(self)
+        other.residuals = residuals
+        other.__dict__.pop("reduced_residuals", None)
+        return other
+
+    def residuals_after(self, step: Array, initial_step: Array) -> Array:
+        """(2, n) residuals after a step of the shared numbers, and of initial pressures (starts, 2)."""
+        after = self.residuals + np.tensordot(step, self._common, 1)
+        for stretch, pressures in zip(self._stretches, initial_step, strict=True):
+            after[:, stretch] += np.tensordot(pressures, self._initial[:, :, stretch], 1)
+        return after
 
     def _shares(self, columns: Array) -> list[Array]:
         """For each stretch (columns, 2): the change of its two pressures that best fits each column."""
@@ -56,18 +72,18 @@ class RunJacobian:
     def reduced(self) -> Array:
         """(numbers, 2 n): derivatives by the shared numbers, initial pressures eliminated."""
         if not len(self._common):
-            return np.zeros((0, self._residuals.size))
+            return np.zeros((0, self.residuals.size))
         return self.orthogonal_part(self._common)
 
     @cached_property
     def reduced_residuals(self) -> Array:
         """(2 n,): residuals, initial pressures eliminated."""
-        left: Array = self.orthogonal_part(self._residuals[None])[0]
+        left: Array = self.orthogonal_part(self.residuals[None])[0]
         return left
 
     def initial_step(self, step: Array) -> Array:
         """(starts, 2): the best step of the initial pressures for this step of the shared numbers."""
-        there = self._residuals + np.tensordot(step, self._common, 1) if len(step) else self._residuals
+        there = self.residuals + np.tensordot(step, self._common, 1) if len(step) else self.residuals
         return -np.concatenate(self._shares(there[None]))
 
     def initial_correction(self, residuals: Array) -> tuple[Array, float]:
@@ -98,6 +114,21 @@ class Jacobian:
         """(numbers, readings): see `RunJacobian.reduced`."""
         self.reduced_residuals = np.concatenate([run.reduced_residuals for run in runs])
         """(readings,): see `RunJacobian.reduced_residuals`."""
+
+    def curved(self, step: Array, probe: Sequence[Array], share: float) -> Jacobian:
+        """The same derivatives; half of the second derivative along a step is added to the residuals.
+
+        Args:
+            step: of the shared numbers, then of the initial pressures in the order of `FitPoint.initial`.
+            probe: residuals after this share of the step.
+        """
+        common = len(self.reduced)
+        pressures, runs = step[common:].reshape(-1, 2), []
+        for run, there in zip(self.runs, probe, strict=True):
+            linear = run.residuals_after(share * step[:common], share * pressures[: run.starts])
+            runs.append(run.at(run.residuals + (there - linear) / share**2))
+            pressures = pressures[run.starts :]
+        return Jacobian(runs)
 
     def initial_step(self, step: Array) -> Array:
         """The step of all initial pressures, flattened in the order of `FitPoint.initial`."""

@@ -18,7 +18,15 @@ from math import inf, log
 
 from flying_vines.identification.candidate import CLAIM, Candidate
 from flying_vines.identification.cores import mapped
-from flying_vines.identification.fit import MAX_SEEDS, Fit, FitPoint, FitProblem, Tangents
+from flying_vines.identification.fit import (
+    MAX_SEEDS,
+    MAX_STEPS,
+    ROUGH_GAIN,
+    Fit,
+    FitPoint,
+    FitProblem,
+    Tangents,
+)
 from flying_vines.identification.simulate import rig_number_keys
 from flying_vines.identification.unseen import Unseen
 from flying_vines.physics.cause import Cause
@@ -44,6 +52,8 @@ ROUNDS, LOWER = 5, 0.75
 """A set that leaves more than noise is changed this often, while each change lowers χ² to this share."""
 IMPOSSIBLE = 1.1
 """A fit within the physical ranges is better than one outside whose χ² is lower by less than this factor."""
+BEGUN_STEPS = 5
+"""Steps from each start, to choose the best one, if a fit starts again."""
 IDLE = 1.01
 """Without an idle cause, χ² rises by at most this factor."""
 PROMISING = 4
@@ -80,6 +90,10 @@ class Search:
         self.null = min(self.nulls, key=lambda c: c.score)
         self.unseen = Unseen(problem)
 
+    def _fit(self, start: FitPoint, max_steps: int = MAX_STEPS) -> Fit:
+        """A fit that is precise enough to be compared with others."""
+        return self.problem.fit(start, max_steps, min_gain=ROUGH_GAIN)
+
     def singles(self) -> list[Candidate]:
         """Fits of each cause alone, the best first."""
         return self._finished([(self.nulls[1], cause) for cause in self.catalogue])
@@ -93,12 +107,12 @@ class Search:
             return []
         begun = mapped(lambda pair: self.problem.begun(pair[0].fit.point, pair[1]), pairs)
         first, *others = sorted(begun, key=lambda fit: fit.chi2)
-        first = self.problem.fit(first.point)
+        first = self._fit(first.point)
         best = Candidate(self.problem, first)
         reach = self._reach(best)
         leaders = LEADERS if best.adequate or len(best.causes) == 1 else LEADERS_LEFT
         near = [fit for fit in others[: min(leaders, most) - 1] if fit.chi2 < reach]
-        fits = [first, *mapped(lambda fit: self.problem.fit(fit.point), near), *others[len(near) :]]
+        fits = [first, *mapped(lambda fit: self._fit(fit.point), near), *others[len(near) :]]
         complete = 1 + len(near)
         fits[:complete] = mapped(self._off_bounds, fits[:complete])
         return [Candidate(self.problem, fit) for fit in sorted(fits, key=lambda fit: fit.chi2)]
@@ -107,7 +121,8 @@ class Search:
         """The fit; if a parameter is on its bound, the best of it and of fits that start elsewhere.
 
         A cause that was fitted without the others may have been driven to its bound. One start adds the
-        causes in reverse, the others are the seeds of each cause that is out of its physical range.
+        causes in reverse, the others are the seeds of each cause that is out of its physical range. Only the
+        best start is completed.
         """
         candidate = Candidate(self.problem, fit)
         if len(fit.point.causes) < 2 or not candidate.on_bound:
@@ -116,8 +131,9 @@ class Search:
         for cause in reversed(fit.point.causes):
             again = self.problem.begun(again.point, cause)
         starts = [again.point, *_at_other_seeds(fit.point, candidate.impossible)]
-        found = [candidate, *(Candidate(self.problem, self.problem.fit(start)) for start in starts)]
-        return min(found, key=lambda c: c.fit.chi2 * (1.0 if c.possible else IMPOSSIBLE)).fit
+        begun = [Candidate(self.problem, self._fit(start, BEGUN_STEPS)) for start in starts]
+        best = Candidate(self.problem, self._fit(min(begun, key=_chi2_if_possible).fit.point))
+        return min(candidate, best, key=_chi2_if_possible).fit
 
     def _reach(self, first: Candidate) -> float:
         """Maximum χ² of an unfinished fit that can still win."""
@@ -141,7 +157,7 @@ class Search:
         """
         if not candidate.adequate:
             return candidate
-        exact = Candidate(self.problem, self.problem.fit(candidate.fit.point.freed(())))
+        exact = Candidate(self.problem, self._fit(candidate.fit.point.freed(())))
         over = candidate.excess
         return min(exact, candidate, key=lambda c: c.score_at(over))
 
@@ -189,7 +205,7 @@ class Search:
             for searched in (seed, seed + OF_RANGE * (parameter.to_search(parameter.high) - seed)):
                 point = base.point.with_cause(cause, (parameter.to_model(searched), *values[1:]))
                 trace = [a - b for a, b in zip(self.problem.residuals(point), base.residuals, strict=True)]
-                best = max(best, tangents.gain(trace))
+                best = max(best, tangents.gain(trace, parameter.two_sided))
         return best
 
     def best(self, progress: Progress = silent) -> SearchResult:
@@ -202,7 +218,7 @@ class Search:
     def resumed(self, earlier: SearchResult, progress: Progress = silent) -> SearchResult:
         """Go on from the result of an earlier search of the same data with another noise."""
         tried = [*self.nulls, *(c.in_units_of(self.problem) for c in earlier.tried if c.causes)]
-        begun = self.problem.fit(earlier.chosen.fit.point.freed(self.keys))
+        begun = self._fit(earlier.chosen.fit.point.freed(self.keys))
         chosen = self.settled(Candidate(self.problem, begun))
         while chosen.impossible:
             chosen = self._without(chosen, chosen.impossible[0])
@@ -279,7 +295,8 @@ class Search:
             tried += leaders
         if len(chosen.causes) > 1 and chosen is not lowest:
             chosen = self._reseeded(chosen)
-            tried.append(chosen)
+        chosen = replace(chosen, fit=self.problem.fit(chosen.fit.point))
+        tried.append(chosen)
         several = range(len(chosen.causes)) if len(chosen.causes) > 1 else ()
         without = mapped(partial(self._without, chosen), several)
         return SearchResult(self, [*tried, *without], chosen, tuple(without))
@@ -327,7 +344,7 @@ class Search:
         A seed was chosen when other causes were still missing.
         """
         starts = _at_other_seeds(candidate.fit.point, range(len(candidate.causes)))
-        again = mapped(self.problem.fit, starts)
+        again = mapped(self._fit, starts)
         best = min([candidate.fit, *again], key=lambda fit: fit.cost)
         return (
             candidate if best.cost > candidate.fit.cost - 1.0 else self.settled(Candidate(self.problem, best))
@@ -343,7 +360,7 @@ class Search:
     def _without(self, candidate: Candidate, index: int) -> Candidate:
         """The candidate refitted without one of its causes."""
         return self.settled(
-            Candidate(self.problem, self.problem.fit(candidate.fit.point.freed(self.keys).without(index)))
+            Candidate(self.problem, self._fit(candidate.fit.point.freed(self.keys).without(index)))
         )
 
 
@@ -359,6 +376,11 @@ def _at_other_seeds(point: FitPoint, indices: Iterable[int]) -> list[FitPoint]:
 
 def _chi2(candidate: Candidate) -> float:
     return candidate.fit.chi2
+
+
+def _chi2_if_possible(candidate: Candidate) -> float:
+    """χ², larger if a parameter is out of its physical range."""
+    return candidate.fit.chi2 * (1.0 if candidate.possible else IMPOSSIBLE)
 
 
 def _distinct(candidates: Sequence[Candidate]) -> list[Candidate]:

@@ -86,6 +86,11 @@ class Parameter:
         """Width of the range on the search scale."""
         return self.to_search(self.high) - self.to_search(self.low)
 
+    @property
+    def two_sided(self) -> bool:
+        """True if a value may lie on either side of neutral."""
+        return self.neutral is not None and self.low < self.neutral < self.high
+
     def within(self, searched: float) -> float:
         """The value at a point of the search scale, clipped to the bounds."""
         return self.to_model(min(max(searched, self.to_search(self.low)), self.to_search(self.high)))
