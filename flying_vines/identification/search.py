@@ -345,10 +345,11 @@ class Search:
         """
         starts = _at_other_seeds(candidate.fit.point, range(len(candidate.causes)))
         again = mapped(self._fit, starts)
-        best = min([candidate.fit, *again], key=lambda fit: fit.cost)
-        return (
-            candidate if best.cost > candidate.fit.cost - 1.0 else self.settled(Candidate(self.problem, best))
-        )
+        best = min(again, key=lambda fit: fit.cost, default=candidate.fit)
+        gained = candidate.fit.cost - best.cost
+        if gained < max(1.0, candidate.fit.cost / self.problem.readings):
+            return candidate
+        return self.settled(Candidate(self.problem, best))
 
     def _vacancies(self, candidate: Candidate) -> list[Candidate]:
         """The candidate without each of its causes in turn, not refitted: another may take its place."""

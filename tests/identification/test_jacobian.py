@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flying_vines.identification.jacobian import RunJacobian
+from flying_vines.identification.jacobian import Jacobian, RunJacobian
 from flying_vines.physics.arrays import Array
 
 START = np.array([0, 3, 40, 41, 60])
@@ -49,3 +49,23 @@ def test_what_initial_pressures_can_do_leaves_nothing() -> None:
     one = whole(initial)[5].reshape(1, 2, SAMPLES)
     assert np.abs(jacobian.orthogonal_part(one)).max() < 1e-9 * np.abs(one).max()
     assert jacobian.reduced.shape == (0, 2 * SAMPLES)
+
+
+def test_the_curvature_along_a_step_is_half_of_the_second_derivative() -> None:
+    """Two runs with residuals that are quadratic in the shared numbers, and linear in the pressures."""
+    random = np.random.default_rng(3)
+    step = random.standard_normal(NUMBERS + 2 * 2 * len(START))
+    shared, pressures = step[:NUMBERS], step[NUMBERS:].reshape(2, len(START), 2)
+    runs, bends, probe = [], [], []
+    for own in pressures:
+        initial, residuals = random.standard_normal((2, 2, SAMPLES)), random.standard_normal((2, SAMPLES))
+        common, second = random.standard_normal((NUMBERS, 2, SAMPLES)), random.standard_normal((2, SAMPLES))
+        runs.append(RunJacobian(initial, residuals, common, START))
+        linear = np.tensordot(shared, common, 1) + (own.ravel() @ whole(initial)).reshape(2, SAMPLES)
+        bends.append(second)
+        probe.append(residuals + 0.1 * linear + 0.1**2 * second)
+    curved = Jacobian(runs).curved(step, probe, share=0.1)
+    for run, there, second in zip(runs, curved.runs, bends, strict=True):
+        assert there.residuals == pytest.approx(run.residuals + second, rel=1e-9)
+    assert curved.reduced == pytest.approx(Jacobian(runs).reduced)
+    assert not np.allclose(curved.reduced_residuals, Jacobian(runs).reduced_residuals)

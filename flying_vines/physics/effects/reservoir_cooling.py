@@ -22,14 +22,14 @@ CAUSE = Cause(
     parameters=(
         Parameter(
             "time_constant_s",
-            low=0.05,
+            low=0.02,
             high=600.0,
             seeds=(0.1, 10.0, 300.0),
             neutral=0.0,
             logarithmic=True,
             source=(
-                "stuffed with wire: 0.05 s; a 2 L bottle with natural convection: "
-                "about 10 s; a 50 L cylinder: minutes"
+                "stuffed with fine wire, conduction d²/(π² a) across 2 mm of air: 0.02 s; a 2 L bottle with "
+                "natural convection: about 10 s; a 50 L cylinder: minutes"
             ),
         ),
     ),
