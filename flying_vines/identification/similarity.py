@@ -8,7 +8,7 @@ products of the remaining traces T are
 
     G = T Tᵀ − T Fᵀ (F Fᵀ + Λ)⁻¹ F Tᵀ
 
-The root of a diagonal element tells how clearly the data show a cause. The cosine of two traces tells how
+The root of a diagonal element shows how clearly the data show a cause. The cosine of two traces shows how
 similar two causes are.
 """
 

@@ -65,7 +65,7 @@ class Parameter:
     def __post_init__(self) -> None:
         if not self.low <= self.high or (self.logarithmic and not self.low > 0.0):
             raise ValueError(f"{self.name}: low must be below high, and above 0 if logarithmic")
-        # A pinned parameter keeps its seeds.
+        # Bounds pinned to one value leave the seeds unchanged.
         within = self.low == self.high or all(self.low <= seed <= self.high for seed in self.seeds)
         if not self.seeds or not within:
             raise ValueError(f"{self.name}: needs seeds between low and high")
@@ -131,7 +131,7 @@ class Cause:
     readings: Callable[[ModelReadings, Values], ModelReadings] | None = None
     """A further change of the readings; only used in fits."""
     law_of: str = ""
-    """What this is one of several laws of, e.g. a leak: a set has one law of each. Empty: of nothing else."""
+    """What this law describes, e.g. a leak. A set has at most one law of it. Empty: there is no other law."""
     defined_in: str = ""
     """File or package of a cause from outside this project."""
 
@@ -163,7 +163,7 @@ class Cause:
         return made
 
     def _line(self, error: BaseException | None = None) -> str:
-        """File and line of `apply`, or of its last line that an error passed."""
+        """File and line of `apply`; for an error, the last line of that file in the traceback."""
         code = getattr(self.apply, "__code__", None)
         if code is None:
             return f"{self.defined_in}: cause {self.name}"

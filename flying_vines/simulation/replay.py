@@ -166,7 +166,7 @@ def _core(log: FlightLog, start: Start, config: Config | None) -> CrashSafeCore:
             path = Path(folder) / "rig.toml"
             path.write_text(start.rig, encoding="utf-8")
             belief = load_calibration(path, config.pneumatics).belief
-    # Logs of earlier versions say nothing of latched faults.
+    # Logs of earlier versions contain no latched faults.
     stored = StoredState(start.parameters, start.disarmed, start.learned, start.latched or {})
     return CrashSafeCore(Core(config, belief=belief, stored=stored))
 

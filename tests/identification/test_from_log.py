@@ -197,7 +197,7 @@ def test_a_fake_sends_no_more_often_than_it_regulates(capsys: pytest.CaptureFixt
     for rate in ("9", "1001"):
         with pytest.raises(SystemExit) as exit_:
             main(["fake", "phlosar", "--telemetry-Hz", rate])
-        assert exit_.value.code == 2 and "--telemetry-Hz is from 10 to 1000" in capsys.readouterr().err
+        assert exit_.value.code == 2 and "--telemetry-Hz must be from 10 to 1000" in capsys.readouterr().err
 
 
 def test_slow_telemetry_is_said_to_be_slow(tmp_path: Path) -> None:

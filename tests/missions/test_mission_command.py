@@ -119,7 +119,7 @@ def test_a_profile_changes_what_carries_an_angle(mission: Path, capsys: Captured
 @pytest.mark.parametrize(
     ("text", "more", "says"),
     [
-        (GOOD, (), 'for which autopilot? autopilot = "ardupilot" or "px4" in the file, or --autopilot'),
+        (GOOD, (), 'names no autopilot: write autopilot = "ardupilot" or "px4" in it, or give --autopilot'),
         (
             GOOD.replace("bend_deg", "bent"),
             ("--autopilot", "px4"),

@@ -1,4 +1,4 @@
-"""The inflation valve (EVP) loses flow as its coil warms up: its conductance falls by w times a share.
+"""The inflation valve (EVP) loses flow as its coil warms up: it loses the share w times `share`.
 
 dw/dt = (u − w) / τ, w = 0 at the start of a recording
 """

@@ -22,7 +22,7 @@ _PER_K = 1.0 / STANDARD_TEMPERATURE_K
 
 
 COOLING_K = (GAMMA - 1.0) * STANDARD_TEMPERATURE_K
-"""(γ−1) T of air: how far it cools for each share of it that flows out."""
+"""(γ−1) T of air. If a small share flows out, the rest cools by this times the share (adiabatic)."""
 
 
 def heat_capacity_J_per_K(kPa_abs: Number, volume_L: float) -> Number:

@@ -202,7 +202,7 @@ class Valves(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class OpeningsRun(Common, tag="openings", frozen=True, kw_only=True):
-    """Valve openings over time, without regulation. The last ones also fill time that others left early."""
+    """Valve openings over time, without regulation. If others end early, the last ones hold until the end."""
 
     valves: Annotated[tuple[Valves, ...], Meta(min_length=1, max_length=10_000)]
 

@@ -5,7 +5,7 @@ those of TC4 and TC5 in dB. Unseen data decide, as in `identification`: each tes
 value that is best for the other. Gains are not a record over time, so that search cannot use them.
 
 The paper does not state the regulator's PID, the valve drivers, tubes, the outlet, or any phase. So a cause
-that comes nearer could explain the difference, but this does not prove that it is there.
+that reduces the difference may explain it, but this is no proof of the cause.
 """
 
 from __future__ import annotations
