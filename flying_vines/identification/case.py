@@ -145,7 +145,7 @@ def _read_run(path: Path, rig: Rig, remarks: list[str]) -> RecordedRun:
         )
     if reservoir_kPa is None and rig.pump is None:
         remarks.append(
-            f"{path.name}: the reservoir's pressure was not recorded; it is unknown from the start"
+            f"{path.name}: the reservoir's pressure was not recorded; its first value is unknown, too"
         )
     inputs = {name: values for name in _INPUTS if (values := _held(table, name, rows, remarks)) is not None}
     discharge = not inputs

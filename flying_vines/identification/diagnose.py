@@ -181,7 +181,7 @@ def _shares(found: SearchResult) -> dict[str, float]:
         return {chosen.names[0]: 1.0}
     removed = found.search.null.fit.chi2 - chosen.fit.chi2
     return {
-        # Without it the others may fit worse than the baseline, as cooling without the flow law does.
+        # Without this cause the others may fit worse than the baseline, as cooling without the flow law does.
         name: min(1.0, max(0.0, less.fit.chi2 - chosen.fit.chi2) / removed)
         for name, less in zip(chosen.names, found.without, strict=True)
     }

@@ -74,7 +74,7 @@ def widening(candidate: Candidate) -> Array:
 
 
 def profile(candidate: Candidate, index: int, number: int, wider: Array) -> LikelihoodProfile:
-    """The profile of the parameter `number` of the cause `index`; `wider` as from `widening`."""
+    """The profile of the parameter `number` of the cause `index`; `wider` is from `widening`."""
     problem, point = candidate.problem, candidate.fit.point
     cause = point.causes[index]
     parameter, best = cause.parameters[number], point.values[index][number]

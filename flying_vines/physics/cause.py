@@ -41,7 +41,7 @@ class Parameter:
     """A fitted number of a cause."""
 
     name: str
-    """With its unit."""
+    """With its unit, such as `time_constant_s`."""
     low: float
     """Lower bound of real rigs."""
     high: float
@@ -95,7 +95,7 @@ class Parameter:
         return (self.to_search(value) - self.to_search(self.low)) / self.range if self.range > 0.0 else 0.5
 
     def distance(self, value: float) -> float:
-        """Distance from neutral on the search scale; 1 if that is infinitely far, 0 if nothing is neutral."""
+        """Distance from neutral on the search scale; 1 if it would be infinite, 0 without a neutral value."""
         if self.neutral is None:
             return 0.0
         if self.logarithmic and not 0.0 < self.neutral < inf:

@@ -183,7 +183,7 @@ def rig_from(content: Mapping[str, Any]) -> Rig:
             f"a rig with a [pump] has no [{replaced[0]}], the pump takes its place: remove one of them."
         )
     if "cv" not in content and ("pump" in content or "hose" in content):
-        raise RigError("a pump or a hose needs a [cv] that it leads to: add [cv] with its volume_L.")
+        raise RigError("a pump or a hose needs a control volume: add [cv] with its volume_L.")
     tolerances = dict(_flat(content.get("tolerance_percent", {})))
     for key, value in tolerances.items():
         try:

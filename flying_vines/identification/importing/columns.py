@@ -87,7 +87,7 @@ QUANTITIES: Mapping[str, Quantity] = {
 }
 MEANINGS = (*WORDS, IGNORED)
 _ONE_UNIT = ("cv_pressure", "reservoir_pressure", "command_kPa")
-"""Columns of these meanings without a unit share one unit. A barometer often has another one."""
+"""Columns of these meanings without a unit share one unit. A barometer often has another unit."""
 
 
 class ImportedColumn(msgspec.Struct, forbid_unknown_fields=True):
@@ -318,7 +318,7 @@ def _copies(signals: Sequence[_Signal]) -> dict[int, int]:
 
 
 def _best_meanings(signals: Sequence[_Signal], scores: Mapping[tuple[int, str], float]) -> dict[int, str]:
-    """The meaning with most points of each column that has any, by its number."""
+    """For each column with points: its number, and its meaning with most points."""
     best = {s.number: max(WORDS, key=lambda meaning: scores.get((s.number, meaning), -1.0)) for s in signals}
     return {number: meaning for number, meaning in best.items() if scores.get((number, meaning), 0.0) > 0.0}
 

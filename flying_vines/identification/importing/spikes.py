@@ -15,17 +15,17 @@ _MIN_NOISE = 12.0
 _SMOOTH = 0.98
 """Share of the steps between the other readings that must be smaller than a spike."""
 _MAX_SHARE = 0.1
-"""If a larger share of the readings looks like spikes, there are none."""
+"""If a larger share of the readings looks like spikes, none of them counts as a spike."""
 
 
 def without_spikes(readings: Array) -> Array:
-    """The readings that are no spikes, without missing ones."""
+    """The readings without spikes and missing ones."""
     kept: Array = readings[np.isfinite(readings) & ~is_spike(readings)]
     return kept
 
 
 def is_spike(readings: Array) -> BoolArray:
-    """True for each spike; none if they are too many. Missing readings are no spikes."""
+    """True for each spike; all False if too many look like spikes. Missing readings are no spikes."""
     found = np.zeros(len(readings), dtype=bool)
     there = np.flatnonzero(np.isfinite(readings))
     few, nearest = _MAX_SHARE * len(there), np.inf

@@ -138,7 +138,7 @@ class RecordingPlan:
     by_commands: Recording
     """The best plan that the service can do; it is `best` if no other plan leaves fewer pairs open."""
     names: tuple[str, ...]
-    """Causes: the rows of the matrix, and its columns. A last column is `none`."""
+    """The causes of the matrix's rows and columns; its last column is for no cause."""
     matrix: Array
     """(causes, causes + 1) Δχ² in `best`: the row is in the rig at typical strength, the column is fitted."""
     never: tuple[CausePair, ...]
@@ -227,7 +227,7 @@ def plan(
     most_kPa: float = MAX_KPA,
     progress: Progress = silent,
 ) -> RecordingPlan:
-    """Plan the runs to record of a rig.
+    """Choose the runs to record on a rig.
 
     Args:
         rig: the nominal rig.

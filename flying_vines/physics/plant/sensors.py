@@ -72,8 +72,8 @@ class Transfer(NamedTuple):
 class Sensor:
     """A gauge pressure sensor. With the defaults it is perfect.
 
-    `span_kPa` is the pressure range of 10 … 90 % output. `lowest_share` and `highest_share` of it are the
-    limits of the readings.
+    `span_kPa` is the pressure range of 10 … 90 % output. Readings are limited to `lowest_share` …
+    `highest_share` of this range.
     """
 
     span_kPa: float = 206.84

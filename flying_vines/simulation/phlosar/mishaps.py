@@ -43,7 +43,7 @@ class SensorReading(NamedTuple):
     last_good_kPa: float
     """The last good reading."""
     for_ms: int
-    """Time since then."""
+    """Time since the mishap began."""
     normal: Callable[[], float]
     """A standard normal number."""
 

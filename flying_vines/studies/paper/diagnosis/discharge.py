@@ -70,7 +70,7 @@ SECOND = (
     "reservoir_leak",
     "reservoir_sensor_offset",
 )
-"""Causes that are compared beside R_v: each has a different slope at first and at last."""
+"""Causes that are tested together with R_v: each changes the slopes at the start and the end differently."""
 _EXACT = 1e3
 """Weight of a first reading that is taken as exact."""
 
@@ -132,7 +132,7 @@ class Second(NamedTuple):
     unseen_nrmse: float
     """Error relative to the measured range."""
     gain: tuple[float, float]
-    """95 % interval of the relative error reduction, from R_v alone."""
+    """95 % interval of the relative error reduction, compared with R_v alone."""
 
 
 @dataclass(frozen=True)
