@@ -40,7 +40,7 @@ class CalibrationDiagnosis:
 def diagnosed(
     flight: Path, rig_file: Path, numbers: PneumaticsConfig, progress: Progress
 ) -> CalibrationDiagnosis:
-    """Report and rig are written to the folder of `rig_file`.
+    """Diagnose, and write report and rig to the folder of `rig_file`.
 
     Raises `CaseError` if nothing in the flight can be diagnosed.
     """

@@ -105,7 +105,7 @@ class MeasuredQuantity:
         return f"{self.value:.{digits}f}", f"{self.low:.{digits}f} … {self.high:.{digits}f}"
 
     def change(self) -> str:
-        """Measured against assumed, as text."""
+        """The difference between measured and assumed value, as text."""
         if self.value is None or self.assumed is None:
             return ""
         if self.low is not None and self.high is not None and self.low <= self.assumed <= self.high:

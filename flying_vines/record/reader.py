@@ -15,7 +15,7 @@ from flying_vines.record.folders import MCAP
 from flying_vines.record.mcap_file import MAGIC, read_chunks, read_summary
 
 LAST = "last"
-"""The name of the latest flight, if no file has it."""
+"""The name of the latest flight, if no file or folder has this name."""
 _decode = msgspec.json.Decoder(dict[str, Any]).decode
 
 

@@ -331,7 +331,7 @@ class _Numbers:
 
 
 def _fits(name: str | None, command: int, confirmed: bool = False) -> bool:
-    """True if the name fits the command. `confirmed`: an unknown name fits, it may be of another release."""
+    """True if the name fits the command. `confirmed`: an unknown name, perhaps of another release, fits."""
     expected = COMMAND_OF_NAME.get(name or "")
     if expected is not None:
         return expected == command

@@ -84,7 +84,7 @@ class NamedValues:
         self._once_at = t
 
     def may_send(self, t: float) -> bool:
-        """False if so soon after the last value none can be due."""
+        """False if no value can be due so soon after the last one."""
         spacing_s = min(self.period_s / len(VALUE_NAMES), ONCE_SPACING_S)
         return t >= self._last_at + spacing_s - _TICK_GRAIN_S
 

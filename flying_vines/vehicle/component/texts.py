@@ -2,7 +2,7 @@
 
 Ground stations and autopilots parse status texts: some words mean a version, a failed check or a step of the
 mission to them. The name of a profile or of a firmware build may contain such a word. So such words are
-broken up before a text is sent. It stays readable.
+broken up before a text is sent. The text stays readable.
 """
 
 from __future__ import annotations
