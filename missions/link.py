@@ -47,7 +47,7 @@ _RESULTS = {
     10: "the vehicle does not accept its x (latitude)",
     11: "the vehicle does not accept its y (longitude)",
     12: "the vehicle does not accept its z (altitude)",
-    13: "the vehicle reports: out of sequence",
+    13: "the vehicle received an item out of sequence",
     14: "the vehicle accepts no mission now",
     15: "the vehicle cancelled the upload",
 }

@@ -420,7 +420,7 @@ class Calibrator:
     # Ending.
 
     def _problem(self, now: Snapshot) -> str:
-        """Why the calibration cannot continue; else empty. In the first stages the zero may still be wrong."""
+        """Why the calibration cannot go on; else empty. In the first stages the zero may still be wrong."""
         if now.firmware != "ready":
             return f"phloSAR {now.firmware}"
         wrong = dict(now.safe_state)

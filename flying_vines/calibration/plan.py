@@ -280,7 +280,7 @@ def _stages(
         vessel = movement("calibrate-vessel", request.vessel_L / config.pneumatics.cv_volume_L)
         yield moving("vessel", "Bottle's volume", does, [vessel] * ROUNDS, rest_s=SETTLE_S + ZERO_S)
     if wanted("levels"):
-        does = "raise the pressure in steps, several times: air for each pressure"
+        does = "raise the pressure in steps: air for each pressure"
         step = movement("calibrate-levels")
         yield moving("levels", "Vine's volume", does, [step] * ROUNDS, [step] * ROUNDS_AGAIN, LEVELS_AGAIN)
     if wanted("vine_leak"):

@@ -226,8 +226,8 @@ class VehicleProbe:
         self._began_at = t if self._began_at is None else self._began_at
         if not self._state.found:
             # Some peers send only after they have received a message.
-            may_speak = t - self._began_at >= LISTEN_FIRST_S and self._rivals is None
-            return self._heartbeat.due(t, mavlink.MAV_STATE_STANDBY) if may_speak else []
+            may_send = t - self._began_at >= LISTEN_FIRST_S and self._rivals is None
+            return self._heartbeat.due(t, mavlink.MAV_STATE_STANDBY) if may_send else []
         system_id = self._state.system_id
         for message in (
             *self._heartbeat.due(t, mavlink.MAV_STATE_STANDBY),
