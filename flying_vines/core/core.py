@@ -771,7 +771,7 @@ class Core:
             return
         rc_is_off = self._vehicle.rc.problem(t) is not None
         texts = {
-            "rc": "going on without RC" if rc_is_off else "RC is back",
+            "rc": "RC is off and not in use" if rc_is_off else "RC is back",
             "autopilot": "autopilot is back",
             "serial": f"{self._actuator} is back",
             "telemetry": f"{self._actuator} telemetry is back",

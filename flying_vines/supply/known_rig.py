@@ -43,9 +43,9 @@ MIN_KPA = 1.0
 """Minimum top pressure of a cycle, with any error of the control volume's sensor."""
 PARTLY_OPEN_SD = 0.2
 VENTURI_STARTS_KPA = 3.0
-"""The firmware starts the Venturi if the control volume is this far above its setpoint …"""
+"""The firmware starts the Venturi if the control volume is this far above its setpoint."""
 VENTURI_ENDS_KPA = 1.0
-"""… and stops it at this difference."""
+"""The firmware stops the Venturi if the control volume is this far above its setpoint."""
 REGULATOR_S = 0.05
 """Reaction time of the regulator."""
 OPENING_S = 0.12

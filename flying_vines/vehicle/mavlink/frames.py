@@ -105,7 +105,7 @@ class Frames:
             self._bad_until = stop
 
     def _skip_noise(self, data: bytes, at: int) -> int:
-        """The index of the next possible begin of a frame."""
+        """The index at which the next frame may begin."""
         if at > self._bad_until:
             self.bad_frames += 1
         found = _ANY_MARKER.search(data, at)
