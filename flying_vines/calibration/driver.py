@@ -29,7 +29,7 @@ from flying_vines.core.snapshot import Snapshot
 from flying_vines.record import recorder
 from flying_vines.service.persistent_state import PersistentState
 from flying_vines.supply import Belief
-from flying_vines.supply.known_rig import load_calibration
+from flying_vines.supply.known_rig import load_known_rig
 from flying_vines.vehicle.component.parameters import Parameters
 from flying_vines.vehicle.mavlink.signing import Signing
 from flying_vines.vine.intent import Intent
@@ -85,7 +85,7 @@ def load_context(profile: UserProfile) -> tuple[Config, CalibrationContext]:
     signing, _ = state.read_signing(config)
     belief, rig_text = None, ""
     if rig := configuration.rig_named(config, path):
-        belief = load_calibration(rig, config.pneumatics).belief
+        belief = load_known_rig(rig, config.pneumatics).belief
         rig_text = rig.read_text(encoding="utf-8")
         flown = msgspec.structs.replace(flown, pneumatics=belief.pneumatics)
     return flown, CalibrationContext(belief, rig_text, stored, signing, state)

@@ -54,7 +54,7 @@ def calibrate(
     terminal: CalibrationTerminal,
     rig: Path | None,
 ) -> CalibrationRun:
-    """Calibrate the rig of a file, or a likely one. Raises `CalibrateError`, `RigError`, `OSError`."""
+    """Calibrate the rig of a file, or one with all typical effects. Raises `CalibrateError`, `RigError`, `OSError`."""
     if request.vessel_L is not None:
         raise CalibrateError("--vessel-L needs a person who changes a hose; it does not work with --fake")
     config, context = load_context(profile)

@@ -76,15 +76,15 @@ class KnownRig:
         return text
 
 
-def load_calibration(path: Path, p: PneumaticsConfig) -> KnownRig:
+def load_known_rig(path: Path, p: PneumaticsConfig) -> KnownRig:
     """The prior from a rig file and the numbers of `[pneumatics]`.
 
     Raises `RigError` if the file cannot be read, has an unknown name, or has no control volume.
     """
-    return read_rig(path, lambda content: _calibration(path, p, true_rig_from(content)))
+    return read_rig(path, lambda content: _known_rig(path, p, true_rig_from(content)))
 
 
-def _calibration(path: Path, p: PneumaticsConfig, rig: TrueRig) -> KnownRig:
+def _known_rig(path: Path, p: PneumaticsConfig, rig: TrueRig) -> KnownRig:
     belief = belief_of(p, rig)
     without = {
         name: replace(rig, causes={other: rig.causes[other] for other in rig.causes if other != name})
