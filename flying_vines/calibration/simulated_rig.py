@@ -54,7 +54,10 @@ def calibrate(
     terminal: CalibrationTerminal,
     rig: Path | None,
 ) -> CalibrationRun:
-    """Calibrate the rig of a file, or one with all typical effects. Raises `CalibrateError`, `RigError`, `OSError`."""
+    """Calibrate the rig of a file, or one with all typical effects.
+
+    Raises `CalibrateError`, `RigError` or `OSError`.
+    """
     if request.vessel_L is not None:
         raise CalibrateError("--vessel-L needs a person who changes a hose; it does not work with --fake")
     config, context = load_context(profile)
