@@ -41,19 +41,19 @@ VENTURI_OFFSET_KPA = 100.0
 NO_EFFECT_SD = 1e-9
 """Prior standard deviation that removes a parameter."""
 GAIN_SD = 0.01
-"""Relative, of the ratio of both sensors' gains."""
+"""Relative standard deviation of the ratio of both sensors' gains."""
 RESERVOIR_ZERO_SD_KPA = 8.0
-"""Of the zero of the reservoir's sensor, if it was not measured."""
+"""Standard deviation of the zero of the reservoir's sensor, if it was not measured."""
 VINE_LEAK_SD = 0.03
-"""Relative: pressure difference between leak and valves, and error of the regulator."""
+"""Relative standard deviation by the pressure from leak to valves and by the error of the regulator."""
 MIN_LEAK_SDS = 3.0
 """A leak is reported if it is this many standard deviations above zero."""
 TOO_LITTLE = "too few inflations to measure the vine's volume"
 RESERVOIR_KEY = "pneumatics.reservoir_volume_L"
 GIVEN_VOLUME_SD = 0.005
-"""Relative, of the volume of a reservoir that was weighed with water."""
+"""Relative standard deviation of a reservoir's volume that was weighed with water."""
 VESSEL_SD = 0.01
-"""Relative, of the vessel's volume."""
+"""Relative standard deviation of the vessel's volume."""
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,7 @@ def calibrate(
 
 @contextmanager
 def _interruptions() -> Iterator[Callable[[], bool]]:
-    """Until the end of this context Ctrl-C only makes the yielded function return True: a vent can follow."""
+    """In this context Ctrl-C only makes the yielded function return True, so the calibration can still vent."""
     seen: list[int] = []
     before = {
         name: signal.signal(name, lambda number, frame: seen.append(number))

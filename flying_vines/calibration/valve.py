@@ -42,11 +42,11 @@ PLAYS = np.arange(0.0, 0.26, 0.01)
 PLAY_PRIOR = (0.07, 0.06)
 """Mean and standard deviation."""
 AIR_SD = 0.01
-"""Relative, of the air of an inflation."""
+"""Relative standard deviation of the air of an inflation."""
 PRESSURE_SD_KPA = 0.03
-"""Of a settled pressure."""
+"""Standard deviation of a settled pressure."""
 START_SD = 0.001
-"""Of the start, which changes when the coil warms."""
+"""Standard deviation of the start, which changes when the coil warms."""
 MAX_START_SD = 0.1
 MARGIN = 0.01
 """The proposed dead band ends this far below the start, so that the valve does not leak."""

@@ -92,7 +92,7 @@ NO_AIR_NEEDED = AirNeeded(0.0, 0.0)
 """For an actuator without a reservoir."""
 
 AIR_UNKNOWN = AirNeeded(math.inf, math.inf)
-"""After the estimate has failed. No reservoir has so much air, so every bend is refused."""
+"""Used after the estimate has failed: no reservoir has so much air, so every bend is refused."""
 
 BENCH_S = 300.0
 """Bench mode ends this long after the last request of a person."""
@@ -536,7 +536,7 @@ class Core:
 
     def _record(self, t: float, trigger: Trigger, ruling: Ruling) -> Decision:
         motion = self._motion
-        # A request without effect must not make a switch move invalid that waits for its confirmation.
+        # A request without effect must not invalidate a switch move that still waits for its confirmation.
         is_newer = ruling.verdict != "refused" and ruling.has_effect
         if is_newer:
             self._requested_at = max(self._requested_at, t - trigger.age_s)

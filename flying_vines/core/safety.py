@@ -114,7 +114,7 @@ class Safety:
         self._present: dict[str, str] = {}
         self._latched = dict(latched)
         self._latched_at: dict[str, float] = {}
-        """When the cause of each fault last appeared; for faults of the last run, not before this run."""
+        """When the cause of each fault last appeared; at the earliest when this run began."""
         self._causes: set[str] = set()
         self._faults = Fault.NONE
         self._faults_at = -math.inf

@@ -25,7 +25,7 @@ Arm them from a ground station (command USER_4, 3), or delete the file and resta
 
 
 UNREADABLE = {"last_run": "the latched faults of the last run cannot be read"}
-"""The fault that replaces them. A person who clears it clears them all."""
+"""Latched if the stored faults cannot be read. A person who clears it clears them all."""
 
 
 class PersistentStateError(Exception):

@@ -20,7 +20,7 @@ MIN_REPEAT_S = 0.5
 FIRST_REPEAT_LATER_S = 0.25
 """The first repeat is 0.5 or 1 s old. Its assumed age is the middle: 0.5 s plus this."""
 BEFORE_A_REPEAT_S = 0.4
-"""A repeat is at least 0.5 s old, less the link's jitter. So an item seen in this time ran after that one."""
+"""A repeat is at least 0.5 s old, less the link's jitter. So an item seen within this time is newer."""
 SAME_BURST_S = 3.0
 """PX4 sends the following items within milliseconds, and the last repeat of an item 2 s after it."""
 
