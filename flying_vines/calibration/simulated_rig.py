@@ -75,7 +75,7 @@ def calibrate(
 
 @contextmanager
 def _interruptions() -> Iterator[Callable[[], bool]]:
-    """In this context Ctrl-C only makes the yielded function return True, so the calibration can still vent."""
+    """In this context Ctrl-C only makes the yielded function return True, so that a vent can follow."""
     seen: list[int] = []
     before = {
         name: signal.signal(name, lambda number, frame: seen.append(number))
