@@ -47,7 +47,7 @@ _LABELS = re.compile("(arm|tuning|mission):", re.IGNORECASE)
 def harmless(text: str) -> str:
     """The text as one line of printable ASCII that no other program acts on. The function is idempotent.
 
-    Characters outside ASCII are written out. A word that other programs look for is broken ("cop-ter").
+    Characters outside ASCII are written out. A word that other programs look for gets a hyphen ("cop-ter").
     """
     plain = unicodedata.normalize("NFKD", text.translate(_WRITTEN_OUT)).translate(_WRITTEN_OUT)
     plain = "".join(_sign(sign) for sign in plain if not unicodedata.combining(sign))
