@@ -232,7 +232,7 @@ class MissionVehicle:
         from mavsdk.plugins.mission_raw import MissionPlan, MissionRawResult
 
         queue = self.listen("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK")
-        steps: asyncio.Queue[tuple[Any, float]] = asyncio.Queue()  # one step an item
+        steps: asyncio.Queue[tuple[Any, float]] = asyncio.Queue()  # one step per item
         loop = asyncio.get_running_loop()
 
         def step(result: Any, data: Any, _: object = None) -> None:

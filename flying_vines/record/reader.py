@@ -87,7 +87,7 @@ class FlightLog:
         return f"{self.path.name}: {'; '.join(damages)}" if damages else ""
 
     def entries(self, topics: Collection[str] | None = None) -> Iterator[LogEntry]:
-        """All entries, or those of some topics, in time order.
+        """All entries, or those of some topics, in the order in which they were recorded.
 
         Raises `LogError` if there is nothing to read.
         """

@@ -89,7 +89,7 @@ class NamedValues:
         return t >= self._last_at + spacing_s - _TICK_GRAIN_S
 
     def due(self, t: float, time_boot_ms: int, values: Mapping[str, float]) -> list[MavlinkMessage]:
-        """At most one message a call, of the most overdue value. This spreads them over time."""
+        """At most one message per call, of the most overdue value. This spreads them over time."""
         sent = {name: self._due_at.get(name, -math.inf) for name in values if math.isfinite(values[name])}
         name = min(sent, key=lambda name: sent[name], default=None)
         if name is None:
