@@ -45,7 +45,7 @@ GAIN_SD = 0.01
 RESERVOIR_ZERO_SD_KPA = 8.0
 """Standard deviation of the zero of the reservoir's sensor, if it was not measured."""
 VINE_LEAK_SD = 0.03
-"""Relative standard deviation by the pressure from leak to valves and by the error of the regulator."""
+"""Relative standard deviation: leak and valves are at different pressures, and the regulator has an error."""
 MIN_LEAK_SDS = 3.0
 """A leak is reported if it is this many standard deviations above zero."""
 TOO_LITTLE = "too few inflations to measure the vine's volume"
@@ -96,7 +96,7 @@ class VineAir:
 
     @property
     def SL_per_kPa(self) -> float:
-        """Air for a kPa of the reservoir."""
+        """Air in one kPa of the reservoir."""
         return self.known.reservoir_L.value / ALPHA_KPA
 
     def air_SL(self, from_kPa: float, to_kPa: float) -> float:
@@ -328,7 +328,7 @@ def _compliance(vine: VineAir) -> MeasuredQuantity:
 
 
 def _staircase(vine: VineAir) -> Chart:
-    """Air that each inflation has taken against its pressure."""
+    """A chart of the air that each inflation took against its pressure."""
     known, bins = vine.known, vine.balance.bins
     others = [name for name in bins.columns if name not in ("volume", "growth", "pouch", "refill")]
     rest_kPa = vine.balance.without(*others)

@@ -119,7 +119,7 @@ class CalibrationPlan:
 
     @property
     def max_seconds(self) -> float:
-        """If every movement has to be repeated."""
+        """The time if every movement has to be repeated."""
         return self.seconds + sum(
             stage.max_repeats * sum(move.seconds + self.hold_s for move in stage.again)
             for stage in self.stages
