@@ -75,7 +75,7 @@ def test_px4_with_an_sbus_receiver_that_has_a_preset_in_the_bent_position() -> N
     (line,) = [finding for finding in receiver.check(learned, TWO) if finding.check == "receiver"]
     assert line.verdict == "warning"
     assert "position 2" in line.what
-    assert "waits 1.6 s or longer" in line.what
+    assert "waits 1.6 s" in line.what
     assert "channel 9 to hold, or to position 1" in line.do
 
 
