@@ -1,7 +1,8 @@
 """A companion that only requests and listens: which messages arrive from the vehicle, and how often.
 
 Sans-IO; all times are seconds of one clock. It requests streams and mission with the service's own code, so
-the service will receive the same messages. It answers no request and obeys no command.
+the service will receive the same messages. It does not request the messages of `[[triggers]]`. It answers no
+request and obeys no command.
 """
 
 from __future__ import annotations
