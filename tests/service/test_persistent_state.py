@@ -216,7 +216,7 @@ async def test_whoever_lacks_the_key_is_not_believed_and_that_is_said(
     autopilot = FakeAutopilot("ardupilot", signing_key=theirs, unix_s=time.time())
     async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
         await until(lambda: any("refused messages" in text for text in served.texts), "it is said")
-        assert served.service.core.snapshot(0.0).vehicle == "none heard"
+        assert served.service.core.snapshot(0.0).vehicle == "not found"
         assert bench.vented()
 
 
