@@ -154,7 +154,7 @@ UNBOUNDED = {
         __attribute__((noinline)) int g(int n) { return f(n / 2) + 2; }
         int main(void) { return f(9); }""",
     "through a register": "int (*volatile f)(void); int main(void) { return f() + 1; }",
-    "not known before": """
+    "has no fixed size": """
         volatile int n;
         int main(void) { char c[n]; __asm__ volatile("" : : "r"(c) : "memory"); return c[n - 1]; }""",
 }
