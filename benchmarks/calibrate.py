@@ -2,17 +2,18 @@
 
     .venv/bin/python benchmarks/calibrate.py --rigs 40 --jobs 2 [--markdown FILE]
 
-The rigs are those of the benchmark of the cycles left, with believed and true numbers. Some quantities have
-no single true number. They are defined as:
+The rigs are those of `cycles_left_rigs.py`, with assumed and true numbers. Some quantities have no single
+true number. They are defined as:
 
 - volume: 101.325 kPa · (air at the top − air at 0 kPa) / top, vine and tube at ambient temperature
-- pouch: air of the full vine at 0 kPa less that of the flat one
+- pouch: air of the full vine at 0 kPa minus that of the flat vine
 - inflation valve: commanded fully open from shut, choked flow from the full reservoir (690 kPa) to ambient
-- start: the commanded opening from which air flows, with half the play, the coil at ambient temperature
+- start: the commanded opening at which air begins to flow, with half the play, the coil at ambient
+  temperature
 - leaks: Ohm's law; errors are counted only for rigs with a leak
 - outlet: ∫ P/Q(P) dP / P from the top to 0 kPa, through solenoid and ejector at rest, isothermal
 
-Volumes are relative to the reservoir's, which is given with 0.5 %, as a person weighs it.
+Volumes are relative to the reservoir's volume, which is given with an error of 0.5 %, as if weighed.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ from flying_vines.physics.plant.venturi import outlet_SL_per_s
 from flying_vines.physics.plant.volume import Compliant, Pouch
 
 FIRST_SEED = 8000
-"""The method was developed with seeds up to 42, and its intervals were checked with 7000 to 7033."""
+"""The method was developed with seeds up to 42. Its intervals were checked with seeds 7000 to 7033."""
 ROWS = {
     "cv_zero_kPa": ("vine's sensor, zero", "kPa"),
     "cv_volume_L": ("vine's volume", "%"),
@@ -73,7 +74,7 @@ class Outcome:
 
 
 def truth(case: Case, top_kPa: float) -> dict[str, float]:
-    """True values by the findings' names; without leaks that do not exist."""
+    """True values by the findings' names. Leaks that do not exist are left out."""
     plant, effects = case.plant, case.plant.effects
     ambient_kPa, ambient_K, _ = plant.ambient.at(0.0)
     assert isinstance(effects.evp_law, Iso6358) and effects.evp_motion and effects.evp_coil
@@ -123,7 +124,7 @@ def _outlet(case: Case, top_kPa: float, ambient_kPa: float, ratio: float) -> flo
 
 
 def calibrated(seed: int, step_ms: int = 1) -> Outcome:
-    """Calibrate one rig, at the pressure that its reservoir has."""
+    """Calibrate one rig, at the pressure of its reservoir."""
     case = draw(seed)
     believed = msgspec.structs.replace(config.default(), pneumatics=case.believed)
     request = CalibrationRequest(asks_angles=False, bottle_volume_L=case.plant.rig.reservoir.volume_L)
@@ -148,7 +149,7 @@ def calibrated(seed: int, step_ms: int = 1) -> Outcome:
 
 
 def table(outcomes: Sequence[Outcome]) -> Iterator[str]:
-    """In Markdown."""
+    """The table, in Markdown."""
     yield "| quantity | rigs | measured | median error | 95 % of errors within | 95 % interval holds |"
     yield "| --- | --- | --- | --- | --- | --- |"
     for name, (what, unit) in ROWS.items():

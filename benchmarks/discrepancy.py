@@ -1,13 +1,13 @@
-"""How often `flying-vines diagnose` is right about rigs with hidden effects, beside other methods.
+"""How often `flying-vines diagnose` is right about rigs with hidden effects, compared with other methods.
 
-    python benchmarks/discrepancy.py --cases 100 --results results.jsonl    # goes on where it was stopped
+    python benchmarks/discrepancy.py --cases 100 --results results.jsonl    # continues an interrupted run
     python benchmarks/discrepancy.py --cases 12 --tiers clear,null --peers --results results.jsonl
     python benchmarks/discrepancy.py --report results.jsonl
 
-Cases are drawn by `tests/hidden_truth`, a simulator that shares no code with this project. Tiers, and what a
-share is of, are in `draw.py` there and in `discrepancy_scores.py`; each outcome is a line of the results
-file, from which alone the tables are printed. Needs pip install 'flying-vines[analysis]', and with --peers
-pip install 'flying-vines[benchmarks]' (which brings what the peers are made of: pysindy, scikit-learn).
+`tests/hidden_truth` draws the cases: a simulator that shares no code with this project. Its `draw.py` defines
+the tiers, `discrepancy_scores.py` the scores. Each outcome is a line of the results file, and the tables use
+only this file. Needs pip install 'flying-vines[analysis]', and with --peers pip install
+'flying-vines[benchmarks]' (pysindy, scikit-learn).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rich.console import Console
 
 BAD_INPUT = 2
 FIRST_SEED = 50_000
-"""None that a test uses, or that anything was tuned on."""
+"""Cases that no test uses, and on which nothing was tuned."""
 TIERS = tuple(GOALS)
 
 
@@ -50,8 +50,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> list[Outcome]:
-    """The outcomes that there are, and those that are missing."""
-    # Workers and peers need more than a report does.
+    """All outcomes: those in the file, and the missing ones, which are computed."""
+    # Imported here, because a report does not need the workers and peers.
     import discrepancy_cases
     import discrepancy_peers
 
@@ -74,7 +74,7 @@ def _run(arguments: argparse.Namespace) -> list[Outcome]:
 
 
 def _line(outcome: Outcome) -> str:
-    """One outcome for those who wait."""
+    """One line for an outcome, printed during the run."""
     truth, said = outcome.truth, outcome.said
     hidden = " + ".join(truth.hidden) or "none"
     answer = outcome.error if said is None else " + ".join(said.named) or said.cause
