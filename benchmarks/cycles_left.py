@@ -148,8 +148,8 @@ def main() -> int:
     parser.add_argument("--calibrated", type=int, default=13, help="rigs that are diagnosed first")
     parser.add_argument("--first", type=int, default=40_000, help="the first rig's seed")
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--each", action="store_true", help="a line for every rig, too")
-    parser.add_argument("--check", action="store_true", help="exit status 1 when a goal is missed")
+    parser.add_argument("--each", action="store_true", help="also a line for every rig")
+    parser.add_argument("--check", action="store_true", help="exit status 1 if a goal is missed")
     arguments = parser.parse_args()
     if min(arguments.rigs, arguments.calibrated) < 0 or arguments.jobs < 1:
         parser.error("--rigs and --calibrated must not be below 0, --jobs not below 1")

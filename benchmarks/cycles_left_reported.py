@@ -213,8 +213,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--flights", type=int, default=200)
     parser.add_argument("--first", type=int, default=60_000, help="the first seed")
-    parser.add_argument("--each", action="store_true", help="a line for every flight, too")
-    parser.add_argument("--check", action="store_true", help="exit status 1 when a goal is missed")
+    parser.add_argument("--each", action="store_true", help="also a line for every flight")
+    parser.add_argument("--check", action="store_true", help="exit status 1 if a goal is missed")
     arguments = parser.parse_args()
     guesses, held, low, high = Counter[str](), Counter[str](), Counter[str](), Counter[str]()
     events, jumps = Counter[str](), 0

@@ -86,8 +86,8 @@ def _parser() -> argparse.ArgumentParser:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     cores = len(os.sched_getaffinity(0))
-    parser.add_argument("--cases", type=_at_least_one, default=20, help="of each tier (20)")
-    parser.add_argument("--tiers", type=_tiers, default=TIERS, help="some of them, with commas between (all)")
+    parser.add_argument("--cases", type=_at_least_one, default=20, help="cases of each tier (20)")
+    parser.add_argument("--tiers", type=_tiers, default=TIERS, help="tiers, separated by commas (all)")
     parser.add_argument("--seed", type=int, default=FIRST_SEED, help=f"the first ({FIRST_SEED})")
     parser.add_argument(
         "--workers",
@@ -96,12 +96,12 @@ def _parser() -> argparse.ArgumentParser:
         default=cores,
         help=f"processes (one a core: {cores})",
     )
-    parser.add_argument("--results", type=Path, metavar="FILE", help="outcomes: kept here, skipped if here")
+    parser.add_argument("--results", type=Path, metavar="FILE", help="file of outcomes; those in it are skipped")
     parser.add_argument(
-        "--peers", action="store_true", help="what a user would have instead, on the same cases"
+        "--peers", action="store_true", help="also run other methods on the same cases"
     )
     parser.add_argument(
-        "--report", type=Path, metavar="FILE", help="print the tables of a results file alone"
+        "--report", type=Path, metavar="FILE", help="only print the tables of a results file"
     )
     return parser
 

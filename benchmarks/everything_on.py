@@ -34,7 +34,7 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--rounds", type=int, default=ROUNDS)
-    parser.add_argument("--flips", type=int, default=FLIPS, help="of each round")
+    parser.add_argument("--flips", type=int, default=FLIPS, help="flips of each round")
     arguments = parser.parse_args()
     console = Console(width=110)
     console.print(f"{os.cpu_count()} cores, load before {os.getloadavg()[0]:.1f}", highlight=False)

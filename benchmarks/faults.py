@@ -33,12 +33,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--flights", type=int, default=200, help="how many, one seed each")
-    parser.add_argument("--first", type=int, default=1, help="seed of the first")
-    parser.add_argument("--jobs", type=int, default=1, help="processes at a time")
-    parser.add_argument("--minutes", type=float, default=math.inf, help="at most")
-    parser.add_argument("--seed", type=int, help="fly this one alone and print its timeline")
-    parser.add_argument("--only-fault", type=int, choices=(1, 2), help="with --seed: leave the other one out")
+    parser.add_argument("--flights", type=int, default=200, help="number of flights, one seed each")
+    parser.add_argument("--first", type=int, default=1, help="seed of the first flight")
+    parser.add_argument("--jobs", type=int, default=1, help="number of processes")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="maximum time")
+    parser.add_argument("--seed", type=int, help="fly only this one and print its timeline")
+    parser.add_argument("--only-fault", type=int, choices=(1, 2), help="with --seed: without the other fault")
     args = parser.parse_args()
     load()  # Build once, before several processes need it.
     if args.seed is not None:

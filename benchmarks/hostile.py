@@ -99,11 +99,11 @@ def _arguments() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--one-core", action="store_true", help="for service and gateway; another for the rest"
+        "--one-core", action="store_true", help="one core for service and gateway, another for the rest"
     )
     parser.add_argument("--gateway-nice", nargs="*", default=[], metavar="N", help="0 to 19, or idle")
     parser.add_argument("--rounds", type=int, default=ROUNDS)
-    parser.add_argument("--flips", type=int, default=FLIPS, help="of each round")
+    parser.add_argument("--flips", type=int, default=FLIPS, help="flips of each round")
     return parser.parse_args()
 
 

@@ -221,8 +221,8 @@ def misses(rows: Sequence[Row], growth: float) -> list[str]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--repeats", type=int, default=9)
-    parser.add_argument("--json", action="store_true", help="numbers instead of a table")
-    parser.add_argument("--check", action="store_true", help="exit status 1 when a goal is missed")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    parser.add_argument("--check", action="store_true", help="exit status 1 if a goal is missed")
     options = parser.parse_args()
     recorded = [frames_of(path) for path in sorted(RECORDINGS.glob("*.tlog"))]
     with_key = [signed(frames) for frames in recorded]

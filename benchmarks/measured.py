@@ -79,7 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--only", choices=GROUPS, action="append", help="one folder; may be given again")
+    parser.add_argument("--only", choices=GROUPS, action="append", help="one folder; may be repeated")
     arguments = parser.parse_args(argv)
     from measured_peers import unseen_errors  # These packages are needed only here.
 

@@ -103,11 +103,11 @@ def mishaps(seeds: range, jobs: int, console: Console) -> None:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--rigs", type=int, default=300, help="healthy ones")
+    parser.add_argument("--rigs", type=int, default=300, help="number of healthy rigs")
     parser.add_argument("--mishaps", type=int, default=30, help="rigs for each mishap")
     parser.add_argument("--first", type=int, default=1, help="the first rig's seed")
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--check", action="store_true", help="exit status 1 when a healthy rig is accused")
+    parser.add_argument("--check", action="store_true", help="exit status 1 if a check has a finding on a healthy rig")
     arguments = parser.parse_args()
     if min(arguments.rigs, arguments.mishaps) < 0 or arguments.jobs < 1:
         parser.error("--rigs and --mishaps must not be below 0, --jobs not below 1")

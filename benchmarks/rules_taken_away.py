@@ -195,8 +195,8 @@ def make_room(parent: Path, number: int) -> Path:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--only", default="", help="rules whose line of the listing contains this")
-    parser.add_argument("--list", action="store_true", help="name the rules, and run nothing")
+    parser.add_argument("--only", default="", help="only rules whose line in the list contains this")
+    parser.add_argument("--list", action="store_true", help="list the rules, and run nothing")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     args = parser.parse_args()
     rules = [rule for module in MODULES for rule in rules_of(module) if args.only in str(rule)]

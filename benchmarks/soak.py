@@ -202,7 +202,7 @@ async def _service(folder: Path, companion_port: int, serial_path: str) -> Async
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--hours", type=float, help="of flying: 24, in real time 1")
+    parser.add_argument("--hours", type=float, help="hours of flying: 24, in real time 1")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--autopilot", choices=("ardupilot", "px4"), default="ardupilot")
     parser.add_argument("--real-time", action="store_true")
