@@ -108,7 +108,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _at_least_one(text: str) -> int:
     if not text.isdecimal() or int(text) == 0:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of cases: give 1 or more")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of cases: give 1 or more")
     return int(text)
 
 

@@ -185,7 +185,7 @@ def _text(path: Path) -> str:
     except OSError as error:
         raise ResultsError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise ResultsError(f"{path}: is no text; give the file that --results wrote") from None
+        raise ResultsError(f"{path}: is not a text file; give the file that --results wrote") from None
 
 
 def _outcomes(path: Path, lines: Iterable[str]) -> Iterator[Outcome]:
@@ -194,4 +194,4 @@ def _outcomes(path: Path, lines: Iterable[str]) -> Iterator[Outcome]:
             # Not msgspec's own reader: it does not accept NaN and infinity as Python writes them.
             yield as_outcome(json.loads(line))
         except (json.JSONDecodeError, msgspec.ValidationError) as error:
-            raise ResultsError(f"{path}:{number}: is no outcome of this benchmark: {error}") from None
+            raise ResultsError(f"{path}:{number}: is not an outcome of this benchmark: {error}") from None

@@ -249,23 +249,23 @@ def accusations(outcomes: Sequence[Outcome]) -> Iterator[str]:
     clean = [o for o in outcomes if o.said and not o.truth.hidden]
     if clean:
         accused = sum(bool(o.said and o.said.named) for o in clean)
-        yield f"Rigs that hide nothing, yet are accused of a cause: {_of(accused, len(clean))}"
+        yield f"Rigs without a hidden effect for which a cause was named: {_of(accused, len(clean))}"
     outside = [o.said for o in outcomes if o.said and o.truth.outside]
     if outside:
         named = sum(bool(said.named) and (said.confidence or 0.0) > CONFIDENT for said in outside)
         missed = sum(said.cause == NONE for said in outside)
         yield (
-            f"Rigs that hide what the catalogue lacks, yet are accused of a cause with more than "
+            f"Rigs with an effect that the catalogue lacks, for which a cause was named with more than "
             f"{CONFIDENT:.0%}: {_of(named, len(outside))}; with `none`: {_of(missed, len(outside))}"
         )
     single = [o for o in outcomes if o.said and not o.truth.outside and len(o.truth.hidden) == 1]
     if single:
         alone = sum(not o.said.also for o in single if o.said)
-        yield f"Rigs that hide one cause, of which nothing further is claimed: {_of(alone, len(single))}"
+        yield f"Rigs with one hidden cause, for which no further cause was named: {_of(alone, len(single))}"
     several = [o for o in outcomes if o.said and o.truth.tier == PAIR]
     if several:
         either = sum(bool(set(o.said.named) & set(o.truth.hidden)) for o in several if o.said)
-        yield f"Rigs that hide two causes, of which at least one is named: {_of(either, len(several))}"
+        yield f"Rigs with two hidden causes, of which at least one was named: {_of(either, len(several))}"
 
 
 def fresh_lines(outcomes: Sequence[Outcome]) -> Iterator[str]:

@@ -164,7 +164,7 @@ def traced(program: Program, part: Part, folder: Path) -> tuple[list[Ticked], Co
     if any(len(few) != 1 for few in beyond.values()):
         sys.exit(f"clock and trace do not agree in {part.name}: {dict(beyond)}")
     if not any(telemetry):
-        sys.exit(f"{part.name} has no telemetry, or what makes it is no routine of its own any more")
+        sys.exit(f"{part.name} has no telemetry, or the compiler has inlined the function that makes it")
     triples = zip(costs[0::3], costs[1::3], costs[2::3], strict=True)
     return [Ticked(*one) for one in zip(part.steps, part.done, telemetry, triples, strict=True)], worst
 

@@ -229,7 +229,7 @@ def test_a_file_that_was_cut_off_is_gone_on_with(tmp_path: Path) -> None:
 def test_another_file_is_refused_and_left_alone(text: str, tmp_path: Path) -> None:
     file = tmp_path / "notes.txt"
     file.write_text(text, encoding="utf-8")
-    with pytest.raises(ResultsError, match=r"notes\.txt:1: is no outcome"):
+    with pytest.raises(ResultsError, match=r"notes\.txt:1: is not an outcome"):
         begun(file)
     assert file.read_text(encoding="utf-8") == text
 
