@@ -167,7 +167,7 @@ def test_setpoints_never_jump_beyond_the_rate_limit() -> None:
         actions += run_for(flight, 0.33)
     sent = setpoints(actions)
     assert len(sent) > 50
-    # One tick of 20 ms at 60 kPa/s, and one more where a trigger falls between two ticks.
+    # One tick of 20 ms at 60 kPa/s, and another one if a trigger is between two ticks.
     assert max(abs(b.target_kPa - a.target_kPa) for a, b in itertools.pairwise(sent)) <= 2 * 0.02 * 60 + 0.01
     assert all(0.0 <= s.target_kPa <= 20.7 and s.rate_kPa_per_s <= 60.0 for s in sent)
 
@@ -570,7 +570,7 @@ def test_the_ground_station_sees_five_values_twice_a_second_each() -> None:
         assert 19 <= names.count(name) <= 21
     assert {a.system_id for a in actions if isinstance(a, ToVehicle)} == {1}
     boot_ms = sent[-1].time_boot_ms
-    # The fake autopilot has been up for 30 s when the flight begins.
+    # The fake autopilot starts 30 s before the flight.
     assert boot_ms == pytest.approx(1000 * (flight.world.now + 30.0), abs=300)
 
 

@@ -51,7 +51,7 @@ def open_to(*commands: str) -> Config:
 def ask(
     flight: SimulatedFlight, by: Asker, intent: Intent, age_s: float | None = 0.0, seen_s: float | None = 0.0
 ) -> Decision:
-    """`age_s` and `seen_s`: so long ago it was made, and what was seen then was shown."""
+    """Send a request. It was made `age_s` ago, when the sender saw the state of `seen_s` ago."""
     now = flight.world.now
     made_at = None if age_s is None else now - age_s
     seen_at = None if seen_s is None else now - seen_s
@@ -69,7 +69,7 @@ def on_the_bench() -> SimulatedFlight:
     return flight
 
 
-# How late.
+# Age of requests.
 
 
 @pytest.mark.parametrize("by", ["page", "broker"])
@@ -127,7 +127,7 @@ def test_what_a_process_that_stood_still_hears_late_is_not_done() -> None:
     assert_vented(flight)
 
 
-# What may be asked for.
+# Permitted requests.
 
 
 @pytest.mark.parametrize("intent", TAKES_AIR, ids=lambda intent: str(intent))
@@ -180,11 +180,11 @@ def test_the_broker_may_do_what_the_profile_lists() -> None:
         assert "mqtt.commands" not in ask(flight, "broker", out).reason
 
 
-# What is cleared.
+# Cleared faults.
 
 
 def with_latched_fault() -> SimulatedFlight:
-    """Latched two seconds ago; its cause is gone."""
+    """A flight with a fault that latched two seconds ago; its cause is gone."""
     return prepared(_with_latched_fault)
 
 

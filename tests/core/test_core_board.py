@@ -30,7 +30,7 @@ def notices(actions: Sequence[Action]) -> list[Notice]:
 
 
 def told(actions: Sequence[Action]) -> list[str]:
-    """What is not for the log alone."""
+    """The texts that the pilot reads."""
     return [notice.text for notice in notices(actions) if notice.severity is not Severity.DEBUG]
 
 
@@ -39,7 +39,7 @@ def sent(actions: Sequence[Action], kind: type[Setpoint] | type[Vent]) -> int:
 
 
 def says(flight: SimulatedFlight, change: Change) -> None:
-    """From now on the board's telemetry says something else."""
+    """Change the board's telemetry from now on."""
     heard, said = protocol.Codec(), protocol.Codec()
 
     def changed(message: protocol.Message) -> protocol.Message:
@@ -50,7 +50,7 @@ def says(flight: SimulatedFlight, change: Change) -> None:
     )
 
 
-# What is no news.
+# Repeated telemetry.
 
 
 def repeating() -> Change:
@@ -64,7 +64,7 @@ def repeating() -> Change:
 
 
 def with_clock(clock_ms: Callable[[int, int], int]) -> Change:
-    """Pressures and counter go on; the clock is what is made of its first time and the count."""
+    """Telemetry with good pressures and counter. The clock is a function of its first time and the count."""
     times = []
 
     def change(telemetry: Telemetry) -> Telemetry:
@@ -100,7 +100,7 @@ def test_telemetry_whose_clock_does_not_go_on_is_lost(change: Change) -> None:
 
 
 def test_a_counter_that_stands_while_the_clock_goes_on_is_no_loss() -> None:
-    """The board's clock says whether a frame is new; the counter only counts losses."""
+    """The board's clock says if a frame is new. The counter only counts losses."""
     flight = bent()
     heard = protocol.Codec()
     flight.world.from_phlosar = lambda data: b"".join(protocol.encode(m, 7) for m in heard.decode(data))
@@ -127,7 +127,7 @@ def test_every_frame_twice_and_neighbours_swapped_is_no_loss() -> None:
     assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
 
 
-# A board that does not do what it is told.
+# A board that ignores commands.
 
 
 def regulating(telemetry: Telemetry) -> Telemetry:
@@ -140,7 +140,7 @@ def test_a_board_that_regulates_on_after_a_vent_is_told_and_is_a_fault() -> None
     flight.autopilot.set_rc(9, LOW)
     actions = run_for(flight, 0.5)
     began = next(a.t for a in decisions(actions) if a.intent == "straight")
-    # The motion down ends first: until then the board is told to regulate.
+    # The motion down must end first: until then the board is told to regulate.
     actions += run_for(flight, 3.0)
     ended = max(
         i for i, a in enumerate(actions) if isinstance(a, ToFirmware) and isinstance(a.message, Setpoint)
@@ -170,7 +170,7 @@ def test_it_is_found_within_0p35_s_of_a_vent() -> None:
 
 
 def test_two_answers_that_are_late_one_after_the_other_are_no_fault() -> None:
-    """Each answer is late by less than the limit, and only both together exceed it."""
+    """Each answer is late by less than the limit. Only both times together exceed it."""
     flight = bent()
     says(flight, lambda telemetry: dataclasses.replace(telemetry, mode=Mode.VENT))
     actions = run_for(flight, 0.25)

@@ -50,7 +50,7 @@ def mission(angle_deg: float) -> list[MissionItem]:
 
 
 def flying(until_item_s: float = 0.0) -> SimulatedFlight:
-    """On the way to item 3, so many seconds before it runs."""
+    """A flight on the way to item 3, this time before it runs."""
     return prepared(_flying, until_item_s)
 
 

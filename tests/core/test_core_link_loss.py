@@ -1,4 +1,4 @@
-"""The link to the autopilot is lost fully or partly: what is reported alive, and what the pilot reads."""
+"""The link to the autopilot is lost fully or partly: what the service reports, and what the pilot reads."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HEARTBEAT, RC_CHANNELS = 0, 65
 
 
 def bent(profile: Config | None = None, rc: bool = True) -> SimulatedFlight:
-    """At 10 m; the switch has bent the vine, or a person where this flight has no RC."""
+    """A flight at 10 m. The switch has bent the vine, or a button in a flight without RC."""
     return prepared(_bent, profile or config.default(), rc)
 
 
@@ -59,7 +59,7 @@ def lost(actions: Sequence[Action]) -> list[str]:
 
 
 def without(flight: SimulatedFlight, *message_ids: int) -> None:
-    """These no longer come; all others do."""
+    """Lose these messages, and no others."""
     flight.from_autopilot = lambda frame: (
         b"" if int.from_bytes(frame[7:10], "little") in message_ids else frame
     )
@@ -78,7 +78,7 @@ def test_a_silent_link_is_told_once_and_once_when_it_is_back(for_s: float) -> No
 
 
 def test_a_link_is_back_with_the_first_heartbeat() -> None:
-    """Frames prove that the autopilot is alive, but only a heartbeat says whether it is armed."""
+    """Any frame proves that the autopilot is alive, but only a heartbeat says if it is armed."""
     flight = bent()
     flight.autopilot.mute(8.0)
     lives(flight, 7.9)
@@ -163,7 +163,7 @@ def test_without_heartbeats_nobody_knows_whether_it_is_armed_and_the_vine_vents(
 
 
 def test_nothing_that_was_heard_of_the_radio_outlives_a_silent_autopilot() -> None:
-    """Another autopilot may answer after the silence."""
+    """After the silence, another autopilot may answer."""
     flight = bent()
     flight.autopilot.mute(6.0)
     lives(flight, 2.5)

@@ -1,4 +1,4 @@
-"""Bench mode: a person tries the vine on the ground, and what ends the mode."""
+"""Bench mode: a person tries the vine on the ground; and the events that end the mode."""
 
 from __future__ import annotations
 

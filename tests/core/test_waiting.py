@@ -1,4 +1,4 @@
-"""The notice that a bend is requested in vain: when it comes and what it says."""
+"""The notice that a requested bend cannot begin: when it comes, and what it says."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_bench_mode_that_ends_says_so() -> None:
 
 
 class Oracle:
-    """What the actions alone say: does the vine move, and who asked last?"""
+    """What can be derived from the actions only: does the vine move, and who requested it last?"""
 
     def __init__(self) -> None:
         self.moves = False

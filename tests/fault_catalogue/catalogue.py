@@ -1,4 +1,4 @@
-"""The fault catalogue as data: the one source of the tables in docs/faults.md, and what the tests demand."""
+"""The fault catalogue as data: the source of the tables in docs/faults.md, and of the tests' requirements."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ class Cleared(Enum):
     """How the vine may bend again when the fault is over."""
 
     AT_ONCE = "–"
-    """It never stopped."""
+    """The vine never stopped."""
     FRESH = "trigger"
     PERSON = "person"
     RESTART = "restart"
@@ -24,16 +24,16 @@ class Row:
     fault: str
     seen_by: str
     told: str
-    """What the pilot reads; the test looks for these very words. Empty where there is nothing to read."""
+    """Text that the pilot reads; the test looks for exactly these words. Empty if there is no text."""
     cleared: Cleared
     allowed_ms: int | None = None
-    """None where the vine goes on, or never moved."""
+    """None if the vine continues, or never moved."""
     measured_ms: int | None = None
     safe_state: str = "vented"
     left_kPa: float = 0.0
-    """The vine's true pressure at the end of the fault, before it is mended."""
+    """The vine's true pressure at the end of the fault, before the repair."""
     highest_kPa: float | None = None
-    """Its highest, where that was above the firmware's limit for longer than 20 ms."""
+    """The vine's highest pressure, if it was above the firmware's limit for longer than 20 ms."""
     proof: str = "test_a_fault_in_flight"
 
 

@@ -1,4 +1,4 @@
-"""Every access to the disk fails in flight."""
+"""During a flight every access to the disk fails."""
 
 from __future__ import annotations
 
