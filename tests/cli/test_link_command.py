@@ -51,7 +51,7 @@ TELEMETRY = Telemetry(1500, Mode.FAULT, Fault.DEAD_MAN, 7, 0.0, 1.25, 688.0, 0.5
 
 @pytest.fixture
 def board(tmp_path: Path) -> Iterator[str]:
-    """A simulated phloSAR on a pseudo-terminal, in a thread of its own; its address."""
+    """A simulated phloSAR on a pseudo-terminal, in a thread. Yields its address."""
     link = tmp_path / "port"
     stop = threading.Event()
 
@@ -117,7 +117,7 @@ async def test_a_board_that_is_unplugged_half_way_ends_the_talk_about_its_settin
     loop, codec = asyncio.get_running_loop(), Codec()
     board, port = os.openpty()
     tty.setraw(port)
-    # Its own name, as udev gives one: a terminal's number is another's as soon as it is free.
+    # A name of its own, as from udev, because a terminal's number is reused as soon as it is free.
     name = tmp_path / "phlosar"
     name.symlink_to(os.ttyname(port))
     address = SerialAddress(str(name))

@@ -56,7 +56,7 @@ def after_a_watchdog() -> SimulatedPhlosar:
 
 
 def moved_through_all(vehicle: Vehicle) -> RadioQuestion:
-    """Somebody who does what he is asked for."""
+    """A person who moves the switch as asked."""
 
     def ask(radio: SwitchFacts) -> None:
         unseen = min({0, 1, 2} - radio.seen, default=0)
@@ -74,7 +74,7 @@ def no_vehicle(config: Config, folder: Path) -> ServiceProfile:
 
 
 def with_a_key(config: Config, folder: Path) -> ServiceProfile:
-    """As a file, with a signing key beside it."""
+    """The profile as a file, with a signing key beside it."""
     default = configuration.default()
     text = configuration.default_text().replace('signing_key = ""', f'signing_key = "{KEY_FILE}"')
     text = text.replace(default.vehicle.link, config.vehicle.link)
@@ -115,7 +115,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def seen(folder: Path) -> dict[str, Examined]:
-    """All worlds, looked at side by side, for each takes some seconds of listening."""
+    """All worlds, examined in parallel, because each takes some seconds."""
 
     for name in WORLDS:
         (folder / name).mkdir()
@@ -125,7 +125,7 @@ def seen(folder: Path) -> dict[str, Examined]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("flying_vines.doctor.examine.MOVING_S", 2.0)
-        # The services of this machine, such as another test's, are not of these worlds.
+        # Other services on this machine, as of another test, do not belong to these worlds.
         patch.setattr("flying_vines.doctor.look.processes.services", list)
         return dict(zip(WORLDS, asyncio.run(look()), strict=True))
 
@@ -135,7 +135,7 @@ def test_of_a_healthy_pair_one_may_fly(seen: dict[str, Examined], world: str) ->
     found = seen[world].findings
     assert may_fly(found), [finding for finding in found if finding.verdict == "bad"]
     here = {"clock", "memory", "disk", "page", "phloSAR line", "service", "temperature"}
-    # This machine may have something of its own to be looked at, or be busy.
+    # This machine may have warnings of its own, or be busy.
     assert {f.check for f in found if f.verdict == "warning"} <= here
 
 

@@ -1,4 +1,4 @@
-"""The doctor prints each line for the facts that call for it, and for no others."""
+"""The doctor prints each line only for the facts that require it."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def of_receiver(**learned: object) -> list[DoctorFinding]:
 
 
 def later(loss: TransmitterLoss, shown_s: float) -> TransmitterLoss:
-    """The same with its RC status at another time."""
+    """The same loss, with its RC status at another time."""
     return replace(loss, signs=(*loss.signs[:-1], replace(RC_STATUS, after_s=shown_s)))
 
 

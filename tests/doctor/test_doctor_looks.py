@@ -1,4 +1,5 @@
-"""What the doctor reads from this computer: processes, ports, disk, clock, broker, a profile's files."""
+"""The facts that the doctor reads from this computer: processes, ports, disk, clock, broker, a profile's
+files."""
 
 from __future__ import annotations
 
@@ -38,7 +39,7 @@ HOLD_A_PORT = (
 
 @contextmanager
 def another(program: str, *arguments: str) -> Iterator[tuple[int, str]]:
-    """Another process that has something open; its id, and the line that it says."""
+    """Run another process that has something open. Yields its id, and the line that it prints."""
     with subprocess.Popen(
         [sys.executable, "-c", program, *arguments],
         stdin=subprocess.PIPE,

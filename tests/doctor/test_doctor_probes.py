@@ -1,4 +1,4 @@
-"""What the doctor derives from messages: rates, silences, whom to ask when, and readings at rest."""
+"""What the doctor derives from messages: rates, silences, times of its requests, and readings at rest."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_rate_is_that_of_the_stream_once_it_has_settled() -> None:
     feed = Feed()
     feed.heartbeat(0.0)
     for i in range(15):
-        feed.rc(0.1 * i, 1000)  # before anybody asked for another rate
+        feed.rc(0.1 * i, 1000)  # before anybody requested another rate
     for i in range(25):
         feed.rc(SETTLE_S + 0.2 * i, 1000)
     assert feed.stream_Hz(SETTLE_S + 4.8, "RC_CHANNELS") == pytest.approx(5.0)

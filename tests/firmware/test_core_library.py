@@ -29,7 +29,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 
 def telemetry(firmware: Firmware, codec: Codec) -> Telemetry:
-    """The latest."""
+    """The latest telemetry."""
     return [m for m in codec.decode(firmware.take_output()) if isinstance(m, Telemetry)][-1]
 
 

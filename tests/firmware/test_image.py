@@ -1,4 +1,4 @@
-"""The sketch as it is flashed: built for each board with the maker's core; size, stack and layout."""
+"""The sketch as it is flashed, built for each board with the maker's core: size, stack and layout."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ FLASH_ON_A_TEENSY_4 = 0x60000000
 
 @pytest.fixture(scope="module")
 def stack() -> ModuleType:
-    """The tool as a module."""
+    """The tool stack.py as a module."""
     spec = importlib.util.spec_from_file_location("firmware_stack", STACK_TOOL)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -57,7 +57,7 @@ def needs(images: Path) -> dict[str, dict[str, int]]:
 
 
 def function(images: Path, board: str, name: str) -> tuple[int, str]:
-    """Its address and its instructions."""
+    """Address and instructions of a function."""
     listing = run("arm-none-eabi-objdump", "-d", "-C", "--no-show-raw-insn", elf(images, board))
     found = re.search(rf"^([0-9a-f]+) <{re.escape(name)}>:\n(.+?)\n\n", listing, re.MULTILINE | re.DOTALL)
     assert found is not None, name

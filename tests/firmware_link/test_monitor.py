@@ -28,7 +28,7 @@ from flying_vines.simulation.phlosar.firmware import Firmware
 
 
 def watch(monitor: Monitor, firmware: Firmware, for_ms: int, began_ms: int = 0) -> list[SeenFrame]:
-    """Both for so long, on a perfect line."""
+    """Run both on a perfect line."""
     seen = []
     for ms in range(began_ms, began_ms + for_ms):
         firmware.step(ms * 1000, 0.0, 690.0)

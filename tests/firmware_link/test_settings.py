@@ -22,7 +22,7 @@ from flying_vines.simulation.phlosar.firmware import Firmware
 
 
 class Board:
-    """A firmware that is asked, a tenth of a second a turn."""
+    """A firmware that is asked, with a tenth of a second for each turn."""
 
     def __init__(self) -> None:
         self.firmware = Firmware()
@@ -33,7 +33,7 @@ class Board:
         self.firmware.receive(self._codec.encode(Hello(PROTOCOL_VERSION, 1)))
 
     def talk(self, changes: Mapping[str, float] | None = None, lose_every: int = 0) -> SettingsTalk:
-        """Until it has ended; every so manieth question is lost on its way."""
+        """Talk until the end. Every `lose_every`th request is lost."""
         talk = SettingsTalk(changes)
         for _ in range(400):
             self._t += 0.1
@@ -99,7 +99,7 @@ def test_a_refusal_ends_it() -> None:
     assert talk.due(0.0) == [GetSetting(0)]
     talk.receive(Setting(0, 1, "a", 1.0, 0.0, 5.0, 1.0))
     assert talk.due(0.0) == [SetSetting(0, 2.0)]
-    # The number of a setpoint's refusal is the setpoint's.
+    # A refusal with a number belongs to a setpoint.
     talk.receive(Refusal(7, RefusalReason.OUT_OF_RANGE))
     assert not talk.problem
     talk.receive(Refusal(0, RefusalReason.REGULATING))
