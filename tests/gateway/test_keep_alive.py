@@ -21,7 +21,7 @@ WHYS = [
 
 
 class Part:
-    """Fails as long as it has a reason to."""
+    """Fails while it has a reason."""
 
     def __init__(self, why: Exception | str) -> None:
         self.why: Exception | str | None = why

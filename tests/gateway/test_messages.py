@@ -91,7 +91,7 @@ def test_an_ask_that_cannot_be_is_refused_wherever_it_comes_from(
     except ValueError:
         assert not good
     else:
-        # JSON has no other numbers: what is not one is null there.
+        # JSON has no NaN and no infinity: they become null.
         assert good or (as_bytes and value is not None and not abs(value) < float("inf"))
 
 

@@ -1,4 +1,4 @@
-"""What survives a restart of the service: parameters, disarming, latched faults, the signing clock."""
+"""State that survives a restart of the service: parameters, disarming, latched faults, the signing clock."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ async def bench() -> AsyncIterator[Bench]:
 
 
 class Served:
-    """A service on the bench, with files of its own, and what it said."""
+    """A service on the bench with its own files, and its texts."""
 
     def __init__(self, bench: Bench, folder: Path, key: str = "") -> None:
         self.profile = folder / "vine.toml"
@@ -148,11 +148,11 @@ def test_disarmed_is_a_file_that_says_what_it_is_for_and_that_may_be_taken_away(
     profile.write_text(config.default_text().replace('folder = ""', 'folder = "state/of"'))
     kept = PersistentState.of(profile, config.load(profile))
     assert not kept.disarmed
-    kept.store_disarmed(False)  # it is not there, and neither is its folder
+    kept.store_disarmed(False)  # neither the file nor its folder exists
     kept.store_disarmed(True)
     (file,) = (tmp_path / "state" / "of").iterdir()
     assert kept.disarmed and "disarmed" in file.read_text()
-    file.write_bytes(b"")  # by whatever means it came there, nothing bends
+    file.write_bytes(b"")  # a file with any content disarms
     assert kept.disarmed
     kept.store_disarmed(False)
     assert not kept.disarmed and list(file.parent.iterdir()) == []
@@ -241,7 +241,7 @@ async def test_what_was_recorded_before_a_stop_is_refused_after_it(tmp_path: Pat
         for expected in (1, 0):
             async with serving(bench, tmp_path, key) as served:
                 await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
-                # As whoever recorded it sends it: to the same port, the second time after the restart.
+                # The recorder sends it to the same port, the second time after the restart.
                 served.service._vehicle_bytes(recorded)
                 await until(bench.bent if expected else bench.vented, "what is due")
                 asked = [a for a in served.seen if isinstance(a, Decision) and a.trigger == "command"]

@@ -73,7 +73,7 @@ async def test_what_moves_the_vine_is_sent_before_anybody_is_told(
 
 
 async def test_a_stranger_on_the_network_bends_nothing(bench: Bench) -> None:
-    # A whole autopilot in the air, from another address than the one that is named, and a command as well.
+    # A whole autopilot in the air, from another address than the configured one, and a command.
     seen: list[Action] = []
     link = config.parse(bench.profile, "test").vehicle.link
     port = int(link.rpartition(":")[2])

@@ -52,7 +52,7 @@ class Serving:
             await asyncio.sleep(0.4)
         answer = self.service.ask("page", BendTo(20.0))
         assert (answer.safety, self.bench.vented()) == ("refused", True)
-        assert not self.bench.phlosar.firmware.faults  # the dead-man had nothing to do
+        assert not self.bench.phlosar.firmware.faults  # the dead-man did not act
         assert self.bench.ground.texts.count(SHUTDOWN_TEXT) == 1
         assert [a for a in self.seen if isinstance(a, InternalError) and "unexpected" in a.trace]
 
@@ -76,7 +76,7 @@ def raising(*arguments: object, **named: object) -> Any:
 
 
 def break_callback(service: Service, patch: pytest.MonkeyPatch) -> None:
-    """Of the link, called by the loop as for a datagram."""
+    """Break the link's callback for a datagram."""
     link = service._vehicle
     assert isinstance(link, UdpLink)
     patch.setattr(link, "_on_bytes", raising)

@@ -1,4 +1,4 @@
-"""The reservoir estimate alone, on telemetry with known truth."""
+"""The reservoir estimate without the other parts, on telemetry with known truth."""
 
 from __future__ import annotations
 
@@ -235,7 +235,7 @@ def test_a_regulation_that_begins_where_the_sensor_has_its_zero_begins_no_inflat
             estimate.update(reader.read(t, told_now))
     left = estimate.cycles_left()
     assert left is not None
-    # Six were begun, the last has not ended, the first does not count.
+    # Six cycles began. The last one has not ended, and the first one does not count.
     assert left.measured_cycles == pytest.approx(4 * (20.4 - 1.2) / 20.7, abs=0.05)
     assert left.floor_kPa < 0.5 * reservoir_kPa
 

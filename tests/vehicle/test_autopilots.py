@@ -1,4 +1,4 @@
-"""What each autopilot's parameters say of its RC failsafe."""
+"""The RC failsafe of each autopilot, derived from its parameters."""
 
 from __future__ import annotations
 

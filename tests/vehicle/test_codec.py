@@ -22,7 +22,7 @@ from flying_vines.vehicle.mavlink.frames import MAX_FRAME_SIZE
 
 
 class Sender:
-    """One component that sends frames of whichever protocol version."""
+    """One component that sends frames of either protocol version."""
 
     def __init__(self, system_id: int = 1, component_id: int = 1) -> None:
         self.mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
@@ -92,7 +92,7 @@ def test_random_bytes_never_raise_and_good_frames_are_read_after_them(garbage: l
     codec, sender = MavlinkCodec(1, 191), Sender()
     for chunk in garbage:
         codec.decode(chunk)
-    # Garbage may look like the start of the longest frame, which then swallows what follows.
+    # Garbage may look like the start of the longest frame, which then includes the following bytes.
     for _ in range(-(-2 * MAX_FRAME_SIZE // len(sender.frame(clock(1))))):
         codec.decode(sender.frame(clock(2)))
     assert texts_of(codec.decode(sender.frame(text("still here")))) == ["still here"]
@@ -164,7 +164,7 @@ def test_equal_frames_of_two_senders_are_no_copies() -> None:
 
 @pytest.mark.parametrize("unseen", [0, 15, 20, 31, 63])
 def test_a_sender_that_is_forwarded_in_part_is_not_taken_for_copies(unseen: int) -> None:
-    # A ground station's heartbeats are all alike, and its other frames do not come to us.
+    # A ground station's heartbeats are all equal, and its other frames do not reach us.
     codec, station = MavlinkCodec(1, 191), Sender(255, 190)
     heartbeat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
     for _ in range(600):

@@ -1,4 +1,4 @@
-"""The list of messages that are handled is complete; all others are skipped early."""
+"""The list of handled messages is complete; all others are skipped early."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NAMES = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
 ROOM = Path(handled.__file__).parents[1]
 RECORDINGS = sorted((Path(__file__).parents[1] / "data" / "recordings").glob("*.tlog"))
 QUICK = ("ardupilot_vine_mission", "px4_vine_mission", "rc_switch")
-"""These are replayed by `make test`, too."""
+"""`make test` also replays these."""
 
 
 def test_whatever_is_looked_for_by_name_is_heard() -> None:

@@ -45,7 +45,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Watched:
-    """A link under way, what came of it, and a way to wait until it is as wished."""
+    """A running link and its events, with a function that waits for a condition."""
 
     def __init__(self, address: Address) -> None:
         self.data = b""
@@ -112,7 +112,7 @@ async def udp_peer(
 
 
 class Server:
-    """A TCP server that can be shut down, with its connections, and opened again on the same port."""
+    """A TCP server that can be shut down with its connections, and opened again on the same port."""
 
     def __init__(self) -> None:
         self.port = 0
@@ -193,7 +193,7 @@ AUTOPILOT = frame_of(1)
 async def serving(
     address: NetworkAddress, codec: MavlinkCodec | None = None
 ) -> AsyncIterator[tuple[Watched, list[tuple[int, int]]]]:
-    """A vehicle's link as the service has it, and who said something that was believed."""
+    """A vehicle's link as in the service, and the senders whose messages were accepted."""
     believed: list[tuple[int, int]] = []
     codec = codec or MavlinkCodec(0, 191)
 
@@ -220,7 +220,7 @@ async def serving(
 
 
 async def settled(watched: Watched, datagrams: int) -> None:
-    """Until so many datagrams were read; each leaves a dot."""
+    """Wait until this number of datagrams was read; each leaves a dot."""
     async with asyncio.timeout(TIMEOUT_S):
         while len(watched.data) < datagrams:
             await asyncio.sleep(0.001)
@@ -331,7 +331,7 @@ async def test_on_an_open_port_only_a_signature_opens() -> None:
         assert not watched.link.write(b"for nobody")
         to_us.sendto(signed)
         await settled(watched, 4)
-        from_stranger.sendto(signed)  # recorded, and sent again from elsewhere
+        from_stranger.sendto(signed)  # recorded, and sent again from another address
         await settled(watched, 5)
         assert watched.link.write(b"for the autopilot")
         assert (await autopilot.next())[0] == b"for the autopilot"
@@ -409,7 +409,7 @@ async def test_udp_to_nobody_goes_on_until_somebody_is_there() -> None:
         try:
             async with asyncio.timeout(TIMEOUT_S):
                 while peer.received.empty():
-                    # What was refused before is reported instead of the next datagram being sent.
+                    # The error of the previous datagram is reported instead of sending the next one.
                     watched.link.write(b"and now?")
                     with contextlib.suppress(TimeoutError):
                         await asyncio.wait_for(peer.received.get(), 0.05)
@@ -496,7 +496,7 @@ async def test_udp_does_not_queue_without_end_for_a_network_that_takes_nothing()
     ):
         await watched.until(lambda: watched.up)
         assert isinstance(watched.link, UdpLink)
-        # As asyncio's transport says it; no loopback is ever full.
+        # As asyncio's transport does; a loopback is never full.
         watched.link.pause_writing()
         assert not watched.link.write(b"stale") and watched.link.dropped_bytes == 5
         watched.link.resume_writing()

@@ -53,7 +53,7 @@ def setting(
 
 
 class Bench:
-    """A parameter set, and what came of each message."""
+    """A parameter set, and the results of each message."""
 
     def __init__(self, of: Config = PROFILE, values: dict[str, float] | None = None) -> None:
         self.parameters = Parameters(of, values)
@@ -69,7 +69,7 @@ class Bench:
     def set(
         self, name: str, value: float, param_type: int = REAL32
     ) -> tuple[float, list[str], list[Changed]]:
-        """The value in the answer, what people are told, and the change."""
+        """Set a parameter. Returns the value in the answer, the texts, and the change."""
         (answer,), texts, changes = self.take(setting(name, value, param_type))
         assert (answer.param_type, answer.param_count) == (REAL32, len(SETTINGS))
         assert SETTINGS[answer.param_index].name == answer.param_id == name
@@ -229,7 +229,7 @@ def test_the_value_in_force_again_changes_nothing() -> None:
 def test_back_to_the_profiles_value_is_the_profile_again() -> None:
     bench = Bench()
     bench.set("VINE_MAX_KPA", 15.0)
-    bench.set("VINE_MAX_KPA", 20.7)  # on the way a 32-bit float, which is above 20.7
+    bench.set("VINE_MAX_KPA", 20.7)  # as a 32-bit float it is above 20.7
     assert bench.parameters.config == PROFILE
     assert bench.parameters.values == {}
 

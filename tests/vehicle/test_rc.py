@@ -1,4 +1,4 @@
-"""Every sign that RC is lost, alone and as real autopilots show it."""
+"""Every sign of an RC loss, alone and in recordings of real autopilots."""
 
 from __future__ import annotations
 
@@ -189,7 +189,7 @@ def recorded(name: str) -> Iterator[tuple[float, MavlinkMessage]]:
 
 
 def judged(name: str) -> list[tuple[float, str]]:
-    """When the judgement of a recording's radio changed, and to what."""
+    """The times at which the judgement of a recording's radio changed, and the new judgements."""
     link, changes, last = radio(), [], "no RC_CHANNELS yet"
     now = 0.0
     for t, message in recorded(name):
@@ -212,13 +212,13 @@ def test_a_frozen_and_a_jumping_receiver_as_recorded() -> None:
     lost = [t for t, said in changes if said != "good"]
     back = [t for t, said in changes if said == "good"][1:]
     assert changes[0][1] == "good"
-    # No pulses from 39.02: the failsafe's text comes a second later, while the channels stay as they were.
+    # No pulses from 39.02 on: the text of the failsafe comes a second later, and the channels do not change.
     assert lost[0] == pytest.approx(40.05, abs=0.05)
     assert dict(changes)[lost[0]] == "radio failsafe"
     first_back = min(back)
     assert first_back == pytest.approx(49.2, abs=0.5)
     assert not [t for t in back if 40.1 < t < 49.0]
-    # A receiver that makes channels up from 62.04: it is its throttle that says so, before any text.
+    # A receiver with false channels from 62.04 on: its throttle shows the loss before any text.
     second = min(t for t in lost if t > 55)
     assert second == pytest.approx(62.1, abs=0.06)
     assert "throttle at 950" in dict(changes)[second]

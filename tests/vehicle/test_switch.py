@@ -1,4 +1,4 @@
-"""The switch acts on observed moves and on nothing else."""
+"""The switch acts only on observed moves."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Event = SwitchMove | MovedUnseen | SwitchReady
 
 
 class Bench:
-    """A switch, sampled evenly; `hold` leaves the stick at a pulse width for a while."""
+    """A switch with even samples; `hold` keeps the stick at a pulse width for some time."""
 
     def __init__(self, positions: int = 3, rate_Hz: float = 20.0) -> None:
         self.switch = SwitchReader(positions, DEBOUNCE_S, SETTLE_S, HYSTERESIS_US)
@@ -128,7 +128,7 @@ def test_a_move_half_debounced_at_a_loss_is_gone() -> None:
 
 
 def test_the_jump_of_a_receiver_in_failsafe_is_no_move() -> None:
-    # The channels jump about 50 ms before the autopilot says so.
+    # The channels jump about 50 ms before the autopilot reports it.
     for rate_Hz in RATES_HZ:
         bench = settled(pulse_us=2000, rate_Hz=rate_Hz)
         assert bench.hold(1500, 0.1) == []
@@ -226,7 +226,7 @@ def test_a_position_that_is_believed_is_the_one_of_the_pulse(
 
 
 class Judge(RuleBasedStateMachine):
-    """Whatever happens, a Move has its settling and its debounce behind it, all of it seen."""
+    """Before every Move the switch was seen for the settling time and the debounce time."""
 
     @initialize(positions=st.sampled_from([2, 3, 6]), rate_Hz=st.sampled_from(RATES_HZ))
     def begin(self, positions: int, rate_Hz: float) -> None:
@@ -240,7 +240,7 @@ class Judge(RuleBasedStateMachine):
         self.before_loss: int | None = None
 
     def stayed_s(self, position: int, reach_us: float = HYSTERESIS_US) -> float:
-        """How long the pulses since the last loss have been such that the switch may stand there."""
+        """How long the pulses since the last loss have allowed this position."""
         edges_us = [float("-inf"), *BOUNDARIES_US[self.positions], float("inf")]
         low_us, high_us = edges_us[position] - reach_us, edges_us[position + 1] + reach_us
         since = self.t
@@ -268,7 +268,7 @@ class Judge(RuleBasedStateMachine):
                 assert before == self.before_loss != position
                 self.settle(position)
             case None:
-                # What stands still in the midst of a position is believed at last.
+                # Pulses that stay in the middle of a position are accepted in the end.
                 for position in range(self.positions):
                     if self.stayed_s(position, -HYSTERESIS_US - 1) >= SETTLE_S + self.period_s:
                         assert self.position == position

@@ -1,4 +1,4 @@
-"""Recordings: the real ones to the last byte, and every kind of damage."""
+"""Recordings: the real ones to the last byte, and all kinds of damage."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The vehicle side as a whole: which autopilot is served, what is requested, and which triggers result."""
+"""The complete vehicle side: the served autopilot, its requests, and its triggers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TICK_S = 0.02
 
 
 class Link:
-    """A vehicle behind a link: frames in, and all that came out, by kind."""
+    """A vehicle behind a link: frames in, and all outputs, by kind."""
 
     def __init__(
         self, settings: config.Config | None = None, mission: list[MissionItem] | None = None
@@ -34,7 +34,7 @@ class Link:
         self.notices: list[Notice] = []
         self.sent: list[tuple[float, MavlinkMessage]] = []
         self.items: dict[int, MavlinkMessage] = {}
-        """What the autopilot answers with when it is asked for an item."""
+        """The items that the autopilot sends on request."""
         self._senders: dict[tuple[int, int], mavlink.MAVLink] = {}
 
     @property
@@ -179,7 +179,7 @@ def test_a_reboot_vents_and_everything_is_asked_anew() -> None:
     link.wait(4.0)
     assert {m.param1 for _, m in link.sent if m.get_type() == "COMMAND_LONG"} == {65, 1, 33, 42, 2, 29}
     link.run(3.0, 2000)
-    assert len(link.triggers) == 1  # where the switch stands now was not seen
+    assert len(link.triggers) == 1  # the move to the present position was not seen
 
 
 def test_missing_streams_are_named_once() -> None:
@@ -197,7 +197,7 @@ def test_one_execution_of_an_ardupilot_item_is_one_trigger() -> None:
     items += [MissionItem(3, 203, (12.0, 0, 0, 0, 0, 0, 0)), MissionItem(4, 16, (0,) * 7)]
     link = Link(settings, items)
     link.run(1.0, 1000)
-    # As with a camera of the type MAVLink: the command goes out to all and the text comes too.
+    # As with a camera of type MAVLink: all components get the command, and the text comes too.
     link.hear(mavlink.MAVLink_command_long_message(0, 0, 203, 0, 12.0, 0, 0, 0, 0, 0, 0))
     link.text("Mission: 3 DigiCamCtrl")
     link.run(5.0, 1000)

@@ -1,4 +1,4 @@
-"""Vehicles on a real broker: what others read and may request, and a broker that goes and returns."""
+"""Vehicles on a real broker: topics, requests, and a broker that disappears and returns."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ async def test_nothing_may_be_asked_for_unless_it_is_switched_on(broker: Broker,
 
 
 async def test_what_was_asked_before_the_vehicle_came_is_not_done(broker: Broker, people: Onlooker) -> None:
-    """The broker retained the request, or kept it for a client of that name."""
+    """The broker retained the request, or stored it for a client of that name."""
     await people.say(f"{BASE}/ask", ask("retained"), retain=True)
     async with flying(broker=broker.url, name="heron", commands=("vent",)):
         await people.until(f"{BASE}/status", status="online")
@@ -233,14 +233,14 @@ async def test_a_user_and_a_password(tmp_path: Path) -> None:
 
 
 def rights_of_the_page() -> str:
-    """The access control list that docs/mqtt.md recommends; and people may look at what is discovered."""
+    """The access control list of docs/mqtt.md, with access of people to the discovery topics."""
     page = (Path(__file__).parents[3] / "docs" / "mqtt.md").read_text(encoding="utf-8")
     (rights,) = re.findall(r"```\n(pattern write .*?)```", page, re.DOTALL)
     (home,) = re.findall(r"`(pattern write homeassistant/[^`]*)`", page)
     return f"{home}\n{rights}topic read homeassistant/#\n"
 
 
-# Of a handshake that fails the library leaves the socket to the garbage collector.
+# After a failed handshake the library leaves the socket to the garbage collector.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 async def test_tls_with_the_right_certificate_and_with_every_wrong_one(tmp_path: Path) -> None:
     make_certificates(tmp_path)

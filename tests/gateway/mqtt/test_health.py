@@ -1,4 +1,4 @@
-"""What people read about the broker, once for each kind of failure, and how often it is tried."""
+"""Texts about the broker: one for each kind of failure; and the times of new tries."""
 
 from __future__ import annotations
 

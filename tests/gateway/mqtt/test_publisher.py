@@ -1,4 +1,4 @@
-"""What the broker gets: the latest states, and all events in order or the number of lost ones."""
+"""Messages to the broker: the latest states, and all events in order or the number of lost ones."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def teller(**mqtt: Any) -> Publisher:
 
 
 def read(publication: Publication) -> dict[str, Any]:
-    """As its topic's payload must be."""
+    """The payload, which must match its topic."""
     msgspec.json.decode(publication.payload, type=PAYLOADS[publication.topic.rsplit("/", 1)[1]])
     told: dict[str, Any] = msgspec.json.decode(publication.payload)
     return told
@@ -256,7 +256,7 @@ def test_home_assistant_gets_sensors_and_a_button_only_where_venting_is_allowed(
 
 
 def rendered(template: str, **known: Any) -> str:
-    """As Home Assistant does."""
+    """The template as Home Assistant renders it."""
     at = SimpleNamespace(timestamp=lambda: UNIX_S)
     return jinja2.Environment().from_string(template).render(now=lambda: at, **known)
 

@@ -1,4 +1,4 @@
-"""Requests over the broker: only listed ones, recent ones, once each, and a vent before all others."""
+"""Requests on the broker: only listed and recent ones, each once, and a vent before all others."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def ask(id: str = "1", command: str = "hold", age_s: float = 0.0, **more: Any) -
 
 
 def waiting(queue: RequestQueue) -> list[list[str]]:
-    """Ids of all that is handed to the service, in order."""
+    """Ids of the requests for the service, in order."""
     handed = []
     while together := queue.next():
         handed.append([one.request.id for one in together])
@@ -68,7 +68,7 @@ def test_what_is_asked_for_twice_is_done_once(command: str) -> None:
     (answer,) = queue.receive(NOW, ask("1", command), False)
     assert "repeated: " in answer.reason
     assert waiting(queue) == [["1"]]
-    # As long as it is young enough to be done, its id is known; after that it is too old.
+    # While a request is young enough to be executed, its id is known. After that it is too old.
     for later_s in (1.0, 4.9, 5.1, 400.0):
         later = Now(NOW.t + later_s, NOW.unix_s + later_s)
         assert refusal(queue, ask("1", command), now=later)

@@ -1,4 +1,4 @@
-"""Limits of connections and requests, and what the page remembers."""
+"""Limits of connections and requests, and the page's memory."""
 
 from __future__ import annotations
 

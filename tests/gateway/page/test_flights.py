@@ -86,7 +86,7 @@ async def test_who_may_only_watch_gets_no_flight(folder: Path) -> None:
 
 
 async def test_a_service_without_a_log_lists_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It does not read its working directory either."""
+    """It does not read its working directory instead."""
     monkeypatch.chdir(folder)
     async with served() as bench, client() as session:
         for path in ("flights", f"flights/{FLIGHT}/flight.mcap"):

@@ -1,4 +1,4 @@
-"""The page over real sockets: what it serves, to whom, and under attack."""
+"""The page on real sockets: its content, access, and attacks."""
 
 from __future__ import annotations
 
@@ -265,7 +265,7 @@ async def test_pings_are_answered_but_not_too_many(bench: Bench, session: Client
             async for _ in flood:
                 pass
         assert flood.close_code in (1013, 1006)
-        # Without an answer to its pings a client hangs up.
+        # A client disconnects if its pings are not answered.
         await heard(pilot, "beat")
         await _vents(pilot)
 
