@@ -20,11 +20,11 @@ from flying_vines.install import files, program
 from flying_vines.install.program import FileReader, InstalledProgram, InstallError, check_reachable
 
 MOST_EXPOSED = 2.0
-"""Of 10, as systemd-analyze counts; it calls up to 2 safe."""
+"""Of 10, as systemd-analyze counts; up to 2 is safe."""
 
 
 def installed(capsys: pytest.CaptureFixture[str], root: Path, *more: object) -> str:
-    """What it says when all goes well."""
+    """The output if all goes well."""
     status, said, wrong = run(capsys, "install-service", "--root", root, "--yes", *more)
     assert status == 0, wrong
     return said
@@ -276,7 +276,7 @@ def test_the_rule_names_the_board_as_udev_writes_it() -> None:
 
 
 class TestReachable:
-    """Files of root's under /usr stand for an installation that everybody may read."""
+    """Files of root below /usr stand for an installation that everybody may read."""
 
     def test_a_program_of_the_system_is(self) -> None:
         check_reachable((Path("/usr/bin/env"),), FileReader("flying-vines"))

@@ -1,4 +1,4 @@
-"""What the service tells systemd, over real datagram sockets."""
+"""The service's messages to systemd, over real datagram sockets."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ WATCHDOG_S = 0.4
 
 
 class Listener:
-    """Systemd's end: a socket with a name, as a file or without one."""
+    """Systemd's end: a socket with a name, as a file or abstract."""
 
     def __init__(self, address: str) -> None:
         self.address = address
@@ -42,7 +42,7 @@ class Listener:
         self.socket.settimeout(10.0)
 
     def heard(self) -> list[str]:
-        """All that has come."""
+        """All received messages."""
         found = []
         self.socket.setblocking(False)
         with contextlib.suppress(BlockingIOError):
@@ -51,7 +51,7 @@ class Listener:
         return found
 
     def manager(self, watchdog_s: float = WATCHDOG_S) -> ServiceManager:
-        """Ours, as the environment would have it."""
+        """Our manager, with this environment."""
         environment = {"NOTIFY_SOCKET": self.address, "WATCHDOG_USEC": f"{watchdog_s * 1e6:.0f}"}
         (manager,) = service_manager(environment)
         assert isinstance(manager, ServiceManager)
@@ -145,7 +145,7 @@ async def test_a_loop_that_hangs_does_not_say_that_it_is_alive(tmp_path: Path) -
         while listener.socket.recv(4096) != b"STOPPING=1":
             heard_at.append(time.monotonic())
 
-    # Of another thread: it hears while the loop hangs.
+    # Another thread, which receives while the loop hangs.
     ear = threading.Thread(target=listen)
     ear.start()
     profile = config.parse(between(free_port(), str(tmp_path / "none")), "test")

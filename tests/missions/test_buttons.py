@@ -19,8 +19,8 @@ TEXTS = {"label", "description"}
 
 
 def as_qgroundcontrol_reads(text: str) -> list[dict[str, Any]]:
-    """By its rules (MavlinkActionManager, JsonHelper): three keys must be there, all must be of their type,
-    and a command or component that is not a whole number would count as 0 or as not given."""
+    """The buttons by QGroundControl's rules (MavlinkActionManager, JsonHelper): three keys are required, all
+    have a type, and a command or component that is not a whole number counts as 0 or as missing."""
     file = json.loads(text)
     assert file["fileType"] == "MavlinkActions"
     assert type(file["version"]) is int
@@ -37,7 +37,7 @@ def as_qgroundcontrol_reads(text: str) -> list[dict[str, Any]]:
 
 
 def asked(config: Config, action: dict[str, Any]) -> Intent | None:
-    """What our component makes of the command that QGroundControl sends for a button."""
+    """The intent that our component derives from QGroundControl's command of a button."""
     params = [float(action.get(f"param{n}", 0.0)) for n in range(1, 8)]
     found = direct_intent(action["mavCmd"], params) or Rules(config).for_command(action["mavCmd"], params)
     return found[0]

@@ -1,4 +1,4 @@
-"""QGroundControl's .plan files are written and read as QGroundControl does it."""
+""".plan files are written and read like by QGroundControl."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_a_plan_has_what_qgroundcontrol_asks_for(kind: AutopilotKind) -> None:
 def test_its_items_are_simple_ones_numbered_from_1(kind: AutopilotKind) -> None:
     entries = content(kind)["mission"]["items"]
     assert [entry["doJumpId"] for entry in entries] == list(range(1, len(entries) + 1))
-    assert entries[0]["command"] == 22  # home is no item there, whatever the autopilot
+    assert entries[0]["command"] == 22  # home is not an item there, for either autopilot
     for entry in entries:
         assert entry["type"] == "SimpleItem" and entry["autoContinue"] is True
         assert len(entry["params"]) == 7
@@ -66,7 +66,7 @@ def test_what_is_written_reads_back_equal(kind: AutopilotKind, tmp_path: Path) -
     write_plan(path, made, kind, HOMES[kind])
     plan = read_plan(path)
     assert plan.kind == kind and plan.home == HOMES[kind]
-    assert [repr(item) for item in plan.items] == [repr(item) for item in made]  # as texts NaN equals NaN
+    assert [repr(item) for item in plan.items] == [repr(item) for item in made]  # as texts, because NaN is not equal to itself
     assert load_items(path).items == plan.items or kind == "px4"
 
 

@@ -1,4 +1,4 @@
-"""What an upload checks before and after the vehicle has the mission."""
+"""The checks of an upload before and after the vehicle has the mission."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_a_mission_for_the_other_autopilot_is_not_sent(
 
 
 def as_read_from_a_vehicle(items: list[MissionItem]) -> list[MissionItem]:
-    """As ArduCopter 4.6 gave them back."""
+    """The items as ArduCopter 4.6 returned them."""
     held = [AUTOPILOTS["ardupilot"].store(over_the_wire(item)) for item in items]
     return [
         replace(item, frame=0)

@@ -15,7 +15,7 @@ from missions.link import MAX_WAITING, MessageQueue, mavsdk_url
 
 
 class Direct:
-    """What mavsdk's plugin is to a listener: it calls back on a thread of its own."""
+    """Replaces mavsdk's plugin: it calls the listener on a thread of its own."""
 
     def __init__(self) -> None:
         self.subscribed: dict[str, Callable[[Any, object], None]] = {}

@@ -1,4 +1,4 @@
-"""Logs that are cut off or damaged are read as far as they are intact."""
+"""Cut or damaged logs are read as far as they are intact."""
 
 from __future__ import annotations
 

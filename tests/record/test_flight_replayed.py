@@ -1,4 +1,4 @@
-"""The core gives a recorded flight's answers again, and differences are reported."""
+"""The core gives the answers of a recorded flight again, and differences are reported."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def test_a_shutdown_is_in_the_log_and_comes_out_the_same(
 
 
 def fly_on(flight: SimulatedFlight, recorder: Recorder, until_s: float) -> None:
-    """Of a flight that is watched already."""
+    """Continue a flight that is already recorded."""
     flight.run(until_s)
     recorder.snapshot(flight.core.snapshot(until_s))
 

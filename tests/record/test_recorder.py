@@ -1,4 +1,4 @@
-"""What the recorder writes, and what happens if the disk fails."""
+"""The recorder's files, and the behaviour if the disk fails."""
 
 from __future__ import annotations
 
@@ -297,7 +297,7 @@ def test_a_full_disk_ends_the_log_and_nothing_else(tmp_path: Path, monkeypatch: 
 
 
 def write_until(recorder: Recorder, t: float, condition: Callable[[], bool]) -> float:
-    """Seconds of ticks, one after another, until it is so; when that was."""
+    """Tick until the condition is true. Returns the time."""
     for _ in range(60):
         for _ in range(50):
             t += 0.02
@@ -404,7 +404,7 @@ def test_little_room_ends_the_log_before_the_disk_is_full(
         "the flight log ends here: the disk has 150 MB left, and log.least_free_MB is 200"
     )
     log = FlightLog(recorder.folder)
-    assert len(list(log.entries())) > 100  # what 20 kB hold, at least
+    assert len(list(log.entries())) > 100  # 20 kB hold at least this
     assert not log.damage, "it was brought to its end"
 
 

@@ -1,4 +1,4 @@
-"""The simulated autopilot behaves as real ones were observed to."""
+"""The simulated autopilot behaves like real ones in recordings."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def streaming(autopilot: FakeAutopilot, for_s: float) -> World:
     return world
 
 
-# ArduPilot's mission quirks
+# Quirks of ArduPilot's missions.
 
 
 def test_of_two_do_items_the_second_text_comes_after_the_next_nav_item() -> None:
@@ -62,7 +62,7 @@ def test_of_two_do_items_the_second_text_comes_after_the_next_nav_item() -> None
         # After the last waypoint only the first DO item runs, and none after the landing.
         ((TAKEOFF, WAYPOINT, (217, 1), (217, 2)), [3]),
         ((TAKEOFF, LAND, (217, 1)), []),
-        # A payload item in front runs on the ground, and twice more after the landing.
+        # A payload item before the take-off runs on the ground, and twice more after the landing.
         (((217, 1, 40), TAKEOFF, LAND), [1, 1, 1]),
         # DO_JUMP runs an item again under the same number.
         ((TAKEOFF, WAYPOINT, (217, 1, 40), (93, 1), (177, 2, 2), LAND), [3, 3, 3]),
@@ -199,13 +199,13 @@ def test_px4_stops_rc_channels_when_rc_is_lost_and_flies_on() -> None:
 
 
 def px4_plan(*commands: tuple[float, ...]) -> list[MissionItem]:
-    """Up, and then the given (command, param1, …) one after the other."""
+    """Take-off, and then the given (command, param1, …) in order."""
     takeoff = item(0, 22, 0, 0, 0, 0, 0, 0, 5)
     return [takeoff, *(item(seq, int(c[0]), *c[1:], frame=2) for seq, c in enumerate(commands, start=1))]
 
 
 def commands_187(world: World) -> list[tuple[float, int]]:
-    """What was asked of the actuator, and which copy it was."""
+    """The values for the actuator, and the number of the copy."""
     asked = [message for message in world.companion.of("COMMAND_LONG") if message.command == 187]
     return [(round(message.param1, 1), message.confirmation) for message in asked]
 
@@ -221,7 +221,7 @@ def test_px4_takes_an_acknowledgement_for_the_oldest_command_of_that_number() ->
     world.companion.say(acknowledge)
     world.on(1.1)
     assert commands_187(world)[2:] == [(0.2, 1)], "both were acknowledged, but only one is known to be"
-    # One acknowledgement too many, for whatever: the other one is not repeated any more.
+    # One acknowledgement too many: the other command is then not repeated.
     world.companion.say(acknowledge)
     world.on(3.0)
     assert len(commands_187(world)) == 3
@@ -244,7 +244,7 @@ def test_ardupilot_does_not_tell_of_another_mission_of_the_same_length() -> None
     world = World(FakeAutopilot("ardupilot", mission=plan(TAKEOFF, (217, 1, 40), (93, 9), LAND)))
     world.gcs.hello()
     world.request_streams()
-    world.on(2.0)  # The count of its seconds is told every 31 s.
+    world.on(2.0)  # The count of the seconds is sent every 31 s.
     before = len(world.companion.heard)
     world.autopilot.replace_mission(plan(TAKEOFF, (217, 1, 11), (93, 9), LAND))
     world.on(1.0)
@@ -542,7 +542,7 @@ def test_time_may_be_cut_in_any_way() -> None:
     assert run([40.0]) == run([*randomly, 40.0])
 
 
-# Whatever arrives
+# Any input.
 
 
 KINDS = st.sampled_from(["ardupilot", "px4"])

@@ -20,7 +20,7 @@ pytestmark = real_time
 
 
 class Listener(asyncio.DatagramProtocol):
-    """A companion that listens, and answers to where frames come from."""
+    """A companion that answers to the sender of the frames."""
 
     def __init__(self, system: int, component: int) -> None:
         self.messages: list[Any] = []
@@ -32,7 +32,7 @@ class Listener(asyncio.DatagramProtocol):
         self.transport: asyncio.DatagramTransport | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        # Before Python 3.12 the transport does not say so by its class.
+        # Before Python 3.12 the class of the transport does not show this.
         self.transport = cast("asyncio.DatagramTransport", transport)
         self.port = transport.get_extra_info("sockname")[1]
 

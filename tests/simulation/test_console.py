@@ -1,4 +1,4 @@
-"""Typed lines that fly the simulated autopilot and break the simulated phloSAR."""
+"""Typed lines that fly the simulated autopilot and inject faults into the simulated phloSAR."""
 
 from __future__ import annotations
 

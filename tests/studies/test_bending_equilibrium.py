@@ -112,7 +112,7 @@ def test_for_any_body_the_limits_keep_their_order(body: Body, name: str, load_N:
     assert 0.0 < body.wrinkling_N < body.collapse_N < body.axial_N
     assert np.all(found.force_N < body.collapse_N)
     assert np.all(found.tip_load_N > 0.0)
-    # The outer side never gets shorter.
+    # The outer side never becomes shorter.
     assert np.all(
         np.radians(found.angle_deg) * (body.lever_m + body.radius_m)
         >= vine.actuator.length_m * found.contraction * (1.0 - 1e-5) - 1e-12

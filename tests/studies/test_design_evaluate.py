@@ -79,7 +79,7 @@ def test_passive_venting_doubles_the_cycles(demo: Evaluation) -> None:
 def test_the_mass_is_the_papers_and_its_printed_part_is_known(demo: Evaluation) -> None:
     assert demo.mass_kg == pytest.approx(0.84)
     assert demo.total_kg == pytest.approx(1.4)
-    # EVP, DVP and bottle are all that the paper prints.
+    # The paper prints only the masses of EVP, DVP and reservoir.
     assert demo.mass_by_origin_kg["printed"] == pytest.approx(0.077 + 0.139 + 0.070)
     assert sum(demo.mass_by_origin_kg.values()) == pytest.approx(demo.mass_kg)
 

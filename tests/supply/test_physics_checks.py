@@ -102,7 +102,7 @@ def test_a_healthy_rig_is_not_accused(cv_volume_L: float, bottle_kPa: float, bel
 REST, BEND, HOLD, RELEASE = "rest", "bend", "hold", "release"
 
 MISHAPS: Sequence[tuple[str, MishapKind, str, str, float]] = (
-    # Place, mishap, kPa, the check that finds it, maximum time in s.
+    # Place, mishap, phase of the flight, the check that finds it, maximum time in s.
     ("evp", StuckAt(0.0), BEND, "filling", 2.0),
     ("hose", HoseOff(), BEND, "filling", 2.0),
     ("cv_sensor", Stuck(), BEND, "vine_sensor", 0.6),

@@ -1,4 +1,4 @@
-"""How the page's messages are shown on a terminal, message by message."""
+"""The page's messages on a terminal, message by message."""
 
 from __future__ import annotations
 

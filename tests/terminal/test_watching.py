@@ -32,7 +32,7 @@ async def bench() -> AsyncIterator[Bench]:
 
 
 async def watch(*arguments: str, status: int) -> tuple[str, str]:
-    """To its end; what it printed."""
+    """Run it to its end. Returns the output."""
     process = await asyncio.create_subprocess_exec(
         sys.executable,
         *("-m", "flying_vines", "watch", *arguments),
@@ -118,7 +118,7 @@ async def test_a_page_on_the_network_wants_its_token(tmp_path: Path) -> None:
 
 
 class Terminal:
-    """A process on a pseudo-terminal, and all that it wrote there."""
+    """A process on a pseudo-terminal, and its output."""
 
     def __init__(self, process: asyncio.subprocess.Process, number: int) -> None:
         self.process = process
@@ -136,7 +136,7 @@ class Terminal:
         os.write(self._number, keys.encode())
 
     async def shows(self, text: str) -> None:
-        """From now on."""
+        """Wait until it shows this from now on."""
         self.screen = ""
         await until(lambda: text in self.screen, text)
 

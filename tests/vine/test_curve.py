@@ -98,7 +98,7 @@ def test_what_is_no_curve_gives_a_sentence(curve_pairs: list[tuple[float, float]
         BendCurve(curve_pairs)
 
 
-# Hysteresis: a bend outlasts the pressure that made it.
+# Hysteresis: a bend remains when the pressure falls.
 
 widths = st.floats(0.0, 6.0)
 RISING = ((0.0, 0.0), (2.0, 0.0), (20.7, 60.0))
