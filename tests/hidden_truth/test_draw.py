@@ -1,4 +1,4 @@
-"""A tier has its defined properties, and a hidden effect is in the data of its case."""
+"""A tier has its defined properties, and a hidden effect is visible in its data."""
 
 from __future__ import annotations
 
@@ -251,7 +251,8 @@ def test_several_effects_have_a_share_each_and_the_first_the_largest() -> None:
 
 
 def _element(name: str) -> str:
-    """Of what looks alike, only one is hidden: a leak has one law, and of two sensors one gain is off."""
+    """Effects that look alike are not hidden together: a leak has one law, and one of two sensors has a wrong
+    gain."""
     if name.endswith("_gain"):
         return "gain"
     return name.removeprefix("cv_").replace("viscous_", "")

@@ -50,7 +50,7 @@ def test_the_intervals_hold_the_truth_as_often_as_they_say() -> None:
         found = fit(measured(law, seed))
         held.extend(low <= true <= high for (_, low, high), true in zip(estimates(found), law, strict=True))
         assert found.rms_deg == pytest.approx(0.7, rel=0.35)
-    # Of 100 intervals; 91 to 95 % hold, see benchmarks/vine_fit.py.
+    # Share of 100 intervals; 91 to 95 % contain the truth, see benchmarks/vine_fit.py.
     assert np.mean(held) >= 0.87
 
 
@@ -138,7 +138,7 @@ def test_what_is_doubtful_is_said() -> None:
 
 
 def test_a_law_that_does_not_fit_is_not_made_certain_by_more_pairs() -> None:
-    """With more pairs of an S-shaped vine the law's interval stays as wide as its error."""
+    """With more pairs of an S-shaped vine, the law's interval stays as wide as the law's error."""
     widths = []
     for count in (30, 300):
         up = np.linspace(0.0, 20.7, count)

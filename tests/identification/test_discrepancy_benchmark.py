@@ -37,7 +37,8 @@ LEAK = {"flow_resistance_kPa_s_per_SL": 1000.0}
 
 
 def row(effect: str, cause: str, tier: str = "clear", seed: int = 0, **said: Any) -> dict[str, Any]:
-    """As a worker makes it; `true` are the hidden cause's parameters, `truly_also` is hidden beside it."""
+    """A row as a worker makes it. `true` has the hidden cause's parameters, `truly_also` a further hidden
+    effect."""
     by, also = said.pop("by", "diagnose"), said.pop("truly_also", [])
     truth = {"effect": effect, "tier": tier, "variant": "", "seed": seed, "gap": 5000.0}
     truth |= {"parameters": said.pop("true", {}), "also": also, "nominal": {"Vr": 2.0}}
@@ -66,7 +67,7 @@ def judged(*args: Any, **kwargs: Any) -> Judgement:
 
 @pytest.mark.parametrize(
     ("count", "of", "low", "high"),
-    # The first three as Brown, Cai & DasGupta's formula gives them by hand; the last knows nothing.
+    # The first three are calculated by hand with the formula of Brown, Cai & DasGupta; the last has no data.
     [(10, 10, 0.722467, 1.0), (0, 20, 0.0, 0.161125), (81, 263, 0.255289, 0.366216), (0, 0, 0.0, 1.0)],
 )
 def test_wilsons_interval(count: int, of: int, low: float, high: float) -> None:
@@ -80,7 +81,7 @@ def test_a_cause_is_right_or_among_its_like_or_left_open_or_wrong() -> None:
     assert judged("cv_leak", "unexplained") is Judgement.OPEN
     assert judged("cv_leak", "none") is Judgement.WRONG
     assert judged("cv_leak", "none", confidence=0.6) is Judgement.OPEN
-    # A cause beside another one that explains more is not the answer.
+    # A cause that is named after another one with a larger share is wrong.
     assert judged("cv_leak", "evp_lag", also=[{"cause": "cv_leak"}]) is Judgement.WRONG
 
 
@@ -235,7 +236,7 @@ def test_another_file_is_refused_and_left_alone(text: str, tmp_path: Path) -> No
 
 
 def ran(*arguments: str) -> int:
-    """The script is loaded by its path, because a folder of the tests has the same name."""
+    """Loads the script by its path, because a folder of the tests has the same name."""
     status: int = runpy.run_path(str(BENCHMARKS / "discrepancy.py"))["main"](arguments)
     return status
 

@@ -40,7 +40,7 @@ REST = Telemetry(0, Mode.VENT, Fault.NONE, 1, 0.0, 0.0, 600.0, 0.0, 0.0, True)
 
 
 def flown(parent: Path, causes: dict[str, dict[str, float]], moves: Sequence[tuple[float, int]]) -> Path:
-    """The log of switch moves (until when, position) on embedded fakes, with causes in the rig."""
+    """The log of switch moves (end time, position) with the fakes and these causes in the rig."""
     phlosar = SimulatedPhlosar(TrueRig(Rig(), causes), {"telemetry_Hz": 1000})
     recorder = Recorder(parent, BEGAN, t=0.0)
     fly(SimulatedFlight(CONFIG, FakeAutopilot("ardupilot"), phlosar), recorder, moves)
@@ -55,7 +55,7 @@ def leaky(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def messages(*stretches: tuple[int, int, Mode], period_ms: int = 5) -> Iterator[Telemetry]:
-    """From, until (ms of the firmware's clock), mode; the inflation valve opens when it regulates."""
+    """(begin, end in ms of the firmware's clock, mode); the inflation valve opens while it regulates."""
     for first, last, mode in stretches:
         for ms in range(first, last, period_ms):
             busy = mode is Mode.REGULATE
@@ -83,7 +83,7 @@ def written(parent: Path, telemetry: Iterator[Telemetry], air_kPa: float | None 
 
 
 def rewritten(path: Path, to: Path, change: Callable[[LogEntry], bytes | None]) -> Path:
-    """A log in which some messages have another JSON, or are missing."""
+    """A log in which some messages are changed or missing."""
     to.parent.mkdir(exist_ok=True)
     with to.open("wb") as file:
         log = McapFile(file, TOPICS, "test")

@@ -1,4 +1,4 @@
-"""A researcher's own cause: from a file or a package, beside the catalogue, and back into the simulation."""
+"""A researcher's own cause: from a file or a package, together with the catalogue, and in the simulation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A rig is a description: some lines of rig.toml are simulated, recorded, read and fitted."""
+"""A few lines of rig.toml describe a rig, which is simulated, recorded, read and fitted."""
 
 from __future__ import annotations
 
