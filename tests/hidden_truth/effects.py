@@ -2,15 +2,16 @@
 
 A clear strength is drawn log-uniformly from the range of real rigs, as far as this is known:
 
-- leaks: a reservoir that loses 0.5 to 10 kPa/s, a vine that halves its pressure in a fraction of a second to seconds; a
-  viscous leak loses as much as a leak by Ohm's law at 500 kPa in a reservoir, at 35 kPa in a vine;
-- flow: critical ratios 0.2 to 0.5 of valves with fittings; resistances that are off by 8 to 40 % (the paper's by 15 %);
+- leaks: a reservoir that loses 0.5 to 10 kPa/s, a vine that halves its pressure in a fraction of a second to
+  seconds; a viscous leak loses as much as a leak by Ohm's law at 500 kPa in a reservoir, at 35 kPa in a vine;
+- flow: critical ratios 0.2 to 0.5 of valves with fittings; resistances that are off by 8 to 40 % (the paper's
+  by 15 %);
 - heat: a reservoir settles in about 10 s, half a litre of cloth or plastic within seconds;
 - volumes: tubing and fittings of 8 to 40 % of the CV; another reservoir, or one with water in it, 5 to 25 %;
-- valves: hysteresis 10 % nominally, a spring's preload of a quarter to half the current, poppets of 5 to 20 ms with
-  drivers and loops of 30 to 90 ms, a solenoid with a fly-back diode 10 to 80 ms;
-- sensors: total error band 3 kPa for the CV, 22 kPa for the reservoir; ratiometric gains of a few percent, like the
-  supply;
+- valves: hysteresis 10 % nominally, a spring's preload of a quarter to half the current, poppets of 5 to 20
+  ms with drivers and loops of 30 to 90 ms, a solenoid with a fly-back diode 10 to 80 ms;
+- sensors: total error band 3 kPa for the CV, 22 kPa for the reservoir; ratiometric gains of a few percent,
+  like the supply;
 - ambient: 2.5 to 15 m/s of climb at 0.012 kPa/m.
 
 A weaker effect has a share of the departure from the baseline. For a critical ratio this is not defined,

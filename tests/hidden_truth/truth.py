@@ -18,11 +18,11 @@ class Truth:
     `variant` is the special property of the case within its tier:
 
     - `cells`: 5 % of the cells of either pressure, and 2 s of both, are empty;
-    - `held`: rows are missing, single random ones without a change of the inputs, and 2 s in which the host hung and the
-      inputs were constant. So the rule of the file format for missing rows is true;
+    - `held`: rows are missing, single random ones without a change of the inputs, and 2 s in which the host
+      hung and the inputs were constant. So the rule of the file format for missing rows is true;
     - `lost`: the same rows are missing only in the record. The rig continued, so the rule is false;
-    - `uneven`, `discharge`, `noise` (stated wrongly), `without_…` (a column), `rounded` (by a converter), `correlated`
-      (noise).
+    - `uneven`, `discharge`, `noise` (stated wrongly), `without_…` (a column), `rounded` (by a converter),
+      `correlated` (noise).
     """
 
     tier: str
