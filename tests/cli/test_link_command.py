@@ -196,7 +196,7 @@ async def test_the_screen_says_at_a_glance_how_it_is(tmp_path: Path) -> None:
     for said in (
         "is open",
         "ready",
-        "1.0 host",
+        "1.1 host",
         "setpoints to 28",
         "FAULT",
         "WATCHDOG_RESET",

@@ -178,7 +178,7 @@ def test_the_healthy_pair_is_told_by_what_it_is(seen: dict[str, Examined]) -> No
     assert "ArduPilot 4.6.0, system 1" in healthy.of("autopilot").what
     assert "PX4 1.17.0" in seen["healthy on PX4"].of("autopilot").what
     assert "for the vine: 2 (bend 40°)" in healthy.of("mission").what
-    assert "'1.0 host'" in healthy.of("phloSAR").what
+    assert "'1.1 host'" in healthy.of("phloSAR").what
     rates = {f.check: float(f.what.split()[0]) for f in healthy.findings if f.what.endswith(" a second")}
     assert rates.keys() >= {"RC_CHANNELS", "SYS_STATUS", "GLOBAL_POSITION_INT", "SYSTEM_TIME"}
     assert rates["RC_CHANNELS"] == pytest.approx(20.0, rel=0.5), "a busy machine hears in bursts"

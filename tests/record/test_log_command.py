@@ -65,13 +65,13 @@ def test_show_tells_the_story(flights: Path, run: Runner) -> None:
     out, _ = run("show", "last", "--in", flights)
     assert out == run("show", flights / "last")[0]
     assert "switch ch9 position 2 → bend-full: accepted" in out
-    assert "phloSAR ready" in out and "firmware 1.0 host" in out
+    assert "phloSAR ready" in out and "firmware 1.1 host" in out
     said = json.loads(run("show", folder.name, "--in", flights, "--json")[0])
     assert [entry["intent"] for entry in said["story"] if entry["topic"] == "decision"] == [
         "bend-full",
         "straight",
     ]
-    assert said["about"]["firmware"]["build"] == "1.0 host"
+    assert said["about"]["firmware"]["build"] == "1.1 host"
 
 
 def test_plot_draws_for_screens_and_papers(flights: Path, run: Runner, tmp_path: Path) -> None:
