@@ -96,9 +96,7 @@ def outcomes(judge: Callable[[int], T | None], first: int, rigs: int, jobs: int)
 
 
 def table_of(found: Sequence[Outcome]) -> Table:
-    table = Table(
-        "", "by", "rigs", "median error", "signed", "within 15 %", "within 7 %", "interval holds"
-    )
+    table = Table("", "by", "rigs", "median error", "signed", "within 15 %", "within 7 %", "interval holds")
     for index, moment in enumerate(MOMENTS):
         kinds = sorted({outcome.kind for outcome in found})
         groups = [("estimate", found), *((f"  {k}", [o for o in found if o.kind == k]) for k in kinds)]

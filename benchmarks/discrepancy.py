@@ -96,13 +96,11 @@ def _parser() -> argparse.ArgumentParser:
         default=cores,
         help=f"processes (one a core: {cores})",
     )
-    parser.add_argument("--results", type=Path, metavar="FILE", help="file of outcomes; those in it are skipped")
     parser.add_argument(
-        "--peers", action="store_true", help="also run other methods on the same cases"
+        "--results", type=Path, metavar="FILE", help="file of outcomes; those in it are skipped"
     )
-    parser.add_argument(
-        "--report", type=Path, metavar="FILE", help="only print the tables of a results file"
-    )
+    parser.add_argument("--peers", action="store_true", help="also run other methods on the same cases")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="only print the tables of a results file")
     return parser
 
 

@@ -258,9 +258,7 @@ def tables(ticked: Iterable[Ticked], core_Hz: float) -> list[Table]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument(
-        "--check", action="store_true", help="exit status 1 if a control step takes too much"
-    )
+    parser.add_argument("--check", action="store_true", help="exit status 1 if a control step takes too much")
     check = parser.parse_args().check
     console = Console(width=150)
     too_slow = False

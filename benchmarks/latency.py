@@ -161,13 +161,21 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--flips", type=_count, default=200, help="flips of the switch for each process (200)")
-    parser.add_argument("--rounds", type=_count, default=4, help="rounds, among which the flips are divided (4)")
+    parser.add_argument(
+        "--flips", type=_count, default=200, help="flips of the switch for each process (200)"
+    )
+    parser.add_argument(
+        "--rounds", type=_count, default=4, help="rounds, among which the flips are divided (4)"
+    )
     parser.add_argument(
         "--quick", action="store_true", help=f"{QUICK_FLIPS} flips in one round: does it work?"
     )
-    parser.add_argument("--json", action="store_true", help="print JSON with all numbers instead of the table")
-    parser.add_argument("--mavsdk-python", default=sys.executable, metavar="PYTHON", help="a Python with MAVSDK")
+    parser.add_argument(
+        "--json", action="store_true", help="print JSON with all numbers instead of the table"
+    )
+    parser.add_argument(
+        "--mavsdk-python", default=sys.executable, metavar="PYTHON", help="a Python with MAVSDK"
+    )
     return parser.parse_args()
 
 

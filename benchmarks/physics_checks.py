@@ -107,7 +107,9 @@ def main() -> int:
     parser.add_argument("--mishaps", type=int, default=30, help="rigs for each mishap")
     parser.add_argument("--first", type=int, default=1, help="the first rig's seed")
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--check", action="store_true", help="exit status 1 if a check has a finding on a healthy rig")
+    parser.add_argument(
+        "--check", action="store_true", help="exit status 1 if a check has a finding on a healthy rig"
+    )
     arguments = parser.parse_args()
     if min(arguments.rigs, arguments.mishaps) < 0 or arguments.jobs < 1:
         parser.error("--rigs and --mishaps must not be below 0, --jobs not below 1")

@@ -78,7 +78,9 @@ def main() -> int:
     )
     parser.add_argument("--window", type=float, default=2.0, help="seconds for solve_ivp (2)")
     parser.add_argument("--check", action="store_true", help="exit status 1 if a goal is missed")
-    parser.add_argument("--json", action="store_true", help="print JSON with all numbers instead of the tables")
+    parser.add_argument(
+        "--json", action="store_true", help="print JSON with all numbers instead of the tables"
+    )
     arguments = parser.parse_args()
     console = Console(stderr=arguments.json)
     plants = {"baseline": Plant(Rig(), Effects()), "high fidelity": Plant(Rig(), likely_effects())}
