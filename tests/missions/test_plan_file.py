@@ -66,9 +66,8 @@ def test_what_is_written_reads_back_equal(kind: AutopilotKind, tmp_path: Path) -
     write_plan(path, made, kind, HOMES[kind])
     plan = read_plan(path)
     assert plan.kind == kind and plan.home == HOMES[kind]
-    assert [repr(item) for item in plan.items] == [
-        repr(item) for item in made
-    ]  # as texts, because NaN is not equal to itself
+    # As texts, because NaN is not equal to itself.
+    assert [repr(item) for item in plan.items] == [repr(item) for item in made]
     assert load_items(path).items == plan.items or kind == "px4"
 
 
