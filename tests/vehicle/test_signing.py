@@ -325,9 +325,8 @@ def test_streams_without_end_do_not_fill_the_memory_nor_take_the_autopilots_plac
     for number in range(3 * MAX_STREAMS):
         ours.hears(Peer(NOW, system=2 + number % 200, link_id=number % 250).say("hello"))
     assert len(ours.signing._streams) <= MAX_STREAMS
-    assert (
-        ours.refused.replayed == 2 * MAX_STREAMS + 1
-    )  # without free memory it cannot be known that they are new
+    # Without free memory it cannot be known that they are new.
+    assert ours.refused.replayed == 2 * MAX_STREAMS + 1
     assert ours.hears(old) == []
     assert ours.hears(autopilot.say("still here")) == ["still here"]
 
