@@ -1,5 +1,4 @@
-"""A flight under a referee. It acts on pilot, mission, ground station and hardware, and tells the referee
-what is allowed.
+"""A flight under a referee: actions of pilot, mission, ground station and hardware, and what they allow.
 
 Each method does one thing to the simulated world, and tells the referee the consequence: a bend was
 requested, or the vine must be at rest from some time on. The constants are the times that the service may

@@ -1,5 +1,4 @@
-"""The load of an autopilot in flight on a companion's link: 500 messages a second as bytes, with a
-schedule."""
+"""The load of an autopilot in flight on a companion's link: 500 messages a second, with a schedule."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""The number of vehicles that one mosquitto carries: simulated vehicles on one broker, doubled until it
-fails.
+"""The number of vehicles that one mosquitto carries: simulated vehicles, doubled until it fails.
 
     .venv/bin/python benchmarks/mqtt_fleet.py [--vehicles 1000] [--rate-Hz 2] [--seconds 10] [--most 32000]
 

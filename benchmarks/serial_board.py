@@ -1,5 +1,4 @@
-"""The firmware's end of the serial line, on a pseudo-terminal: it answers, reports, and notices changed
-setpoints."""
+"""The firmware's end of the serial line on a pseudo-terminal: it answers, reports, and notices setpoints."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""A day of flights without a pause: no trigger is missed, nothing moves without a request, memory does not
-grow.
+"""A day of flights without a pause: no missed trigger, no motion without a request, no growing memory.
 
     python benchmarks/soak.py [--hours 24] [--seed 1] [--autopilot ardupilot|px4]
     python benchmarks/soak.py --real-time [--hours 1]

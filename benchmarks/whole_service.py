@@ -1,5 +1,4 @@
-"""The service with any of its parts switched on, with a script that flips the switch, and with its
-viewers."""
+"""The service with any of its parts, a script that flips the switch, and viewers."""
 
 from __future__ import annotations
 

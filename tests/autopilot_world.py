@@ -1,5 +1,4 @@
-"""A simulated autopilot between a companion and a ground station, in simulated time; and recordings of real
-ones."""
+"""A simulated autopilot between a companion and a ground station, and recordings of real ones."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Valid MAVLink frames with random content, and bytes that are not frames, from any sender to any
-receiver."""
+"""Valid MAVLink frames with random content, and bytes that are not frames, between any components."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""The facts that the doctor reads from this computer: processes, ports, disk, clock, broker, a profile's
-files."""
+"""Facts that the doctor reads here: processes, ports, disk, clock, broker, a profile's files."""
 
 from __future__ import annotations
 
