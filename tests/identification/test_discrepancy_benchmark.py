@@ -275,7 +275,9 @@ def test_the_tables_come_from_a_file_alone(tmp_path: Path, capsys: pytest.Captur
     of = "several 1 1/1 (21% … 100%) 1/2 (9% … 91%) 1/2 (9% … 91%) 1/1 (21% … 100%) – – 4 s"
     assert of in lines
     assert "a cause 50% to 80% 1 55.0% 0.0% 0% … 79% 0.3113" in lines
-    assert "a cause was named with more than 50%: 1/1 (21% … 100%); with `none`: 0/1" in " ".join(report.split())
+    assert "a cause was named with more than 50%: 1/1 (21% … 100%); with `none`: 0/1" in " ".join(
+        report.split()
+    )
     assert "something is seen where nothing is 0/1 (0% … 79%) 1/1 (21% … 100%)" in lines
     assert "false names a case, of what is in the catalogue 0.00 2.00" in lines
     assert "failed: diagnose on hard 1: ValueError: broken" in lines
