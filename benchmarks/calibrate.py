@@ -175,9 +175,9 @@ def summary(outcomes: Sequence[Outcome]) -> Iterator[str]:
     done = [each for each in outcomes if each.outcome == "done"]
     minutes = np.array([each.seconds / 60.0 for each in done])
     air = np.array([each.air_kPa for each in done])
-    yield f"{len(done)} of {len(outcomes)} rigs were calibrated to the end. Median, most:"
+    yield f"{len(done)} of {len(outcomes)} rigs were calibrated to the end. Median, maximum:"
     yield f"time {np.median(minutes):.1f}, {minutes.max():.1f} min;"
-    yield f"air {np.median(air):.0f}, {air.max():.0f} kPa of the bottle, its leak included;"
+    yield f"air {np.median(air):.0f}, {air.max():.0f} kPa of the reservoir, including its leak;"
     yield f"CPU time of a simulated calibration {np.median([each.cpu_s for each in done]):.0f} s."
     for name in ("bottle_leak_kPa_s_per_SL", "vine_leak_kPa_s_per_SL"):
         none = [each for each in outcomes if name not in each.truth]

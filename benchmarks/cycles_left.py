@@ -125,7 +125,7 @@ def missed_goals(found: Sequence[Outcome]) -> list[str]:
         held = fmean(guess.held for guess in guesses)
         if held < HELD:
             missed.append(
-                f"{moment} the interval holds the truth in {held:.1%} of the rigs, the goal {HELD:.0%}"
+                f"{moment} the interval contains the truth in {held:.1%} of the rigs, the goal {HELD:.0%}"
             )
     return missed
 
@@ -173,7 +173,7 @@ def unknown_rigs(arguments: argparse.Namespace, console: Console) -> list[str]:
     totals = [outcome.total_cycles for outcome in found]
     console.print(
         f"{len(found)} rigs of {tried} from seed {arguments.first} on: the others give fewer than "
-        f"{FEWEST_CYCLES:g} cycles, or outlast us. A filling gives {min(totals):.0f} to "
+        f"{FEWEST_CYCLES:g} cycles, or fly too long. A filling gives {min(totals):.0f} to "
         f"{max(totals):.0f} cycles, in the median {median(totals):.0f}."
     )
     console.print(table_of(found))

@@ -264,7 +264,7 @@ def missed_goals(found: Sequence[Outcome]) -> list[str]:
             missed.append(f"{moment}, diagnosed rigs: {error:.1%}, undiagnosed {before:.1%}")
         held = fmean(outcome.extended[index].held for outcome in found)
         if held < HELD:
-            missed.append(f"{moment}, diagnosed rigs: the interval holds the truth in {held:.1%}")
+            missed.append(f"{moment}, diagnosed rigs: the interval contains the truth in {held:.1%}")
     return missed
 
 

@@ -68,11 +68,11 @@ def show(outcomes: Sequence[Outcome], console: Console) -> None:
     if len(engines) > 1:
         console.print(f"These are outcomes of {len(engines)} versions of the sources: {', '.join(engines)}")
     if ours:
-        parts = [("Named", tiers_table(ours)), ("Measured, of what was rightly named", measured_table(ours))]
+        parts = [("Named", tiers_table(ours)), ("Parameters of rightly named causes", measured_table(ours))]
         if any(outcome.truth.tier in SEVERAL for outcome in ours):
             parts.append(("Several effects at once", several_table(ours)))
         if wrong := wrong_table(ours):
-            parts.append(("What was said where it was not right", wrong))
+            parts.append(("Wrong verdicts", wrong))
         parts += [("Confidence", confidence_table(ours)), ("Cost", cost_table(ours))]
         for title, table in parts:
             console.print(f"\n{title}\n")
@@ -81,7 +81,7 @@ def show(outcomes: Sequence[Outcome], console: Console) -> None:
         for line in (*accusations(ours), *fresh_lines(ours)):
             console.print(line)
     if peers := sorted({outcome.by for outcome in outcomes} - {DIAGNOSE}):
-        console.print("\nAgainst what else there is, on the cases that all have seen\n")
+        console.print("\nOther methods, on the cases that all have diagnosed\n")
         console.print(peers_table(outcomes, [DIAGNOSE, *peers] if ours else peers))
     for outcome in outcomes:
         if outcome.error:
@@ -311,12 +311,14 @@ def _answers(outcomes: Sequence[Outcome]) -> dict[str, str]:
     ratios = [ratio for _, verdict in said if (ratio := over_noise(verdict)) is not None]
     cpu_s = [outcome.cpu_s for outcome in outcomes if outcome.cpu_s is not None]
     return answers | {
-        "something is seen where something is": _of(sum(v.cause != NONE for _, v in hiding), len(hiding)),
-        "something is seen where nothing is": _of(sum(v.cause != NONE for v in clean), len(clean)),
-        "false names a case, of what is in the catalogue": _mean(len(false_names(t, v)) for t, v in known),
-        "outside the catalogue, yet named": _of(sum(bool(v.named) for v in outside), len(outside)),
+        "something hidden, and not `none`": _of(sum(v.cause != NONE for _, v in hiding), len(hiding)),
+        "nothing hidden, and not `none`": _of(sum(v.cause != NONE for v in clean), len(clean)),
+        "wrong names per case, without effects outside the catalogue": _mean(
+            len(false_names(t, v)) for t, v in known
+        ),
+        "outside the catalogue, and a cause named": _of(sum(bool(v.named) for v in outside), len(outside)),
         "error on unseen data over noise, median": f"{median(ratios):.2f}" if ratios else "–",
-        "CPU seconds a case, median": f"{median(cpu_s):.1f}" if cpu_s else "–",
+        "CPU seconds per case, median": f"{median(cpu_s):.1f}" if cpu_s else "–",
         "failed": str(len(outcomes) - len(said)),
     }
 

@@ -347,7 +347,7 @@ def _show(console: Console, machine: dict[str, str], rows: dict[str, dict[str, f
     console.print(
         "CPU: user and system time in % of one core while loaded. mem: the peak, start included. The "
         "peers only write one frame a move: no safety, ramps, repeats, telemetry, estimate or log. The "
-        "bare socket decodes nothing: it is what this machine and this measurement cost.",
+        "bare socket decodes nothing: it shows the cost of this machine and this measurement.",
         highlight=False,
         style="dim",
     )

@@ -235,7 +235,7 @@ def show(looked: Sequence[Looked], instead: Sequence[Mapping[str, float]], conso
     Args:
         instead: for each case, the errors of other methods on the unseen readings, over the measured range.
     """
-    console.print("\nWhat diagnose says\n")
+    console.print("\nVerdicts of diagnose\n")
     titles = ("case", "verdict", "causes and shares", "remainder", "unseen before", "after", "noise", "time")
     table = _table(*titles)
     for one in looked:
@@ -244,14 +244,14 @@ def show(looked: Sequence[Looked], instead: Sequence[Mapping[str, float]], conso
         cells = (said["cause"], _causes(said), _remainder(said.get("remainder")))
         table.add_row(one.name, *cells, *unseen, f"{one.seconds:.0f} s")
     console.print(table)
-    console.print("\nUnseen error of what one would take instead\n")
+    console.print("\nError on unseen data, with other methods\n")
     table = _table("case", "baseline", "diagnose", *instead[0])
     for one, errors in zip(looked, instead, strict=True):
         held = one.said["held_out"]
         values = (held["nrmse_before"], held["nrmse_after"], *errors.values())
         table.add_row(one.name, *(f"{value:.2%}" for value in values))
     console.print(table)
-    console.print("\nParameters, and what an independent fit of the same law gives\n")
+    console.print("\nParameters, and those of an independent fit of the same law\n")
     table = _table("case", "parameters", "impossible", "rms baseline", "diagnose", "independent")
     for one in looked:
         rms_kPa = (*one.rms_kPa, one.fits[0].rms_kPa)

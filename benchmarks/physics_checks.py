@@ -74,7 +74,7 @@ def healthy(seeds: range, jobs: int, console: Console) -> list[str]:
     )
     missed = [f"{n} healthy rigs with a false fault '{name}'" for name, n in faults.items()]
     if warnings.total() > MOST_WARNED * len(seeds):
-        missed.append(f"{warnings.total()} of {len(seeds)} healthy rigs are warned of")
+        missed.append(f"{warnings.total()} of {len(seeds)} healthy rigs with a warning")
     return missed
 
 

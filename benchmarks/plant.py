@@ -65,9 +65,9 @@ BATCH_SECONDS = 6.0
 
 GOALS = {
     "real_time": (2000.0, "one high-fidelity closed loop against the clock"),
-    "solve_ivp": (50.0, "and against the quickest solve_ivp of the same accuracy"),
-    "batch": (10.0, "a batch of rigs against a loop over the Simulator, a core"),
-    "fake": (10.0, "a real-time fake without numba leaves free, times what it takes"),
+    "solve_ivp": (50.0, "the same against the fastest solve_ivp of the same accuracy"),
+    "batch": (10.0, "a batch of rigs against a loop over the Simulator, for each core"),
+    "fake": (10.0, "free time of a core beside a real-time fake without numba, over its own time"),
 }
 """Minimum values."""
 
@@ -356,7 +356,7 @@ def show(console: Console, found: dict[str, Any]) -> None:
         table.add_row(name, f"{real_time:,.0f}", f"{batches['batch'] / real_time:,.2f} x")
     console.print(table, "")
     console.print(f"the fake phloSAR in real time: {100 * found['fake']['cpu_share']:.1f} % of one core")
-    console.print(f"the first call: {found['first_call_s']:.1f} s (compiles, or reads what it kept)\n")
+    console.print(f"the first call: {found['first_call_s']:.1f} s (compiles, or reads the cache)\n")
     table = Table(box=None, pad_edge=False, header_style="bold")
     for heading in ("goal", "at least", "found", "met"):
         table.add_column(heading, justify="left" if heading == "goal" else "right")

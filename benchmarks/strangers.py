@@ -164,7 +164,7 @@ def _attacks(target: Target, harm: Harm) -> list[Attack]:
                 harm.done["viewer that does not read"] += 1
             time.sleep(2.0)
 
-    def wishes(kind: str, frame: bytes) -> Attack:
+    def sends(kind: str, frame: bytes) -> Attack:
         def attack(address: str) -> None:
             with _connected(target.page_port, address) as viewer:
                 viewer.sendall(_upgrade(page, target.token))
@@ -191,9 +191,9 @@ def _attacks(target: Target, harm: Harm) -> list[Attack]:
         asks("no request", os.urandom(2000).hex()),
         a_thousand,
         slow_readers,
-        wishes("wish of who may only watch", _frame(b'{"id":1,"command":"vent"}')),
-        wishes("wish not understood", _frame(b"[" * 400)),
-        wishes("wish too large", _frame(b"x" * 1_000_000)),
+        sends("command of a viewer", _frame(b'{"id":1,"command":"vent"}')),
+        sends("command not understood", _frame(b"[" * 400)),
+        sends("command too large", _frame(b"x" * 1_000_000)),
         told("message not understood", lambda: b'{"command": [[[[' + b"[" * 900),
         told("message too large", lambda: b"x" * 3000),
         told("retained message", fresh, retain=True),

@@ -138,7 +138,7 @@ class Flipper:
                         self.alive_at_s = now_s
                         settle_until_s = now_s + SETTLE_S
                     elif not running():
-                        raise NotMeasured("the process ended before it said anything")
+                        raise NotMeasured("the process ended before its first frame")
                     elif now_s - began_s > ALIVE_WITHIN_S:
                         raise NotMeasured(f"nothing on the serial line within {ALIVE_WITHIN_S:g} s")
         flight.loaded_s = monotonic() - loaded_from_s

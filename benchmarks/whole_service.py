@@ -299,7 +299,7 @@ class _Viewer:
                 if msgspec.json.decode(message.data)["kind"] == "snapshot":
                     self.came.append(time.monotonic())
                     self.sees.set()
-        raise NotMeasured("a viewer who belongs there was dropped")
+        raise NotMeasured("an authorised viewer was disconnected")
 
 
 def mosquitto() -> str:

@@ -76,7 +76,7 @@ class Served:
             env={**self.environment, "TERM": "xterm"},
         )
         await until(lambda: len(self._logs) > flights, "the service runs")
-        await until(lambda: self._switch_is_believed, "the switch is believed")
+        await until(lambda: self._switch_is_accepted, "the switch is accepted")
 
     @property
     def _logs(self) -> list[Path]:
@@ -84,7 +84,7 @@ class Served:
         return sorted((self.folder / "flights").glob("*/flight.mcap"))
 
     @property
-    def _switch_is_believed(self) -> bool:
+    def _switch_is_accepted(self) -> bool:
         try:
             snapshots = [entry.fields for entry in FlightLog(self._logs[-1]).entries(("snapshot",))]
         except LogError:

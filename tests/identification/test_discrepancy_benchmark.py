@@ -278,8 +278,8 @@ def test_the_tables_come_from_a_file_alone(tmp_path: Path, capsys: pytest.Captur
     assert "a cause was named with more than 50%: 1/1 (21% … 100%); with `none`: 0/1" in " ".join(
         report.split()
     )
-    assert "something is seen where nothing is 0/1 (0% … 79%) 1/1 (21% … 100%)" in lines
-    assert "false names a case, of what is in the catalogue 0.00 2.00" in lines
+    assert "nothing hidden, and not `none` 0/1 (0% … 79%) 1/1 (21% … 100%)" in lines
+    assert "wrong names per case, without effects outside the catalogue 0.00 2.00" in lines
     assert "failed: diagnose on hard 1: ValueError: broken" in lines
 
 

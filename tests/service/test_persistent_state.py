@@ -115,7 +115,7 @@ async def test_disarmed_pneumatics_stay_so_over_restarts_until_a_person_arms_the
     for _ in range(2):
         async with serving(bench, tmp_path) as served:
             await until(lambda: any("disarmed before" in text for text in served.texts), "it is said")
-            await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+            await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
             bench.autopilot.set_rc(9, 2000)
             await until(
                 lambda: any("the pneumatics are disarmed" in text for text in served.texts), "refused"
@@ -123,12 +123,12 @@ async def test_disarmed_pneumatics_stay_so_over_restarts_until_a_person_arms_the
             assert bench.vented() and doing(served) == "pneumatics disarmed"
             bench.autopilot.set_rc(9, 1000)
     async with serving(bench, tmp_path) as served:
-        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
         command(bench, STOP, ARM)
         await until(lambda: not served.kept.disarmed, "it is forgotten")
         assert doing(served) == "vented"
     async with serving(bench, tmp_path) as served:
-        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
         assert doing(served) == "vented" and not any("disarmed" in text for text in served.texts)
 
 
@@ -168,7 +168,7 @@ async def test_a_latched_fault_stays_so_over_a_restart_until_a_person_clears_it(
     async with serving(bench, tmp_path) as served:
         await until(lambda: any("latched before restart" in text for text in served.texts), "it is said")
         assert "firmware_reset" in served.service.core.snapshot(0.0).safe_state
-        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
         command(bench, MORE, CLEAR)
         await until(lambda: not served.kept.latched.exists(), "it is forgotten")
         assert served.service.core.snapshot(0.0).safe_state == {}
@@ -198,7 +198,7 @@ def private_key(folder: Path, key: bytes) -> str:
 async def test_a_signed_vehicle_bends_the_vine_and_the_clock_is_kept(tmp_path: Path) -> None:
     autopilot = FakeAutopilot("ardupilot", signing_key=KEY, unix_s=time.time())
     async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
-        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
         bench.autopilot.set_rc(9, 2000)
         await until(bench.bent, "the vine bends")
         await until(served.kept.signing_timestamp.exists, "the clock is kept")
@@ -224,7 +224,7 @@ async def test_a_kept_timestamp_of_2040_is_set_right_and_told(tmp_path: Path) ->
     autopilot = FakeAutopilot("ardupilot", signing_key=KEY, unix_s=time.time())
     (tmp_path / "vine.signing-timestamp").write_text("078890880000000 191\n255 001 001 078890880000000\n")
     async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
-        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
         await until(lambda: any("ahead: corrected" in text for text in served.texts), "it is said")
     memory, _ = TimestampFile(served.kept.signing_timestamp).load()
     assert memory.link_id == 192
@@ -240,7 +240,7 @@ async def test_what_was_recorded_before_a_stop_is_refused_after_it(tmp_path: Pat
     async with on_bench(FakeAutopilot("ardupilot", signing_key=KEY, unix_s=time.time())) as bench:
         for expected in (1, 0):
             async with serving(bench, tmp_path, key) as served:
-                await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+                await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
                 # The recorder sends it to the same port, the second time after the restart.
                 served.service._vehicle_bytes(recorded)
                 await until(bench.bent if expected else bench.vented, "what is due")

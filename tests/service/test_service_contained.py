@@ -64,7 +64,7 @@ async def serving() -> AsyncIterator[Serving]:
         seen: list[Action] = []
         service = Service(config.parse(bench.profile, "test"), (EachAction(seen.append),))
         running = asyncio.create_task(service.run())
-        await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is believed")
+        await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is accepted")
         await bench.bend()
         yield Serving(bench, service, seen, box)
         service.stop()

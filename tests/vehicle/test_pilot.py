@@ -638,7 +638,7 @@ def test_the_status_that_tells_of_a_loss_confirms_no_bend(steps: int) -> None:
     assert all(t < lost_s + BITS_AFTER_S for t in radio.bends)
 
 
-def test_before_the_switch_is_believed_others_may_ask() -> None:
+def test_before_the_switch_is_accepted_others_may_ask() -> None:
     radio = Radio("ardupilot")
     radio.pilot.forget()
     radio.pilot.others_asked(straightened=True)
