@@ -113,7 +113,7 @@ def test_letting_air_out_is_never_late(by: Asker, intent: Intent) -> None:
     assert_vented(flight)
 
 
-def test_what_a_process_that_stood_still_hears_late_is_not_done() -> None:
+def test_late_requests_after_a_pause_of_the_process_are_not_executed() -> None:
     flight = on_the_bench()
     asked_at = flight.world.now
     flight.stall(asked_at + 9.0)

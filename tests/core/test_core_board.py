@@ -193,7 +193,7 @@ def test_a_board_in_a_fault_that_it_does_not_name_vents_and_does_not_bend(
     assert told(run_for(flight, 2.0)) == notice
 
 
-def test_a_vent_that_is_heard_late_is_no_fault() -> None:
+def test_a_vent_that_arrives_late_is_no_fault() -> None:
     flight = bent()
     flight.autopilot.lose_rc("jump")
     lost_until = flight.world.now + 0.35

@@ -101,7 +101,7 @@ def test_a_fresh_move_is_held_anew() -> None:
         run_for(flight, 1.0)
 
 
-def test_a_hold_command_is_a_fresh_wish() -> None:
+def test_a_hold_command_is_a_new_request() -> None:
     flight = bent(conf=holding(5.0, 10.0))
     run_for(flight, 6.0)
     assert answers(order(flight, USER_4, HOLD)) == [(USER_4, ACCEPTED)]
@@ -201,7 +201,7 @@ STRANGERS = [(0, 190), (0, 0), (1, 190), (1, 195), (1, 0), (2, 1), (7, 190), (23
 
 
 @pytest.mark.parametrize("sender", STATIONS)
-def test_a_station_that_was_never_heard_may_bend(sender: tuple[int, int]) -> None:
+def test_a_station_without_a_heartbeat_may_bend(sender: tuple[int, int]) -> None:
     assert answers(order(airborne(), USER_2, 30.0, sender=sender)) == [(USER_2, ACCEPTED)]
 
 

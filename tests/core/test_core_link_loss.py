@@ -116,7 +116,7 @@ def test_a_link_that_is_back_without_rc_says_so() -> None:
     assert told(lives(flight, 2.0)) == ["Vine: RC is back", WAITING]
 
 
-def test_rc_that_stops_while_the_autopilot_speaks_is_no_dead_link() -> None:
+def test_rc_that_stops_while_the_autopilot_sends_is_no_dead_link() -> None:
     flight = bent()
     without(flight, RC_CHANNELS)
     assert told(lives(flight, 4.0)) == ["Vine: RC lost: no RC_CHANNELS for 1 s, vented"]
@@ -162,7 +162,7 @@ def test_without_heartbeats_nobody_knows_whether_it_is_armed_and_the_vine_vents(
     assert told(lives(flight, 2.0)) == ["Vine: autopilot is back", WAITING]
 
 
-def test_nothing_that_was_heard_of_the_radio_outlives_a_silent_autopilot() -> None:
+def test_the_state_of_the_radio_is_forgotten_when_the_autopilot_is_silent() -> None:
     """After the silence, another autopilot may answer."""
     flight = bent()
     flight.autopilot.mute(6.0)

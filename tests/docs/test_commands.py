@@ -156,7 +156,7 @@ def test_what_a_page_says_can_be_done(page: Path, tmp_path: Path, done: set[str]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_commands_and_options_that_a_page_speaks_of_are_there(page: Path) -> None:
+def test_commands_and_options_that_a_page_mentions_exist(page: Path) -> None:
     for span, words in spoken_of(page):
         name = " ".join(name_of(words))
         assert name, f"{span}: there is no such command"

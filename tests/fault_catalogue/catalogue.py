@@ -130,7 +130,7 @@ VEHICLE = (
         "s late",
         Cleared.FRESH,
         safe_state="not carried out, if it bends",
-        proof="test_an_item_that_is_heard_late_is_not_carried_out",
+        proof="test_an_item_that_arrives_late_is_not_executed",
     ),
     Row(
         "px4_command_lost",

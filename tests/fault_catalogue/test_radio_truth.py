@@ -264,7 +264,7 @@ def test_what_is_stored_is_executed_when_it_was_replaced_on_the_way(
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("stall_s", [2.0, 5.0])
 @pytest.mark.parametrize("process", [False, True])
-def test_an_item_that_is_heard_late_is_not_carried_out(
+def test_an_item_that_arrives_late_is_not_executed(
     kind: AutopilotKind, stall_s: float, process: bool
 ) -> None:
     flight = airborne(Setup(kind, mission=mission(kind, (1.0, 40.0)), has_rc=False))
@@ -282,7 +282,7 @@ def test_an_item_that_is_heard_late_is_not_carried_out(
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("process", [False, True])
-def test_a_button_that_is_heard_late_bends_nothing(kind: AutopilotKind, process: bool) -> None:
+def test_a_button_that_arrives_late_bends_nothing(kind: AutopilotKind, process: bool) -> None:
     flight = airborne(Setup(kind, has_rc=False))
     if process:
         flight.stall_companion(4.0, meanwhile=lambda: flight.press(5))
@@ -466,10 +466,10 @@ class CountsFromEachLoss(Core):
         ),
         (
             IsNeverTooLate,
-            partial(test_an_item_that_is_heard_late_is_not_carried_out, "ardupilot", 5.0, False),
+            partial(test_an_item_that_arrives_late_is_not_executed, "ardupilot", 5.0, False),
         ),
-        (IsNeverTooLate, partial(test_an_item_that_is_heard_late_is_not_carried_out, "px4", 5.0, True)),
-        (IsNeverTooLate, partial(test_a_button_that_is_heard_late_bends_nothing, "ardupilot", False)),
+        (IsNeverTooLate, partial(test_an_item_that_arrives_late_is_not_executed, "px4", 5.0, True)),
+        (IsNeverTooLate, partial(test_a_button_that_arrives_late_bends_nothing, "ardupilot", False)),
         (TakesItsFirstStampForNew, test_a_vent_from_before_a_fault_does_not_clear_it),
         (HearsCommandsOnly, test_a_straightening_that_was_lost_on_px4_comes_after_all),
         (CountsFromEachLoss, test_losses_do_not_restart_the_longest_time_bent),

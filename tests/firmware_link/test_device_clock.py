@@ -91,7 +91,7 @@ def test_one_absurd_time_is_one_lost_message() -> None:
     assert session.telemetry_gaps == 2
 
 
-def test_a_leap_that_lasts_is_believed_from_the_second_message_on() -> None:
+def test_a_lasting_leap_is_accepted_from_the_second_message_on() -> None:
     session = flown()
     assert session.receive(1.01, telemetry(3_606_010)) == []
     assert len(session.receive(1.02, telemetry(3_606_020))) == 1

@@ -91,7 +91,7 @@ def test_both_of_a_pair_show_and_the_first_explains_more() -> None:
     assert abs(gap(truth, runs, known=truth.hidden)) < 60.0
 
 
-def test_believed_numbers_are_off_only_in_worn_rigs_and_within_what_is_stated() -> None:
+def test_nominal_numbers_are_wrong_only_in_worn_rigs_and_within_the_stated_tolerance() -> None:
     for tier in TIERS:
         for truth in drawn(tier):
             off = [getattr(truth.believed, name) != getattr(truth.rig, name) for name in NUMBERS]

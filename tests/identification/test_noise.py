@@ -63,7 +63,7 @@ def test_a_vibration_is_not_taken_for_more_noise_than_the_residuals_have() -> No
     assert found.std_kPa < 1.2 * np.sqrt(1.4**2 / 2.0 + 0.15**2) + 1e-9
 
 
-def test_few_readings_are_believed_less_than_the_rig_file() -> None:
+def test_few_readings_count_less_than_the_rig_file() -> None:
     assert measured_noise([white(4, 3.0)[0][:50]], STATED) == STATED
 
 

@@ -70,7 +70,7 @@ def test_more_bends_take_more_air_and_leave_fewer_cycles() -> None:
     assert ends[0] - ends[2] > 5.0
 
 
-def test_without_a_vine_item_only_the_believed_leak_takes_air() -> None:
+def test_without_a_vine_item_only_the_assumed_leak_takes_air() -> None:
     report = reviewed(built(HEAD + waypoint("", "north_m = 100"), "px4"), "px4")
     leak = nominal(CONFIG.pneumatics).leak.mean
     lost = report.budget.begins.expected - report.budget.ends.expected

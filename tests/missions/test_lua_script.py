@@ -222,7 +222,7 @@ def test_acknowledgements_of_others_and_of_other_commands_are_not_for_it(autopil
     assert [m.confirmation for _, m in autopilot.sent] == [0, 1]
 
 
-def test_before_the_companion_was_heard_nothing_is_sent_anywhere() -> None:
+def test_nothing_is_sent_before_a_message_of_the_companion() -> None:
     autopilot = ArduPilot()
     autopilot.hear(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), 255, 190, TELEMETRY)
     autopilot.hear(mavlink.MAVLink_heartbeat_message(26, 8, 0, 0, 4, 3), 1, 154, TELEMETRY)

@@ -210,9 +210,7 @@ async def test_a_signed_vehicle_bends_the_vine_and_the_clock_is_kept(tmp_path: P
 
 
 @pytest.mark.parametrize("theirs", [None, bytes(32 * [7])], ids=["unsigned", "another key"])
-async def test_whoever_lacks_the_key_is_not_believed_and_that_is_said(
-    tmp_path: Path, theirs: bytes | None
-) -> None:
+async def test_senders_without_the_key_are_refused_and_reported(tmp_path: Path, theirs: bytes | None) -> None:
     autopilot = FakeAutopilot("ardupilot", signing_key=theirs, unix_s=time.time())
     async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
         await until(lambda: any("refused messages" in text for text in served.texts), "it is said")

@@ -289,7 +289,7 @@ def test_a_stalled_link_delivers_all_at_once(both_ways: bool) -> None:
 @pytest.mark.parametrize(
     ("kind", "kinds"), [("ardupilot", {"HEARTBEAT", "TIMESYNC"}), ("px4", {"HEARTBEAT"})]
 )
-def test_a_link_that_never_spoke_hears_little(kind: AutopilotKind, kinds: set[str]) -> None:
+def test_a_link_that_never_sent_gets_little(kind: AutopilotKind, kinds: set[str]) -> None:
     world = World(FakeAutopilot(kind))
     world.gcs.hello()
     world.autopilot.takeoff(5.0)
@@ -299,7 +299,7 @@ def test_a_link_that_never_spoke_hears_little(kind: AutopilotKind, kinds: set[st
     assert len(world.companion.of("HEARTBEAT")) in (21, 22)
 
 
-def test_ardupilot_does_itself_what_is_for_a_component_it_never_heard() -> None:
+def test_ardupilot_executes_a_command_for_an_unknown_component_itself() -> None:
     world = World(FakeAutopilot("ardupilot"))
     world.gcs.hello()
     world.gcs.command(183, 9, 1900, to=(1, 191))
@@ -316,7 +316,7 @@ def test_ardupilot_does_itself_what_is_for_a_component_it_never_heard() -> None:
     assert len(world.gcs.of("COMMAND_ACK")) == 1
 
 
-def test_px4_ignores_a_command_for_a_component_it_never_heard() -> None:
+def test_px4_ignores_a_command_for_an_unknown_component() -> None:
     world = World(FakeAutopilot("px4"))
     world.gcs.hello()
     world.gcs.command(187, 0.5, to=(1, 191))

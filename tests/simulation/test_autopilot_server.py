@@ -91,7 +91,7 @@ async def test_a_companion_asks_for_a_stream_and_gets_it() -> None:
     assert server.frames_unsent == 0
 
 
-async def test_a_ground_station_hears_what_the_companion_says() -> None:
+async def test_a_ground_station_gets_the_messages_of_the_companion() -> None:
     async with listening(1, 191) as companion, listening(255, 190) as gcs:
         server = AutopilotServer(FakeAutopilot(), ("127.0.0.1", companion.port), ("127.0.0.1", gcs.port))
         async with serving(server):

@@ -47,7 +47,7 @@ def test_what_is_wrong_is_said(line: str) -> None:
         ("board unpowered", "board", Unpowered()),
     ],
 )
-def test_lines_break_the_phlosar_and_mend_it(line: str, place: str, kind: MishapKind) -> None:
+def test_lines_inject_faults_and_end_them(line: str, place: str, kind: MishapKind) -> None:
     phlosar = SimulatedPhlosar(effects=Effects())
     for mending in (f"{place} well", "well"):
         assert inject_typed(phlosar, line) == ""

@@ -121,7 +121,7 @@ def test_another_version_is_refused_and_so_are_its_setpoints(cold: Bench) -> Non
     assert answers[1:] == [Refusal(0, RefusalReason.VERSION), Refusal(4, RefusalReason.NO_HANDSHAKE)]
 
 
-def test_before_the_handshake_only_vent_and_ping_are_heard(cold: Bench) -> None:
+def test_before_the_handshake_only_vent_and_ping_are_executed(cold: Bench) -> None:
     bench = cold
     bench.send(bend(number=3), ClearFaults(0xFFFF), Vent(8), Ping(123))
     assert bench.answers() == [
@@ -325,7 +325,7 @@ def test_faults_vent_within_three_readings_and_latch(
     assert bench.firmware.mode is Mode.VENT
 
 
-def test_readings_that_cannot_be_believed_do_not_hide_that_the_limit_is_passed(bench: Bench) -> None:
+def test_invalid_readings_do_not_hide_an_over_pressure(bench: Bench) -> None:
     bench.send(bend())
     bench.run(1)
     for cv_kPa in (40.0, 40.0, 300.0, 300.0, 40.0):
@@ -348,7 +348,7 @@ def test_a_glitch_ends_nothing_and_is_not_told(bench: Bench) -> None:
     assert set(told) <= {5.0, 35.0}
 
 
-def test_telemetry_of_a_broken_sensor_is_the_last_reading_believed(bench: Bench) -> None:
+def test_telemetry_of_a_broken_sensor_is_the_last_valid_reading(bench: Bench) -> None:
     bench.cv_kPa = 4.0
     bench.run(1)
     bench.cv_kPa = math.nan

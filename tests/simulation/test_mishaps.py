@@ -384,7 +384,7 @@ def hold(phlosar: SimulatedPhlosar, host: Codec, seconds: float, target_kPa: flo
     return sent
 
 
-def test_a_board_without_power_hears_and_says_nothing_and_its_valves_shut() -> None:
+def test_a_board_without_power_does_not_communicate_and_its_valves_shut() -> None:
     phlosar = SimulatedPhlosar(effects=Effects())
     host = greeted(phlosar)
     phlosar.mishaps.board = Unpowered()

@@ -160,7 +160,7 @@ def test_openings_do_without_one() -> None:
     assert run.true_reservoir_kPa[-1] == run.true_reservoir_kPa[50] < 690.0
 
 
-def test_what_is_really_there_is_simulated_and_what_is_believed_decides() -> None:
+def test_the_true_rig_is_simulated_and_the_nominal_one_decides() -> None:
     rig = replace(HALF_LITRE, sensors=QUIET)
     true = TrueRig(rig, causes={"reservoir_leak": {"flow_resistance_kPa_s_per_SL": 20_000.0}})
     shut = OpeningsRun(valves=(Valves(for_s=5.0),))

@@ -120,7 +120,7 @@ def test_parts_limit_the_fill() -> None:
     assert evaluate(robot(fill_kPa=2000.0), PROTOTYPE).fill_kPa == 690.0
 
 
-def test_wishes_that_are_not_met_are_said() -> None:
+def test_requirements_that_are_not_met_are_listed() -> None:
     wishes = robot(inflation_rate_kPa_per_s=5000.0, frequency_Hz=None, least_cycles=1e5, payload_kg=1.0)
     found = " ".join(evaluate(wishes, PROTOTYPE).shortfalls)
     for word in ("inflation", "deflation", "cycles", "payload"):

@@ -142,7 +142,7 @@ def test_a_discharge_with_rests_is_recommended(found: Discharges) -> None:
     assert found.recommended.pairs[0][1] > 10.0
 
 
-def test_the_gains_speak_for_a_tail_and_for_no_cause_of_the_catalogue(responses: Responses) -> None:
+def test_the_gains_show_a_tail_and_no_cause_of_the_catalogue(responses: Responses) -> None:
     null, floor, tube = responses.of(), responses.of(FLOOR), responses.of("tube")
     assert null.rms_dB == pytest.approx((3.33, 6.93), abs=0.1)
     assert floor.rms_dB == floor.unseen_dB == pytest.approx((0.84, 0.96), abs=0.1)

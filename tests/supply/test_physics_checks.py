@@ -306,7 +306,7 @@ def test_the_devices_clock_may_wrap() -> None:
     assert [finding.name for _, finding in found] == ["venting"]
 
 
-def test_readings_that_the_firmware_does_not_believe_accuse_nobody() -> None:
+def test_readings_that_the_firmware_refuses_give_no_finding() -> None:
     blind = dataclasses.replace(VENTED, mode=Mode.FAULT, faults=Fault.CV_SENSOR, cv_kPa=20.0)
     assert list(stream(checks_of(), lambda _: blind, 5.0)) == []
 

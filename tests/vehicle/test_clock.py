@@ -50,7 +50,7 @@ def test_on_a_good_link_nothing_waits() -> None:
     assert line.age_s(line.item(5.05), 5.05) == 0.0
 
 
-def test_where_no_clock_is_heard_nothing_is_late() -> None:
+def test_without_a_clock_nothing_is_late() -> None:
     line = Line()
     for t in (1.0, 9.0):
         mark = line.item(t)

@@ -247,7 +247,7 @@ def test_our_own_frames_that_come_back_do_not_come_out() -> None:
     assert ours.lost_frames == 0
 
 
-def test_another_that_has_our_ids_is_heard() -> None:
+def test_frames_of_another_sender_with_our_ids_are_read() -> None:
     ours, twin = MavlinkCodec(1, 191), Sender(1, 191)
     ours.encode(text("Vine: ours"), 1)
     assert texts_of(ours.decode(twin.frame(text("Vine: theirs")))) == ["Vine: theirs"]

@@ -226,7 +226,7 @@ def test_two_long_texts_have_different_ids() -> None:
     assert len({message.id for _, message in sent}) == 2
 
 
-def test_the_same_text_is_news_only_after_a_while() -> None:
+def test_the_same_text_is_sent_again_only_after_a_while() -> None:
     ours = component()
     heard = []
     for i in range(1000):
@@ -297,7 +297,7 @@ class Link:
             self.t = round(self.t + TICK_S, 6)
 
 
-def test_the_autopilot_hears_us_as_soon_as_it_speaks_again() -> None:
+def test_the_autopilot_gets_our_messages_as_soon_as_it_sends_again() -> None:
     link = Link()
     link.t = 0.3
     link.wait(0.4, autopilot=False)  # one of our messages is sent before the autopilot appears

@@ -150,7 +150,7 @@ async def tcp_server() -> AsyncIterator[Server]:
         await server.close()
 
 
-async def test_udp_that_listens_answers_whom_it_hears() -> None:
+async def test_udp_that_listens_answers_the_senders() -> None:
     port = free_port()
     async with running(NetworkAddress("udpin", HOST, port)) as watched:
         await watched.until(lambda: watched.up)
@@ -226,7 +226,7 @@ async def settled(watched: Watched, datagrams: int) -> None:
             await asyncio.sleep(0.001)
 
 
-async def test_the_autopilot_keeps_its_answers_however_many_others_speak() -> None:
+async def test_the_autopilot_gets_its_answers_however_many_others_send() -> None:
     port = free_port()
     async with (
         serving(NetworkAddress("udpin", HOST, port)) as (watched, _),
@@ -356,7 +356,7 @@ moments = st.lists(st.tuples(st.integers(0, 12), st.booleans(), st.floats(0.0, 1
 
 @given(moments)
 @settings(max_examples=examples(200), deadline=None)
-def test_who_speaks_often_enough_never_loses_his_place(
+def test_a_sender_that_sends_often_keeps_its_place(
     others: list[tuple[int, bool, float]],
 ) -> None:
     peers, t = Peers(), 0.0
@@ -384,7 +384,7 @@ def test_a_router_that_restarts_with_another_port_is_answered_again_soon() -> No
     assert peers.present(19.0 + PEER_FORGOTTEN_S + 1.0) == []
 
 
-async def test_udp_that_sends_speaks_first_and_hears_the_answer() -> None:
+async def test_udp_that_sends_begins_and_gets_the_answer() -> None:
     async with (
         udp_peer() as (peer, transport, port),
         running(NetworkAddress("udpout", HOST, port)) as watched,

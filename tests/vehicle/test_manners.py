@@ -132,7 +132,7 @@ def test_nothing_that_the_code_says_has_to_be_broken() -> None:
     assert broken <= {"radio failsafe"}  # of the RC link, as the pilot knows it
 
 
-def test_notices_begin_with_who_speaks() -> None:
+def test_notices_begin_with_their_sender() -> None:
     """This is true for the texts in the code and for the sent ones."""
     here = Path(flying_vines.__file__).parent
     notices = []

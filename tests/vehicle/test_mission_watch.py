@@ -516,7 +516,7 @@ def test_a_name_that_stays_against_the_book_is_told_without_numbers_and_asked_ab
     assert [(e.command, e.seq, e.params) for e in air.found] == [(WINCH, 3, None)]
 
 
-def test_a_name_that_nobody_knows_is_believed_when_the_autopilot_confirms_it() -> None:
+def test_an_unknown_name_is_accepted_when_the_autopilot_confirms_it() -> None:
     air = having_read(PLAN)
     air.runs(3, "ScriptMsg")
     assert air.found == []

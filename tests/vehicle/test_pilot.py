@@ -369,7 +369,7 @@ def test_sooner_than_an_override_can_end_it_was_the_pilot() -> None:
     assert len(radio.bends) == 2
 
 
-def test_an_override_that_we_hear_end_is_no_move_in_either_direction() -> None:
+def test_an_override_whose_end_is_reported_is_no_move() -> None:
     radio = Radio("ardupilot")
     radio.override(1000)
     radio.run(3.0)
@@ -506,7 +506,7 @@ def test_a_preset_does_not_bring_back_a_bend_that_was_overtaken() -> None:
     assert radio.bends == []
 
 
-def test_where_nothing_is_heard_the_switch_stands_nowhere_and_no_bend_waits() -> None:
+def test_without_messages_the_switch_has_no_position_and_no_bend_waits() -> None:
     radio = Radio()
     radio.move(2, 1.0)
     for _ in range(200):

@@ -43,7 +43,7 @@ def good(at_s: float = 0.0) -> RadioLink:
     return link
 
 
-def test_nothing_heard_yet() -> None:
+def test_before_any_message() -> None:
     link = radio()
     assert link.problem(0.0) == "no RC_CHANNELS yet"
     link.handle(0.0, health(True))
@@ -136,7 +136,7 @@ def test_a_pulse_that_no_receiver_makes(pulse_us: int) -> None:
 
 
 @pytest.mark.parametrize("pulse_us", [800, 874, 2134, 2200])
-def test_trims_at_their_ends_are_believed(pulse_us: int) -> None:
+def test_trims_at_their_ends_are_accepted(pulse_us: int) -> None:
     link = good()
     link.handle(0.1, channels(pulse_us))
     assert link.problem(0.1) is None
@@ -160,7 +160,7 @@ def test_a_throttle_that_is_not_there_says_nothing(throttle_us: int) -> None:
     assert link.problem(0.0) is None
 
 
-def test_forgetting_leaves_nothing_to_believe_and_nothing_to_hold_against_it() -> None:
+def test_forgetting_removes_good_and_bad_signs() -> None:
     link = good()
     link.handle(0.1, text("Radio Failsafe"))
     link.handle(0.1, health(False))

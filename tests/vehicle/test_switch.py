@@ -204,7 +204,7 @@ def test_passing_through_the_middle_is_no_stop_there(rate_Hz: float) -> None:
     ),
 )
 @settings(max_examples=examples(200), deadline=None)
-def test_a_position_that_is_believed_is_the_one_of_the_pulse(
+def test_an_accepted_position_is_that_of_the_pulse(
     positions: int, steps: list[tuple[float, float | None]]
 ) -> None:
     switch = SwitchReader(positions, DEBOUNCE_S, SETTLE_S, HYSTERESIS_US)

@@ -42,7 +42,7 @@ def test_a_short_interruption_is_nobody_s_trouble() -> None:
         assert health.wait_s(1.0) == 1.0
 
 
-def test_what_a_person_must_mend_is_told_at_once_and_tried_more_rarely() -> None:
+def test_a_problem_that_needs_a_person_is_reported_at_once_and_tried_more_rarely() -> None:
     health = Health(0.0, "mqtt://b")
     assert health.failed(0.1, LOGIN) == "MQTT: mqtt://b: it does not accept this user and password"
     assert health.wait_s(1.0) == 15.0

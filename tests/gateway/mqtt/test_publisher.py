@@ -54,7 +54,7 @@ def tell_all(events: Events, t: float = 10.0) -> list[EventPayload]:
     return told
 
 
-def test_a_vehicle_is_silent_until_the_service_speaks_and_when_it_no_longer_does() -> None:
+def test_a_vehicle_is_silent_before_and_after_the_messages_of_its_service() -> None:
     vehicle = teller()
     status, about = vehicle.greeting(now(0.0))
     assert (status.topic, status.retain, status.qos) == ("flying-vines/heron/status", True, 1)

@@ -105,9 +105,7 @@ async def test_a_viewer_is_told_what_was_and_what_is(bench: Bench, session: Clie
         assert (await heard(viewing, "snapshot"))["snapshot"]["cv_kPa"] == 4.0
 
 
-async def test_a_page_that_is_told_nothing_hears_that_the_link_lives(
-    bench: Bench, session: ClientSession
-) -> None:
+async def test_a_page_without_news_gets_signs_of_life(bench: Bench, session: ClientSession) -> None:
     async with session.ws_connect(bench.url + "/live") as viewing:
         await heard(viewing, "hello")
         await heard(viewing, "beat")
@@ -132,9 +130,7 @@ async def test_what_is_asked_for_is_answered(bench: Bench, session: ClientSessio
     ]
 
 
-async def test_a_wish_is_as_old_as_it_says_and_no_younger_than_it_is(
-    bench: Bench, session: ClientSession
-) -> None:
+async def test_a_request_has_at_least_its_stated_age(bench: Bench, session: ClientSession) -> None:
     loop = asyncio.get_running_loop()
     began = loop.time()
     async with session.ws_connect(bench.url + "/live") as viewing:
