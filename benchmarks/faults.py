@@ -125,8 +125,8 @@ class Tally:
     def print(self, minutes: float) -> None:
         print(
             f"\n{self.flights} flights, {self.singles} of them with one fault; "
-            f"the vine began to move {self.begins} times, {self.limits} of them by an event that looks like a "
-            f"request of the pilot; {minutes:.1f} min"
+            f"the vine began to move {self.begins} times, {self.limits} of them by an event that looks like "
+            f"a request of the pilot; {minutes:.1f} min"
         )
         print(f"fouls: {dict(self.fouls) or 'none'}")
         for seed, faults, rules in sorted(self.seeds):
