@@ -308,7 +308,7 @@ def test_a_part_that_cannot_be_used_is_one_line(
 
 
 @pytest.mark.parametrize("command", [["config", "check"], ["doctor", "--config"]])
-def test_a_missing_package_is_told_before_a_flight(
+def test_a_missing_package_is_reported_before_a_flight(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str]
 ) -> None:
     (tmp_path / "p.toml").write_text(PUMP, encoding="utf-8")
@@ -422,7 +422,7 @@ def test_a_trigger_sees_only_our_autopilot(our_lab: None) -> None:
     assert decisions(attitude(flight, 30.0, system_id=7)) == []
 
 
-def test_a_trigger_that_fails_is_switched_off_and_the_flight_goes_on(
+def test_a_trigger_that_fails_is_switched_off_and_the_flight_continues(
     installed: Install, our_lab: None
 ) -> None:
     installed(
@@ -468,7 +468,7 @@ def test_a_check_that_fails_vents_if_the_vine_needs_it(
     assert flight.core.internal_error is needed
 
 
-def test_a_check_without_look_is_told_at_the_start(installed: Install) -> None:
+def test_a_check_without_look_is_reported_at_the_start(installed: Install) -> None:
     installed("checks", "class Part:\n    def __init__(self, rig): pass\n")
     conf = config.parse(PROFILE.replace("own = {}", 'own = { broken = "warn" }'), "p.toml")
     with pytest.raises(PluginError, match=r"broken_lab:Part of package broken_lab has no look"):

@@ -237,7 +237,7 @@ def test_lines_and_objects_of_what_is_rare() -> None:
     assert as_json(LinkNote(0.5, "gone", False)) == {"t": 0.5, "told": "gone"}
 
 
-def test_faults_of_a_later_firmware_are_told_by_number() -> None:
+def test_faults_of_a_later_firmware_are_reported_by_number() -> None:
     assert fault_names(Fault.DEAD_MAN | Fault(1 << 14)) == "DEAD_MAN, 0x4000"
 
 

@@ -100,7 +100,7 @@ def test_a_sensor_that_says_what_none_can_is_a_fault_that_a_person_clears(field:
     ],
 )
 @pytest.mark.parametrize("frames", [pytest.param(1, marks=pytest.mark.long), 50])
-def test_whatever_else_a_frame_says_the_flight_goes_on_or_the_vine_is_vented(
+def test_whatever_else_a_frame_says_the_flight_continues_or_the_vine_is_vented(
     frames: int, values: dict[str, float]
 ) -> None:
     flight = bent()

@@ -61,7 +61,7 @@ def test_the_switch_bends_and_straightens(likely: bool) -> None:
     assert_vented(flight)
 
 
-def test_a_prepared_flight_goes_on_like_the_one_that_it_was_copied_from() -> None:
+def test_a_prepared_flight_continues_like_the_one_that_it_was_copied_from() -> None:
     def flown(flight: SimulatedFlight) -> list[str]:
         actions: list[Action] = []
         for pulse_us in (LOW, HIGH):
@@ -131,7 +131,7 @@ def test_a_bent_vine_is_straightened_by_its_profile_and_one_that_vents_goes_on_v
     assert setpoints([*actions, *run_for(flight, 1.0)]) == []
 
 
-def test_where_a_bend_s_cost_cannot_be_told_it_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bend_whose_cost_is_unknown_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     flight = airborne()
     monkeypatch.setattr(ReservoirEstimate, "spending_kPa", lambda *_: 1 / 0)
     actions = ground_command(flight, mavlink.MAV_CMD_USER_2, 30.0)
@@ -198,7 +198,7 @@ def test_rc_loss_vents_and_nothing_resumes(how: str) -> None:
     assert [d.safety for d in decisions(run_for(flight, 1.0))] == ["accepted"]
 
 
-def test_a_move_while_rc_is_lost_is_told() -> None:
+def test_a_move_while_rc_is_lost_is_reported() -> None:
     flight = airborne()
     flight.autopilot.lose_rc("frozen")
     run_for(flight, 2.0)
@@ -349,7 +349,7 @@ def test_a_vine_that_does_not_vent_cannot_be_cleared() -> None:
     assert_vented(flight)
 
 
-def test_a_hot_bottle_is_told_and_counted_and_the_vine_goes_on() -> None:
+def test_a_hot_bottle_is_reported_and_counted_and_the_vine_continues() -> None:
     flight = bent()
     flight.phlosar.fill(745.0)
     actions = run_for(flight, 2.0)

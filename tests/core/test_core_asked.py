@@ -73,7 +73,7 @@ def on_the_bench() -> SimulatedFlight:
 
 
 @pytest.mark.parametrize("by", ["page", "broker"])
-def test_what_is_late_is_refused_and_its_age_is_told(by: Asker) -> None:
+def test_what_is_late_is_refused_and_its_age_is_reported(by: Asker) -> None:
     flight = on_the_bench()
     late = ask(flight, by, BendTo(30.0), age_s=9.04)
     assert (late.safety, late.reason) == ("refused", "too late: requested 9.0 s ago")
@@ -94,7 +94,7 @@ def test_nothing_but_letting_air_out_is_done_late(intent: Intent) -> None:
     assert_vented(flight)
 
 
-def test_of_two_reasons_the_age_is_told() -> None:
+def test_of_two_reasons_the_age_is_reported() -> None:
     late = ask(on_the_bench(), "page", ClearLatchedFaults(), age_s=1.1, seen_s=None)
     assert (late.safety, late.reason) == ("refused", "too late: requested 1.1 s ago")
 

@@ -99,7 +99,7 @@ def test_telemetry_whose_clock_does_not_go_on_is_lost(change: Change) -> None:
     assert (refused.safety, refused.reason) == ("refused", "phloSAR telemetry stale")
 
 
-def test_a_counter_that_stands_while_the_clock_goes_on_is_no_loss() -> None:
+def test_a_counter_that_stands_while_the_clock_continues_is_no_loss() -> None:
     """The board's clock says if a frame is new. The counter only counts losses."""
     flight = bent()
     heard = protocol.Codec()
@@ -134,7 +134,7 @@ def regulating(telemetry: Telemetry) -> Telemetry:
     return dataclasses.replace(telemetry, mode=Mode.REGULATE, setpoint_kPa=20.7)
 
 
-def test_a_board_that_regulates_on_after_a_vent_is_told_and_is_a_fault() -> None:
+def test_a_board_that_regulates_on_after_a_vent_is_reported_and_is_a_fault() -> None:
     flight = bent()
     says(flight, regulating)
     flight.autopilot.set_rc(9, LOW)
@@ -214,7 +214,7 @@ def rebooting(flight: SimulatedFlight, every_s: float, for_s: float) -> list[Act
 
 
 @pytest.mark.parametrize("every_s", [0.1, pytest.param(2.5, marks=pytest.mark.long)])
-def test_a_loop_of_restarts_is_told_at_once_and_then_counted(every_s: float) -> None:
+def test_a_loop_of_restarts_is_reported_at_once_and_then_counted(every_s: float) -> None:
     flight = bent()
     actions = rebooting(flight, every_s, 30.0)
     actions += run_for(flight, 11.0)

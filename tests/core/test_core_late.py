@@ -95,7 +95,7 @@ def test_a_mission_replaced_a_moment_ago_gives_its_own_numbers() -> None:
 
 
 @pytest.mark.parametrize("kind", ["text lost", "answers lost"])
-def test_an_item_that_is_not_confirmed_is_refused_and_told(kind: str) -> None:
+def test_an_item_that_is_not_confirmed_is_refused_and_reported(kind: str) -> None:
     flight = flying(2.0)
     lost = b"Mission: 3" if kind == "text lost" else b"\x49\x00\x00"  # MISSION_ITEM_INT
     flight.from_autopilot = lambda frame: b"" if lost in frame else frame
@@ -110,7 +110,7 @@ def test_an_item_that_is_not_confirmed_is_refused_and_told(kind: str) -> None:
 
 
 @pytest.mark.parametrize("stall_s", [3.0, 6.0])
-def test_a_process_that_stood_still_bends_nothing_when_it_wakes(stall_s: float) -> None:
+def test_a_process_that_stopped_bends_nothing_when_it_wakes(stall_s: float) -> None:
     flight = flying(1.0)
     actions = flight.stall(flight.world.now + stall_s)
     assert len(flight.autopilot.payload_log) == 1

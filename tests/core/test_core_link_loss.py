@@ -66,7 +66,7 @@ def without(flight: SimulatedFlight, *message_ids: int) -> None:
 
 
 @pytest.mark.parametrize("for_s", [1.8, 4.0, 20.0])
-def test_a_silent_link_is_told_once_and_once_when_it_is_back(for_s: float) -> None:
+def test_a_silent_link_is_reported_once_and_once_when_it_is_back(for_s: float) -> None:
     flight = bent()
     flight.autopilot.mute(for_s)
     actions = lives(flight, for_s)
@@ -88,14 +88,14 @@ def test_a_link_is_back_with_the_first_heartbeat() -> None:
     assert told(lives(flight, 2.0)) == ["Vine: vehicle link is back", WAITING]
 
 
-def test_a_silent_link_is_told_again_when_the_vine_does_something_else() -> None:
+def test_a_silent_link_is_reported_again_when_the_vine_does_something_else() -> None:
     flight = bent(holding(on_rc_loss="hold", hold_at_most_s=1.5))
     flight.autopilot.mute(20.0)
     texts = told(lives(flight, 20.0))
     assert texts == ["Vine: vehicle link silent, holding", "Vine: vehicle link silent, vented"]
 
 
-def test_a_closed_link_is_told_as_such() -> None:
+def test_a_closed_link_is_reported_as_such() -> None:
     flight = bent()
     flight.feed(LinkChanged(flight.world.now, "vehicle", False, "was unplugged"))
     flight.from_autopilot = lambda frame: b""

@@ -173,7 +173,7 @@ def test_what_hangs_on_something_missing_is_skipped(seen: dict[str, Examined]) -
         assert seen["no vehicle"].of(check).verdict == "skipped"
 
 
-def test_the_healthy_pair_is_told_by_what_it_is(seen: dict[str, Examined]) -> None:
+def test_a_healthy_pair_is_described(seen: dict[str, Examined]) -> None:
     healthy = seen["healthy"]
     assert "ArduPilot 4.6.0, system 1" in healthy.of("autopilot").what
     assert "PX4 1.17.0" in seen["healthy on PX4"].of("autopilot").what
@@ -190,7 +190,7 @@ def test_a_switch_that_is_moved_is_seen_in_all_positions(seen: dict[str, Examine
     assert "position 1, “straight”" in seen["healthy"].of("RC switch").what
 
 
-def test_an_autopilot_that_signs_is_told_apart(seen: dict[str, Examined]) -> None:
+def test_an_autopilot_that_signs_is_distinguished(seen: dict[str, Examined]) -> None:
     assert seen["signed"].of("signing").what == "all messages were signed with our key"
     without = seen["signed, and no key"]
     assert "the profile has no key" in without.of("signing").what
@@ -223,7 +223,7 @@ def test_the_vehicle_is_only_asked(seen: dict[str, Examined]) -> None:
     assert commands == {mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_CMD_REQUEST_MESSAGE}
 
 
-def test_findings_are_told_in_order_as_they_come(seen: dict[str, Examined]) -> None:
+def test_findings_are_reported_in_order_as_they_come(seen: dict[str, Examined]) -> None:
     for look in seen.values():
         assert [finding for told in look.told for finding in told] == look.findings
         assert len(look.told) > 5

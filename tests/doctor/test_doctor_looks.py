@@ -146,7 +146,7 @@ def test_a_board_is_named_by_what_it_is(terminal: str) -> None:
     assert facts.usb == "usb:16c0:0483:1234560"
 
 
-def test_a_port_that_is_not_there_is_told_with_those_that_are(terminal: str) -> None:
+def test_a_port_that_is_not_there_is_reported_with_those_that_are(terminal: str) -> None:
     facts = ports.serial_port(
         "phloSAR", "serial:/dev/ttyACM7", SerialAddress("/dev/ttyACM7"), lambda: [board(terminal)]
     )
@@ -251,7 +251,7 @@ def of_broker(address: str, **others: str) -> BrokerFacts:
     return asyncio.run(broker.facts(MqttConfig(broker=address, **others)))  # type: ignore[arg-type]
 
 
-def test_a_broker_that_is_not_there_is_told_by_what_failed() -> None:
+def test_a_broker_that_is_not_there_is_reported_by_what_failed() -> None:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         closed = probe.getsockname()[1]

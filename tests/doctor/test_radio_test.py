@@ -189,7 +189,7 @@ class Person:
         self.wait(2.0, lambda: self.test.step != "on")
 
 
-def test_a_preset_in_the_straight_position_is_told_from_a_hold_by_the_second_loss() -> None:
+def test_a_preset_in_the_straight_position_is_distinguished_from_a_hold_by_the_second_loss() -> None:
     person = Person()
     person.lose()
     assert person.test.target == 2
@@ -269,7 +269,7 @@ def test_every_step_has_an_end(wrong: dict[str, object], problem: str) -> None:
     assert (person.test.step, person.test.learned.problem) == ("done", problem)
 
 
-def test_overrides_are_told_from_a_receiver_before_anybody_is_asked_to_switch_off() -> None:
+def test_overrides_are_distinguished_from_a_receiver_before_anybody_is_asked_to_switch_off() -> None:
     person = Person()
     person.status, person.rssi = (0, 1, 0), 100
     asked = False

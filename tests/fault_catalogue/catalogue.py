@@ -259,11 +259,11 @@ COMPANION = (
         "failed, flight goes on",
         Cleared.AT_ONCE,
         safe_state="continues",
-        proof="test_what_is_only_shown_is_switched_off_and_the_flight_goes_on",
+        proof="test_what_is_only_shown_is_switched_off_and_the_flight_continues",
     ),
 )
 
-GOES_ON = "test_a_flight_goes_on_whatever_happens_around_it"
+GOES_ON = "test_a_flight_continues_whatever_happens_around_it"
 FILES = (
     Row(
         "profile_changed",
@@ -394,7 +394,7 @@ NETWORK = (
         "nothing answers there",
         Cleared.AT_ONCE,
         safe_state="continues; events are sent when the broker is back",
-        proof="test_a_flight_goes_on_whatever_the_network_does",
+        proof="test_a_flight_continues_whatever_the_network_does",
     ),
     Row(
         "gateway_killed",
@@ -403,7 +403,7 @@ NETWORK = (
         "page and broker stopped",
         Cleared.AT_ONCE,
         safe_state="continues; the broker shows the vehicle offline meanwhile",
-        proof="test_a_flight_goes_on_whatever_the_network_does",
+        proof="test_a_flight_continues_whatever_the_network_does",
     ),
 )
 

@@ -103,7 +103,7 @@ async def test_the_dead_man_behind_the_real_service(served: Served) -> None:
     await assert_latched_until_a_person_clears_it(served, "companion_killed")
 
 
-async def test_a_flight_goes_on_whatever_happens_around_it(served: Served) -> None:
+async def test_a_flight_continues_whatever_happens_around_it(served: Served) -> None:
     """The profile and the disk fail, and a second copy of the service is started."""
     await served.serve()
     assert served.process is not None

@@ -111,7 +111,7 @@ def test_a_backlog_is_as_old_as_the_board_says() -> None:
     assert ages[-1] == 0.0
 
 
-def test_a_board_that_stood_still_once_is_fresh_again() -> None:
+def test_a_board_that_stopped_once_is_fresh_again() -> None:
     """An emulated board on a busy computer pauses; a real one restarts instead."""
     session = flown()
     oldest_after(session, lambda t: round(1000 * t) + 5000 - 2000, 3.0, 4.0)

@@ -67,7 +67,7 @@ def test_two_that_no_number_tells_apart() -> None:
         UsbBoard(0x1A86, 0x7523).find(lambda: nameless)
 
 
-def test_what_is_there_instead_is_told() -> None:
+def test_what_is_there_instead_is_reported() -> None:
     with pytest.raises(BoardNotFoundError) as told:
         UsbBoard(0x16C0, 0x0483, "99").find(lambda: [GPS, ONE, CONSOLE])
     assert str(told.value) == (

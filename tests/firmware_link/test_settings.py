@@ -86,7 +86,7 @@ def test_changes_are_made_and_kept() -> None:
         ({"cv_limit_kPa": 25.0, "dead_man_ms": 900.0}, "dead_man_ms is from"),
     ],
 )
-def test_what_cannot_be_is_told_before_anything_is_changed(changes: dict[str, float], says: str) -> None:
+def test_what_cannot_be_is_reported_before_anything_is_changed(changes: dict[str, float], says: str) -> None:
     board = Board()
     talk = board.talk(changes)
     assert says in talk.problem

@@ -164,7 +164,7 @@ async def test_a_stopped_gateway_is_replaced(
         assert service.said == ["page and broker stopped (it hung), starting again"]
 
 
-async def test_a_gateway_is_not_to_blame_where_the_service_stood_still(
+async def test_a_gateway_is_not_to_blame_where_the_service_stopped(
     monkeypatch: pytest.MonkeyPatch, played: Callable[[str], None]
 ) -> None:
     monkeypatch.setattr(gateway, "HANGS_S", 0.5)
@@ -192,7 +192,7 @@ async def test_a_gateway_has_time_to_start(
     assert time.monotonic() - began >= 1.0
 
 
-async def test_a_gateway_that_dies_at_once_is_told_once(
+async def test_a_gateway_that_dies_at_once_is_reported_once(
     played: Callable[[str], None], tmp_path: Path
 ) -> None:
     tries = tmp_path / "tries"
@@ -341,7 +341,9 @@ async def test_when_it_was_made_and_what_was_seen_goes_on_to_the_service(
     assert service.times == [(3.25, 3.0), (None, 1.0), (None, 4.0)]
 
 
-async def test_what_happens_before_the_gateway_reads_is_told_in_order(played: Callable[[str], None]) -> None:
+async def test_what_happens_before_the_gateway_reads_is_reported_in_order(
+    played: Callable[[str], None],
+) -> None:
     """The profile comes first. Of too many events the last ones are stored."""
     played(
         "kinds = [type(hear()).__name__]\n"

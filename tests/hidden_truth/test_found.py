@@ -80,7 +80,7 @@ def test_an_effect_of_the_catalogue_is_measured_beside_one_that_nobody_has_named
 
 
 @pytest.mark.long
-def test_what_the_data_cannot_tell_apart_is_not_told_apart(tmp_path: Path) -> None:
+def test_what_the_data_cannot_tell_apart_is_not_distinguished(tmp_path: Path) -> None:
     """Without the Venturi everything is proportional to pressure: a gain of one sensor looks like the inverse
     gain of the other one."""
     truth = draw("hard", 104)

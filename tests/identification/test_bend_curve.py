@@ -89,7 +89,7 @@ def test_without_a_way_down_the_hysteresis_is_not_known() -> None:
     assert low <= TRUTH.bend_max_deg <= high
 
 
-def test_no_hysteresis_is_told_as_none() -> None:
+def test_no_hysteresis_is_reported_as_none() -> None:
     found = fit(measured(TRUTH._replace(hysteresis_kPa=0.0), 6))
     assert found.hysteresis_kPa is not None
     assert found.hysteresis_kPa.low == 0.0
@@ -149,7 +149,7 @@ def test_a_law_that_does_not_fit_is_not_made_certain_by_more_pairs() -> None:
 
 
 @pytest.mark.parametrize("noise_kPa", [0.0, 0.3])
-def test_ways_up_and_down_are_told_apart_in_noise(noise_kPa: float) -> None:
+def test_ways_up_and_down_are_distinguished_in_noise(noise_kPa: float) -> None:
     kPa = np.concatenate([np.linspace(0, 20, 60), np.linspace(20, 5, 40), np.linspace(5, 20, 40)])
     noisy = kPa + np.random.default_rng(2).normal(0.0, noise_kPa, len(kPa))
     rising = Pairs(noisy, kPa).rising

@@ -207,7 +207,7 @@ def test_reliability_and_brier() -> None:
     assert brier(stated) == pytest.approx((0.03**2 + 0.96**2 + 0.3**2 + 0.5**2) / 5)
 
 
-def test_an_error_on_unseen_data_is_told_in_units_of_noise() -> None:
+def test_an_error_on_unseen_data_is_reported_in_units_of_noise() -> None:
     errors = {"nrmse_before": 0.2, "nrmse_after": 0.011, "noise_floor": 0.01}
     one = outcome("cv_leak", "cv_leak", held_out=errors)
     assert one.said is not None and over_noise(one.said) == pytest.approx(1.1)

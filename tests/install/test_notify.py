@@ -97,7 +97,7 @@ def test_without_a_watchdog_of_ours_it_says_that_it_is_ready_and_no_more(
     assert listener.heard() == ["READY=1"]
 
 
-def test_what_was_not_taken_is_told_again(listener: Listener) -> None:
+def test_what_was_not_taken_is_reported_again(listener: Listener) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as crowd:
         crowd.connect("\0" + listener.address[1:] if listener.address[0] == "@" else listener.address)
         with pytest.raises(BlockingIOError):
@@ -118,7 +118,7 @@ def test_a_manager_that_is_gone_stops_nothing(tmp_path: Path) -> None:
     manager.event(Stop(1.0))
 
 
-def test_the_status_is_told_when_it_changes_and_not_more_than_once_a_second(listener: Listener) -> None:
+def test_the_status_is_reported_when_it_changes_and_not_more_than_once_a_second(listener: Listener) -> None:
     manager = listener.manager()
     snapshot = Core(config.default()).snapshot(0.0)
     for tenth in range(50):

@@ -102,7 +102,7 @@ def test_a_rule_that_never_applies_gets_no_button() -> None:
     assert "Vine reach" not in labels
 
 
-def test_a_profile_that_is_called_like_another_button_can_be_told_from_it() -> None:
+def test_a_profile_that_is_called_like_another_button_can_be_distinguished_from_it() -> None:
     config = changed(("[profiles.reach]", "[profiles.vent]"), ('profile = "reach"', 'profile = "vent"'))
     wanted = {
         action["label"]: asked(config, action) for action in json.loads(actions_text(config))["actions"]

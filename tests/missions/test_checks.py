@@ -79,7 +79,7 @@ def test_not_a_number_is_named() -> None:
     assert errors("px4", (TAKEOFF, 0, 0, 0, NAN), (WP, 0, 0, 0, NAN), (ACTUATOR, 0.5), (WP,), (LAND,)) == []
 
 
-def test_numbers_that_storage_changes_are_told_with_what_they_then_mean() -> None:
+def test_numbers_that_storage_changes_are_reported_with_what_they_then_mean() -> None:
     config = msgspec.structs.replace(
         configuration.default(),
         items=(

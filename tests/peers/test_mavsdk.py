@@ -174,7 +174,7 @@ async def test_values_texts_and_acknowledgements_of_the_vine_come_through_the_au
 
 
 @KINDS
-async def test_a_refused_mission_is_told_by_item_and_what_is_left(
+async def test_a_refused_mission_is_reported_by_item_and_what_is_left(
     kind: AutopilotKind, tmp_path: Path
 ) -> None:
     unknown = {"ardupilot": ("\t217\t2\t-25", "\t31010\t2\t-25"), "px4": ("\t42600\t", "\t31010\t")}[kind]
@@ -195,7 +195,7 @@ async def test_a_refused_mission_is_told_by_item_and_what_is_left(
         assert [line.split()[1] for line in rest[1:]] == ["new"] * 7 + ["old"] * 5
 
 
-async def test_what_storage_changes_is_told(tmp_path: Path) -> None:
+async def test_what_storage_changes_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "rounded.waypoints"
     path.write_text(recorded("ardupilot").read_text().replace("\t217\t1\t40", "\t217\t1.9\t40"))
     assert path.read_text() != recorded("ardupilot").read_text()

@@ -315,7 +315,9 @@ def ticks(folder: Path) -> list[float]:
 
 
 @pytest.mark.parametrize("what", ["the folder", "all folders", "the file"])
-def test_a_folder_that_vanishes_is_told_and_the_log_goes_on_in_another(tmp_path: Path, what: str) -> None:
+def test_a_folder_that_vanishes_is_reported_and_the_log_continues_in_another(
+    tmp_path: Path, what: str
+) -> None:
     flights = tmp_path / "flights"
     recorder = Recorder(flights, BEGAN, t=0.0)
     first = recorder.folder
@@ -339,7 +341,7 @@ def test_a_folder_that_vanishes_is_told_and_the_log_goes_on_in_another(tmp_path:
     assert json.loads((recorder.folder / "about.json").read_text())["firmware"]["boot_id"] == 77
 
 
-def test_a_disk_that_is_read_only_for_a_while_is_told_once_and_leaves_no_litter(
+def test_a_disk_that_is_read_only_for_a_while_is_reported_once_and_leaves_no_litter(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tries = [0]

@@ -218,7 +218,7 @@ async def test_senders_without_the_key_are_refused_and_reported(tmp_path: Path, 
         assert bench.vented()
 
 
-async def test_a_kept_timestamp_of_2040_is_set_right_and_told(tmp_path: Path) -> None:
+async def test_a_kept_timestamp_of_2040_is_set_right_and_reported(tmp_path: Path) -> None:
     autopilot = FakeAutopilot("ardupilot", signing_key=KEY, unix_s=time.time())
     (tmp_path / "vine.signing-timestamp").write_text("078890880000000 191\n255 001 001 078890880000000\n")
     async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:

@@ -55,7 +55,7 @@ async def test_a_switch_bends_the_vine_and_the_ground_station_sees_it(bench: Ben
     assert not bench.phlosar.firmware.faults
 
 
-async def test_what_moves_the_vine_is_sent_before_anybody_is_told(
+async def test_what_moves_the_vine_is_sent_before_any_text(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done: list[str] = []

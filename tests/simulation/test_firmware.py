@@ -334,7 +334,7 @@ def test_invalid_readings_do_not_hide_an_over_pressure(bench: Bench) -> None:
     assert bench.firmware.faults == Fault.CV_OVERPRESSURE
 
 
-def test_a_glitch_ends_nothing_and_is_not_told(bench: Bench) -> None:
+def test_a_glitch_ends_nothing_and_is_not_reported(bench: Bench) -> None:
     bench.cv_kPa = 5.0
     bench.send(bend())
     bench.run(20)

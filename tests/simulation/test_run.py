@@ -206,7 +206,7 @@ def test_a_likely_rig_regulates_all_the_same() -> None:
     assert np.ptp(steps - np.round(steps)) < 1e-6
 
 
-def test_what_the_firmware_latches_is_told() -> None:
+def test_what_the_firmware_latches_is_reported() -> None:
     true = TrueRig(VINE, causes={"cv_sensor_offset": {"offset_kPa": 203.0}})
     run = simulate(true, BendsRun(cycles=1))
     assert run.faults == "cv overpressure"

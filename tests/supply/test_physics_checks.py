@@ -206,7 +206,7 @@ def test_the_sentence_says_where_the_air_went() -> None:
         assert flying.run(6.0, TOP_KPA)[0][1].sentence == sentence
 
 
-def test_an_inflation_valve_stuck_open_is_told_from_a_shut_outlet() -> None:
+def test_an_inflation_valve_stuck_open_is_distinguished_from_a_shut_outlet() -> None:
     sentences: dict[str, str] = {}
     for place, kind in (("evp", StuckAt(1.0)), ("solenoid", StuckAt(0.0))):
         flying = Flying(likely(0.3, 300.0), checks_of(0.3))
@@ -289,7 +289,7 @@ def test_a_check_can_be_set_to_warn_and_is_counted() -> None:
     assert checks.counts == {"vine_zero": 1}
 
 
-def test_a_gap_or_another_boot_begins_anew() -> None:
+def test_a_gap_or_another_boot_starts_again() -> None:
     checks = checks_of()
     blocked = dataclasses.replace(VENTED, cv_kPa=20.0)
     assert [f.name for _, f in stream(checks, lambda _: blocked, 3.0)] == ["venting"]

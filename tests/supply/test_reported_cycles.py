@@ -166,7 +166,7 @@ def test_below_the_floor_0_stays_0_without_an_event() -> None:
     assert len(told.events) == events
 
 
-def test_a_refill_and_a_burst_are_told_once_each() -> None:
+def test_a_refill_and_a_burst_are_reported_once_each() -> None:
     told = Told(Bench(start_kPa=500.0))
     told.rest(6.0)
     told.bend(5)
@@ -254,7 +254,7 @@ def test_a_restart_keeps_what_was_learned_of_this_rig_only() -> None:
     assert learned_from(text, other) == (None, "another rig or changed numbers: air is learned again")
 
 
-def test_a_restart_with_what_was_learned_is_told_once() -> None:
+def test_a_restart_with_what_was_learned_is_reported_once() -> None:
     told = Told(Bench())
     told.rest(6.0)
     told.bend(8)
@@ -269,7 +269,7 @@ def test_a_restart_with_what_was_learned_is_told_once() -> None:
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"rig": 3}', "\0", '{"rig":"x","learned":{}}'])
-def test_a_damaged_file_is_told_and_not_used(text: str) -> None:
+def test_a_damaged_file_is_reported_and_not_used(text: str) -> None:
     learned, problem = learned_from(text, BELIEF)
     assert learned is None
     assert "learned again" in problem

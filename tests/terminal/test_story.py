@@ -55,7 +55,7 @@ def test_a_snapshot_is_what_the_service_had() -> None:
     assert story.snapshot_age_s(2.1) == pytest.approx(2.0)
 
 
-def test_the_past_is_told_once() -> None:
+def test_the_past_is_reported_once() -> None:
     story = Story()
     first, second, third = notice(5.0), decision(6.0), notice(8.0, "Vine: RC lost")
     assert story.take(0.0, hello(7.0, first, second)) == [first, second]

@@ -183,7 +183,7 @@ async def test_on_a_terminal_it_is_live_and_v_twice_vents(bench: Bench) -> None:
             assert await terminal.process.wait() == 0
 
 
-async def test_a_link_that_is_lost_is_told_and_comes_back(bench: Bench) -> None:
+async def test_a_link_that_is_lost_is_reported_and_comes_back(bench: Bench) -> None:
     async with on_terminal(bench) as terminal:
         async with showing(bench):
             await terminal.shows("bend-half")

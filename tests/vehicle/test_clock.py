@@ -173,7 +173,7 @@ def test_a_stall_in_an_autopilots_first_minute_is_no_reboot() -> None:
     assert clock.time_boot_ms(16.0) == pytest.approx(36_000, abs=50)
 
 
-def test_a_time_that_stands_still_is_no_reboot() -> None:
+def test_a_time_that_stops_is_no_reboot() -> None:
     line = Line()
     line.stream(10.0)
     for i in range(600):

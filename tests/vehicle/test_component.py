@@ -439,12 +439,12 @@ def told_of_key(profile: config.Config, target_system: int, times: int = 1) -> l
 
 
 @pytest.mark.parametrize("target_system", [0, 1])
-def test_a_key_for_a_vehicle_without_one_in_its_profile_is_told_once(target_system: int) -> None:
+def test_a_key_for_a_vehicle_without_one_in_its_profile_is_reported_once(target_system: int) -> None:
     told = told_of_key(config.default(), target_system, times=3)
     assert told == ["Vine: SETUP_SIGNING ignored: no key in profile"]
 
 
-def test_a_key_for_another_vehicle_or_beside_our_own_is_not_told() -> None:
+def test_a_key_for_another_vehicle_or_beside_our_own_is_not_reported() -> None:
     assert told_of_key(config.default(), 2) == []
     profile = config.default()
     with_key = msgspec.structs.replace(profile.vehicle, signing_key="key.txt")

@@ -159,7 +159,7 @@ HEARTBEAT = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 3, 3)
 TAKEN = "Vine: component id 191 is taken by another: set vehicle.component_id"
 
 
-def test_a_second_component_with_our_id_is_told_once_a_minute() -> None:
+def test_a_second_component_with_our_id_is_reported_once_a_minute() -> None:
     clash = Clash(191)
     assert clash.heard(10.0) == []
     assert clash.heard(11.0) == [Notice(11.0, Severity.ERROR, TAKEN)]

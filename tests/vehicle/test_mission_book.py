@@ -229,7 +229,7 @@ def test_another_text_tells_nothing() -> None:
     assert autopilot.book.fresh
 
 
-def test_a_total_that_is_told_after_the_reading_is_no_change() -> None:
+def test_a_total_that_is_reported_after_the_reading_is_no_change() -> None:
     autopilot = Autopilot(mission(12))
     autopilot.total = 0
     autopilot.run(1.0)

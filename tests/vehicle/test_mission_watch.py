@@ -473,7 +473,7 @@ def test_a_text_that_comes_after_its_item_was_made_up_for_is_no_second_execution
     assert air.payloads() == [3, 4, 3]
 
 
-def test_without_an_answer_the_kind_is_told_and_the_numbers_are_not() -> None:
+def test_without_an_answer_the_kind_is_reported_and_the_numbers_are_not() -> None:
     air = Air([], given_beforehand=False)
     air.runs(3, "Scripting")
     air.runs(7, "SetHome")
@@ -505,7 +505,7 @@ def test_a_waypoints_name_on_a_payload_items_number_runs_no_payload() -> None:
     assert air.payloads() == []
 
 
-def test_a_name_that_stays_against_the_book_is_told_without_numbers_and_asked_about_once() -> None:
+def test_a_name_that_stays_against_the_book_is_reported_without_numbers_and_asked_about_once() -> None:
     air = having_read(PLAN)
     air.runs(3, "Winch")
     air.wait(0.6)
@@ -895,7 +895,7 @@ def test_an_item_whose_command_came_is_not_carried_out_again(reached_first: bool
     assert air.seqs() == [2, 4]
 
 
-def test_a_winch_is_told_as_reached_long_after_its_command() -> None:
+def test_a_winch_is_reported_as_reached_long_after_its_command() -> None:
     air = Px4Air(*PX4_PLAN)
     air.command(PX4_PLAN[6])
     air.reaches(5, 20.0)
@@ -947,7 +947,7 @@ def test_what_was_reached_before_we_listened_is_history() -> None:
         air.t += 1.0
 
 
-def test_what_was_reached_before_the_mission_was_read_is_not_told_by_its_repeat() -> None:
+def test_what_was_reached_before_the_mission_was_read_is_not_reported_by_its_repeat() -> None:
     air = Px4Air(*PX4_PLAN)
     air.send(identified(len(PX4_PLAN), 78))
     air.command(STRAIGHT)
@@ -972,7 +972,7 @@ def test_a_mission_that_may_be_another_one_lends_no_numbers() -> None:
     assert air.found == []  # and item 4 is unknown
 
 
-def test_how_late_what_was_reached_may_be_is_told_where_frames_were_lost() -> None:
+def test_the_possible_delay_of_a_reached_item_is_given_if_frames_were_lost() -> None:
     air = Px4Air(*PX4_PLAN)
     air.reaches(1, 1.0)
     air.reaches(1)
@@ -983,7 +983,7 @@ def test_how_late_what_was_reached_may_be_is_told_where_frames_were_lost() -> No
     assert air.found[0].age_s == pytest.approx(3.3, abs=0.05)
 
 
-def test_the_number_of_a_repeated_item_is_told_where_it_was_reached_first() -> None:
+def test_the_number_of_a_repeated_item_is_reported_where_it_was_reached_first() -> None:
     again = actuator(6, 0.5)
     air = Px4Air(*PX4_PLAN[:6], again, PX4_PLAN[7])
     air.command(BENT)

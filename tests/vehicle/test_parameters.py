@@ -256,7 +256,9 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("name", "value", "reason"), REFUSED)
-def test_what_is_refused_stays_and_the_sender_is_told_both(name: str, value: float, reason: str) -> None:
+def test_after_a_refusal_the_sender_gets_the_old_value_and_the_reason(
+    name: str, value: float, reason: str
+) -> None:
     bench = Bench()
     answer, texts, changes = bench.set(name, value)
     before = value_of(BY_NAME[name], PROFILE)

@@ -539,7 +539,7 @@ def test_a_receiver_that_px4_does_not_use_is_refused_and_a_ground_station_is_not
         assert len(radio.bends) == bends
 
 
-def test_what_hides_a_loss_is_told_once() -> None:
+def test_what_hides_a_loss_is_reported_once() -> None:
     radio = Radio("ardupilot")
     radio.hear(param_value("RC_OVERRIDE_TIME", 4.0))
     assert radio.told == []

@@ -230,7 +230,7 @@ def test_the_heartbeat_is_nobodys_to_change(interval_us: float, result: int) -> 
     assert told.interval_us == 1_000_000
 
 
-def test_the_interval_of_what_we_never_send_is_told_as_such() -> None:
+def test_the_interval_of_what_we_never_send_is_reported_as_such() -> None:
     result, (told,) = Bench().ask(GET_INTERVAL, 65)
     assert (result, told.message_id, told.interval_us) == (ACCEPTED, 65, 0)
     assert Bench().ask(GET_INTERVAL, 70_000) == (DENIED, [])
@@ -325,7 +325,7 @@ def test_a_question_about_the_clock_of_somebody_else_is_left_alone(
     assert bool(Bench().requests.handle(0.0, received, 1)) is answered
 
 
-def test_the_clock_is_told_once_a_second_however_often_it_is_asked() -> None:
+def test_the_clock_is_reported_once_a_second_however_often_it_is_asked() -> None:
     bench, answered = Bench(), 0
     for _ in range(600):  # PX4 asks ten times a second
         answered += len(bench.take(mavlink.MAVLink_timesync_message(0, 1234), AUTOPILOT) or [])

@@ -98,7 +98,7 @@ def test_a_move_before_it_is_settled_only_starts_the_settling_anew() -> None:
     assert bench.hold(2000, 0.3) == [SwitchReady(2)]
 
 
-def test_a_move_while_lost_is_told_and_does_nothing() -> None:
+def test_a_move_while_lost_is_reported_and_does_nothing() -> None:
     bench = settled(pulse_us=2000)
     bench.switch.lose()
     assert bench.hold(1000, 5.0) == [MovedUnseen(0, 2)]

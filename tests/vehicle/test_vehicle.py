@@ -111,7 +111,7 @@ def test_a_position_without_a_profile_does_nothing() -> None:
     assert [trigger.intent for trigger in link.triggers] == [StartProfile("straight")]
 
 
-def test_a_move_while_the_radio_is_lost_is_only_told() -> None:
+def test_a_move_while_the_radio_is_lost_is_only_reported() -> None:
     link = Link()
     link.run(2.0, 1000)
     link.text("Radio Failsafe")
@@ -132,7 +132,7 @@ def test_silence_of_the_radio_wants_a_fresh_move() -> None:
     assert link.triggers == []
 
 
-def test_two_autopilots_are_told_and_neither_is_served() -> None:
+def test_two_autopilots_are_reported_and_neither_is_served() -> None:
     link = Link()
     link.hear(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3), 1)
     link.wait(0.5)
@@ -262,7 +262,7 @@ def test_two_reboots_of_a_real_autopilot_are_each_seen_once() -> None:
     assert [t for t, _ in moves] == pytest.approx([12.25, 45.3], abs=0.15)
 
 
-def test_another_mission_of_the_same_length_is_told_with_what_was_carried_out() -> None:
+def test_another_mission_of_the_same_length_is_reported_with_what_was_carried_out() -> None:
     link = Link()
     link.run(1.0, 1000)
     read = [mission_item(0, 16), mission_item(1, 22), mission_item(2, 217, 1.0, 11.0)]

@@ -57,7 +57,7 @@ async def test_whoever_comes_later_knows_who_is_there(broker: Broker, people: On
         assert not latecomer.on(f"{BASE}/state"), "states are not kept"
 
 
-async def test_what_happens_while_the_broker_is_away_is_told_in_order_and_once(broker: Broker) -> None:
+async def test_what_happens_while_the_broker_is_away_is_reported_in_order_and_once(broker: Broker) -> None:
     async with Line(broker).laid() as line, flying(broker=line.url, name="heron", kept_events=20) as vehicle:
         async with onlooker(broker) as people:
             vehicle.say("before")
@@ -169,7 +169,7 @@ async def test_a_cancellation_is_not_lost_where_the_library_loses_it() -> None:
     assert done and telling.cancelled()
 
 
-async def test_vehicles_of_a_fleet_are_told_apart(broker: Broker, people: Onlooker) -> None:
+async def test_vehicles_of_a_fleet_are_distinguished(broker: Broker, people: Onlooker) -> None:
     heron = flying(broker=broker.url, name="heron", commands=("vent",))
     egret = flying(broker=broker.url, name="egret", commands=("vent",))
     async with heron as first, egret as second:

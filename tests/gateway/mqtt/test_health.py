@@ -24,7 +24,7 @@ def test_a_broker_that_is_there_is_not_worth_a_word() -> None:
     assert health.lasts(0.3) is health.lasts(60.0) is None
 
 
-def test_a_broker_that_is_away_is_told_once_and_that_it_is_back() -> None:
+def test_a_broker_that_is_away_is_reported_once_and_that_it_is_back() -> None:
     health = Health(0.0, "mqtt://b")
     said = [health.failed(t, AWAY) for t in (0.0, 1.0, 3.0, 7.0, 15.0, 60.0)]
     assert said == [None, None, None, "MQTT: mqtt://b: nothing answers there", None, None]

@@ -91,7 +91,7 @@ def test_a_state_has_the_time_of_its_snapshot_and_null_for_what_is_not_known() -
     )
 
 
-def test_the_reservoir_is_told_less_often() -> None:
+def test_the_reservoir_is_reported_less_often() -> None:
     vehicle = teller()
     topics = []
     for tenth in range(101):
@@ -101,7 +101,7 @@ def test_the_reservoir_is_told_less_often() -> None:
     assert topics.count(TOPICS.reservoir) == 1 + 10 / RESERVOIR_S
 
 
-def test_every_kind_of_event_is_told_with_its_time_and_number() -> None:
+def test_every_kind_of_event_is_reported_with_its_time_and_number() -> None:
     vehicle = teller()
     for thing in (decision(1.0, "limited", "to 60 kPa/s"), notice(2.0)):
         vehicle.take(3.0, happened(thing))
@@ -128,7 +128,7 @@ def test_an_event_has_the_time_of_the_clock_as_it_was_set_since() -> None:
     assert msgspec.json.decode(first.publication.payload)["unix_s"] == UNIX_S - 60.0
 
 
-def test_an_event_is_told_again_until_the_broker_has_it() -> None:
+def test_an_event_is_reported_again_until_the_broker_has_it() -> None:
     events = Events("event", "run", 10)
     events.take(happened(notice(1.0)))
     first = events.first(now(1.0))
@@ -152,7 +152,9 @@ def test_more_than_are_kept_are_lost_and_counted() -> None:
 
 
 @given(st.lists(st.sampled_from(["happens", "told", "told meanwhile"]), max_size=60), st.integers(1, 4))
-def test_whatever_happens_every_event_is_told_once_in_order_or_counted(steps: list[str], most: int) -> None:
+def test_whatever_happens_every_event_is_reported_once_in_order_or_counted(
+    steps: list[str], most: int
+) -> None:
     """`told meanwhile`: events between sending an event and the broker's receipt."""
     events = Events("event", "run", most)
     made, told, lost = 0, [], 0
@@ -199,7 +201,7 @@ def test_what_a_later_service_tells_does_not_end_the_connection() -> None:
     assert (event.text, event.severity, event.number) == ("x", "info", 1)
 
 
-def test_whatever_a_core_makes_can_be_told() -> None:
+def test_whatever_a_core_makes_can_be_reported() -> None:
     vehicle = teller()
     world = SimulatedWorld(configured())
     wanted: tuple[Intent, ...] = (
@@ -229,7 +231,7 @@ def test_whatever_a_core_makes_can_be_told() -> None:
     assert read(reservoir)["reservoir_kPa"] > 100.0
 
 
-def test_home_assistant_is_told_only_where_that_is_wanted() -> None:
+def test_home_assistant_is_informed_only_if_wanted() -> None:
     assert discovery(configured(), TOPICS, "1.2.3") == []
 
 

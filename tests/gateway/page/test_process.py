@@ -181,7 +181,7 @@ def _flood(stack: contextlib.ExitStack, port: int) -> None:
             connection.send(b"GET / HTTP/1.1\r\n")
 
 
-async def test_its_token_is_made_and_not_told_to_logs(tmp_path: Path) -> None:
+async def test_its_token_is_made_and_never_logged(tmp_path: Path) -> None:
     async with serving(tmp_path, host="0.0.0.0") as served, client() as session:
         file = tmp_path / "vine.page-token"
         token = page_token.read(file)

@@ -382,7 +382,7 @@ async def _vents(viewing: object, number: int = 1) -> None:
     assert (answer["id"], answer["safety"]) == (number, "accepted")
 
 
-async def test_a_port_that_is_taken_is_told_and_had_later(session: ClientSession) -> None:
+async def test_a_port_that_is_taken_is_reported_and_had_later(session: ClientSession) -> None:
     bench = Bench(PageConfig(port=free_port()))
     taken = "cannot be opened: Address already in use"
     with socket.create_server(("127.0.0.1", bench.page.port)), pytest.raises(OSError, match=taken):
