@@ -41,7 +41,7 @@ class Flight:
 
     telemetry: NDArray[np.void]
     begins_s: Array
-    """Begin of each manoeuvre, up to the one that fails."""
+    """Start of each manoeuvre, up to the one that fails."""
     cycles: Array
     """Cycles flown before each manoeuvre; a manoeuvre counts by its swing."""
 
@@ -121,7 +121,7 @@ def told(table: NDArray[np.void], began_s: float = 0.0) -> Iterator[tuple[float,
 
 
 def setpoints_of(case: Case, length_s: float) -> tuple[list[float], list[SetpointChange]]:
-    """The begin of each manoeuvre, and the setpoint that the host sends every 20 ms."""
+    """The start of each manoeuvre, and the setpoint that the host sends every 20 ms."""
     begins: list[float] = []
     setpoints: list[SetpointChange] = []
     tick, last = round(case.waits_s / HOST_TICK_S), math.floor(length_s / HOST_TICK_S)

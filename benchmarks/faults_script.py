@@ -275,7 +275,7 @@ def _bends(act: Act) -> bool:
 
 
 def _when(random: Random, bends_s: list[float], lasts_s: float) -> float:
-    """The begin of a fault, mostly while the vine moves."""
+    """The start of a fault, mostly while the vine moves."""
     if bends_s and random.random() < 0.8:
         return min(lasts_s - 1.0, random.choice(bends_s) + random.uniform(0.1, 1.2))
     return random.uniform(2.0, lasts_s - 1.0)

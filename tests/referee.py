@@ -75,7 +75,7 @@ class _Trigger(NamedTuple):
     from_s: float
     what: str
     latest_s: float = math.inf
-    """Latest begin, whatever delays the trigger."""
+    """Latest start, whatever delays the trigger."""
 
 
 class _Target(NamedTuple):
@@ -98,7 +98,7 @@ class Referee:
         """Longest time with the inflation valve commanded open while the vine was above the firmware's
         limit."""
         self.begins: list[tuple[float, str]] = []
-        """Each begin of a motion, and the trigger that explains it."""
+        """Each start of a motion, and the trigger that explains it."""
         self._rules = rules
         self._codec = Codec()
         self._triggers: list[_Trigger] = []

@@ -41,7 +41,7 @@ _THROUGH_A_REGISTER = {
 _LAST = "_reboot_Teensyduino_"
 """Starts the bootloader and never returns, so its stack does not matter."""
 _ONCE = ("usb_rx_memory", "usb_free")
-"""The first calls the second, and this calls the first once more: it clears the condition before that."""
+"""The first calls the second, which may call the first: only once, because the first clears the condition."""
 
 _FUNCTION = re.compile(r"^([0-9a-f]{8}) <(.+)>:$")
 _INSTRUCTION = re.compile(r"^\s*([0-9a-f]+):\t(\S+)(?:\t(.*))?$")

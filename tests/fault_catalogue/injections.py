@@ -1,4 +1,4 @@
-"""The begin and the end of each fault of the catalogue, in simulated time."""
+"""The start and the end of each fault of the catalogue, in simulated time."""
 
 from __future__ import annotations
 

@@ -545,7 +545,7 @@ def test_two_reboots_as_recorded() -> None:
 
 
 def gaps(heard: list[Heard], longer_than_s: float) -> list[tuple[float, float]]:
-    """The begin and length of silences."""
+    """The start and length of silences."""
     return [(a, b - a) for (a, _), (b, _) in pairwise(heard) if b - a > longer_than_s]
 
 

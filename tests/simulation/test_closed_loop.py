@@ -116,7 +116,7 @@ def test_the_table_tells_what_is_wanted_and_held() -> None:
     assert np.isnan(table["target_kPa"][:2]).all()
     assert np.isnan(table["setpoint_kPa"][90:110]).all()
     assert (table["solenoid"][90:110] == 1.0).all()
-    # Rising from 0 at 60 kPa/s: 10 ms after the begin.
+    # Rising from 0 at 60 kPa/s: 10 ms after the start.
     assert table["setpoint_kPa"][3] == pytest.approx(0.66, abs=0.07)
     assert table["setpoint_kPa"][45] == 12.0
     assert table["cv_kPa"][45] == pytest.approx(12.0, abs=0.5)

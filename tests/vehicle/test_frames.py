@@ -1,4 +1,4 @@
-"""The begin and end of frames: in noise, after lost bytes, and with a wrong length."""
+"""The start and end of frames: in noise, after lost bytes, and with a wrong length."""
 
 from __future__ import annotations
 

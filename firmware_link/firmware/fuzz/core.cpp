@@ -296,7 +296,8 @@ void send_setting(Input& input, Board& board) {
     send(board, payload, sizeof payload);
 }
 
-// Up to half of the clock's range. After a longer pause the clock would seem to go back; a watchdog prevents it.
+// Up to half of the clock's range. After a longer pause the clock would seem to go back; the watchdog resets the
+// board before that.
 uint32_t pause_us(Input& input) {
     const uint8_t kind = input.u8();
     if (kind < 0xC0) return 1000;

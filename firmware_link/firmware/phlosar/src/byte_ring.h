@@ -10,7 +10,7 @@ namespace phlosar {
 template <size_t kSize>
 class ByteRing {
 public:
-    // At least so many bytes can be put.
+    // Bytes that can be put now. There may be room for more.
     size_t room() const { return kSize - 1 - used(begin_, end_); }
 
     // The caller checks `room` first.

@@ -148,7 +148,7 @@ private:
     uint32_t now_us_ = 0;
     uint32_t telemetry_us_ = 0;
     uint32_t time_ms_ = 0;
-    // Begin of the present millisecond.
+    // Start of the present millisecond.
     uint32_t millisecond_us_ = 0;
 };
 

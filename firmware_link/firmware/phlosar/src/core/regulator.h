@@ -54,7 +54,7 @@ struct Tuning {
     // The Venturi starts only above the first error and stops below the second.
     Real active_error_kPa = Real(3.0);
     Real passive_error_kPa = Real(1.0);
-    // Minimum time of venting without the Venturi before it may start.
+    // Minimum time of venting without the Venturi before the Venturi may start.
     Real passive_first_s = Real(0.03);
     // The Venturi starts if venting without it would take longer than this to reach a constant setpoint.
     Real arrival_s = Real(0.3);
