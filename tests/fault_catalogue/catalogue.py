@@ -228,7 +228,7 @@ COMPANION = (
     Row(
         "companion_stutters",
         "companion stalled for 0.2 s",
-        "not: a setpoint lives for 0.25 s",
+        "nothing: a setpoint lives for 0.25 s",
         "",
         Cleared.AT_ONCE,
         safe_state="continues",
@@ -268,7 +268,7 @@ FILES = (
     Row(
         "profile_changed",
         "profile changed or deleted during a run",
-        "not: it is read once, at the start",
+        "nothing: it is read once, at the start",
         "",
         Cleared.AT_ONCE,
         safe_state="continues with the old profile",
@@ -313,7 +313,7 @@ FILES = (
     Row(
         "disk_hangs",
         "disk hangs for seconds",
-        "not; at 32 MB of waiting data the log ends",
+        "nothing; at 32 MB of waiting data the log ends",
         "",
         Cleared.AT_ONCE,
         safe_state="continues; the log catches up",
@@ -331,7 +331,7 @@ FILES = (
     Row(
         "terminal_frozen",
         "the terminal freezes (ssh without network, Ctrl-S)",
-        "not: output is dropped",
+        "nothing: output is dropped",
         "",
         Cleared.AT_ONCE,
         safe_state="continues",
@@ -360,7 +360,7 @@ FILES = (
     Row(
         "clock_jumps",
         "the companion's clock jumps by hours",
-        "not: all times are monotonic; signing ignores a jump of years",
+        "nothing: all times are monotonic; signing ignores a jump of years",
         "",
         Cleared.AT_ONCE,
         safe_state="continues",
@@ -647,7 +647,7 @@ SENSORS = (
     Row(
         "vine_sensor_glitches",
         "vine sensor: one wrong reading ten times a second",
-        "not: a fault needs 3 readings in a row",
+        "nothing: a fault needs 3 readings in a row",
         "",
         Cleared.AT_ONCE,
         safe_state="continues below its setpoint: each one opens a valve for 1 ms",
