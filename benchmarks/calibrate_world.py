@@ -123,7 +123,7 @@ class CompiledWorld:
 
     def _snapshot(self) -> Snapshot:
         return Snapshot(
-            t=self.now, vehicle="none heard", mode="", armed=False, altitude_m=math.nan, rc="none",
+            t=self.now, vehicle="not found", mode="", armed=False, altitude_m=math.nan, rc="none",
             switch_position=None, actuator="phloSAR", firmware="ready", round_trip_s=None,
             telemetry_gaps=0, reservoir_kPa=self._reservoir_kPa, cv_kPa=self._cv_kPa, command_kPa=0.0,
             bend_deg=0.0, evp_opening=0.0, dvp_opening=0.0, solenoid=None, cycles=None,

@@ -117,7 +117,7 @@ class PaperWorld(_Stage):
         super().__init__(plan, person)
         self.bent = False
         self.snapshot = Snapshot(
-            t=0.0, vehicle="none heard", mode="", armed=False, altitude_m=math.nan, rc="none",
+            t=0.0, vehicle="not found", mode="", armed=False, altitude_m=math.nan, rc="none",
             switch_position=None, actuator="phloSAR", firmware="ready", round_trip_s=None,
             telemetry_gaps=0, reservoir_kPa=reservoir_kPa, cv_kPa=0.0, command_kPa=0.0, bend_deg=0.0,
             evp_opening=0.0, dvp_opening=0.0, solenoid=True, cycles=None, doing="vented",

@@ -82,7 +82,7 @@ def test_rc_that_goes_off_vents_and_is_not_said_to_be_back(how: str) -> None:
     flight.autopilot.lose_rc(how)  # type: ignore[arg-type]
     told = notices(run_for(flight, 3.0))
     assert any("RC lost" in text for text in told)
-    assert "Vine: going on without RC" in told
+    assert "Vine: RC is off and not in use" in told
     assert not any("RC is back" in text for text in told)
     assert vented(flight)
     assert ask(flight, BendTo(30.0)).safety == "accepted", "who has no RC on the bench may bend by the page"

@@ -314,8 +314,8 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (radio.HIDES_LOSS, of_switch(hides_loss="FS_THR_ENABLE 0")),
     (radio.BENDS_LATE, of_switch(bends_late=True)),
     (radio.UNSETTLED, of_switch(position=None)),
-    (radio.STANDS, of_switch()),
-    (radio.STANDS_BENT, of_switch(position=2, pulse_us=2000, seen=frozenset({2}))),
+    (radio.NOT_MOVED, of_switch()),
+    (radio.AT_BEND, of_switch(position=2, pulse_us=2000, seen=frozenset({2}))),
     (radio.ALL_SEEN, of_switch(seen=frozenset({0, 1, 2}))),
     (radio.SOME_SEEN, of_switch(asked=True, seen=frozenset({0, 2}))),
     (radio.NEVER_MOVED, of_switch(asked=True)),
@@ -351,7 +351,7 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (receiver.HELD, of_receiver()),
     (receiver.HARMLESS, of_receiver(losses=(replace(HELD_BENT, lost_us=1000),))),
     (receiver.BENDS_UNSEEN, of_receiver(losses=(PRESET, PRESET))),
-    (receiver.BENDS_TOLD, of_receiver(autopilot="ardupilot", losses=(later(PRESET, 0.3),))),
+    (receiver.BENDS_REPORTED, of_receiver(autopilot="ardupilot", losses=(later(PRESET, 0.3),))),
     (receiver.BENDS, of_receiver(losses=(later(PRESET, 1.9),))),
     (receiver.UNCLEAR, of_receiver(losses=(HELD_BENT, replace(PRESET, lost_us=1500)))),
 ]
@@ -435,7 +435,7 @@ def test_only_what_is_bad_keeps_one_on_the_ground() -> None:
 def test_a_slow_stream_is_reported_with_what_to_set() -> None:
     (slow,) = [f for f in of_stream("GLOBAL_POSITION_INT", 2.0) if f.verdict != "good"]
     assert slow.check == "GLOBAL_POSITION_INT"
-    assert "2.0 a second of 5" in slow.what
+    assert "2.0 a second, not 5" in slow.what
     assert "SRn_POSITION = 5" in slow.do
     (missing,) = [f for f in of_stream("RC_CHANNELS", 0.0, kind="px4") if f.verdict != "good"]
     assert "mavlink stream -d DEVICE -s RC_CHANNELS -r 20" in missing.do

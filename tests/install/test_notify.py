@@ -179,4 +179,4 @@ def test_the_command_says_that_it_is_ready_alive_and_stopping(tmp_path: Path) ->
     listener.socket.close()
     assert service.returncode == 0
     assert said[0] == "READY=1"
-    assert any(line.startswith("STATUS=vehicle none heard") for line in said)
+    assert any(line.startswith("STATUS=vehicle not found") for line in said)

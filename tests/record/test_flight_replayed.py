@@ -27,7 +27,7 @@ from flying_vines.record.topics import NUMBERS, TOPICS, topic_of
 from flying_vines.simulation.replay import replay_flight
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.supply import Features, ReservoirEstimate
-from flying_vines.supply.known_rig import load_calibration
+from flying_vines.supply.known_rig import load_known_rig
 from flying_vines.vine.intent import BendTo
 
 
@@ -71,7 +71,7 @@ def test_all_that_the_core_began_with_counts(
 ) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text(true_rig_text(TrueRig(Rig(), {"cv_leak": {"flow_resistance_kPa_s_per_SL": 8000.0}})))
-    belief = load_calibration(rig, CONFIG.pneumatics).belief
+    belief = load_known_rig(rig, CONFIG.pneumatics).belief
     stored = StoredState({"VINE_RATE_HZ": 5.0}, **kept)
     began = replace(BEGAN, pneumatics=belief.pneumatics, rig=rig.read_text(), stored=stored)
     flight = new_flight()

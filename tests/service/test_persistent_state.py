@@ -214,7 +214,7 @@ async def test_senders_without_the_key_are_refused_and_reported(tmp_path: Path, 
     autopilot = FakeAutopilot("ardupilot", signing_key=theirs, unix_s=time.time())
     async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
         await until(lambda: any("refused messages" in text for text in served.texts), "it is said")
-        assert served.service.core.snapshot(0.0).vehicle == "none heard"
+        assert served.service.core.snapshot(0.0).vehicle == "not found"
         assert bench.vented()
 
 

@@ -141,7 +141,7 @@ async def test_a_task_that_fails_behind_the_flight_is_reported_and_starts_again(
     monkeypatch.setattr("flying_vines.service.service.RESTART_S", 0.1)
     written = asyncio.Event()
     service._store("whatever", raising)
-    await until(lambda: "Vine: keeping files failed, flight goes on" in serving.texts(), "told")
+    await until(lambda: "Vine: file storage failed, flight goes on" in serving.texts(), "told")
     await asyncio.sleep(0.2)
     service._store("whatever", written.set)
     await until(written.is_set, "kept by the task that began anew")

@@ -520,5 +520,5 @@ def test_an_autopilot_with_our_key_serves_us_before_and_after_it_reboots(kind: K
 @pytest.mark.parametrize("kind", ["ardupilot", "px4"])
 def test_an_autopilot_with_another_key_is_not_served(kind: Kind) -> None:
     seen, refused = signed_flight(kind, b"another key of thirty-two bytes.")
-    assert seen.vehicle == "none heard"
+    assert seen.vehicle == "not found"
     assert refused.forged > 5

@@ -33,7 +33,7 @@ async def ask(viewing: ClientWebSocketResponse, command: str, **what: Any) -> tu
 async def ready(viewing: ClientWebSocketResponse) -> None:
     while True:
         now = (await heard(viewing, "snapshot"))["snapshot"]
-        if now["firmware"] == "ready" and now["vehicle"] != "none heard":
+        if now["firmware"] == "ready" and now["vehicle"] != "not found":
             return
 
 
