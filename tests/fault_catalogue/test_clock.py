@@ -54,7 +54,7 @@ async def served(tmp_path: Path) -> AsyncIterator[Served]:
 
 
 async def stays_bent(served: Served, jumps: Callable[[str], object], jump: str) -> bool:
-    """True if the vine bends and stays bent while the clock jumps and returns. Afterwards it is straight again."""
+    """True if the vine bends and stays bent while the clock jumps and returns. Then it is straight again."""
     served.bend_full()
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(BENDS_WITHIN_S):
