@@ -100,7 +100,7 @@ def test_files_that_cannot_be_read_give_a_sentence(tmp_path: Path) -> None:
         ("just words\n", 1),
     ],
 )
-def test_what_is_not_toml(text: str, line: int) -> None:
+def test_a_file_that_is_not_toml(text: str, line: int) -> None:
     found_line, _, said = mistake(text)
     assert found_line == line
     assert ": not TOML: " in said

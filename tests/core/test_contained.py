@@ -159,7 +159,7 @@ def test_the_vent_does_not_need_what_failed(method: Method, after_s: float) -> N
     ("method", "told"),
     [((ReservoirEstimate, "cycles_left"), "cycles left"), ((Core, "_named_values"), "named values")],
 )
-def test_what_is_only_shown_is_switched_off_and_the_flight_continues(method: Method, told: str) -> None:
+def test_a_failing_display_is_switched_off_and_the_flight_continues(method: Method, told: str) -> None:
     broken = Broken(method, 0.0)
     with breakable(method, broken.raises, broken.raised):
         broken.flight.autopilot.set_rc(9, HIGH)

@@ -598,7 +598,7 @@ def test_a_missing_stream_is_named() -> None:
     assert any("does not send" in text and "GLOBAL_POSITION_INT" in text for text in texts)
 
 
-def test_what_was_learned_of_the_air_goes_into_the_next_run_of_the_same_rig() -> None:
+def test_the_learned_air_is_used_in_the_next_run_of_the_same_rig() -> None:
     flight = airborne()
     kept: list[KeepLearned] = []
     for _ in range(6):

@@ -73,7 +73,7 @@ def on_the_bench() -> SimulatedFlight:
 
 
 @pytest.mark.parametrize("by", ["page", "broker"])
-def test_what_is_late_is_refused_and_its_age_is_reported(by: Asker) -> None:
+def test_a_late_request_is_refused_and_its_age_is_reported(by: Asker) -> None:
     flight = on_the_bench()
     late = ask(flight, by, BendTo(30.0), age_s=9.04)
     assert (late.safety, late.reason) == ("refused", "too late: requested 9.0 s ago")
@@ -100,7 +100,7 @@ def test_of_two_reasons_the_age_is_reported() -> None:
 
 
 @pytest.mark.parametrize("age_s", [0.0, 0.95, -3.0, None])
-def test_what_is_young_is_done(age_s: float | None) -> None:
+def test_a_recent_request_is_executed(age_s: float | None) -> None:
     assert ask(on_the_bench(), "page", BendTo(30.0), age_s=age_s).safety == "accepted"
 
 

@@ -141,13 +141,13 @@ def decide(flight: SimulatedFlight, intent: Intent, age_s: float, kind: str = "c
 
 
 @pytest.mark.parametrize(("intent", "verdict"), LATE)
-def test_what_comes_late_only_lets_air_out(intent: Intent, verdict: str) -> None:
+def test_late_requests_may_only_let_air_out(intent: Intent, verdict: str) -> None:
     decision = decide(flying(2.0), intent, 1.1)
     assert decision.safety == verdict
     assert decision.reason == ("came 1.1 s late" if verdict == "refused" else "")
 
 
-def test_what_was_asked_for_before_something_newer_is_not_carried_out() -> None:
+def test_a_request_older_than_the_latest_is_not_executed() -> None:
     flight = flying(4.0)
     assert decide(flight, BendTo(10.0), 0.0).safety == "accepted"
     flight.run(flight.world.now + 0.2)

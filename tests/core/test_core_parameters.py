@@ -61,7 +61,7 @@ def test_a_slower_rate_is_in_force_for_the_next_bend_and_is_kept() -> None:
     assert kept.values == {"VINE_MAX_RATE": 5.0}
 
 
-def test_what_steers_the_vine_is_not_changed_while_it_is_bent() -> None:
+def test_settings_of_the_vine_do_not_change_while_it_is_bent() -> None:
     field = Field()
     field.bend(30.0)
     assert field.set("VINE_MAX_RATE", 5.0) == 60.0
@@ -103,7 +103,7 @@ def test_another_switch_channel_waits_for_a_fresh_move() -> None:
     assert (decision.what["channel"], decision.intent) == (7, "bend-half")
 
 
-def test_what_was_kept_is_in_force_from_the_start() -> None:
+def test_saved_parameters_are_active_from_the_start() -> None:
     from flying_vines.core.core import Core
 
     core = Core(config.default(), stored=StoredState({"VINE_MAX_KPA": 10.0, "VINE_RC_ACTION": 1.0}))

@@ -376,7 +376,7 @@ def test_the_referee_sees_who_cheats(cheat: Cheat) -> None:
 @pytest.mark.parametrize(
     "cheat", {cheat.flown: cheat for cheat in CHEATS}.values(), ids=lambda c: c.flown.__name__
 )
-def test_who_does_not_cheat_has_no_foul(cheat: Cheat) -> None:
+def test_the_real_core_has_no_foul(cheat: Cheat) -> None:
     flight = RefereedFlight(cheat.setup, board=Firmware())
     cheat.flown(flight)
     assert flight.fouls == []

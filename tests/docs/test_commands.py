@@ -143,7 +143,7 @@ def done() -> set[str]:
 
 @pytest.mark.long
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_what_a_page_says_can_be_done(page: Path, tmp_path: Path, done: set[str]) -> None:
+def test_the_commands_of_a_page_work(page: Path, tmp_path: Path, done: set[str]) -> None:
     wrong = []
     kind = "px4" if "--autopilot px4" in page.read_text(encoding="utf-8") else "ardupilot"
     with Stage(tmp_path, maker, kind) as stage:
@@ -203,7 +203,7 @@ replay a.tlog` is a command, `flying-vines link` and `run --rig` name some, `lin
 """
 
 
-def test_what_is_replaced_is_still_on_a_page() -> None:
+def test_every_replaced_command_is_still_on_a_page() -> None:
     texts = [command.text for page in PAGES for command in said(page)]
     assert [pattern for pattern in MEANT if not any(re.search(pattern, text) for text in texts)] == []
     assert STATUS.keys() <= set(texts)

@@ -158,7 +158,7 @@ def test_of_a_healthy_pair_one_may_fly(seen: dict[str, Examined], world: str) ->
         ("latched fault", "phloSAR", "latched: watchdog reset"),
     ],
 )
-def test_what_is_wrong_is_said_and_nothing_else(
+def test_each_fault_gives_its_finding_and_no_other(
     seen: dict[str, Examined], world: str, check: str, says: str
 ) -> None:
     assert seen[world].bad == {check}
@@ -167,7 +167,7 @@ def test_what_is_wrong_is_said_and_nothing_else(
     assert finding.do
 
 
-def test_what_hangs_on_something_missing_is_skipped(seen: dict[str, Examined]) -> None:
+def test_checks_that_depend_on_something_missing_are_skipped(seen: dict[str, Examined]) -> None:
     assert seen["no firmware"].of("phloSAR").verdict == "skipped"
     for check in ("RC switch", "mission"):
         assert seen["no vehicle"].of(check).verdict == "skipped"
@@ -197,7 +197,7 @@ def test_an_autopilot_that_signs_is_distinguished(seen: dict[str, Examined]) -> 
     assert without.bad >= {"SYS_STATUS", "GLOBAL_POSITION_INT", "RC_CHANNELS"}, "it does not hear us"
 
 
-def test_what_was_signed_with_is_not_used_again(seen: dict[str, Examined], folder: Path) -> None:
+def test_used_signing_timestamps_are_not_used_again(seen: dict[str, Examined], folder: Path) -> None:
     kept = folder / "signed" / "signed.signing-timestamp"
     assert int(kept.read_text().split()[0]) > (time.time() - 60.0 - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S
 

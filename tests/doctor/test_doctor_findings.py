@@ -386,7 +386,7 @@ def test_no_line_is_without_a_case() -> None:
     assert untold == []
 
 
-def test_whoever_warns_says_what_to_do() -> None:
+def test_every_warning_says_what_to_do() -> None:
     for line in every_line():
         assert bool(line.do) == (line.verdict in ("warning", "bad")), line
 
@@ -490,5 +490,5 @@ def test_on_ardupilot_nothing_waits_for_a_preset_that_is_reported_late() -> None
         (replace(LEARNED, losses=(), hidden_by="FS_THR_ENABLE 0"), None),
     ],
 )
-def test_what_goes_into_the_profile(learned: RadioLearned, written: int | str | None) -> None:
+def test_the_result_for_the_profile(learned: RadioLearned, written: int | str | None) -> None:
     assert receiver.to_write(learned, CONFIG) == written

@@ -112,7 +112,7 @@ def test_who_holds_a_terminal_is_found(terminal: str, tmp_path: Path) -> None:
     assert facts.may_open
 
 
-def test_who_plays_the_device_does_not_hold_it() -> None:
+def test_a_program_in_place_of_the_device_does_not_hold_the_port() -> None:
     with another(PLAY_A_TERMINAL) as (_, terminal):
         assert processes.holders(terminal) == ()
         with another(HOLD_A_TERMINAL, terminal) as (pid, _):

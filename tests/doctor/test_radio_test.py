@@ -220,7 +220,7 @@ def test_channels_that_stop_are_a_sign_by_when_the_service_knows_it() -> None:
     assert loss.shown_after_s == pytest.approx(CONFIG.losses.rc_s, abs=0.1)
 
 
-def test_who_presses_enter_late_or_not_at_all_is_not_timed() -> None:
+def test_a_late_or_missing_enter_is_not_timed() -> None:
     person = Person()
     person.wait(3.0)
     person.switch_us = 2000
@@ -319,5 +319,5 @@ def test_a_transmitter_that_is_not_switched_on_again_ends_it() -> None:
         ((TransmitterLoss(True, 1000, 1000, (), ()),), "unknown"),
     ],
 )
-def test_what_the_channel_reads_when_lost(losses: tuple[TransmitterLoss, ...], failsafe: int | str) -> None:
+def test_the_channel_during_a_loss(losses: tuple[TransmitterLoss, ...], failsafe: int | str) -> None:
     assert failsafe_of(losses) == failsafe

@@ -121,7 +121,7 @@ VEHICLE = (
         "mission changed",
         Cleared.AT_ONCE,
         safe_state="the stored angle is executed",
-        proof="test_what_is_stored_is_executed_when_the_mission_begins",
+        proof="test_a_mission_is_executed_as_stored_at_its_start",
     ),
     Row(
         "item_late",
@@ -259,7 +259,7 @@ COMPANION = (
         "failed, flight goes on",
         Cleared.AT_ONCE,
         safe_state="continues",
-        proof="test_what_is_only_shown_is_switched_off_and_the_flight_continues",
+        proof="test_a_failing_display_is_switched_off_and_the_flight_continues",
     ),
 )
 

@@ -233,7 +233,7 @@ OTHERS = [((1.0, 11.0), (1.0, 44.0)), ((1.0, 44.0), (1.0, 11.0)), ((5.0, 0.0), (
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("waits_s", [0.2, 3.0, 10.0])
 @pytest.mark.parametrize(("before", "after"), OTHERS)
-def test_what_is_stored_is_executed_when_the_mission_begins(
+def test_a_mission_is_executed_as_stored_at_its_start(
     kind: AutopilotKind, waits_s: float, before: tuple[float, float], after: tuple[float, float]
 ) -> None:
     stored = mission(kind, before, before, delay_s=0.0)
@@ -247,7 +247,7 @@ def test_what_is_stored_is_executed_when_the_mission_begins(
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("sooner_s", [0.15, 0.5, 1.5])
-def test_what_is_stored_is_executed_when_it_was_replaced_on_the_way(
+def test_a_mission_that_was_replaced_in_flight_is_executed_as_stored(
     kind: AutopilotKind, sooner_s: float
 ) -> None:
     stored = mission(kind, (1.0, 11.0), (1.0, 11.0), delay_s=4.0)
@@ -462,7 +462,7 @@ class CountsFromEachLoss(Core):
         (TakesOverridesForThePilot, test_an_override_that_ends_is_no_move),
         (
             TrustsItsBook,
-            partial(test_what_is_stored_is_executed_when_the_mission_begins, "ardupilot", 0.2, *OTHERS[0]),
+            partial(test_a_mission_is_executed_as_stored_at_its_start, "ardupilot", 0.2, *OTHERS[0]),
         ),
         (
             IsNeverTooLate,

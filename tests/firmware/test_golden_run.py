@@ -130,6 +130,6 @@ def test_a_difference_is_found_and_named() -> None:
     assert difference(part, changed[:17]) == f"inflation: 17 steps, in the golden run {len(part.done)}"
 
 
-def test_what_is_written_is_read(tmp_path: Path) -> None:
+def test_a_written_run_is_read_back(tmp_path: Path) -> None:
     write(tmp_path / "copy", PARTS)
     assert read(tmp_path / "copy") == PARTS

@@ -125,7 +125,7 @@ def test_nothing_runs_while_a_conversion_is_awaited(images: Path, board: str) ->
 
 
 @pytest.mark.parametrize("board", ["teensy40", "teensy41"])
-def test_what_runs_before_the_memory_is_there_stays_in_flash(images: Path, board: str) -> None:
+def test_code_that_runs_before_the_ram_is_set_up_is_in_flash(images: Path, board: str) -> None:
     address, instructions = function(images, board, "startup_early_hook")
     assert address > FLASH_ON_A_TEENSY_4
     assert re.search(r"\tblx?\t", instructions) is None
@@ -161,7 +161,7 @@ UNBOUNDED = {
 
 
 @pytest.mark.parametrize("said", UNBOUNDED)
-def test_what_has_no_bound_is_refused(tmp_path: Path, stack: ModuleType, said: str) -> None:
+def test_code_without_a_stack_bound_is_refused(tmp_path: Path, stack: ModuleType, said: str) -> None:
     need("arm-none-eabi-gcc", ARM_TOOLS)
     (tmp_path / "program.c").write_text(UNBOUNDED[said])
     elf = tmp_path / "program.elf"
@@ -186,7 +186,7 @@ def test_a_chain_of_calls_is_added_up(tmp_path: Path, stack: ModuleType) -> None
     assert chain.names == ("main", "f", "g")
 
 
-def test_an_image_that_is_none_is_one_line(tmp_path: Path) -> None:
+def test_an_invalid_image_gives_one_line(tmp_path: Path) -> None:
     need("arm-none-eabi-objdump", ARM_TOOLS)
     (tmp_path / "none.elf").write_text("nothing")
     done = subprocess.run([sys.executable, STACK_TOOL, tmp_path / "none.elf"], capture_output=True, text=True)

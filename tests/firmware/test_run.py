@@ -172,7 +172,7 @@ def test_it_regulates(running: Running) -> None:
     assert running.board.light
 
 
-def test_what_is_set_is_stored_once_and_not_while_regulating(running: Running) -> None:
+def test_a_setting_is_stored_once_and_not_while_regulating(running: Running) -> None:
     board = running.board
     running.greet()
     running.run(20)
@@ -380,7 +380,7 @@ def test_the_valves_are_safe_while_the_bootloader_is_awaited(running: Running) -
     assert running.outputs == (0, 0, 1)
 
 
-def test_what_no_host_takes_is_lost_frame_by_frame(running: Running) -> None:
+def test_output_that_no_host_reads_is_lost_in_whole_frames(running: Running) -> None:
     """A port that takes 7 bytes now and then gets no partial and no mixed frame."""
     running.room = 7
     received = running.run(3000)
@@ -447,12 +447,12 @@ def test_a_mistake_is_found(what: str, tmp_path: Path) -> None:
     made = build(tmp_path, 2, with_mistake(SOURCE, MISTAKES[what], tmp_path / "src"))
     tests = (
         test_a_step_each_millisecond_and_telemetry_in_between,
-        test_what_is_set_is_stored_once_and_not_while_regulating,
+        test_a_setting_is_stored_once_and_not_while_regulating,
         test_a_setpoint_waits_until_the_settings_are_stored,
         test_nothing_is_stored_on_a_failing_supply,
         test_late_steps_do_not_feed_the_watchdog,
         lambda running: test_an_overloaded_board_starves_the_watchdog(running, 1100),
-        test_what_no_host_takes_is_lost_frame_by_frame,
+        test_output_that_no_host_reads_is_lost_in_whole_frames,
         lambda _: test_settings_are_kept_over_many_power_cycles(made, tmp_path),
         lambda _: test_a_power_cut_while_storing_keeps_the_older_settings(made, tmp_path, 84),
         lambda _: test_no_two_copies_have_bytes_in_one_sector(made, tmp_path),

@@ -151,7 +151,7 @@ def test_each_time_is_new_once_however_often_and_in_what_order_it_comes(
 
 
 @given(st.lists(st.tuples(millis, st.floats(0.0, 0.05)), max_size=200))
-def test_whatever_the_board_says_age_is_a_number_and_only_what_is_new_lowers_it(
+def test_the_age_is_always_a_number_and_only_new_telemetry_lowers_it(
     said: list[tuple[int, float]],
 ) -> None:
     session = ready()

@@ -119,7 +119,7 @@ def test_every_frame_is_seen_good_or_not() -> None:
 
 
 @given(st.lists(st.binary(max_size=80)))
-def test_whatever_comes_is_survived(pieces: list[bytes]) -> None:
+def test_any_bytes_are_survived(pieces: list[bytes]) -> None:
     monitor = Monitor()
     monitor.opened(0.0)
     for at, data in enumerate(pieces):

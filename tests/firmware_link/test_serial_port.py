@@ -180,9 +180,7 @@ async def test_a_burst_beyond_all_measure_keeps_the_newest(link: Path, terminal:
         assert (await terminal.read(kept)).endswith(b"newest")
 
 
-async def test_what_was_still_to_be_sent_when_the_port_went_is_counted(
-    link: Path, terminal: Terminal
-) -> None:
+async def test_unsent_data_of_a_lost_port_is_counted(link: Path, terminal: Terminal) -> None:
     async with opened(link) as (port, watch):
         for _ in range(100):
             port.write(b"x" * 1024)
@@ -243,7 +241,7 @@ async def test_another_device_on_the_port_is_called_one(
         assert "this is another device" in watch.states[1][1]
 
 
-async def test_half_a_frame_of_whoever_was_here_before_costs_no_greeting(
+async def test_half_a_frame_of_an_earlier_program_does_not_damage_the_greeting(
     link: Path, terminal: Terminal
 ) -> None:
     watch = Watch()
@@ -286,7 +284,7 @@ async def test_no_permission_says_what_to_do(
     assert "dialout" in watch.states[0][1]
 
 
-async def test_what_is_no_serial_port_says_so(tmp_path: Path) -> None:
+async def test_a_path_that_is_not_a_serial_port_gives_a_sentence(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"")
     watch = Watch()

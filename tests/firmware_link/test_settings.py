@@ -59,7 +59,7 @@ def test_all_are_read_in_order() -> None:
     assert talk.settings[0].value == 30.0
 
 
-def test_what_is_lost_is_asked_again() -> None:
+def test_a_lost_request_is_repeated() -> None:
     whole, holey = Board().talk(), Board().talk({"cv_limit_kPa": 25.0}, lose_every=3)
     assert holey.done
     assert holey.settings[0].value == 25.0
@@ -86,7 +86,9 @@ def test_changes_are_made_and_kept() -> None:
         ({"cv_limit_kPa": 25.0, "dead_man_ms": 900.0}, "dead_man_ms is from"),
     ],
 )
-def test_what_cannot_be_is_reported_before_anything_is_changed(changes: dict[str, float], says: str) -> None:
+def test_an_impossible_change_is_reported_before_anything_is_changed(
+    changes: dict[str, float], says: str
+) -> None:
     board = Board()
     talk = board.talk(changes)
     assert says in talk.problem

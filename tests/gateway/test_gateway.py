@@ -269,7 +269,7 @@ async def test_a_gateway_that_cannot_be_started_is_tried_again(
     assert service.said == ["page and broker stopped (No such file or directory), starting again", "started"]
 
 
-async def test_whoever_asks_too_often_may_still_vent(played: Callable[[str], None]) -> None:
+async def test_a_client_that_asks_too_often_may_still_vent(played: Callable[[str], None]) -> None:
     played(
         "hear()\n"
         "for number in range(100): say(Request(number, 'page', 'start_bench'))\n"
@@ -341,7 +341,7 @@ async def test_when_it_was_made_and_what_was_seen_goes_on_to_the_service(
     assert service.times == [(3.25, 3.0), (None, 1.0), (None, 4.0)]
 
 
-async def test_what_happens_before_the_gateway_reads_is_reported_in_order(
+async def test_events_before_the_gateway_reads_are_sent_in_order(
     played: Callable[[str], None],
 ) -> None:
     """The profile comes first. Of too many events the last ones are stored."""

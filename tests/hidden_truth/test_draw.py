@@ -74,7 +74,7 @@ def test_one_cause_of_the_table_or_none_where_that_is_said(tier: str) -> None:
             assert truth.gap >= SHOWS
 
 
-def test_what_the_other_tiers_hide() -> None:
+def test_the_hidden_effects_of_the_other_tiers() -> None:
     assert all(truth.hidden == () for truth in drawn("null"))
     assert all(truth.hidden[0].name in OUTSIDE and len(truth.hidden) == 1 for truth in drawn("outside"))
     assert all(truth.hidden[0].name != truth.hidden[1].name for truth in drawn("pair"))
@@ -209,7 +209,7 @@ def test_holes(variant: str) -> None:
         ("without_command", lambda t: all("command_kPa" in run.missing for run in make(t))),
     ],
 )
-def test_what_makes_a_case_hard(variant: str, check: Callable[[Truth], bool]) -> None:
+def test_the_variants_of_hard_cases(variant: str, check: Callable[[Truth], bool]) -> None:
     assert check(example("reservoir_leak", variant))
 
 
@@ -228,7 +228,7 @@ def test_a_tier_that_is_not_there() -> None:
         draw("murky", 0)
 
 
-def test_what_cannot_be_weakened() -> None:
+def test_effects_that_cannot_be_weakened() -> None:
     with pytest.raises(ValueError, match="nothing in between"):
         Hidden("compressible_flow", 0.3).weaker(0.5)
 

@@ -80,7 +80,7 @@ def test_an_effect_of_the_catalogue_is_measured_beside_one_that_nobody_has_named
 
 
 @pytest.mark.long
-def test_what_the_data_cannot_tell_apart_is_not_distinguished(tmp_path: Path) -> None:
+def test_causes_that_the_data_cannot_separate_are_all_named(tmp_path: Path) -> None:
     """Without the Venturi everything is proportional to pressure: a gain of one sensor looks like the inverse
     gain of the other one."""
     truth = draw("hard", 104)
@@ -122,7 +122,7 @@ def test_an_effect_that_nobody_has_named_gets_no_name(tmp_path: Path) -> None:
         ("case_008", 0.025),
     ],
 )
-def test_what_another_simulator_hid_is_found(case: str, within: float) -> None:
+def test_effects_of_another_simulator_are_found(case: str, within: float) -> None:
     folder = Path(__file__).parents[1] / "data" / "cases"
     answer = json.loads((folder / "answers.json").read_text(encoding="utf-8"))[case]
     verdict = diagnose(read_case(folder / case))

@@ -169,7 +169,7 @@ def held_inputs(evp: float = 0.0, dvp: float = 0.0, solenoid: float = 0.0) -> Ar
     return np.tile([evp, dvp, solenoid], (TIME.size, 1))
 
 
-def test_what_leaks_out_decays() -> None:
+def test_a_leak_decays() -> None:
     p = physics(RIG)._replace(reservoir_leak_SL_per_s_kPa=1 / 900.0, cv_leak_SL_per_s_kPa=1 / 300.0)
     read = replay(p, held_inputs(), TIME, (600.0, 40.0))
     assert read[:, 1] == pytest.approx(600.0 * np.exp(-ALPHA * TIME / (1.0 * 900.0)), abs=1e-5)

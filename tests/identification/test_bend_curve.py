@@ -125,7 +125,7 @@ def test_a_vine_that_follows_the_law_keeps_it() -> None:
     assert sum(fit(measured(TRUTH, seed)).follows_law for seed in range(10)) >= 9
 
 
-def test_what_is_doubtful_is_said() -> None:
+def test_doubts_are_reported() -> None:
     rng = np.random.default_rng(1)
     rough = Pairs(LOOP, TRUTH.angles_deg(LOOP) + rng.normal(0.0, 6.0, len(LOOP)))
     assert any("residuals are large" in note for note in fit(rough).notes)
@@ -210,7 +210,7 @@ def test_angles_below_0_have_no_curve() -> None:
         fit(Pairs(LOOP, 2.0 * LOOP - 60.0))
 
 
-def test_what_is_no_file_is_one_line(tmp_path: Path) -> None:
+def test_a_missing_file_gives_one_line(tmp_path: Path) -> None:
     (tmp_path / "p.csv").write_bytes(b"\xff\xfe\x00")
     for name in ("p.csv", "none.csv", "."):
         with pytest.raises(PairsError, match="cannot be read"):

@@ -187,7 +187,7 @@ seeds = st.integers(0, 10**6)
     holes=0.25,
     gone=0.1015625,
 )
-def test_what_is_genuine_is_read_unchanged(
+def test_a_real_recording_is_read_unchanged(
     rig: Worn,
     seed: int,
     reservoir_kPa: float,

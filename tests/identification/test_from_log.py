@@ -113,7 +113,7 @@ def test_an_ideal_rig_is_not_accused(tmp_path: Path) -> None:
     assert diagnose(case).cause == "none"
 
 
-def test_what_the_valves_did_is_kept_to_the_millisecond(leaky: Path) -> None:
+def test_valve_movements_keep_their_milliseconds(leaky: Path) -> None:
     telemetry = [entry.fields for entry in FlightLog(leaky).entries(("phlosar/telemetry",))]
     first_ms = next(entry["device_time_ms"] for entry in telemetry if entry["mode"] == Mode.REGULATE)
     began_ms = first_ms - LEAD_MS
@@ -244,7 +244,7 @@ def _without(path: Path, topic: str, to: Path) -> Path:
     return rewritten(path, to, lambda entry: None if entry.topic == topic else entry.data)
 
 
-def test_what_cannot_be_used_is_one_line_and_status_2(
+def test_an_unusable_log_gives_one_line_and_status_2(
     leaky: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "empty.mcap").touch()
@@ -278,7 +278,7 @@ def test_a_rig_file_stands_in_for_what_the_log_lacks(leaky: Path, tmp_path: Path
             read_flight(leaky, rig)
 
 
-def test_a_rig_in_the_log_that_is_none_is_refused(leaky: Path, tmp_path: Path) -> None:
+def test_an_invalid_rig_in_the_log_is_refused(leaky: Path, tmp_path: Path) -> None:
     bottle = msgspec.json.encode({"t": 0.0, "believed": {"bottle": {}}})
     rewritten(leaky, tmp_path / MCAP, lambda entry: bottle if entry.topic == "start" else entry.data)
     with pytest.raises(CaseError, match="unknown table 'bottle'"):

@@ -117,7 +117,7 @@ SAID: dict[str, Any] = {
 }
 
 
-def test_what_no_room_and_no_interval_can_be_is_impossible() -> None:
+def test_impossible_values_and_intervals_are_found() -> None:
     assert measured.impossible(SAID) == [
         "ambient_drop rate_kPa_per_s 0.3",
         "reservoir_cooling time_constant_s 5",

@@ -134,7 +134,7 @@ def test_a_plan_keeps_its_budgets(short: RecordingPlan) -> None:
 
 
 @pytest.mark.long
-def test_what_no_run_can_tell_is_reported(made: RecordingPlan) -> None:
+def test_pairs_that_no_run_separates_are_reported(made: RecordingPlan) -> None:
     assert made.never == made.best.open == (GAINS,)
     row, column = made.names.index(GAINS.first), made.names.index(GAINS.second)
     assert made.matrix[row, column] < 0.1 < SETTLED < made.matrix[row, -1]
@@ -306,7 +306,7 @@ def test_the_command_on_a_rig_without_control_volume(
         (["{rig}", "--minutes", "2"], "--minutes"),
     ],
 )
-def test_what_cannot_be_planned_is_one_line(
+def test_an_impossible_plan_gives_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], named: str
 ) -> None:
     rig = tmp_path / "rig.toml"

@@ -56,7 +56,7 @@ def test_noise_is_noise(seed: int) -> None:
     assert np.sum(strongest.count) > 100
 
 
-def test_what_depends_on_the_temperature_is_seen_to() -> None:
+def test_a_dependence_on_the_temperature_is_found() -> None:
     problem, fit = fitted(0)
     (run,) = problem.case.runs
     assert run.ambient_C is not None
@@ -66,7 +66,7 @@ def test_what_depends_on_the_temperature_is_seen_to() -> None:
     assert found[0].log_p > STRUCTURE
 
 
-def test_what_depends_on_the_opening_is_seen_to() -> None:
+def test_a_dependence_on_the_opening_is_found() -> None:
     problem, fit = fitted(1)
     (run,) = problem.case.runs
     before = np.concatenate((run.evp_opening[:1], run.evp_opening[:-1]))

@@ -67,7 +67,7 @@ def listener(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Listene
         yield listener
 
 
-def test_who_is_started_by_hand_tells_nobody() -> None:
+def test_a_service_started_by_hand_notifies_nobody() -> None:
     assert service_manager({"HOME": "/"}) == ()
 
 
@@ -97,7 +97,7 @@ def test_without_a_watchdog_of_ours_it_says_that_it_is_ready_and_no_more(
     assert listener.heard() == ["READY=1"]
 
 
-def test_what_was_not_taken_is_reported_again(listener: Listener) -> None:
+def test_a_status_that_was_not_accepted_is_sent_again(listener: Listener) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as crowd:
         crowd.connect("\0" + listener.address[1:] if listener.address[0] == "@" else listener.address)
         with pytest.raises(BlockingIOError):

@@ -123,7 +123,7 @@ def test_the_sdist_holds_the_tests_and_all_that_they_need(sources: Path, built: 
     assert wanted - names == set()
 
 
-def test_what_flies_needs_nothing_that_is_not_installed_with_it(built: Path, installed: Path) -> None:
+def test_the_service_needs_only_its_own_dependencies(built: Path, installed: Path) -> None:
     (wheel,) = built.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         (metadata,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
@@ -152,7 +152,7 @@ def needed_by(wanted: Iterable[str]) -> set[str]:
     return found
 
 
-def test_what_a_registry_would_check_is_good(built: Path) -> None:
+def test_the_checks_of_a_registry_pass(built: Path) -> None:
     pytest.importorskip("twine", reason="needs twine: pip install twine")
     outcome(sys.executable, "-m", "twine", "check", "--strict", *built.iterdir(), cwd=built)
 
@@ -202,7 +202,7 @@ def test_snippets_run_as_printed_in_an_empty_folder(page: Path, installed: Path,
     outcome(sys.executable, "-P", "snippets.py", cwd=tmp_path, PYTHONPATH=str(installed))
 
 
-def test_what_is_left_out_is_still_printed() -> None:
+def test_commands_that_do_not_run_are_still_on_a_page() -> None:
     pages = (ROOT / "README.md", ROOT / "docs/tutorial.md")
     printed = [" ".join(said.ours) for page in pages for said in blocks_and_spans(page)[0]]
     assert [pattern for pattern in NEEDS_MORE if not any(re.match(pattern, text) for text in printed)] == []

@@ -94,7 +94,7 @@ def test_every_wrong_action_is_named_with_its_line() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_no_rule_carries_comes_with_the_rule_to_add(kind: AutopilotKind) -> None:
+def test_an_action_without_a_rule_gives_the_rule_to_add(kind: AutopilotKind) -> None:
     config = with_items(ItemConfig(command="gripper", match={"param2": 0.0}, profile="bend-full"))
     with pytest.raises(MissionError) as error:
         built(HEAD + waypoint("{ profile = 'wave' }, { bend_deg = 20 }"), kind, config)

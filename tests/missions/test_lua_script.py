@@ -233,7 +233,7 @@ def test_nothing_is_sent_before_a_message_of_the_companion() -> None:
     assert [(channel, m.param2) for channel, m in autopilot.sent] == [(US, 40.0)]
 
 
-def test_what_is_too_old_is_not_sent_any_more() -> None:
+def test_an_old_item_is_not_sent() -> None:
     autopilot = ArduPilot()
     autopilot.item(1, 40.0)
     autopilot.run(3000)

@@ -60,7 +60,7 @@ def test_its_items_are_simple_ones_numbered_from_1(kind: AutopilotKind) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_is_written_reads_back_equal(kind: AutopilotKind, tmp_path: Path) -> None:
+def test_written_items_are_read_back_equal(kind: AutopilotKind, tmp_path: Path) -> None:
     made = built(TEXT, kind)
     path = tmp_path / "m.plan"
     write_plan(path, made, kind, HOMES[kind])
@@ -147,7 +147,7 @@ def test_any_text_is_a_plan_or_an_error(text: str) -> None:
             read_plan(path)
 
 
-def test_where_home_is_not_known_the_first_place_stands_for_it() -> None:
+def test_without_a_home_the_first_place_is_used() -> None:
     plan = json.loads(plan_text(built(TEXT, "px4"), "px4"))
     assert plan["mission"]["plannedHomePosition"] == [
         HOMES["px4"].latitude_deg,

@@ -127,7 +127,7 @@ async def test_disarmed_pneumatics_bend_for_nobody_until_they_are_armed(flight: 
     await ground.answers("long 31013 0", "Got COMMAND_ACK: USER_4: ACCEPTED")
 
 
-async def test_what_is_for_the_autopilot_is_not_for_us(flight: Flight) -> None:
+async def test_commands_for_the_autopilot_are_not_for_us(flight: Flight) -> None:
     """MAVProxy addresses the autopilot unless told otherwise."""
     flight.ground.type("vehicle 1:1")
     await flight.ground.answers("long 31011 30", "Got COMMAND_ACK: USER_2: UNSUPPORTED")

@@ -195,7 +195,7 @@ async def test_a_refused_mission_is_reported_by_item_and_what_is_left(
         assert [line.split()[1] for line in rest[1:]] == ["new"] * 7 + ["old"] * 5
 
 
-async def test_what_storage_changes_is_reported(tmp_path: Path) -> None:
+async def test_changes_by_the_storage_are_reported(tmp_path: Path) -> None:
     path = tmp_path / "rounded.waypoints"
     path.write_text(recorded("ardupilot").read_text().replace("\t217\t1\t40", "\t217\t1.9\t40"))
     assert path.read_text() != recorded("ardupilot").read_text()
@@ -211,7 +211,7 @@ async def test_nobody_there_is_said_in_one_line() -> None:
             pass
 
 
-async def test_what_mavsdk_may_still_call_outlives_it() -> None:
+async def test_objects_that_mavsdk_may_still_call_outlive_it() -> None:
     """Otherwise the process sometimes crashes: in 8 of 300 interrupted runs on a busy computer."""
     async with bare(FakeAutopilot("px4")) as link, vehicle(link) as peer:
         assert await peer.command(511, 42.0, 200_000.0) == 0

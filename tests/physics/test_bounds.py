@@ -24,7 +24,7 @@ def parameter(name: str) -> Parameter:
 
 
 @pytest.mark.parametrize("name", CAUSES)
-def test_what_the_hidden_truth_draws_lies_within_the_bounds(name: str) -> None:
+def test_strengths_of_the_independent_simulator_are_within_the_bounds(name: str) -> None:
     effect, own = EFFECTS[name], cause_named(name).parameters[0]
     assert effect.parameter == own.name
     for cv_L in (0.05, 1.0):

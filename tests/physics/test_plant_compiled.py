@@ -276,7 +276,7 @@ def test_what_cannot_be_replayed() -> None:
         replay(Plant(), [SHUT], record_every=0)
 
 
-def test_what_was_compiled_is_kept_under_the_name_of_its_sources(
+def test_compiled_code_is_cached_under_a_digest_of_its_sources(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
@@ -294,9 +294,7 @@ def test_what_was_compiled_is_kept_under_the_name_of_its_sources(
     assert compiler._cache_folder(dead_zone) != folder
 
 
-def test_where_nothing_can_be_kept_it_is_compiled_all_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_cache_it_is_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     assert compiler.compiled.__wrapped__(dead_zone)(0.65, 0.3) == dead_zone(0.65, 0.3)

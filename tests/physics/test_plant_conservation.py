@@ -256,7 +256,9 @@ def test_a_closed_rig_keeps_its_energy(
 
 @settings(max_examples=examples(60), deadline=None)
 @given(warm_plants, st.floats(100.0, 760.0), commands)
-def test_what_is_vented_is_what_flowed(plant: Plant, reservoir_kPa: float, told: list[Inputs]) -> None:
+def test_the_vented_air_is_the_sum_of_the_flows(
+    plant: Plant, reservoir_kPa: float, told: list[Inputs]
+) -> None:
     """The balances agree with the independently summed flows."""
     simulator = Simulator(plant, at_rest(plant, reservoir_kPa))
     total = 0.0

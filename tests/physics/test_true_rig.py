@@ -231,7 +231,7 @@ def test_a_reader_of_the_nominal_rig_does_not_get_the_true_one(tmp_path: Path) -
         ("[bottle]", "unknown table 'bottle' of a rig"),
     ],
 )
-def test_what_is_wrong_is_one_line(text: str, says: str, tmp_path: Path) -> None:
+def test_an_error_gives_one_line(text: str, says: str, tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(text)
     with pytest.raises(RigError) as caught:

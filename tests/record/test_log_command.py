@@ -153,7 +153,7 @@ def test_a_damaged_log_is_shown_and_said_to_be_damaged(flights: Path, run: Runne
     assert "bend-full: accepted" in out and "is incomplete" in err
 
 
-def test_what_is_not_there_is_one_line_and_status_2(run: Runner, tmp_path: Path) -> None:
+def test_a_missing_flight_gives_one_line_and_status_2(run: Runner, tmp_path: Path) -> None:
     for arguments, why in (
         (("show", "nowhere"), "nowhere: is not a flight"),
         (("plot", "last", "--in", tmp_path), "contains no flight"),

@@ -207,7 +207,7 @@ def test_a_message_that_the_dialect_lacks_is_kept(tmp_path: Path) -> None:
     assert [frame for _, frame in TlogReader(recorder.folder / "flight.tlog").frames()] == [raw]
 
 
-def test_what_cannot_be_written_ends_the_log_and_nothing_else(tmp_path: Path) -> None:
+def test_a_write_error_ends_only_the_log(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path, BEGAN, t=0.0)
     recorder.action(dataclasses.replace(DECISION, what={"no JSON": object()}))
     recorder.close()

@@ -87,7 +87,7 @@ async def test_a_parameter_that_was_set_is_there_again_after_a_restart(bench: Be
     assert Served(bench, tmp_path).service.core.config.limits.max_rate_kPa_per_s == 30.0
 
 
-async def test_what_cannot_be_kept_is_said_and_in_force_all_the_same(bench: Bench, tmp_path: Path) -> None:
+async def test_state_that_cannot_be_saved_is_reported_and_active(bench: Bench, tmp_path: Path) -> None:
     async with serving(bench, tmp_path) as served:
         served.kept.parameters.mkdir()
         await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
@@ -229,7 +229,7 @@ async def test_a_kept_timestamp_of_2040_is_set_right_and_reported(tmp_path: Path
     assert memory.timestamp < (time.time() + 120 - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S
 
 
-async def test_what_was_recorded_before_a_stop_is_refused_after_it(tmp_path: Path) -> None:
+async def test_frames_from_before_a_stop_are_refused_after_it(tmp_path: Path) -> None:
     pilot, key = Signing(KEY), private_key(tmp_path, KEY)
     pilot.advance(time.time())
     station = MavlinkCodec(255, 190, pilot)

@@ -106,7 +106,7 @@ def test_loiter_and_back_restarts_only_the_nav_item_and_set_current_fires_a_do_i
         ((183, 9.0, 1900.0), (9.0, 1900.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
     ],
 )
-def test_what_survives_ardupilots_storage(sent: tuple[float, ...], kept: tuple[float, ...]) -> None:
+def test_params_after_ardupilots_storage(sent: tuple[float, ...], kept: tuple[float, ...]) -> None:
     stored = FakeAutopilot("ardupilot", mission=plan(sent)).items[1]
     assert stored.params == kept
     assert stored.frame == 0

@@ -122,7 +122,7 @@ async def test_a_script_moves_the_sticks_in_time() -> None:
     assert high[-1] - high[0] == pytest.approx(200, abs=30)
 
 
-async def test_what_a_stimulus_raises_ends_the_run() -> None:
+async def test_an_error_in_a_stimulus_ends_the_run() -> None:
     async with listening(1, 191) as companion:
         server = AutopilotServer(
             FakeAutopilot(), ("127.0.0.1", companion.port), script=[(0.0, lambda fake: fake.set_mode("NONE"))]

@@ -573,7 +573,7 @@ def test_the_integral_does_not_wind_up() -> None:
     assert [regulator.step(10.9) for _ in range(20)][-1] == Inputs(0.0, 0.0, False)
 
 
-def test_what_runs_towards_the_setpoint_is_braked_before_it() -> None:
+def test_a_fast_rise_is_braked_before_the_setpoint() -> None:
     regulator = Regulator(0.0, 20.0)
     drives = [regulator.step(0.3 * ms) for ms in range(60)]
     assert drives[20].evp > 0.3

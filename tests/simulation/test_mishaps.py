@@ -443,7 +443,7 @@ def test_a_reset_is_over_at_once(kind: MishapKind, watchdog: bool) -> None:
     assert phlosar.mishaps == Mishaps()
 
 
-def test_what_was_never_wrong_is_the_same_to_the_last_bit() -> None:
+def test_without_a_fault_the_run_is_the_same_to_the_last_bit() -> None:
     def flown(mishap: MishapKind | None) -> tuple[bytes, float]:
         phlosar = SimulatedPhlosar()
         host = greeted(phlosar)
@@ -511,7 +511,7 @@ def test_a_rig_without_a_vine_has_nothing_to_burst() -> None:
         ("bottle", HoseOff(), r"bottle cannot have HoseOff\(\)"),
     ],
 )
-def test_what_cannot_happen_there_is_refused(place: str, kind: MishapKind, sentence: str) -> None:
+def test_a_fault_at_an_impossible_place_is_refused(place: str, kind: MishapKind, sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
         SimulatedPhlosar(effects=Effects()).inject(place, kind)
 

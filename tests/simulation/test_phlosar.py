@@ -140,7 +140,7 @@ def test_a_reset_keeps_the_air() -> None:
     assert flight.session.welcome.boot_id == 2
 
 
-def test_what_is_filled_in_has_come_from_outside() -> None:
+def test_added_air_comes_from_outside() -> None:
     phlosar = SimulatedPhlosar(effects=Effects())
     phlosar.fill(500.0)
     phlosar.advance(1.0)

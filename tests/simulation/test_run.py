@@ -150,7 +150,7 @@ def test_without_a_control_volume_the_reservoir_falls_exponentially() -> None:
 @pytest.mark.parametrize(
     "kind", [BendsRun(cycles=1), OpeningsRun(valves=(Valves(for_s=1.0, evp=1.0, until_kPa=3.0),))]
 )
-def test_what_needs_a_control_volume_says_so(kind: RunKind) -> None:
+def test_runs_that_need_a_control_volume_say_so(kind: RunKind) -> None:
     with pytest.raises(ScenarioError, match=rf"runs\[0\]: {kind.label} needs a control volume"):
         simulate(NO_CV, kind)
 
@@ -206,7 +206,7 @@ def test_a_likely_rig_regulates_all_the_same() -> None:
     assert np.ptp(steps - np.round(steps)) < 1e-6
 
 
-def test_what_the_firmware_latches_is_reported() -> None:
+def test_latched_faults_of_the_firmware_are_reported() -> None:
     true = TrueRig(VINE, causes={"cv_sensor_offset": {"offset_kPa": 203.0}})
     run = simulate(true, BendsRun(cycles=1))
     assert run.faults == "cv overpressure"

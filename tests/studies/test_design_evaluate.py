@@ -160,7 +160,7 @@ def test_a_larger_robot_is_slower_and_has_fewer_cycles(factor: float) -> None:
     frequency_Hz=st.floats(1e-6, 1e6),
     kind=st.sampled_from(["rigid", "pouch"]),
 )
-def test_whatever_the_robot_the_results_are_finite(
+def test_the_results_are_finite_for_any_robot(
     volume_L: float, pressure_kPa: float, frequency_Hz: float, kind: str
 ) -> None:
     wild = robot(cv_volume_L=volume_L, pressure_kPa=pressure_kPa, frequency_Hz=frequency_Hz, cv_kind=kind)

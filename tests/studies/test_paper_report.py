@@ -117,7 +117,7 @@ def test_verdicts(rows: dict[str, PaperRow], key: str, verdict: str) -> None:
     assert rows[key].verdict == verdict
 
 
-def test_whatever_does_not_agree_says_why(comparison: PaperComparison) -> None:
+def test_every_difference_has_a_reason(comparison: PaperComparison) -> None:
     assert len({row.key for row in comparison.rows}) == len(comparison.rows)
     for row in comparison.rows:
         assert row.verdict == "agrees" or row.note, row.key

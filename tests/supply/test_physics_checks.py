@@ -274,7 +274,7 @@ def test_the_zero_of_the_vine_sensor(offset_kPa: float, within_s: float) -> None
     assert checks.faults == {}
 
 
-def test_what_a_sound_sensor_reads_is_no_fault() -> None:
+def test_readings_of_a_good_sensor_are_no_fault() -> None:
     for offset_kPa in (-3.1, 3.1):
         off = dataclasses.replace(VENTED, cv_kPa=offset_kPa)
         assert list(stream(checks_of(), lambda _, off=off: off, 20.0)) == []  # type: ignore[misc]

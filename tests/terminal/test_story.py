@@ -76,7 +76,7 @@ def test_a_machine_that_was_started_anew_begins_a_new_story() -> None:
     assert story.began == 3.0
 
 
-def test_what_else_may_come_is_passed_over() -> None:
+def test_other_messages_are_skipped() -> None:
     story = Story()
     assert story.take(0.0, '{"kind": "beat"}') == []
     assert story.take(0.0, '{"kind": "missed", "count": 3}') == []
@@ -87,7 +87,7 @@ def test_what_else_may_come_is_passed_over() -> None:
 @pytest.mark.parametrize(
     "text", ["", "nonsense", "[]", "{}", '{"kind": "hello"}', '{"kind": "snapshot", "snapshot": {"t": "x"}}']
 )
-def test_what_is_not_understood_says_so(text: str) -> None:
+def test_an_unknown_message_is_reported(text: str) -> None:
     with pytest.raises(StrangeMessageError):
         Story().take(0.0, text)
 

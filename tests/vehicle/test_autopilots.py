@@ -31,7 +31,7 @@ def test_a_heartbeat_names_the_autopilot() -> None:
         ({"RC_OPTIONS": 4.0}, "RC_OPTIONS 4"),
     ],
 )
-def test_what_lets_ardupilot_hide_a_loss(values: dict[str, float], hides: str) -> None:
+def test_parameters_with_which_ardupilot_hides_a_loss(values: dict[str, float], hides: str) -> None:
     assert ARDUPILOT.hides_rc_loss(values) == hides
 
 

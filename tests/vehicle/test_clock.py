@@ -59,7 +59,7 @@ def test_without_a_clock_nothing_is_late() -> None:
 
 
 @pytest.mark.parametrize("stamp_first", [True, False])
-def test_what_was_sent_before_we_were_started_is_as_old_as_its_neighbours(stamp_first: bool) -> None:
+def test_messages_from_before_our_start_are_as_old_as_their_neighbours(stamp_first: bool) -> None:
     """The first message may have waited as long as the messages that arrive with it."""
     line = Line()
     if stamp_first:
@@ -72,7 +72,7 @@ def test_what_was_sent_before_we_were_started_is_as_old_as_its_neighbours(stamp_
 
 
 @pytest.mark.parametrize("every_s", [0.1, 1.0])
-def test_what_a_stalled_link_delivers_at_once_is_as_old_as_its_neighbours(every_s: float) -> None:
+def test_messages_of_a_stalled_link_are_as_old_as_their_neighbours(every_s: float) -> None:
     line = Line()
     line.stream(10.0, every_s)
     marks = []
@@ -102,7 +102,7 @@ def test_of_a_burst_whose_end_was_lost_the_beginning_is_still_old() -> None:
     assert line.age_s(mark, 16.01) > 4.0
 
 
-def test_what_comes_first_after_a_link_was_cut_is_new() -> None:
+def test_the_first_message_after_a_cut_link_is_new() -> None:
     line = Line()
     line.stream(10.0)
     mark = line.item(14.0, lost=30)
@@ -203,7 +203,7 @@ def test_a_clock_that_begins_at_zero_again_after_49_days_is_no_reboot() -> None:
     assert clock.time_boot_ms(20.0) == pytest.approx(10_000, abs=100)
 
 
-def test_what_another_sends_after_a_silence_may_be_as_old_as_that() -> None:
+def test_a_message_of_another_sender_may_be_as_old_as_the_silence_before() -> None:
     """The autopilot's own frames, which show the age, come after it."""
     line = Line()
     line.stream(10.0)

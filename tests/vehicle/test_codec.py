@@ -229,7 +229,7 @@ def test_signed_frames_are_read_without_a_key() -> None:
     assert texts_of(codec.decode(b"".join(frames) + frames[1])) == ["signed 0", "signed 1", "signed 2"]
 
 
-def test_what_we_send_bears_our_names_and_counts_up() -> None:
+def test_our_frames_have_our_ids_and_counting_sequence_numbers() -> None:
     ours, peer = MavlinkCodec(0, 191), mavlink.MAVLink(None)
     peer.robust_parsing = True
     received = [peer.parse_char(ours.encode(text("hi"), 42)) for _ in range(258)]

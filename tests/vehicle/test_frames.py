@@ -84,7 +84,7 @@ def test_a_frame_of_an_unknown_message_is_passed_over_as_a_whole() -> None:
     assert [frame.known for frame in found] == [True, False, True]
 
 
-def test_what_follows_tells_whether_an_unknown_message_was_one() -> None:
+def test_the_next_bytes_show_if_an_unknown_message_was_a_frame() -> None:
     good = packed(3)
     frames = Frames()
     assert raws(frames.take(good[0] + unknown(good[1]))) == [good[0]]

@@ -100,7 +100,7 @@ def test_people_can_read_it() -> None:
     assert fuel_status(437.5, 500.0).to_dict()["remaining_fuel"] == 437.5
 
 
-def test_what_a_fuel_gauge_of_others_says_is_not_for_us() -> None:
+def test_fuel_status_of_others_is_ignored() -> None:
     sender, receiver = MavlinkCodec(1, 30), MavlinkCodec(1, 191)
     frame = sender.encode(fuel_status(437.5, 500.0), 1)
     assert receiver.decode(frame + frame) == []

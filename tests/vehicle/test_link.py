@@ -250,7 +250,7 @@ async def test_the_autopilot_gets_its_answers_however_many_others_send() -> None
         assert len(watched.link._peers) == MAX_PEERS
 
 
-async def test_who_is_no_autopilot_is_read_and_not_answered() -> None:
+async def test_senders_that_are_not_the_autopilot_are_read_and_not_answered() -> None:
     port = free_port()
     async with (
         serving(NetworkAddress("udpin", HOST, port)) as (watched, believed),

@@ -333,7 +333,7 @@ def test_a_change_that_shows_while_the_book_is_read_again_starts_the_reading_ane
     autopilot.reads_within(3.0)
 
 
-def test_what_runs_soon_is_read_first() -> None:
+def test_items_that_run_soon_are_read_first() -> None:
     book = MissionBook()
     book.handle(0.0, current(11, 0, 6))
     book.handle(0.1, count_message(12))

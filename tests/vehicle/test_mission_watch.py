@@ -318,7 +318,7 @@ def handed_over(air: Air, params: tuple[float, ...]) -> Execution | None:
     return air.watch.command(air.t, CARRIERS["user_1"], params, 0)
 
 
-def test_what_a_script_handed_over_is_not_made_up_for() -> None:
+def test_an_item_from_the_script_is_not_added_again() -> None:
     air = Air(PLAN)
     air.tell("at 2, reached 2, runs 3 lost")
     air.found.append(certain(handed_over(air, PLAN[3].params)))
@@ -452,7 +452,7 @@ def test_a_mission_with_an_identity_lends_its_numbers_where_no_answer_comes() ->
 
 
 @pytest.mark.parametrize("replaced", [False, True])
-def test_what_was_made_up_for_is_confirmed_as_well(replaced: bool) -> None:
+def test_an_added_item_is_also_confirmed(replaced: bool) -> None:
     air = having_read(PLAN)
     other = [replace(one, params=(1.0, -11.0, 0.0, 0.0, 0.0, 0.0, 0.0)) for one in PLAN]
     air.stores(other if replaced else PLAN)
@@ -914,7 +914,7 @@ def test_a_second_pass_whose_command_was_lost_counts() -> None:
     assert air.seqs() == [4, 4]
 
 
-def test_what_a_later_item_has_overtaken_is_not_made_up_for() -> None:
+def test_an_item_before_a_later_one_is_not_added() -> None:
     nan = float("nan")
     burst = MissionItem(3, GRIPPER, (1.0, 1.0, nan, nan, 0.0, 0.0, 0.0), frame=2)
     air = Px4Air(PX4_PLAN[0], PX4_PLAN[1], BENT, burst, MissionItem(4, WP, (0.0,) * 7))
@@ -926,7 +926,7 @@ def test_what_a_later_item_has_overtaken_is_not_made_up_for() -> None:
     assert air.seqs() == [3]
 
 
-def test_what_waits_for_its_command_is_overtaken_by_a_later_one_and_by_a_person() -> None:
+def test_a_waiting_item_is_dropped_after_a_later_one_or_a_person() -> None:
     air = Px4Air(*PX4_PLAN)
     air.reaches(2, 0.1)
     air.command(STRAIGHT)
@@ -938,7 +938,7 @@ def test_what_waits_for_its_command_is_overtaken_by_a_later_one_and_by_a_person(
     assert air.seqs() == [4]
 
 
-def test_what_was_reached_before_we_listened_is_history() -> None:
+def test_items_reached_before_our_start_do_not_count() -> None:
     air = Px4Air(*PX4_PLAN)
     late = Px4Watch(air.book, {187}, air.clock)
     for _ in range(9):
@@ -947,7 +947,7 @@ def test_what_was_reached_before_we_listened_is_history() -> None:
         air.t += 1.0
 
 
-def test_what_was_reached_before_the_mission_was_read_is_not_reported_by_its_repeat() -> None:
+def test_an_item_reached_before_the_mission_was_read_is_not_reported_by_its_repeat() -> None:
     air = Px4Air(*PX4_PLAN)
     air.send(identified(len(PX4_PLAN), 78))
     air.command(STRAIGHT)

@@ -319,7 +319,7 @@ def test_a_slow_stick_beside_the_switch_is_the_pilot() -> None:
     assert len(radio.bends) == 1
 
 
-def test_where_ardupilot_hides_a_loss_the_switch_straightens_only() -> None:
+def test_if_ardupilot_hides_losses_the_switch_only_straightens() -> None:
     radio = Radio("ardupilot")
     radio.hear(param_value("FS_THR_ENABLE", 0.0))
     assert radio.told == ["Vine: FS_THR_ENABLE 0 hides RC loss: switch cannot bend"]
@@ -408,7 +408,7 @@ def test_a_switch_that_comes_back_from_a_preset_bends_nothing_again(
     assert len(radio.bends) == 2, "a fresh move counts"
 
 
-def test_what_came_after_a_straightening_is_not_seen_to_by_it() -> None:
+def test_a_straightening_clears_only_faults_up_to_its_move() -> None:
     radio = Radio()
     radio.move(2, 3.0)
     radio.move(0)
@@ -452,7 +452,7 @@ def test_a_switch_that_moves_as_its_override_is_released_was_not_moved(channel: 
 
 
 @pytest.mark.parametrize(("channel", "pulse_us"), [(9, 0), (9, 65535), (8, 65535), (8, 1000)])
-def test_what_releases_no_override_leaves_the_pilots_moves_to_him(channel: int, pulse_us: int) -> None:
+def test_values_that_release_no_override_do_not_affect_the_pilots_moves(channel: int, pulse_us: int) -> None:
     """0 releases only the first eight channels, and an override that continues ends later."""
     radio = Radio("ardupilot", channel=channel)
     radio.override(pulse_us)
@@ -539,7 +539,7 @@ def test_a_receiver_that_px4_does_not_use_is_refused_and_a_ground_station_is_not
         assert len(radio.bends) == bends
 
 
-def test_what_hides_a_loss_is_reported_once() -> None:
+def test_a_parameter_that_hides_losses_is_reported_once() -> None:
     radio = Radio("ardupilot")
     radio.hear(param_value("RC_OVERRIDE_TIME", 4.0))
     assert radio.told == []

@@ -174,7 +174,7 @@ def test_messages_that_are_not_ours_are_unsupported(asked: tuple[float, ...]) ->
 
 @pytest.mark.parametrize("number", [REQUEST_MESSAGE, SET_INTERVAL, GET_INTERVAL])
 @pytest.mark.parametrize("message_id", [math.nan, math.inf, -math.inf, 251.5])
-def test_what_is_no_message_id_is_denied(number: int, message_id: float) -> None:
+def test_an_invalid_message_id_is_denied(number: int, message_id: float) -> None:
     assert Bench().ask(number, message_id, 1e6) == (DENIED, [])
 
 
@@ -223,7 +223,7 @@ def test_values_too_fast_or_too_slow_are_denied_and_go_on_as_before(interval_us:
     ("interval_us", "result"),
     [(0.0, ACCEPTED), (1e6, ACCEPTED), (-1.0, DENIED), (2e6, DENIED), (5e5, DENIED)],
 )
-def test_the_heartbeat_is_nobodys_to_change(interval_us: float, result: int) -> None:
+def test_nobody_can_change_the_heartbeat(interval_us: float, result: int) -> None:
     bench = Bench()
     assert bench.ask(SET_INTERVAL, 0, interval_us) == (result, [])
     _, (told,) = bench.ask(GET_INTERVAL, 0)

@@ -101,7 +101,7 @@ def text(words: str) -> MavlinkMessage:
     return mavlink.MAVLink_statustext_message(6, words.encode(), 0, 0)
 
 
-def test_what_we_sign_is_what_the_specification_says_byte_by_byte() -> None:
+def test_our_signed_frames_follow_the_specification_byte_by_byte() -> None:
     ours = Ours(link_id=7)
     frame = ours.codec.encode(text("Vine: ready"), 1)
     payload = b"\x06Vine: ready"
@@ -162,7 +162,7 @@ clocks = st.lists(
 
 @given(st.integers(0, 2**47), clocks)
 @settings(max_examples=examples(200), deadline=None)
-def test_whatever_the_clock_does_no_timestamp_comes_twice_on_one_link_id(
+def test_with_any_clock_no_timestamp_is_used_twice_on_one_link_id(
     kept: int, steps: list[tuple[float, float | None, bool] | int | None]
 ) -> None:
     signing, at_s = Signing(KEY, memory=SigningMemory(kept)), 0.0
@@ -260,7 +260,7 @@ def test_a_forged_frame_of_the_far_future_does_not_lock_the_real_one_out() -> No
     assert ours.hears(peer.say("hello")) == ["hello"]
 
 
-def test_what_was_sent_once_is_refused_later() -> None:
+def test_a_frame_is_refused_when_it_is_sent_again() -> None:
     ours, peer = Ours(), Peer()
     said = [peer.say(f"line {i}") for i in range(300)]
     assert len(ours.hears(b"".join(said))) == 300
@@ -427,7 +427,7 @@ def test_a_computer_that_starts_in_the_past_follows_its_autopilot() -> None:
     assert ours.signing.next_timestamp() > NOW
 
 
-def test_what_was_recorded_before_a_restart_is_refused_after_it() -> None:
+def test_frames_recorded_before_a_restart_are_refused_after_it() -> None:
     before, peer = Ours(), Peer()
     recorded = [peer.say(f"bend {i}") for i in range(20)]
     assert len(before.hears(b"".join(recorded))) == 20

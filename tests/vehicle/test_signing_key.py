@@ -66,7 +66,7 @@ def test_a_passphrase_in_any_language(tmp_path: Path) -> None:
         b"a line of just 32 characters....",
     ],
 )
-def test_what_is_no_key_is_refused_and_not_shown(tmp_path: Path, content: bytes) -> None:
+def test_an_invalid_key_is_refused_and_not_shown(tmp_path: Path, content: bytes) -> None:
     path = key_file(tmp_path, content)
     with pytest.raises(SigningKeyError) as refused:
         read_key(path)

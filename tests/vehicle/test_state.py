@@ -105,7 +105,7 @@ def test_a_false_autopilot_in_our_autopilots_own_place_changes_nothing() -> None
     assert (state.armed, state.kind, state.heartbeat_at) == (True, "ardupilot", 0.0)
 
 
-def test_messages_before_the_first_heartbeat_are_nobodys() -> None:
+def test_messages_before_the_first_heartbeat_are_ignored() -> None:
     state = VehicleState()
     assert state.handle(0.0, position(5000, 30.0)) == []
     assert state.altitude_m(0.0) is None
@@ -201,7 +201,7 @@ def test_a_reboot_behind_a_silence_is_seen(up_s: float, silent_s: float) -> None
     assert state.handle(silent_s, clock(int((silent_s - 1.3) * 1000))) == [Rebooted()]
 
 
-def test_a_silence_without_a_reboot_is_none() -> None:
+def test_a_silence_is_no_reboot() -> None:
     state = found()
     state.handle(0.0, clock(5000))
     assert state.handle(500.0, clock(505_000)) == []

@@ -75,7 +75,7 @@ def test_never_more_than_one_request_at_a_time() -> None:
     assert all(len(streams.requests(i * 0.001, 1)) <= 1 for i in range(20_000))
 
 
-def test_what_stays_silent_is_asked_for_again_and_named() -> None:
+def test_a_missing_stream_is_requested_again_and_named() -> None:
     autopilot = Autopilot(deaf_to={1, 42})
     asked = autopilot.run(30.0)
     for silent in (1, 42):
@@ -131,7 +131,7 @@ def test_nothing_is_missing_before_it_was_asked_for() -> None:
 @pytest.mark.parametrize(
     ("result", "pause_s"), [(0, ASK_AGAIN_S), (2, REFUSED_S), (3, REFUSED_S), (4, REFUSED_S)]
 )
-def test_what_the_autopilot_does_not_have_is_not_asked_for_soon_again(result: int, pause_s: float) -> None:
+def test_an_unsupported_stream_is_not_soon_requested_again(result: int, pause_s: float) -> None:
     streams = Streams(20.0)
     asked: list[tuple[float, int]] = []
     for tick in range(round(100.0 / TICK_S)):

@@ -111,7 +111,7 @@ def test_a_loss_without_a_move_only_settles() -> None:
     assert bench.hold(2000, 5.0) == [SwitchReady(2)]
 
 
-def test_what_stood_before_is_remembered_over_several_losses() -> None:
+def test_the_position_is_remembered_over_several_losses() -> None:
     bench = settled(pulse_us=2000)
     for _ in range(3):
         bench.switch.lose()

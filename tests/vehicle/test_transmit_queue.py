@@ -46,7 +46,7 @@ MAKERS: tuple[Maker, ...] = (answer, text, request, parameter, value)
 """In the order of sending."""
 
 
-def test_what_matters_leaves_first_and_the_rest_one_at_a_time() -> None:
+def test_important_messages_are_sent_first_and_others_one_at_a_time() -> None:
     queue = TransmitQueue()
     put = [value(), fuel_status(500.0, 690.0), parameter(), request(), text(), answer(), HEARTBEAT]
     for message in put:
@@ -73,7 +73,7 @@ def test_there_is_always_room_for_an_answer_beside_the_rest() -> None:
         assert [message.get_type() for message in queue.due(i * TICK_S + 0.001)] == ["COMMAND_ACK"]
 
 
-def test_whatever_is_asked_for_is_an_answer() -> None:
+def test_every_requested_message_is_sent_as_an_answer() -> None:
     queue = TransmitQueue()
     queue.put(text())
     queue.put(mavlink.MAVLink_timesync_message(1, 2))

@@ -158,7 +158,7 @@ def test_nothing_is_said_before_a_vehicle_is_found() -> None:
     assert link.triggers == []
 
 
-def test_what_a_second_vehicle_says_moves_nothing() -> None:
+def test_messages_of_a_second_vehicle_move_nothing() -> None:
     link = Link()
     link.run(4.0, 1000)
     for _ in range(40):

@@ -93,7 +93,7 @@ def test_it_stays_flat_beyond_its_ends() -> None:
         ([(0, -math.inf), (5, 10)], "must be a finite number"),
     ],
 )
-def test_what_is_no_curve_gives_a_sentence(curve_pairs: list[tuple[float, float]], reason: str) -> None:
+def test_an_invalid_curve_gives_a_sentence(curve_pairs: list[tuple[float, float]], reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         BendCurve(curve_pairs)
 

@@ -35,7 +35,7 @@ def parsed(vine: str, limits: str = "") -> config.Config:
         ("hysteresis = 2", "my.toml:3: vine.hysteresis: unknown key; did you mean 'hysteresis_kPa'?"),
     ],
 )
-def test_a_hysteresis_that_is_none_names_its_key(vine: str, says: str) -> None:
+def test_an_invalid_hysteresis_names_its_key(vine: str, says: str) -> None:
     with pytest.raises(ConfigError) as caught:
         parsed(vine)
     assert says in str(caught.value)

@@ -39,7 +39,7 @@ def ask(id: str, command: str = "vent", **more: Any) -> dict[str, Any]:
     return {"id": id, "unix_s": time.time(), "command": command, **more}
 
 
-async def test_whoever_comes_later_knows_who_is_there(broker: Broker, people: Onlooker) -> None:
+async def test_a_later_subscriber_gets_the_present_vehicles(broker: Broker, people: Onlooker) -> None:
     async with flying(broker=broker.url, name="heron") as vehicle:
         await people.until(f"{BASE}/status", status="online")
         await people.until(f"{BASE}/state", count=2, doing="bend-full")
@@ -57,7 +57,7 @@ async def test_whoever_comes_later_knows_who_is_there(broker: Broker, people: On
         assert not latecomer.on(f"{BASE}/state"), "states are not kept"
 
 
-async def test_what_happens_while_the_broker_is_away_is_reported_in_order_and_once(broker: Broker) -> None:
+async def test_events_while_the_broker_is_away_are_sent_once_and_in_order(broker: Broker) -> None:
     async with Line(broker).laid() as line, flying(broker=line.url, name="heron", kept_events=20) as vehicle:
         async with onlooker(broker) as people:
             vehicle.say("before")
@@ -106,7 +106,7 @@ async def test_a_flood_of_asks_holds_up_neither_states_nor_a_vent(broker: Broker
         assert vehicle.troubles == ["MQTT: flying-vines/heron/ask: too many requests, some get no answer"]
 
 
-async def test_what_is_listed_may_be_asked_for_and_is_answered(broker: Broker, people: Onlooker) -> None:
+async def test_listed_commands_are_executed_and_answered(broker: Broker, people: Onlooker) -> None:
     async with flying(broker=broker.url, name="heron", commands=("vent", "profile")) as vehicle:
         await people.until(f"{BASE}/about", commands=["vent", "profile"])
         await people.until(f"{BASE}/status", status="online")
@@ -137,7 +137,9 @@ async def test_nothing_may_be_asked_for_unless_it_is_switched_on(broker: Broker,
         assert not people.on(f"{BASE}/answer")
 
 
-async def test_what_was_asked_before_the_vehicle_came_is_not_done(broker: Broker, people: Onlooker) -> None:
+async def test_a_request_from_before_the_vehicle_connected_is_not_executed(
+    broker: Broker, people: Onlooker
+) -> None:
     """The broker retained the request, or stored it for a client of that name."""
     await people.say(f"{BASE}/ask", ask("retained"), retain=True)
     async with flying(broker=broker.url, name="heron", commands=("vent",)):
@@ -279,7 +281,7 @@ async def test_tls_with_the_right_certificate_and_with_every_wrong_one(tmp_path:
     gc.collect()
 
 
-async def test_what_is_no_broker(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_other_servers_than_a_broker(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connection, "TIMEOUT_S", 0.3)
     greetings = (b"", b"HTTP/1.1 400 Bad Request\r\n\r\n", b"\x00" * 1000, b"\x20\x03\x00\x00", b"\xff" * 99)
     greeted: list[bytes] = []

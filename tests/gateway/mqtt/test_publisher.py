@@ -152,9 +152,7 @@ def test_more_than_are_kept_are_lost_and_counted() -> None:
 
 
 @given(st.lists(st.sampled_from(["happens", "told", "told meanwhile"]), max_size=60), st.integers(1, 4))
-def test_whatever_happens_every_event_is_reported_once_in_order_or_counted(
-    steps: list[str], most: int
-) -> None:
+def test_every_event_is_sent_once_and_in_order_or_counted(steps: list[str], most: int) -> None:
     """`told meanwhile`: events between sending an event and the broker's receipt."""
     events = Events("event", "run", most)
     made, told, lost = 0, [], 0
@@ -189,7 +187,7 @@ def test_whatever_happens_every_event_is_reported_once_in_order_or_counted(
     assert len(told) + lost == made
 
 
-def test_what_a_later_service_tells_does_not_end_the_connection() -> None:
+def test_messages_of_a_later_service_do_not_end_the_connection() -> None:
     """Unknown fields are left out, and unknown kinds are not published."""
     vehicle = teller()
     vehicle.take(1.0, Happened("stretched", msgspec.Raw(b'{"t": 1.0}')))
@@ -201,7 +199,7 @@ def test_what_a_later_service_tells_does_not_end_the_connection() -> None:
     assert (event.text, event.severity, event.number) == ("x", "info", 1)
 
 
-def test_whatever_a_core_makes_can_be_reported() -> None:
+def test_every_output_of_a_core_can_be_published() -> None:
     vehicle = teller()
     world = SimulatedWorld(configured())
     wanted: tuple[Intent, ...] = (

@@ -236,7 +236,7 @@ async def test_a_link_that_is_cut_is_seen_and_comes_back(browser: Browser, tmp_p
         assert not wrong
 
 
-async def test_what_is_pressed_says_when_and_what_was_shown(browser: Browser, tmp_path: Path) -> None:
+async def test_a_request_has_its_time_and_the_shown_state(browser: Browser, tmp_path: Path) -> None:
     async with serving(tmp_path) as served:
         page, wrong = await opened(browser, served.url, DESKTOP)
         sent: list[dict[str, Any]] = []
@@ -306,7 +306,7 @@ async def showing(bench: Bench, shown: Snapshot) -> AsyncIterator[None]:
 
 
 @pytest.mark.parametrize("size", [(320, 640), (390, 844), (768, 1024), (1280, 720)], ids=str)
-async def test_what_is_wrong_and_the_air_left_are_whole_without_scrolling(
+async def test_problems_and_cycles_left_are_visible_without_scrolling(
     browser: Browser, size: tuple[int, int]
 ) -> None:
     device = {"viewport": dict(zip(("width", "height"), size, strict=True))}

@@ -117,7 +117,7 @@ async def test_no_page_bends_the_vine_of_an_armed_vehicle(tmp_path: Path) -> Non
         assert await ask(viewing, "vent") == ("accepted", "")
 
 
-async def test_what_was_not_answered_is_not_done_when_the_service_wakes(tmp_path: Path) -> None:
+async def test_an_unanswered_request_is_not_executed_when_the_service_continues(tmp_path: Path) -> None:
     async with (
         serving(tmp_path) as served,
         client() as session,

@@ -111,7 +111,7 @@ async def test_a_page_without_news_gets_signs_of_life(bench: Bench, session: Cli
         await heard(viewing, "beat")
 
 
-async def test_what_is_asked_for_is_answered(bench: Bench, session: ClientSession) -> None:
+async def test_requests_are_answered(bench: Bench, session: ClientSession) -> None:
     async with session.ws_connect(bench.url + "/live") as viewing:
         await viewing.send_str('{"id": 5, "command": "bend", "value": 30}')
         assert await heard(viewing, "answer") == {
@@ -143,7 +143,7 @@ async def test_a_request_has_at_least_its_stated_age(bench: Bench, session: Clie
     assert [ask.seen_at for ask in bench.asked] == [None, 7.5, None]
 
 
-async def test_whoever_waits_for_an_answer_can_still_vent(bench: Bench, session: ClientSession) -> None:
+async def test_a_client_that_waits_for_an_answer_can_still_vent(bench: Bench, session: ClientSession) -> None:
     async with session.ws_connect(bench.url + "/live") as viewing:
         bench.answers = False
         for i in range(5):
@@ -198,7 +198,7 @@ async def test_on_the_network_it_opens_by_token_then_by_cookie() -> None:
             assert (await heard(viewing, "hello"))["may_ask"]
 
 
-async def test_who_may_only_watch_asks_in_vain() -> None:
+async def test_requests_of_a_viewer_are_refused() -> None:
     token = page_token.watching(TOKEN)
     async with served("0.0.0.0") as bench, client(Authorization=f"Bearer {token}") as session:
         async with session.ws_connect(bench.url + "/live") as viewing:
@@ -217,7 +217,7 @@ async def test_who_may_only_watch_asks_in_vain() -> None:
         (b"\x00\x01", 1000),
     ],
 )
-async def test_what_is_not_understood_ends_that_socket_alone(
+async def test_an_invalid_message_ends_only_its_own_socket(
     bench: Bench, session: ClientSession, said: str | bytes, code: int
 ) -> None:
     async with (
@@ -233,7 +233,7 @@ async def test_what_is_not_understood_ends_that_socket_alone(
     assert [ask.command for ask in bench.asked] == ["vent"]
 
 
-async def test_who_asks_too_often_is_cut_off(bench: Bench, session: ClientSession) -> None:
+async def test_a_client_that_asks_too_often_is_disconnected(bench: Bench, session: ClientSession) -> None:
     async with (
         session.ws_connect(bench.url + "/live") as pilot,
         session.ws_connect(bench.url + "/live") as flood,
