@@ -1,7 +1,7 @@
-"""A simulated rig for a calibration, compiled: some hundred times real time, telemetry with every step.
+"""A compiled simulation of a rig for a calibration: about 100 times real time, with telemetry at every step.
 
-Each request is accepted and goes to the firmware's regulator as the core would send it. Safety and serial
-line are not simulated; the tests of the service cover them.
+Each request is accepted and goes to the firmware's regulator, as from the core. Safety and serial line are
+not simulated; tests of the service cover them.
 """
 
 from __future__ import annotations

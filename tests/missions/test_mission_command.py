@@ -152,7 +152,7 @@ def test_a_wrong_option_is_named(wrong: tuple[str, str], mission: Path, capsys: 
     assert wrong[0] in err.splitlines()[-1] and "Traceback" not in err
 
 
-def test_what_is_built_already_is_checked_not_built(mission: Path, capsys: Captured) -> None:
+def test_a_built_mission_is_checked_and_not_built_again(mission: Path, capsys: Captured) -> None:
     run(capsys, "mission", "build", mission, "--autopilot", "px4")
     plan = mission.parent / "one-px4.plan"
     status, _, err = run(capsys, "mission", "build", plan)

@@ -159,7 +159,7 @@ def test_everything_is_read_and_written_again() -> None:
     assert rig_of(true_rig_text(rig)) == rig
 
 
-def test_a_plain_file_is_what_is_believed(tmp_path: Path) -> None:
+def test_a_plain_file_is_the_nominal_rig(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     path.write_text("[cv]\nvolume_L = 0.5\n")
     rig = load_true_rig(path)
@@ -172,7 +172,7 @@ def test_a_plain_file_is_what_is_believed(tmp_path: Path) -> None:
     assert rig_of(true_rig_text(TrueRig(Rig(cv=None)))) == TrueRig(Rig(cv=None))
 
 
-def test_who_reads_what_is_believed_is_not_told_the_rest(tmp_path: Path) -> None:
+def test_a_reader_of_the_nominal_rig_does_not_get_the_true_one(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(EVERYTHING)
     with pytest.raises(RigError, match="unknown table 'causes' of a rig"):
@@ -231,7 +231,7 @@ def test_who_reads_what_is_believed_is_not_told_the_rest(tmp_path: Path) -> None
         ("[bottle]", "unknown table 'bottle' of a rig"),
     ],
 )
-def test_what_is_wrong_is_one_line(text: str, says: str, tmp_path: Path) -> None:
+def test_an_error_gives_one_line(text: str, says: str, tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(text)
     with pytest.raises(RigError) as caught:

@@ -1,4 +1,4 @@
-"""The core gives a recorded flight's answers again, and differences are reported."""
+"""The core gives the answers of a recorded flight again, and differences are reported."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_a_log_from_before_faults_were_stored_comes_out_the_same(flown: Path, tm
     assert not replay_flight(old).differences
 
 
-def test_what_a_page_asked_is_asked_again(tmp_path: Path) -> None:
+def test_requests_of_a_page_are_replayed(tmp_path: Path) -> None:
     flight, recorder = new_flight(), Recorder(tmp_path, BEGAN, t=0.0)
     fly(flight, recorder, ((3.0, LOW),))
     actions = flight.core.handle(Asked(3.0, "page", BendTo(33.3)))
@@ -133,7 +133,7 @@ def test_a_shutdown_is_in_the_log_and_comes_out_the_same(
 
 
 def fly_on(flight: SimulatedFlight, recorder: Recorder, until_s: float) -> None:
-    """Of a flight that is watched already."""
+    """Continue a flight that is already recorded."""
     flight.run(until_s)
     recorder.snapshot(flight.core.snapshot(until_s))
 
