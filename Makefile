@@ -1,7 +1,7 @@
-# make demo   flies a scripted flight on embedded fakes, over real sockets and a real serial port path
-# make test   style, types and the tests that guard most for their time
-# make test-all   and the long tests: whole flights, other programs, every command of the guides
-# make tools  what tests need beside Python: compilers, a chip to emulate, a browser (else they skip)
+# make demo   a scripted flight with a fake vehicle and a simulated rig, over real sockets and a serial port
+# make test   style, types and the quick tests
+# make test-all   also the long tests: whole flights, other programs, every command of the guides
+# make tools  what tests need beside Python: compilers, an emulator, a browser (without them tests are skipped)
 
 PYTHON ?= python3
 VENV := .venv
@@ -19,7 +19,7 @@ demo: $(VENV)/.demo
 	$(BIN)/flying-vines demo
 
 test: LONG = -m "not long"
-# Bytecode is kept whatever the environment says: pytest rewrites each test, and tests start hundreds of processes.
+# Always write bytecode: pytest rewrites each test, and tests start hundreds of processes.
 test test-all: export PYTHONDONTWRITEBYTECODE :=
 test test-all: $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -2,17 +2,18 @@
 
     .venv/bin/python benchmarks/calibrate.py --rigs 40 --jobs 2 [--markdown FILE]
 
-The rigs are those of the benchmark of the cycles left, with believed and true numbers. Some quantities have
-no single true number. They are defined as:
+The rigs are those of `cycles_left_rigs.py`, with assumed and true numbers. Some quantities have no single
+true number. They are defined as:
 
 - volume: 101.325 kPa · (air at the top − air at 0 kPa) / top, vine and tube at ambient temperature
-- pouch: air of the full vine at 0 kPa less that of the flat one
+- pouch: air of the full vine at 0 kPa minus that of the flat vine
 - inflation valve: commanded fully open from shut, choked flow from the full reservoir (690 kPa) to ambient
-- start: the commanded opening from which air flows, with half the play, the coil at ambient temperature
+- start: the commanded opening at which air begins to flow, with half the play, the coil at ambient
+  temperature
 - leaks: Ohm's law; errors are counted only for rigs with a leak
 - outlet: ∫ P/Q(P) dP / P from the top to 0 kPa, through solenoid and ejector at rest, isothermal
 
-Volumes are relative to the reservoir's, which is given with 0.5 %, as a person weighs it.
+Volumes are relative to the reservoir's volume, which is given with an error of 0.5 %, as if weighed.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ from flying_vines.physics.plant.venturi import outlet_SL_per_s
 from flying_vines.physics.plant.volume import Compliant, Pouch
 
 FIRST_SEED = 8000
-"""The method was developed with seeds up to 42, and its intervals were checked with 7000 to 7033."""
+"""The method was developed with seeds up to 42. Its intervals were checked with seeds 7000 to 7033."""
 ROWS = {
     "cv_zero_kPa": ("vine's sensor, zero", "kPa"),
     "cv_volume_L": ("vine's volume", "%"),
@@ -73,7 +74,7 @@ class Outcome:
 
 
 def truth(case: Case, top_kPa: float) -> dict[str, float]:
-    """True values by the findings' names; without leaks that do not exist."""
+    """True values by the findings' names. Leaks that do not exist are left out."""
     plant, effects = case.plant, case.plant.effects
     ambient_kPa, ambient_K, _ = plant.ambient.at(0.0)
     assert isinstance(effects.evp_law, Iso6358) and effects.evp_motion and effects.evp_coil
@@ -123,7 +124,7 @@ def _outlet(case: Case, top_kPa: float, ambient_kPa: float, ratio: float) -> flo
 
 
 def calibrated(seed: int, step_ms: int = 1) -> Outcome:
-    """Calibrate one rig, at the pressure that its reservoir has."""
+    """Calibrate one rig, at the pressure of its reservoir."""
     case = draw(seed)
     believed = msgspec.structs.replace(config.default(), pneumatics=case.believed)
     request = CalibrationRequest(asks_angles=False, bottle_volume_L=case.plant.rig.reservoir.volume_L)
@@ -148,7 +149,7 @@ def calibrated(seed: int, step_ms: int = 1) -> Outcome:
 
 
 def table(outcomes: Sequence[Outcome]) -> Iterator[str]:
-    """In Markdown."""
+    """The table, in Markdown."""
     yield "| quantity | rigs | measured | median error | 95 % of errors within | 95 % interval holds |"
     yield "| --- | --- | --- | --- | --- | --- |"
     for name, (what, unit) in ROWS.items():
@@ -174,9 +175,9 @@ def summary(outcomes: Sequence[Outcome]) -> Iterator[str]:
     done = [each for each in outcomes if each.outcome == "done"]
     minutes = np.array([each.seconds / 60.0 for each in done])
     air = np.array([each.air_kPa for each in done])
-    yield f"{len(done)} of {len(outcomes)} rigs were calibrated to the end. Median, most:"
+    yield f"{len(done)} of {len(outcomes)} rigs were calibrated to the end. Median, maximum:"
     yield f"time {np.median(minutes):.1f}, {minutes.max():.1f} min;"
-    yield f"air {np.median(air):.0f}, {air.max():.0f} kPa of the bottle, its leak included;"
+    yield f"air {np.median(air):.0f}, {air.max():.0f} kPa of the reservoir, including its leak;"
     yield f"CPU time of a simulated calibration {np.median([each.cpu_s for each in done]):.0f} s."
     for name in ("bottle_leak_kPa_s_per_SL", "vine_leak_kPa_s_per_SL"):
         none = [each for each in outcomes if name not in each.truth]
@@ -196,8 +197,8 @@ def main() -> None:
     options.add_argument("--first", type=int, default=FIRST_SEED)
     options.add_argument("--jobs", type=int, default=1)
     options.add_argument("--telemetry-Hz", type=int, default=1000, choices=(100, 1000))
-    options.add_argument("--each", action="store_true", help="a line a rig and quantity")
-    options.add_argument("--markdown", type=Path, help="write the table there, too")
+    options.add_argument("--each", action="store_true", help="a line for each rig and quantity")
+    options.add_argument("--markdown", type=Path, help="also write the table to this file")
     given = options.parse_args()
     seeds = range(given.first, given.first + given.rigs)
     one = partial(calibrated, step_ms=1000 // given.telemetry_Hz)

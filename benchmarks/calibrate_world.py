@@ -1,7 +1,7 @@
-"""A simulated rig for a calibration, compiled: some hundred times real time, telemetry with every step.
+"""A compiled simulation of a rig for a calibration: about 100 times real time, with telemetry at every step.
 
-Each request is accepted and goes to the firmware's regulator as the core would send it. Safety and serial
-line are not simulated; the tests of the service cover them.
+Each request is accepted and goes to the firmware's regulator, as from the core. Safety and serial line are
+not simulated; tests of the service cover them.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ class CompiledWorld:
 
     def _snapshot(self) -> Snapshot:
         return Snapshot(
-            t=self.now, vehicle="none heard", mode="", armed=False, altitude_m=math.nan, rc="none",
+            t=self.now, vehicle="not found", mode="", armed=False, altitude_m=math.nan, rc="none",
             switch_position=None, actuator="phloSAR", firmware="ready", round_trip_s=None,
             telemetry_gaps=0, reservoir_kPa=self._reservoir_kPa, cv_kPa=self._cv_kPa, command_kPa=0.0,
             bend_deg=0.0, evp_opening=0.0, dvp_opening=0.0, solenoid=None, cycles=None,

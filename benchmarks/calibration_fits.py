@@ -33,7 +33,7 @@ Found = dict[str, tuple[float, float, float]]
 """Value and 95 % interval by the quantity's name."""
 METHODS = ("own", "plant", "plant, from own")
 READING_MS = 5
-"""As `diagnose` reads a flight."""
+"""Time between readings, as `diagnose` reads a flight."""
 EVP = "evp_flow_resistance_kPa_s_per_SL"
 TOLERANCES = {"reservoir.volume_L": 0.5, "cv.volume_L": 60.0, "solenoid.flow_resistance_kPa_s_per_SL": 80.0}
 TOLERANCES |= {f"{valve}.flow_resistance_kPa_s_per_SL": 60.0 for valve in ("evp", "dvp")}
@@ -50,13 +50,13 @@ CAUSES = {
     "evp_hysteresis": "",
     "solenoid_slow_close": "",
 }
-"""What a random rig has and the catalogue knows: the cause, and the result of `own` at which it may start."""
+"""Causes of the random rigs that the catalogue has, with the result of `own` at which the fit may start."""
 NO_LEAK = 3e5
 """kPa·s/SL; a leak with a higher resistance counts as none."""
 
 
 def measured(method: str, recording: StageRecording) -> tuple[Found, float, float]:
-    """What a method finds, CPU time in s, and the peak memory of this process in MB."""
+    """The results of a method, its CPU time in s, and the peak memory of this process in MB."""
     began = time.process_time()
     if method == "own":
         findings = recording.result().findings
@@ -72,7 +72,7 @@ def measured(method: str, recording: StageRecording) -> tuple[Found, float, floa
 
 
 def plant(recording: StageRecording, started: Findings) -> Found:
-    """By the fit of `identification`."""
+    """The results of the fit of `identification`."""
     from threadpoolctl import threadpool_limits
 
     from flying_vines.identification.case import Case, RecordedRun
@@ -110,7 +110,7 @@ def plant(recording: StageRecording, started: Findings) -> Found:
     keys, causes = list(fit.point.deviation), fit.point.causes
 
     def quantities(place: np.ndarray) -> dict[str, float]:
-        """As the benchmark `calibrate.py` defines them; `place` as the fit moves it."""
+        """The quantities as `calibrate.py` defines them; `place` holds the numbers that the fit changes."""
         moved = problem.moved(replace(fit.point, deviation=dict(zip(keys, place, strict=False))))
         value = {c.name: c.parameters[0].to_model(x) for c, x in zip(causes, place[len(keys) :], strict=True)}
         full_kPa, ambient_kPa = plan.user_config.pneumatics.full_kPa, STANDARD_PRESSURE_KPA

@@ -1,15 +1,15 @@
-"""Error of the cycles left: random rigs that the estimate does not know, flown until the reservoir is empty.
+"""Error of the cycles left: random rigs, unknown to the estimate, fly until the reservoir is empty.
 
     .venv/bin/python benchmarks/cycles_left.py [--rigs N] [--calibrated N] [--first SEED] [--jobs N] [--each]
         [--check]
 
-Every rig is the high-fidelity plant under the firmware's regulator; the estimate sees only its
-telemetry. After 5 cycles, after 15 and half way it says how many are left, and then so many are flown as the
-bottle gives: that is the truth, in cycles of the profile, of which smaller swings are a part. Beside it
-stands the paper's formula (Eq. 8) with the same believed numbers at the same pressure. What is drawn, and
-what an end is, is told in `cycles_left_rigs.py` and `cycles_left_flights.py`. Then the same for rigs that
-`flying-vines diagnose` has looked at before (`cycles_left_calibrated.py`). Needs numba:
-pip install 'flying-vines[analysis]'.
+Every rig is the high-fidelity plant under the firmware's regulator; the estimate sees only its telemetry.
+After 5 cycles, after 15 and half way the estimate predicts the cycles left. The truth is the number of cycles
+that the rig then flies; a smaller swing counts as part of a cycle. The paper's formula (Eq. 8) predicts with
+the same assumed numbers at the same pressure. `cycles_left_rigs.py` draws the rigs, and
+`cycles_left_flights.py` defines the end of a flight. The second table is for rigs that `flying-vines
+diagnose` has diagnosed before (`cycles_left_calibrated.py`). Needs numba: pip install
+'flying-vines[analysis]'.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from flying_vines.supply import ReservoirEstimate, TelemetryReader, nominal
 T = TypeVar("T")
 MOMENTS = ("after 5 cycles", "after 15 cycles", "half way")
 GOALS = {"after 5 cycles": 0.15, "after 15 cycles": 0.07}
-"""What the relative error of the median rig may be."""
+"""Maximum relative error of the median rig."""
 MOST_WITHIN = {"after 5 cycles": 0.9}
-"""The share of rigs that must be as near as that, too."""
+"""Minimum share of rigs within this error."""
 HELD = 0.85
-"""The share of rigs whose truth the 90 % interval holds, at least."""
+"""Minimum share of rigs whose truth is in the 90 % interval."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """One rig."""
+    """The result of one rig."""
 
     seed: int
     kind: str
@@ -54,7 +54,7 @@ class Outcome:
 
 
 def judge(seed: int) -> Outcome | None:
-    """One rig from filling to the end; None if it gives too few cycles, or outlasts us."""
+    """Fly one rig from filling to the end. None if it gives too few cycles, or if the flight is too long."""
     case = draw(seed)
     flight = fly(case)
     if flight is None or flight.total_cycles < FEWEST_CYCLES:
@@ -64,7 +64,7 @@ def judge(seed: int) -> Outcome | None:
     moments = [began(flight, cycles) for cycles in (5.0, 15.0, 0.5 * flight.total_cycles)]
     for t, telemetry in told(flight.telemetry):
         estimate.update(reader.read(t, telemetry))
-        # More than one when half way comes early.
+        # More than one if half way comes early.
         for index in moments[len(guesses) :]:
             if t < flight.begins_s[index]:
                 break
@@ -78,12 +78,12 @@ def judge(seed: int) -> Outcome | None:
 
 
 def outcomes(judge: Callable[[int], T | None], first: int, rigs: int, jobs: int) -> Iterator[T]:
-    """So many rigs; those that give too few cycles are passed over."""
+    """The results of this many rigs. Rigs with too few cycles are skipped."""
     if jobs == 1:
         yield from islice(filter(None, map(judge, count(first))), rigs)
         return
     with ProcessPoolExecutor(jobs) as pool:
-        # Not all at once: nobody knows beforehand how many are passed over.
+        # Submit in portions, because nobody knows how many rigs are skipped.
         found, seed = 0, first
         while found < rigs:
             batch = range(seed, seed + max(jobs, rigs - found))
@@ -96,9 +96,7 @@ def outcomes(judge: Callable[[int], T | None], first: int, rigs: int, jobs: int)
 
 
 def table_of(found: Sequence[Outcome]) -> Table:
-    table = Table(
-        "", "said by", "rigs", "median error", "signed", "within 15 %", "within 7 %", "interval holds"
-    )
+    table = Table("", "by", "rigs", "median error", "signed", "within 15 %", "within 7 %", "interval holds")
     for index, moment in enumerate(MOMENTS):
         kinds = sorted({outcome.kind for outcome in found})
         groups = [("estimate", found), *((f"  {k}", [o for o in found if o.kind == k]) for k in kinds)]
@@ -113,7 +111,7 @@ def table_of(found: Sequence[Outcome]) -> Table:
 
 
 def missed_goals(found: Sequence[Outcome]) -> list[str]:
-    """What falls short, a line each."""
+    """One line for each missed goal."""
     missed = []
     for index, moment in enumerate(MOMENTS):
         guesses = [outcome.guesses[index] for outcome in found]
@@ -127,13 +125,13 @@ def missed_goals(found: Sequence[Outcome]) -> list[str]:
         held = fmean(guess.held for guess in guesses)
         if held < HELD:
             missed.append(
-                f"{moment} the interval holds the truth in {held:.1%} of the rigs, the goal {HELD:.0%}"
+                f"{moment} the interval contains the truth in {held:.1%} of the rigs, the goal {HELD:.0%}"
             )
     return missed
 
 
 def tell(outcome: Outcome) -> str:
-    """One rig, one line."""
+    """One line for a rig."""
     said = (
         f"{g.truth:6.1f}: {g.estimate.expected:6.1f} ({g.estimate.low:.1f} to {g.estimate.high:.1f})"
         f" {g.error:+7.1%}, Eq. 8 {g.formula:7.1f}"
@@ -148,8 +146,8 @@ def main() -> int:
     parser.add_argument("--calibrated", type=int, default=13, help="rigs that are diagnosed first")
     parser.add_argument("--first", type=int, default=40_000, help="the first rig's seed")
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--each", action="store_true", help="a line for every rig, too")
-    parser.add_argument("--check", action="store_true", help="exit status 1 when a goal is missed")
+    parser.add_argument("--each", action="store_true", help="also a line for every rig")
+    parser.add_argument("--check", action="store_true", help="exit status 1 if a goal is missed")
     arguments = parser.parse_args()
     if min(arguments.rigs, arguments.calibrated) < 0 or arguments.jobs < 1:
         parser.error("--rigs and --calibrated must not be below 0, --jobs not below 1")
@@ -165,7 +163,7 @@ def main() -> int:
 
 
 def unknown_rigs(arguments: argparse.Namespace, console: Console) -> list[str]:
-    """Rigs that the estimate does not know; what falls short."""
+    """Rigs that the estimate does not know; returns the missed goals."""
     found: list[Outcome] = []
     for outcome in outcomes(judge, arguments.first, arguments.rigs, arguments.jobs):
         found.append(outcome)
@@ -175,7 +173,7 @@ def unknown_rigs(arguments: argparse.Namespace, console: Console) -> list[str]:
     totals = [outcome.total_cycles for outcome in found]
     console.print(
         f"{len(found)} rigs of {tried} from seed {arguments.first} on: the others give fewer than "
-        f"{FEWEST_CYCLES:g} cycles, or outlast us. A filling gives {min(totals):.0f} to "
+        f"{FEWEST_CYCLES:g} cycles, or fly too long. A filling gives {min(totals):.0f} to "
         f"{max(totals):.0f} cycles, in the median {median(totals):.0f}."
     )
     console.print(table_of(found))
@@ -183,7 +181,7 @@ def unknown_rigs(arguments: argparse.Namespace, console: Console) -> list[str]:
 
 
 def calibrated_rigs(arguments: argparse.Namespace, console: Console) -> list[str]:
-    """Rigs with hidden causes, as believed and as a diagnosis makes them; what falls short."""
+    """Rigs with hidden causes, by the nominal and by the diagnosed rig file; returns the missed goals."""
     found: list[calibrated.Outcome] = []
     for outcome in outcomes(calibrated.judge, arguments.first, arguments.calibrated, arguments.jobs):
         found.append(outcome)

@@ -1,9 +1,9 @@
-"""Gain of a diagnosis for the cycles left: rigs with hidden causes, by believed and by extended rig file.
+"""Gain of a diagnosis for the cycles left: rigs with hidden causes, by nominal and by extended rig file.
 
-Each rig is recorded for a minute, in four runs, and diagnosed from that. Then it flies until its bottle is
-empty, and two estimates watch: one starts from the believed rig, the other from what `diagnose --write-rig`
-makes of it. No flight is seen by a diagnosis. Which causes there are and how strong is all in `HIDDEN`: clear
-strengths as on real rigs, but leaks that leave a bottle for thirty cycles.
+Each rig is recorded for a minute, in four runs, and diagnosed from that. Then it flies until its reservoir is
+empty, with two estimates: one starts from the nominal rig, the other from the file of `diagnose --write-rig`.
+No diagnosis sees a flight. `HIDDEN` has all causes and their strengths: clear ones, as on real rigs, but
+leaks that leave air for thirty cycles.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from flying_vines.supply.known_rig import TOP_SHARE, belief_of
 Causes = Mapping[str, Mapping[str, float]]
 MOMENTS = {"before the first": 0.0, "after 2 cycles": 2.0, "after 5 cycles": 5.0, "after 15 cycles": 15.0}
 BETTER = 0.5
-"""The share of the error that may be left of it."""
+"""Maximum error with the diagnosed rig, as a share of the error with the nominal rig."""
 HELD = 0.8
 RESISTANCE = "flow_resistance_kPa_s_per_SL"
 WORN = 0.01
-"""By how much, at most, a believed number is off in any case."""
+"""Maximum error of every nominal number."""
 
 HIDDEN: dict[str, tuple[str, float, float]] = {
     "reservoir_leak": (RESISTANCE, 8_000.0, 40_000.0),
@@ -61,11 +61,11 @@ HIDDEN: dict[str, tuple[str, float, float]] = {
     "reservoir_sensor_offset": ("offset_kPa", 5.0, 25.0),
     "reservoir_sensor_gain": ("gain", 0.02, 0.08),
 }
-"""By name: the parameter and its range, of a scale or a gain from one on, of a dead volume as a share of the
-control volume. Left out are a climb, which is the flight's and not the rig's, and `venturi_stall`, which ends
+"""By name: the parameter and its range. A scale or a gain is relative to 1, a dead volume is a share of the
+control volume. Two causes are left out: a climb, which belongs to the flight, and `venturi_stall`, which ends
 most of these flights before thirty cycles."""
 CHOKED = "compressible_flow"
-"""What real valves do."""
+"""The flow of real valves."""
 EITHER_SIGN = ("offset_kPa", "gain", "scale")
 
 
@@ -101,7 +101,7 @@ valves = [{ for_s = 3, evp = 0.5, until_kPa = 30 }, { for_s = 13 }]
 
 @dataclass(frozen=True)
 class Rigged:
-    """A rig with hidden causes, and its flight to come."""
+    """A rig with hidden causes, and the flight that it will make."""
 
     believed: Rig
     there: TrueRig
@@ -109,7 +109,8 @@ class Rigged:
 
 
 def draw(seed: int) -> Rigged:
-    """One rig; the same seed gives the same. None to two causes; in every second rig the valves choke."""
+    """One rig; the same seed gives the same rig. It has none to two causes; in every second rig the valves
+    choke."""
     dice = random.Random(f"calibrated {seed}")
     believed = Rig(
         reservoir=Reservoir(dice.choice((1.0, 1.5, 2.0))),
@@ -170,7 +171,7 @@ def _strength(dice: random.Random, name: str, rig: Rig) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Outcome:
-    """One rig: what was hidden, what the diagnosis named, and what both estimates said at each moment."""
+    """The result of one rig: hidden causes, named causes, and the predictions of both estimates."""
 
     seed: int
     hidden: str
@@ -181,7 +182,7 @@ class Outcome:
 
 
 def judge(seed: int) -> Outcome | None:
-    """One rig, diagnosed and flown; None if a filling gives too few cycles, or outlasts us."""
+    """Diagnose and fly one rig. None if a filling gives too few cycles, or if the flight is too long."""
     rigged = draw(seed)
     flight = fly(rigged.flight)
     if flight is None or flight.total_cycles < FEWEST_CYCLES:
@@ -209,7 +210,7 @@ def judge(seed: int) -> Outcome | None:
 
 
 def diagnosed(rigged: Rigged) -> tuple[TrueRig, str]:
-    """What the diagnosis of one recording writes, through its file, and what it names."""
+    """The rig of the diagnosis, read from its file, and the named causes."""
     runs = simulate_scenario(rigged.there, parse_scenario(RECORDED, "a minute"), seed=rigged.flight.seed)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -245,7 +246,7 @@ def summary(found: Sequence[Outcome]) -> str:
 
 
 def tell(outcome: Outcome) -> str:
-    """One rig, one line; what an interval does not hold has a mark."""
+    """One line for a rig, with a mark where the interval does not contain the truth."""
     pairs = zip(outcome.believed, outcome.extended, strict=True)
     said = " | ".join(
         " ".join(f"{guess.error:+7.1%}{' ' if guess.held else '!'}" for guess in pair) for pair in pairs
@@ -254,7 +255,7 @@ def tell(outcome: Outcome) -> str:
 
 
 def missed_goals(found: Sequence[Outcome]) -> list[str]:
-    """What falls short, a line each."""
+    """One line for each missed goal."""
     missed = []
     for index, moment in enumerate(MOMENTS):
         error = median(abs(outcome.extended[index].error) for outcome in found)
@@ -263,7 +264,7 @@ def missed_goals(found: Sequence[Outcome]) -> list[str]:
             missed.append(f"{moment}, diagnosed rigs: {error:.1%}, undiagnosed {before:.1%}")
         held = fmean(outcome.extended[index].held for outcome in found)
         if held < HELD:
-            missed.append(f"{moment}, diagnosed rigs: the interval holds the truth in {held:.1%}")
+            missed.append(f"{moment}, diagnosed rigs: the interval contains the truth in {held:.1%}")
     return missed
 
 

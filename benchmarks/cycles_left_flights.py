@@ -1,9 +1,9 @@
-"""One rig's program flown again and again, until the bottle no longer meets it.
+"""Flies the program of a rig again and again, until the reservoir is too low for it.
 
-A manoeuvre is met when the control volume's reading comes to within a tolerance of its top (`tolerance_kPa`:
-1.5 kPa, or a tenth of the swing if that is more) while the setpoint is that near to the top as well. The
-flying ends with the first manoeuvre that is missed three times in a row, from one round of the program to the
-next: once or twice it may be the regulator.
+A manoeuvre succeeds if the reading of the control volume comes within a tolerance of its top
+(`tolerance_kPa`: 1.5 kPa, or a tenth of the swing if that is more) while the setpoint is also that close to
+the top. The flight ends with the first manoeuvre that fails in three rounds of the program in a row. One or
+two failures may be due to the regulator.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ from flying_vines.supply.air_use import tolerance_kPa
 Array = NDArray[np.float64]
 
 FEWEST_CYCLES = 30.0
-"""A rig whose bottle gives fewer is drawn again: 15 are left to predict after the first 15."""
+"""A rig with fewer cycles is drawn again: after the first 15 cycles, 15 must be left to predict."""
 FIRST_S = 300.0
-"""Flown at first; three times as long as long as the bottle lasts."""
+"""Length of the first try. It is tripled while the reservoir is not empty."""
 LONGEST_S = 8100.0
 TELEMETRY_HZ = 100
 MISSES = 3
 SMOOTHED = 3
-"""Readings of the control volume, so that no single one counts."""
+"""Number of readings of the control volume that are averaged, so that no single one counts."""
 
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """What the firmware told, a row each 10 ms, and how each manoeuvre went, up to the end."""
+    """The firmware's telemetry, a row each 10 ms, and the result of each manoeuvre, up to the end."""
 
     telemetry: NDArray[np.void]
     begins_s: Array
-    """Of each manoeuvre, up to the one that is missed."""
+    """Start of each manoeuvre, up to the one that fails."""
     cycles: Array
-    """Flown before each of them began: a manoeuvre counts by its swing."""
+    """Cycles flown before each manoeuvre; a manoeuvre counts by its swing."""
 
     @property
     def total_cycles(self) -> float:
@@ -51,12 +51,12 @@ class Flight:
 
 
 def began(flight: Flight, cycles: float) -> int:
-    """The first manoeuvre that began after so many."""
+    """The first manoeuvre that began after this many cycles."""
     return int(np.searchsorted(flight.cycles, cycles - 1e-9))
 
 
 def fly(case: Case, state: State | None = None) -> Flight | None:
-    """From `state` (default: filled, at rest). None if the bottle outlasts us."""
+    """Fly from `state` (default: filled, at rest). None if the flight is too long."""
     state = state or at_rest(case.plant, case.fill_kPa)
     length_s = FIRST_S
     while length_s <= LONGEST_S:
@@ -98,13 +98,13 @@ def _fly(case: Case, length_s: float, state: State) -> Flight | None:
 
 
 def met(manoeuvre: Manoeuvre, setpoint_kPa: Array, cv_kPa: Array) -> bool:
-    """Whether the control volume reached the top in the time that it had."""
+    """True if the control volume reached the top in the given time."""
     least_kPa = manoeuvre.top_kPa - tolerance_kPa(manoeuvre.swing_kPa)
     return bool(np.any(cv_kPa[setpoint_kPa >= least_kPa] >= least_kPa))
 
 
 def told(table: NDArray[np.void], began_s: float = 0.0) -> Iterator[tuple[float, Telemetry]]:
-    """What the firmware told, message by message, and when."""
+    """The firmware's telemetry messages, with their times."""
     venting = np.isnan(table["setpoint_kPa"])
     columns = [
         table["time_s"],
@@ -121,7 +121,7 @@ def told(table: NDArray[np.void], began_s: float = 0.0) -> Iterator[tuple[float,
 
 
 def setpoints_of(case: Case, length_s: float) -> tuple[list[float], list[SetpointChange]]:
-    """When each manoeuvre begins, and what the host sends every 20 ms: where to be at its next word."""
+    """The start of each manoeuvre, and the setpoint that the host sends every 20 ms."""
     begins: list[float] = []
     setpoints: list[SetpointChange] = []
     tick, last = round(case.waits_s / HOST_TICK_S), math.floor(length_s / HOST_TICK_S)

@@ -1,4 +1,4 @@
-"""A prediction of the cycles left and what happened, and the errors over many rigs."""
+"""A prediction of the cycles left with its truth, and the errors over many rigs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from flying_vines.supply import CyclesLeft
 
 @dataclass(frozen=True)
 class Guess:
-    """What was said at one moment, and what then happened."""
+    """The prediction at one moment, and the truth."""
 
     truth: float
     estimate: CyclesLeft

@@ -1,12 +1,13 @@
-"""What a pilot is told of the air in flights that are disturbed: 200 random ones, without sockets or clock.
+"""The texts to the pilot about the air, in 200 random flights with disturbances, without sockets or clock.
 
     .venv/bin/python benchmarks/cycles_left_reported.py [--flights N] [--first SEED] [--each] [--check]
 
-A flight is one of the rigs of `cycles_left_rigs.py`, and four to seven episodes in random order: bends, a
+A flight is one of the rigs of `cycles_left_rigs.py`, with four to seven episodes in random order: bends, a
 pause, movements that are cut off, a new leak, a refill, air lost at once, a latched loss that a person
-clears, a restart of the service; bends follow each. At the end the prediction is compared with the truth: the
-same plant flies the same program on, undisturbed, until it misses it. And any two predictions within two
-minutes must have a value in common, less the cycles whose air is gone, if no event was told between them.
+clears, a restart of the service. Bends follow each episode. At the end the prediction is compared with the
+truth: the same plant continues the program without disturbances until it fails. Any two predictions within
+two minutes, corrected for the cycles flown between them, must have a value in common, unless a text reported
+an event between them.
 """
 
 from __future__ import annotations
@@ -33,23 +34,23 @@ EPISODES = ("bends", "pause", "cut off", "leak", "refill", "lost air", "latched"
 WINDOW_S = 120.0
 TELL_S = 2.0
 FEWEST_CYCLES = 5.0
-"""Fewer are not judged: a sensor's zero is as much."""
+"""Flights with fewer cycles are not counted: the error of a sensor's zero is as large."""
 HELD = (0.85, 0.95)
 
 
 @dataclass
 class Outcome:
-    """One flight."""
+    """The result of one flight."""
 
     seed: int
     guesses: list[tuple[str, float, CyclesLeft]] = field(default_factory=list)
-    """The episode before, the truth, and what was told."""
+    """The episode before, the truth, and the prediction."""
     events: Counter[str] = field(default_factory=Counter)
     jumps: list[str] = field(default_factory=list)
 
 
 class Flown:
-    """The plant, the estimate in front of it, and what is told."""
+    """The plant, the estimate, and the reported numbers."""
 
     def __init__(self, case: Case) -> None:
         self.case = case
@@ -62,7 +63,7 @@ class Flown:
         self.t = 0.0
         self.lost = False
         self._next = 0
-        """Number of the next manoeuvre: the mixture is that of the whole program."""
+        """Number of the next manoeuvre, so that all manoeuvres of the program are flown."""
         self._told_at = 0.0
         self._shown: list[tuple[float, float, CyclesLeft]] = []
 
@@ -98,7 +99,7 @@ class Flown:
             self._shown.clear()
             return
         assert self.estimate.basis is not None
-        # Not the reading: cold gas is not missing air.
+        # Not the reading, because cold gas is not missing air.
         x_kPa = self.estimate.basis.mean[X]
         self._shown = [shown for shown in self._shown if shown[0] >= t - WINDOW_S]
         for then, then_kPa, before in self._shown:
@@ -176,7 +177,7 @@ class Flown:
             self.fly([], 3.0)
 
     def fill(self, reservoir_kPa: float) -> None:
-        """The reservoir at this pressure. The vine stays as it is: its pouch was not packed again."""
+        """Set the reservoir to this pressure. The vine does not change: its pouch is not packed again."""
         there = at_rest(self.case.plant, reservoir_kPa)
         self.state = self.state._replace(
             reservoir_air_SL=there.reservoir_air_SL,
@@ -194,7 +195,7 @@ class Flown:
 
 
 def judge(seed: int) -> Outcome:
-    """One flight."""
+    """Fly one flight."""
     flown, dice = Flown(draw(seed)), random.Random(f"told {seed}")
     flown.fly([], 5.0)
     flown.bends(dice.randint(4, 12))
@@ -212,8 +213,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--flights", type=int, default=200)
     parser.add_argument("--first", type=int, default=60_000, help="the first seed")
-    parser.add_argument("--each", action="store_true", help="a line for every flight, too")
-    parser.add_argument("--check", action="store_true", help="exit status 1 when a goal is missed")
+    parser.add_argument("--each", action="store_true", help="also a line for every flight")
+    parser.add_argument("--check", action="store_true", help="exit status 1 if a goal is missed")
     arguments = parser.parse_args()
     guesses, held, low, high = Counter[str](), Counter[str](), Counter[str](), Counter[str]()
     events, jumps = Counter[str](), 0

@@ -1,7 +1,6 @@
-"""Random rigs and random flying, for the proof of the cycles that are left.
+"""Random rigs and random programs, for the benchmarks of the cycles left.
 
-A rig has what the estimate believes of it, and what is really there; the estimate is told the former. What is
-drawn, and from where to where, is all in `draw`.
+A rig has assumed and true numbers. The estimate gets the assumed ones. `draw` has all distributions.
 """
 
 from __future__ import annotations
@@ -25,18 +24,18 @@ from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
 from flying_vines.simulation.phlosar.regulator import Tuning
 
 HOST_TICK_S = 0.02
-"""How often a setpoint is sent, as the service does."""
+"""Time between setpoints, as in the service."""
 NEVER_KPA = 1e9
 
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """One inflation and deflation: the setpoint goes up, stays, comes down, rests."""
+    """One inflation and deflation: the setpoint rises, stays, falls, rests."""
 
     low_kPa: float
     top_kPa: float
     rate_kPa_per_s: float
-    """Of the ramps; a sine of the same length where `sine`."""
+    """Rate of the ramps; with `sine`, of a sine of the same length."""
     hold_s: float
     rest_s: float
     sine: bool = False
@@ -58,7 +57,7 @@ class Manoeuvre:
         return 2.0 * self.ramp_s + self.hold_s + self.rest_s
 
     def setpoint_kPa(self, t_s: float) -> float:
-        """From the start of the rise on."""
+        """The setpoint at `t_s`, counted from the start of the rise."""
         share = min(1.0, t_s / self.ramp_s)
         if t_s > self.ramp_s + self.hold_s:
             share = max(0.0, 1.0 - (t_s - self.ramp_s - self.hold_s) / self.ramp_s)
@@ -69,7 +68,7 @@ class Manoeuvre:
 
 @dataclass(frozen=True)
 class Case:
-    """What is flown with what, and what is believed of it."""
+    """A rig, its program, and its assumed numbers."""
 
     kind: str
     believed: PneumaticsConfig
@@ -78,16 +77,16 @@ class Case:
     reservoir_sensor: Sensor
     tuning: Tuning
     fill_kPa: float
-    """Gauge, true, at the start."""
+    """True gauge pressure at the start."""
     waits_s: float
-    """Before the first inflation."""
+    """Time before the first inflation."""
     program: tuple[Manoeuvre, ...]
-    """Repeated until the bottle no longer meets it."""
+    """Repeated until the reservoir is too low for it."""
     seed: int
 
 
 def draw(seed: int) -> Case:
-    """One rig, its flying and its flaws; the same seed gives the same."""
+    """One rig with its program and its flaws; the same seed gives the same rig."""
     dice = random.Random(f"cycles left {seed}")
     kind = dice.choice(("rigid", "compliant", "pouch"))
     believed_L = _log_uniform(dice, 0.08, 0.4)
@@ -121,7 +120,7 @@ def draw(seed: int) -> Case:
 
 
 def _tuning(dice: random.Random) -> Tuning:
-    """A third never uses its Venturi, a third hardly ever, a third whenever it can."""
+    """A third of the rigs never use the Venturi, a third hardly ever, a third whenever possible."""
     venturi = dice.choice(("never", "as it is", "always"))
     if venturi == "never":
         return {"venturi_least_supply_kPa": NEVER_KPA}
@@ -136,7 +135,7 @@ def _tuning(dice: random.Random) -> Tuning:
 
 
 def _effects(dice: random.Random, shape: Shape | None, reservoir_L: float, cv_L: float) -> Effects:
-    """Those of a real rig, each with numbers of its own."""
+    """The effects of a real rig, each with random numbers."""
     likely = likely_effects()
     size = (reservoir_L / 2.0) ** (2.0 / 3.0)
     bottle = Wall(
@@ -185,7 +184,7 @@ def _motion(dice: random.Random, least_s: float, most_s: float) -> ValveMotion:
 
 
 def _leak(dice: random.Random, least: float, most: float) -> Ohm | None:
-    """Half of the rigs have one."""
+    """A leak, in half of the rigs."""
     resistance = _log_uniform(dice, least, most)
     return Ohm(resistance) if dice.random() < 0.5 else None
 

@@ -1,13 +1,13 @@
-"""How often `flying-vines diagnose` is right about rigs with hidden effects, beside other methods.
+"""How often `flying-vines diagnose` is right about rigs with hidden effects, compared with other methods.
 
-    python benchmarks/discrepancy.py --cases 100 --results results.jsonl    # goes on where it was stopped
+    python benchmarks/discrepancy.py --cases 100 --results results.jsonl    # continues an interrupted run
     python benchmarks/discrepancy.py --cases 12 --tiers clear,null --peers --results results.jsonl
     python benchmarks/discrepancy.py --report results.jsonl
 
-Cases are drawn by `tests/hidden_truth`, a simulator that shares no code with this project. Tiers, and what a
-share is of, are in `draw.py` there and in `discrepancy_scores.py`; each outcome is a line of the results
-file, from which alone the tables are printed. Needs pip install 'flying-vines[analysis]', and with --peers
-pip install 'flying-vines[benchmarks]' (which brings what the peers are made of: pysindy, scikit-learn).
+`tests/hidden_truth` draws the cases: a simulator that shares no code with this project. Its `draw.py` defines
+the tiers, `discrepancy_scores.py` the scores. Each outcome is a line of the results file, and the tables use
+only this file. Needs pip install 'flying-vines[analysis]', and with --peers pip install
+'flying-vines[benchmarks]' (pysindy, scikit-learn).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rich.console import Console
 
 BAD_INPUT = 2
 FIRST_SEED = 50_000
-"""None that a test uses, or that anything was tuned on."""
+"""Cases that no test uses, and on which nothing was tuned."""
 TIERS = tuple(GOALS)
 
 
@@ -50,8 +50,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> list[Outcome]:
-    """The outcomes that there are, and those that are missing."""
-    # Workers and peers need more than a report does.
+    """All outcomes: those in the file, and the missing ones, which are computed."""
+    # Imported here, because a report does not need the workers and peers.
     import discrepancy_cases
     import discrepancy_peers
 
@@ -74,7 +74,7 @@ def _run(arguments: argparse.Namespace) -> list[Outcome]:
 
 
 def _line(outcome: Outcome) -> str:
-    """One outcome for those who wait."""
+    """One line for an outcome, printed during the run."""
     truth, said = outcome.truth, outcome.said
     hidden = " + ".join(truth.hidden) or "none"
     answer = outcome.error if said is None else " + ".join(said.named) or said.cause
@@ -86,8 +86,8 @@ def _parser() -> argparse.ArgumentParser:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     cores = len(os.sched_getaffinity(0))
-    parser.add_argument("--cases", type=_at_least_one, default=20, help="of each tier (20)")
-    parser.add_argument("--tiers", type=_tiers, default=TIERS, help="some of them, with commas between (all)")
+    parser.add_argument("--cases", type=_at_least_one, default=20, help="cases of each tier (20)")
+    parser.add_argument("--tiers", type=_tiers, default=TIERS, help="tiers, separated by commas (all)")
     parser.add_argument("--seed", type=int, default=FIRST_SEED, help=f"the first ({FIRST_SEED})")
     parser.add_argument(
         "--workers",
@@ -96,19 +96,17 @@ def _parser() -> argparse.ArgumentParser:
         default=cores,
         help=f"processes (one a core: {cores})",
     )
-    parser.add_argument("--results", type=Path, metavar="FILE", help="outcomes: kept here, skipped if here")
     parser.add_argument(
-        "--peers", action="store_true", help="what a user would have instead, on the same cases"
+        "--results", type=Path, metavar="FILE", help="file of outcomes; those in it are skipped"
     )
-    parser.add_argument(
-        "--report", type=Path, metavar="FILE", help="print the tables of a results file alone"
-    )
+    parser.add_argument("--peers", action="store_true", help="also run other methods on the same cases")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="only print the tables of a results file")
     return parser
 
 
 def _at_least_one(text: str) -> int:
     if not text.isdecimal() or int(text) == 0:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of cases: give 1 or more")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of cases: give 1 or more")
     return int(text)
 
 

@@ -1,7 +1,7 @@
-"""Many cases in worker processes: drawn, written, diagnosed, and their outcomes.
+"""Runs many cases in worker processes: draws, writes and diagnoses them, and collects the outcomes.
 
-Each worker has its share of the cores, and sees no others: what a case takes does not depend on how many
-workers there are. Its simulation is compiled before the clock runs.
+Each worker uses only its own share of the cores, so the cost of a case does not depend on the number of
+workers. The simulation is compiled before the time is measured.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _SOURCES = (Path(flying_vines.identification.__file__).parent, HERE.parent / "te
 
 
 class Job(NamedTuple):
-    """A case, who is to look at it, and whether the command is to be run on it as well."""
+    """A case, the method that diagnoses it, and whether to run the command on it as well."""
 
     by: str
     tier: str
@@ -53,7 +53,7 @@ class Job(NamedTuple):
 
 
 def jobs(peers: bool, tiers: Sequence[str], seeds: range) -> Iterator[Job]:
-    """Seed by seed, so that a run that is stopped has seen about as many of every tier."""
+    """Seed by seed, so that an interrupted run has about as many cases of every tier."""
     everyone = (DIAGNOSE, *discrepancy_peers.PEERS) if peers else (DIAGNOSE,)
     for seed in seeds:
         for tier in tiers:
@@ -62,7 +62,7 @@ def jobs(peers: bool, tiers: Sequence[str], seeds: range) -> Iterator[Job]:
 
 
 def outcomes(jobs: Sequence[Job], workers: int) -> Iterator[dict[str, Any]]:
-    """Rows for a results file, as they come in."""
+    """Rows for a results file, as they are finished."""
     context = multiprocessing.get_context("spawn")
     shares: Queue[list[int]] = context.Queue()
     for share in core_shares(workers):
@@ -80,7 +80,7 @@ def outcomes(jobs: Sequence[Job], workers: int) -> Iterator[dict[str, Any]]:
 
 
 def core_shares(workers: int) -> list[list[int]]:
-    """The cores that this process may use, dealt out."""
+    """The cores that this process may use, divided among the workers."""
     cores = sorted(os.sched_getaffinity(0))
     return [cores[first::workers] for first in range(workers)]
 
@@ -90,7 +90,7 @@ def _settle(shares: Queue[list[int]]) -> None:
 
 
 def outcome(job: Job) -> dict[str, Any]:
-    """One case. What goes wrong in it is its outcome, and no reason to stop."""
+    """Run one case. An error in it is its outcome, and does not stop the run."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "case"
         truth = write(path, draw(job.tier, job.seed))
@@ -114,7 +114,7 @@ def _look(by: str) -> Callable[[Case], dict[str, Any]]:
 
 
 def _compile(case: Case) -> None:
-    """The first simulation of a process compiles it, or loads what was kept."""
+    """Run a simulation once: it compiles the plant, or loads it from the cache."""
     problem = FitProblem(case, independent_noise(1.0, 1.0))
     problem.residuals(problem.start())
 
@@ -128,7 +128,7 @@ def _fresh(case: Path) -> dict[str, float]:
 
 @cache
 def engine() -> str:
-    """Of the sources that decide what a case is and what is said of it, a short name."""
+    """A short digest of the sources that determine cases and verdicts."""
     digest = hashlib.sha256()
     for folder in _SOURCES:
         for file in sorted(folder.rglob("*.py")):

@@ -1,7 +1,7 @@
 """`flying-vines diagnose CASE` in a process of its own: processor time and peak memory, start included.
 
-Started by `discrepancy_cases.py`. What a parent reads of a child's peak would be the parent's own, where that
-is larger; so the child reads it of itself.
+`discrepancy_cases.py` starts it. The process reads its own peak memory. From outside, the peak would include
+the memory of the parent, if that is larger.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""A Gaussian process for what the baseline lacks, as Kennedy & O'Hagan (2001) have it, on rates of change.
+"""A Gaussian process for the error of the baseline, after Kennedy & O'Hagan (2001), on rates of change.
 
-The baseline is refitted within its tolerances; what is left of the rates is learned as a smooth function of
-pressures and openings. It has no name for anything: it says `unexplained` where the process is worth its
-parameters by BIC, and `none` where it is not. Each run is predicted from the others, by simulating the
-baseline with the process added to its rates, as the project's own error on unseen data is found.
+The baseline is refitted within its tolerances. The process then learns the remaining error of the rates as a
+smooth function of pressures and openings. It cannot name a cause: it says `unexplained` if the process is
+worth its parameters by BIC, and `none` if not. Each run is predicted from the others, by simulating the
+baseline with the process added to its rates, as for `diagnose`.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from flying_vines.physics.baseline import BaselineState, Inputs, step
 from flying_vines.physics.rig import Rig, with_numbers
 
 MOST_ROWS = 300
-"""That a process learns from, of either pressure: its time goes with their cube."""
+"""Maximum number of rows for each pressure from which a process learns: its time grows with their cube."""
 SHOWN_S = 0.5
-"""Of a run that is predicted, for its initial pressures."""
+"""Part of a predicted run that is shown, to find the initial pressures."""
 STEPS = 2
-"""Of the integrator, a sample."""
+"""Steps of the integrator for each sample."""
 
 
 class Lack:
-    """What the baseline's rate of one pressure lacks, as a function of pressures and openings."""
+    """The error of the baseline's rate of one pressure, as a function of pressures and openings."""
 
     def __init__(self, inputs: Array, lacks: Array, like: Lack | None = None) -> None:
-        """`like` lends its scales; without it they are what the data make most likely."""
+        """`like` gives its scales; without it the maximum-likelihood scales are used."""
         self._middle, self._spread = inputs.mean(axis=0), np.maximum(inputs.std(axis=0), 1e-9)
         self._scale = max(float(lacks.std()), 1e-9)
         unknown = ConstantKernel(0.3, (1e-4, 1e3)) * RBF(np.ones(inputs.shape[1]), (0.1, 100.0))
@@ -51,17 +51,17 @@ class Lack:
             optimizer="fmin_l_bfgs_b" if like is None else None,
         )
         with warnings.catch_warnings():
-            # An input that does not matter ends at the bound of its scale.
+            # It warns if an input does not matter: its scale ends at the bound.
             warnings.simplefilter("ignore", ConvergenceWarning)
             self._process.fit((inputs - self._middle) / self._spread, lacks / self._scale)
 
     @property
     def kernel(self) -> Any:
-        """As fitted."""
+        """The fitted kernel."""
         return self._process.kernel_
 
     def there(self, lacks: Array) -> bool:
-        """Whether it is worth its parameters, against noise alone."""
+        """True if the process is better than noise alone, by BIC."""
         n, scaled = len(lacks), lacks / self._scale
         noise_alone = -0.5 * n * (log(2.0 * np.pi * float(np.mean(scaled**2))) + 1.0)
         gained = float(self._process.log_marginal_likelihood_value_) - noise_alone
@@ -74,7 +74,7 @@ class Lack:
 
 
 Lacks = tuple[Lack, Lack]
-"""Of reservoir and control volume."""
+"""For reservoir and control volume."""
 
 
 def look(case: Case) -> dict[str, Any]:
@@ -96,13 +96,13 @@ def look(case: Case) -> dict[str, Any]:
 
 
 def _rows(problem: FitProblem, point: FitPoint) -> list[tuple[Array, Array]]:
-    """A run's each: inputs (rows, 5), and what the baseline's rates lack (rows, 2)."""
+    """For each run: inputs (rows, 5), and the error of the baseline's rates (rows, 2)."""
     rig = _rig(problem, point)
     return [_lacks(problem.case, rig, s) for s in series(problem, point)]
 
 
 def _rig(problem: FitProblem, point: FitPoint) -> Rig:
-    """With its numbers as fitted."""
+    """The rig with its fitted numbers."""
     return with_numbers(problem.case.rig, problem.moved(point))
 
 
@@ -119,7 +119,7 @@ def _lacks(case: Case, rig: Rig, s: Series) -> tuple[Array, Array]:
 
 
 def _stack(rows: Sequence[tuple[Array, Array]], channel: int) -> tuple[Array, Array]:
-    """Of some runs, so many as a process can take, evenly from all of them."""
+    """The rows of some runs, at most `MOST_ROWS`, evenly from all of them."""
     inputs = np.concatenate([one for one, _ in rows])
     lacks = np.concatenate([one[:, channel] for _, one in rows])
     taken = np.unique(np.linspace(0, len(lacks) - 1, MOST_ROWS).astype(int))
@@ -127,8 +127,8 @@ def _stack(rows: Sequence[tuple[Array, Array]], channel: int) -> tuple[Array, Ar
 
 
 def _held_out(problem: FitProblem, null: FitPoint, lacks: Lacks | None) -> dict[str, float]:
-    """Errors over the range of what was measured, both channels alike, without and with the process (None:
-    without it, too)."""
+    """Errors on unseen data over the measured range, both channels alike, without and with the process. With
+    None, both are without."""
     case = problem.case
     squares: list[list[Array]] = [[], []]
     for i, run in enumerate(case.runs):
@@ -156,7 +156,7 @@ def _held_out(problem: FitProblem, null: FitPoint, lacks: Lacks | None) -> dict[
 
 
 def _simulated(rig: Rig, run: RecordedRun, start: BaselineState, lacks: Lacks) -> Array:
-    """(2, n) control volume and reservoir: the baseline's steps, and in each what its rates lack."""
+    """(2, n) control volume and reservoir: steps of the baseline, with the learned rates added."""
     found = np.empty((2, len(run.time_s)))
     state = start
     lengths_s = np.diff(run.time_s, append=run.time_s[-1])
@@ -172,7 +172,7 @@ def _simulated(rig: Rig, run: RecordedRun, start: BaselineState, lacks: Lacks) -
 
 
 def _nrmse(squares: Array, read: Array) -> float:
-    """`squares` of errors, `read`: (2, n), NaN where nothing was read."""
+    """`squares` of errors, and `read`: (2, n), NaN where there is no reading."""
     shares = [
         float(np.nanmean(row) / np.ptp(values[np.isfinite(values)]) ** 2)
         for row, values in zip(squares, read, strict=True)

@@ -11,7 +11,7 @@ import msgspec
 from flying_vines.identification.verdict import NONE, UNEXPLAINED
 
 DIAGNOSE = "diagnose"
-"""Who says it: this project, as against its peers."""
+"""Name of this project's method, as opposed to its peers."""
 Key = tuple[str, str, int]
 
 
@@ -21,11 +21,11 @@ class Hidden(msgspec.Struct, frozen=True):
     effect: str
     parameters: dict[str, float]
     share: float | None = None
-    """Of the baseline's misfit, what comes back without it; None in results from before it was asked."""
+    """Share of the baseline's misfit that comes back without this effect; None in older results."""
 
 
 class Truth(msgspec.Struct, frozen=True):
-    """As `hidden_truth.answer` gives it."""
+    """The truth, as `hidden_truth.answer` returns it."""
 
     effect: str
     tier: str
@@ -45,19 +45,19 @@ class Truth(msgspec.Struct, frozen=True):
 
     @property
     def shares(self) -> dict[str, float]:
-        """Of each hidden cause of the catalogue, the largest first, where shares are known."""
+        """Share of each hidden cause of the catalogue, the largest first, if shares are known."""
         every = {self.effect: self.share} | {one.effect: one.share for one in self.also}
         known = {name: share for name, share in every.items() if share is not None and not _outside(name)}
         return dict(sorted(known.items(), key=lambda one: -one[1]))
 
     @property
     def outside(self) -> bool:
-        """Whether the catalogue lacks all that is hidden."""
+        """True if the catalogue lacks everything that is hidden."""
         return all(map(_outside, self.hidden)) and bool(self.hidden)
 
     @property
     def partly_outside(self) -> bool:
-        """Whether the catalogue lacks something that is hidden beside what it holds."""
+        """True if the catalogue lacks a part of what is hidden."""
         return any(map(_outside, self.hidden)) and not self.outside
 
 
@@ -66,7 +66,7 @@ def _outside(effect: str) -> bool:
 
 
 class Interval(msgspec.Struct, frozen=True):
-    """Of 95 %."""
+    """A 95 % interval."""
 
     estimate: float
     low: float
@@ -74,7 +74,7 @@ class Interval(msgspec.Struct, frozen=True):
 
 
 class Named(msgspec.Struct, frozen=True):
-    """A cause and what it measures."""
+    """A named cause with its parameters."""
 
     cause: str
     parameters: dict[str, Interval] = {}
@@ -82,7 +82,7 @@ class Named(msgspec.Struct, frozen=True):
 
 
 class HeldOut(msgspec.Struct, frozen=True):
-    """Errors on unseen data, over the range of what was measured."""
+    """Errors on unseen data, over the measured range."""
 
     nrmse_before: float
     nrmse_after: float
@@ -90,31 +90,31 @@ class HeldOut(msgspec.Struct, frozen=True):
 
 
 class Said(msgspec.Struct, frozen=True):
-    """A verdict, as far as it is scored; of a peer what it gives of one."""
+    """The scored part of a verdict. A peer fills only a part of it."""
 
     cause: str
     confidence: float | None = None
     indistinguishable: tuple[str, ...] = ()
     parameters: dict[str, Interval] = {}
     share: float | None = None
-    """Of the first cause: of the misfit that all remove, what comes back without it."""
+    """Share of the misfit removed by all causes that comes back without the first cause."""
     also: tuple[Named, ...] = ()
     held_out: HeldOut | None = None
 
     @property
     def named(self) -> dict[str, dict[str, Interval]]:
-        """The causes that it claims, with their parameters."""
+        """The named causes with their parameters."""
         first = {} if self.cause in (NONE, UNEXPLAINED) else {self.cause: self.parameters}
         return first | {one.cause: one.parameters for one in self.also}
 
     @property
     def candidates(self) -> tuple[str, ...]:
-        """What its confidence is about."""
+        """The causes to which the confidence belongs."""
         return (self.cause, *self.indistinguishable)
 
 
 class Fresh(msgspec.Struct, frozen=True):
-    """What the command takes in a process of its own, start and compiling included."""
+    """Cost of the command in a process of its own, start and compiling included."""
 
     cpu_s: float
     wall_s: float
@@ -122,14 +122,14 @@ class Fresh(msgspec.Struct, frozen=True):
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """One case, by one way of looking at it."""
+    """The outcome of one case with one method."""
 
     by: str
     engine: str
-    """Which version of the sources spoke: outcomes of two are not to be counted together."""
+    """Digest of the sources. Outcomes of different sources must not be counted together."""
     truth: Truth
     said: Said | None
-    """None where it failed."""
+    """None if the method failed."""
     error: str
     cpu_s: float | None = None
     wall_s: float | None = None
@@ -141,20 +141,20 @@ class Outcome(msgspec.Struct, frozen=True):
 
 
 _BEGINS = '{"by": '
-"""Every line."""
+"""Every line begins like this."""
 
 
 class ResultsError(ValueError):
-    """A file that holds something else than outcomes; its text is one line."""
+    """A file that does not contain outcomes; the text is one line."""
 
 
 def as_outcome(row: object) -> Outcome:
-    """A row as the worker makes it and the file keeps it. msgspec.ValidationError where it is none."""
+    """Convert a row of a worker or of the file. Raises msgspec.ValidationError if it is not valid."""
     return msgspec.convert(row, Outcome)
 
 
 def read_outcomes(path: Path) -> list[Outcome]:
-    """All of a file but a last line that was cut off: the run was killed while it was written."""
+    """All lines of a file except a last line that was cut off because the run was killed."""
     *whole, cut_off = _text(path).split("\n")
     if not cut_off.startswith(_BEGINS[: len(cut_off)]):
         whole.append(cut_off)
@@ -162,7 +162,7 @@ def read_outcomes(path: Path) -> list[Outcome]:
 
 
 def begun(path: Path) -> list[Outcome]:
-    """The outcomes of a file that is to be gone on with; one that is not there is made."""
+    """The outcomes of a file that is continued; a missing file is created."""
     try:
         path.touch()
         found = read_outcomes(path)
@@ -174,7 +174,7 @@ def begun(path: Path) -> list[Outcome]:
 
 
 def append(path: Path, row: object) -> None:
-    """At once, so that nothing is lost of a run that is stopped."""
+    """Written at once, so that an interrupted run loses nothing."""
     with path.open("a", encoding="utf-8") as file:
         file.write(json.dumps(row) + "\n")
 
@@ -185,13 +185,13 @@ def _text(path: Path) -> str:
     except OSError as error:
         raise ResultsError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise ResultsError(f"{path}: is no text; give the file that --results wrote") from None
+        raise ResultsError(f"{path}: is not a text file; give the file that --results wrote") from None
 
 
 def _outcomes(path: Path, lines: Iterable[str]) -> Iterator[Outcome]:
     for number, line in enumerate(lines, start=1):
         try:
-            # Not msgspec's own reader: what Python writes of NaN and infinity is not JSON to it.
+            # Not msgspec's own reader: it does not accept NaN and infinity as Python writes them.
             yield as_outcome(json.loads(line))
         except (json.JSONDecodeError, msgspec.ValidationError) as error:
-            raise ResultsError(f"{path}:{number}: is no outcome of this benchmark: {error}") from None
+            raise ResultsError(f"{path}:{number}: is not an outcome of this benchmark: {error}") from None

@@ -1,7 +1,7 @@
-"""Other methods on the same case, by name.
+"""Other methods for the same case, by name.
 
-Each takes a case and gives as much of a verdict as it has: a cause, or `unexplained` where it can only say
-that something is there, further causes, an error on unseen data.
+Each takes a case and returns the parts of a verdict that it can give: a cause, or `unexplained` if it cannot
+name one; further causes; an error on unseen data.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ PEERS = {
     "Gaussian process": "discrepancy_gaussian",
     "stepwise BIC": "discrepancy_stepwise",
 }
-"""Each a module with `look`; they need packages of their own."""
+"""Modules with a function `look`; they need packages of their own."""
 
 
 def require() -> None:
-    """ModuleNotFoundError, now and not in every worker, where a package is missing."""
+    """Raises ModuleNotFoundError if a package is missing, before any worker starts."""
     for name in PEERS:
         peer(name)
 

@@ -1,9 +1,9 @@
-"""pysindy's sparse regression, with a physicist's library of terms, and a table of what each term means.
+"""pysindy's sparse regression, with a library of physical terms, and a table of the cause of each term.
 
-dP/dt of either pressure is regressed on the baseline's own terms and on what could stand beside them:
-products of openings and pressures, and what is missed where a valve turns late. The threshold is the one
-that predicts runs which the regression has not seen, or a larger one that does it as well. A term beyond the
-baseline's names a cause; where there is none, the baseline's coefficients may, by which are off together.
+dP/dt of each pressure is regressed on the baseline's own terms and on further terms: products of openings and
+pressures, and the flow that is missing while a valve turns late. The threshold is the one that best predicts
+unseen runs, or a larger one that predicts them as well. A term beyond the baseline's names a cause. Without
+such a term, the coefficients of the baseline may name one, by the group that is off together.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ from flying_vines.identification.verdict import NONE, UNEXPLAINED
 from flying_vines.physics.arrays import Array
 
 THRESHOLDS = np.geomspace(1e-3, 0.5, 16)
-"""Of a term's share in the rates."""
+"""Minimum share of a term in the rates."""
 RIDGE = 1e-4
 SURE = 16.0
-"""χ² by which coefficients must be off to mean something."""
+"""Minimum χ² by which coefficients must be off."""
 TOGETHER = {
     "reservoir_volume": (1.0, 1.0, 0.0, 0.0),
     "evp_restriction": (1.0, 0.0, 1.0, 0.0),
     "dead_volume": (0.0, 0.0, 1.0, 1.0),
     "cv_sensor_gain": (0.0, 0.0, 1.0, 0.0),
 }
-"""Which coefficients a cause moves alike: of the reservoir inflation and Venturi, of the control volume
-inflation and outlet."""
+"""The coefficients that a cause changes by the same factor: inflation and Venturi for the reservoir,
+inflation and outlet for the control volume."""
 ALIKE = {"cv_sensor_gain": ("reservoir_sensor_gain",)}
 
 Terms = dict[str, Array]
 
 
 class Equation(NamedTuple):
-    """One pressure's, as it was found."""
+    """The equation of one pressure."""
 
     extra: dict[str, float]
-    """Causes whose terms are in it: by how much χ² would rise without, all others refitted."""
+    """Causes of the further terms: the rise of χ² without the term, after a refit of all others."""
     coefficients: Array
-    """Of the baseline's own terms; 1 is as believed."""
+    """Of the baseline's own terms; 1 is the nominal value."""
     errors: Array
     """Their standard errors."""
 
@@ -73,7 +73,7 @@ def look(case: Case) -> dict[str, Any]:
 
 
 def _reservoir(case: Case, s: Series) -> tuple[Terms, Terms]:
-    """The baseline's terms, and others by the cause that they stand for, kPa/s or any unit."""
+    """The baseline's terms, and further terms by their cause, in kPa/s or any unit."""
     gain, _ = per_SL(case)
     into, through = inflation(case.rig, s), motive(case.rig, s)
     own = {"inflation": s.mean(-gain * into), "motive": s.mean(-gain * through)}
@@ -95,7 +95,7 @@ def _cv(case: Case, s: Series) -> tuple[Terms, Terms]:
     into, out = inflation(case.rig, s), outlet(case.rig, s)
     own = {"inflation": s.mean(gain * into), "outlet": s.mean(-gain * out)}
     closing = np.maximum(-np.diff(s.solenoid, prepend=0.0), 0.0)
-    # Where it has just closed, what flowed out at the sample before goes on.
+    # If the valve has just closed, the outflow of the sample before continues.
     before = np.concatenate(([0.0], out[:-1]))
     return own, {
         "ambient_drop": s.mean(np.ones_like(s.evp)),
@@ -127,7 +127,7 @@ def _equation(
     used = np.flatnonzero(np.linalg.norm(columns, axis=0) > 0.0)
     coefficients = _sparse(columns[:, used], rates, _threshold(columns[:, used], rates, run))
     chosen = used[coefficients != 0.0]
-    # By size two terms that nearly cancel would come first.
+    # Not by size: two terms that nearly cancel would come first.
     left = _left(columns[:, chosen], rates)
     found = {
         names[k]: len(rates) * (_left(columns[:, chosen[chosen != k]], rates) / left - 1.0)
@@ -138,15 +138,15 @@ def _equation(
 
 
 def _left(columns: Array, rates: Array) -> float:
-    """The sum of squares that no mixture of these explains."""
+    """The minimum sum of squares with these terms."""
     return float(np.sum((rates - columns @ np.linalg.lstsq(columns, rates)[0]) ** 2))
 
 
 def _sparse(columns: Array, rates: Array, threshold: float) -> Array:
-    """Which terms, and how much of each."""
+    """The coefficient of each term; 0 for terms that are not used."""
     regression = STLSQ(threshold * float(np.linalg.norm(rates)), alpha=RIDGE, normalize_columns=True)
     with warnings.catch_warnings():
-        # It warns where a threshold leaves nothing, which is an answer.
+        # It warns if a threshold leaves no term, which is a valid answer.
         warnings.simplefilter("ignore")
         regression.fit(columns, rates[:, None])
     coefficients: Array = np.asarray(regression.coef_[0], dtype=np.float64)
@@ -154,7 +154,7 @@ def _sparse(columns: Array, rates: Array, threshold: float) -> Array:
 
 
 def _threshold(columns: Array, rates: Array, run: NDArray[np.int_]) -> float:
-    """The largest whose error on unseen runs is not clearly above the least."""
+    """The largest threshold whose error on unseen runs is not significantly above the minimum."""
     errors = np.array(
         [
             [
@@ -169,7 +169,7 @@ def _threshold(columns: Array, rates: Array, run: NDArray[np.int_]) -> float:
     )
     mean = errors.mean(axis=1)
     best = int(np.argmin(mean))
-    # Standard error of the difference to the best: runs differ by themselves.
+    # Standard error of the difference to the best, because runs differ.
     excess = errors - errors[best]
     doubt = excess.std(axis=1, ddof=1) / np.sqrt(errors.shape[1])
     return float(THRESHOLDS[np.flatnonzero(excess.mean(axis=1) <= doubt)[-1]])
@@ -188,7 +188,7 @@ def _least_squares(columns: Array, rates: Array) -> tuple[Array, Array]:
 
 
 def _by_coefficients(case: Case, equations: Sequence[Equation]) -> str:
-    """The cause that moves alike what is off beyond what is believed."""
+    """The cause whose group of coefficients is off by more than the tolerance."""
     off = np.concatenate([equation.coefficients for equation in equations]) - 1.0
     errors = np.concatenate([equation.errors for equation in equations])
     tolerance = case.rig.tolerance("evp.flow_resistance_kPa_s_per_SL") / 100.0

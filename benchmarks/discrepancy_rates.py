@@ -1,9 +1,9 @@
-"""Rates of change out of noisy readings, without differentiating them.
+"""Rates of change from noisy readings, without differentiation.
 
-What a pressure gains within a window is the integral of its rate; so instead of derivatives the gains of
-overlapping windows are averaged, and whatever a rate is to be explained by is integrated in the same way,
-valve by valve as recorded. This is the weak form of such regressions (Messenger & Bortz 2021) with a trapeze
-as test function: exact where a valve turns, where smooth derivatives smear.
+The change of a pressure within a window is the integral of its rate. So the changes of overlapping windows
+are averaged, and all terms of a regression are integrated in the same way, with each valve as recorded. This
+is the weak form of such regressions (Messenger & Bortz 2021) with a trapezoid as test function. It is exact
+where a valve turns; smooth derivatives smear there.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from flying_vines.physics.rig import Rig
 
 WINDOW_S = 0.2
 FEWEST = 2
-"""Samples in a window."""
+"""Minimum number of samples in a window."""
 
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One run without holes: n samples, and n − 1 steps from each to the next."""
+    """One run: n samples, and n − 1 steps between them."""
 
     time_s: Array
     read_kPa: Array
@@ -37,21 +37,21 @@ class Series:
     evp: Array
     dvp: Array
     solenoid: Array
-    """Of each step, as the next two."""
+    """For each step, as the next two."""
     reservoir_kPa: Array
     cv_kPa: Array
-    """In its middle."""
+    """In the middle of the step."""
     bridged: NDArray[np.bool_]
-    """Whether it lies in a hole, of rows or of readings, over which only a straight line leads."""
+    """True for a step in a gap of rows or readings: values there are interpolated linearly."""
 
     @property
     def window(self) -> int:
-        """So many steps."""
+        """Length of the window in steps."""
         return max(FEWEST, round(WINDOW_S / float(np.median(np.diff(self.time_s)))))
 
     def gain(self, values: Array) -> Array:
-        """What `values` (n,) gain within a window, over its length; averaged over as many that overlap. Those
-        with a hole in them are left out."""
+        """The change of `values` (n,) within a window, divided by its length, averaged over overlapping
+        windows. Windows with a gap are left out."""
         n = self.window
         gains = (values[n:] - values[:-n]) / (self.time_s[n:] - self.time_s[:-n])
         holes = np.concatenate(([0], np.cumsum(self.bridged)))
@@ -62,16 +62,16 @@ class Series:
         return averaged
 
     def mean(self, rate: Array) -> Array:
-        """Of something that has a rate in each step, likewise."""
+        """As `gain`, for a quantity with a rate in each step."""
         return self.gain(np.concatenate(([0.0], np.cumsum(rate * np.diff(self.time_s)))))
 
     def jumps(self, size: Array) -> Array:
-        """Of something that happens at the beginning of steps, likewise."""
+        """As `gain`, for a quantity that jumps at the beginning of steps."""
         return self.gain(np.concatenate(([0.0], np.cumsum(size))))
 
 
 def series(problem: FitProblem, point: FitPoint) -> list[Series]:
-    """All runs; a pressure that nobody read is what the baseline says at `point`."""
+    """All runs. A pressure without readings is replaced by the baseline's at `point`."""
     found = []
     for run, (cv, reservoir) in zip(problem.case.runs, problem.simulated(point), strict=True):
         read = np.stack((_filled(run, run.reservoir_kPa, reservoir), _filled(run, run.cv_kPa, cv)))
@@ -108,24 +108,24 @@ def _filled(run: RecordedRun, read: Array, simulated: Array) -> Array:
 
 
 def stacked(every: list[Series], rows: Callable[[Series], Array]) -> tuple[Array, NDArray[np.int_]]:
-    """What each run has, one below the other, and whose it is."""
+    """The rows of all runs, one below the other, and the index of the run."""
     found = [rows(one) for one in every]
     whose = np.repeat(np.arange(len(found)), [len(one) for one in found])
     return np.concatenate(found), whose
 
 
 def inflation(rig: Rig, s: Series) -> Array:
-    """Standard litres per second."""
+    """Flow through the inflation valve, SL/s."""
     return s.evp * (s.reservoir_kPa - s.cv_kPa) / rig.evp.flow_resistance_kPa_s_per_SL
 
 
 def motive(rig: Rig, s: Series) -> Array:
-    """Likewise, through the Venturi."""
+    """Flow through the Venturi, SL/s."""
     return s.dvp * s.reservoir_kPa / rig.dvp.flow_resistance_kPa_s_per_SL
 
 
 def outlet(rig: Rig, s: Series) -> Array:
-    """Likewise, out of the control volume."""
+    """Flow out of the control volume, SL/s."""
     supply = np.minimum(1.0, s.reservoir_kPa / rig.venturi.rated_supply_kPa)
     flow = s.cv_kPa + rig.venturi.full_vacuum_kPa * s.dvp * supply
     flow = np.where(s.dvp > 0.0, np.maximum(flow, 0.0), flow)
@@ -133,6 +133,7 @@ def outlet(rig: Rig, s: Series) -> Array:
 
 
 def per_SL(case: Case) -> tuple[float, float]:
-    """What a standard litre raises reservoir and control volume by, kPa; 0 where there is no CV."""
+    """The pressure rise of reservoir and control volume by a standard litre, kPa; 0 without a control
+    volume."""
     rig = case.rig
     return ALPHA_KPA / rig.reservoir.volume_L, 0.0 if rig.cv is None else ALPHA_KPA / rig.cv.volume_L

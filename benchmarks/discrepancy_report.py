@@ -1,4 +1,4 @@
-"""The tables of the proving ground, from outcomes alone."""
+"""The tables of the benchmark of `diagnose`, from its outcomes."""
 
 from __future__ import annotations
 
@@ -51,27 +51,28 @@ GOALS = {
     "several_outside": 0.80,
     "rounded": 0.85,
 }
-"""The share of cases that are to count, by tier; of those outside the catalogue, to get no confident name."""
+"""Required share of right cases, by tier. Outside the catalogue a case is right if no cause is named with
+confidence."""
 STRONG = ("clear", "subtle")
-"""Whose parameters are to be near."""
+"""Tiers whose parameters must be near the truth."""
 PAIR = "pair"
 SEVERAL_GOALS = ("≥ 80 %", "≥ 70 %", "≤ 5 %", "≥ 70 %", "90–98 %", "", "≤ 60 s")
-"""Of several effects, in the order of the columns of `several_table`."""
+"""For several effects, in the order of the columns of `several_table`."""
 KINDS = ("a cause", NONE, UNEXPLAINED)
 
 
 def show(outcomes: Sequence[Outcome], console: Console) -> None:
-    """All that can be said of these."""
+    """Print all tables."""
     ours = [outcome for outcome in outcomes if outcome.by == DIAGNOSE]
     engines = sorted({outcome.engine for outcome in outcomes})
     if len(engines) > 1:
         console.print(f"These are outcomes of {len(engines)} versions of the sources: {', '.join(engines)}")
     if ours:
-        parts = [("Named", tiers_table(ours)), ("Measured, of what was rightly named", measured_table(ours))]
+        parts = [("Named", tiers_table(ours)), ("Parameters of rightly named causes", measured_table(ours))]
         if any(outcome.truth.tier in SEVERAL for outcome in ours):
             parts.append(("Several effects at once", several_table(ours)))
         if wrong := wrong_table(ours):
-            parts.append(("What was said where it was not right", wrong))
+            parts.append(("Wrong verdicts", wrong))
         parts += [("Confidence", confidence_table(ours)), ("Cost", cost_table(ours))]
         for title, table in parts:
             console.print(f"\n{title}\n")
@@ -80,7 +81,7 @@ def show(outcomes: Sequence[Outcome], console: Console) -> None:
         for line in (*accusations(ours), *fresh_lines(ours)):
             console.print(line)
     if peers := sorted({outcome.by for outcome in outcomes} - {DIAGNOSE}):
-        console.print("\nAgainst what else there is, on the cases that all have seen\n")
+        console.print("\nOther methods, on the cases that all have diagnosed\n")
         console.print(peers_table(outcomes, [DIAGNOSE, *peers] if ours else peers))
     for outcome in outcomes:
         if outcome.error:
@@ -89,7 +90,7 @@ def show(outcomes: Sequence[Outcome], console: Console) -> None:
 
 
 def tiers_table(outcomes: Sequence[Outcome]) -> Table:
-    """How many count, tier by tier."""
+    """The number of right cases, by tier."""
     table = _table("tier", "counted", "share", "95 %", "goal", "right", "alike", "left open", "false extra")
     for tier, group in _by_tier(outcomes):
         counted = sum(counts(outcome) for outcome in group)
@@ -110,7 +111,7 @@ def tiers_table(outcomes: Sequence[Outcome]) -> Table:
 
 
 def measured_table(outcomes: Sequence[Outcome]) -> Table:
-    """Parameters of what was rightly named, and errors on unseen data."""
+    """Parameters of rightly named causes, and errors on unseen data."""
     neutral = neutral_values()
     near = f"within {NEAR:.0%}"
     table = _table("tier", "parameters", near, "95 %", "median off", "interval holds", "95 %", "at noise")
@@ -136,7 +137,7 @@ def measured_table(outcomes: Sequence[Outcome]) -> Table:
 
 
 def several_table(outcomes: Sequence[Outcome]) -> Table:
-    """Whether the largest is named first, the large ones are listed, and nothing else is."""
+    """Whether the largest cause is named first, the large ones are listed, and no wrong cause is named."""
     named = ("largest first", f"over {LARGE:.0%} listed", "false names", f"unseen ≤ {NEAR_NOISE:g} noise")
     table = _table("tier", "cases", *named, "interval holds", "share off, median", "CPU, most")
     for tier, group in _by_tier(outcomes):
@@ -167,7 +168,7 @@ def several_table(outcomes: Sequence[Outcome]) -> Table:
 
 
 def wrong_table(outcomes: Sequence[Outcome]) -> Table | None:
-    """True against said, only where something was not right; None if all was."""
+    """Truth and verdict of the wrong cases; None if all were right."""
     rows: dict[str, Counter[str]] = defaultdict(Counter)
     seen: Counter[str] = Counter()
     for outcome in outcomes:
@@ -194,7 +195,7 @@ def _words(outcome: Outcome) -> str:
 
 
 def confidence_table(outcomes: Sequence[Outcome]) -> Table:
-    """What was stated against what came true."""
+    """Stated confidence and how often it was right."""
     table = _table("said", "confidence", "verdicts", "stated", "came true", "95 %", "Brier")
     for kind, stated in _stated(outcomes).items():
         for index, one in enumerate(reliability(stated)):
@@ -217,7 +218,7 @@ def confidence_table(outcomes: Sequence[Outcome]) -> Table:
 
 
 def _stated(outcomes: Iterable[Outcome]) -> dict[str, list[tuple[float, bool]]]:
-    """Confidences and whether they came true, by what was said."""
+    """Confidences and whether they were right, by verdict."""
     found: dict[str, list[tuple[float, bool]]] = {kind: [] for kind in KINDS}
     for outcome in outcomes:
         said = outcome.said
@@ -228,7 +229,7 @@ def _stated(outcomes: Iterable[Outcome]) -> dict[str, list[tuple[float, bool]]]:
 
 
 def cost_table(outcomes: Sequence[Outcome]) -> Table:
-    """Time that a case takes, tier by tier."""
+    """Time of a case, by tier."""
     table = _table("tier", "CPU median", "90 %", "most", "wall median", "90 %", "most")
     for tier, group in (*_by_tier(outcomes), ("all", outcomes)):
         cpu_s = sorted(o.cpu_s for o in group if o.cpu_s is not None)
@@ -244,31 +245,31 @@ def _spread(rising: Sequence[float]) -> tuple[float, float, float]:
 
 
 def accusations(outcomes: Sequence[Outcome]) -> Iterator[str]:
-    """Lines on what must not happen."""
+    """Lines about wrong verdicts with confidence."""
     clean = [o for o in outcomes if o.said and not o.truth.hidden]
     if clean:
         accused = sum(bool(o.said and o.said.named) for o in clean)
-        yield f"Rigs that hide nothing, yet are accused of a cause: {_of(accused, len(clean))}"
+        yield f"Rigs without a hidden effect for which a cause was named: {_of(accused, len(clean))}"
     outside = [o.said for o in outcomes if o.said and o.truth.outside]
     if outside:
         named = sum(bool(said.named) and (said.confidence or 0.0) > CONFIDENT for said in outside)
         missed = sum(said.cause == NONE for said in outside)
         yield (
-            f"Rigs that hide what the catalogue lacks, yet are accused of a cause with more than "
+            f"Rigs with an effect that the catalogue lacks, for which a cause was named with more than "
             f"{CONFIDENT:.0%}: {_of(named, len(outside))}; with `none`: {_of(missed, len(outside))}"
         )
     single = [o for o in outcomes if o.said and not o.truth.outside and len(o.truth.hidden) == 1]
     if single:
         alone = sum(not o.said.also for o in single if o.said)
-        yield f"Rigs that hide one cause, of which nothing further is claimed: {_of(alone, len(single))}"
+        yield f"Rigs with one hidden cause, for which no further cause was named: {_of(alone, len(single))}"
     several = [o for o in outcomes if o.said and o.truth.tier == PAIR]
     if several:
         either = sum(bool(set(o.said.named) & set(o.truth.hidden)) for o in several if o.said)
-        yield f"Rigs that hide two causes, of which at least one is named: {_of(either, len(several))}"
+        yield f"Rigs with two hidden causes, of which at least one was named: {_of(either, len(several))}"
 
 
 def fresh_lines(outcomes: Sequence[Outcome]) -> Iterator[str]:
-    """A line on the command in a process of its own."""
+    """A line about the cost of the command in a process of its own."""
     fresh = [outcome.fresh for outcome in outcomes if outcome.fresh is not None]
     if fresh:
         cpu_s, wall_s = median(one.cpu_s for one in fresh), median(one.wall_s for one in fresh)
@@ -280,7 +281,7 @@ def fresh_lines(outcomes: Sequence[Outcome]) -> Iterator[str]:
 
 
 def peers_table(outcomes: Sequence[Outcome], everyone: Sequence[str]) -> Table:
-    """The same questions to all, about the same cases."""
+    """The comparison of all methods on the same cases."""
     by: dict[str, dict[tuple[str, int], Outcome]] = {name: {} for name in everyone}
     for outcome in outcomes:
         by[outcome.by][outcome.truth.tier, outcome.truth.seed] = outcome
@@ -310,23 +311,25 @@ def _answers(outcomes: Sequence[Outcome]) -> dict[str, str]:
     ratios = [ratio for _, verdict in said if (ratio := over_noise(verdict)) is not None]
     cpu_s = [outcome.cpu_s for outcome in outcomes if outcome.cpu_s is not None]
     return answers | {
-        "something is seen where something is": _of(sum(v.cause != NONE for _, v in hiding), len(hiding)),
-        "something is seen where nothing is": _of(sum(v.cause != NONE for v in clean), len(clean)),
-        "false names a case, of what is in the catalogue": _mean(len(false_names(t, v)) for t, v in known),
-        "outside the catalogue, yet named": _of(sum(bool(v.named) for v in outside), len(outside)),
+        "something hidden, and not `none`": _of(sum(v.cause != NONE for _, v in hiding), len(hiding)),
+        "nothing hidden, and not `none`": _of(sum(v.cause != NONE for v in clean), len(clean)),
+        "wrong names per case, without effects outside the catalogue": _mean(
+            len(false_names(t, v)) for t, v in known
+        ),
+        "outside the catalogue, and a cause named": _of(sum(bool(v.named) for v in outside), len(outside)),
         "error on unseen data over noise, median": f"{median(ratios):.2f}" if ratios else "–",
-        "CPU seconds a case, median": f"{median(cpu_s):.1f}" if cpu_s else "–",
+        "CPU seconds per case, median": f"{median(cpu_s):.1f}" if cpu_s else "–",
         "failed": str(len(outcomes) - len(said)),
     }
 
 
 def _named(outcome: Outcome) -> bool:
-    """Right, not only left open."""
+    """True if the verdict is right, and does not only leave the cause open."""
     return judgement(outcome) in (Judgement.RIGHT, Judgement.ALIKE)
 
 
 def neutral_values() -> Neutral:
-    """Of all parameters of the catalogue."""
+    """The neutral values of all parameters of the catalogue."""
     return {(cause.name, p.name): p.neutral for cause in catalogue() for p in cause.parameters}
 
 

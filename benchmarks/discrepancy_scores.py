@@ -1,4 +1,4 @@
-"""When a verdict is right, how far off a number is, and what a stated probability is worth."""
+"""Defines when a verdict is right, the error of a number, and the quality of stated probabilities."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from discrepancy_outcome import Interval, Outcome, Said, Truth
 from flying_vines.identification.verdict import NONE, UNEXPLAINED
 
 Neutral = Mapping[tuple[str, str], float | None]
-"""Where a parameter of a cause does nothing."""
+"""The value at which a parameter has no effect."""
 
 UNSURE = 0.9
-"""`none` with less confidence leaves open what is there."""
+"""`none` with a lower confidence leaves the cause open."""
 CONFIDENT = 0.5
-"""A cause that is named with more is claimed."""
+"""A cause with a higher confidence is claimed."""
 NEAR = 0.1
 """A parameter is right within this share of its distance from neutral."""
 SEVERAL = ("several", "several_outside")
-"""Tiers that hide three effects or more, whose verdict is to order the causes by what they explain."""
+"""Tiers with three hidden effects or more. Their verdict must order the causes by their share."""
 LARGE = 0.1
-"""A cause with a larger share of the misfit is to be listed."""
+"""A cause with a larger share of the misfit must be listed."""
 NEAR_NOISE = 2.0
-"""Of several effects an error on unseen data is low enough up to so many times noise's own."""
+"""With several effects, the error on unseen data is low enough up to this multiple of the noise."""
 AT_NOISE = 1.2
-"""An error on unseen data is noise's own up to so many times that."""
+"""An error on unseen data is due to noise up to this multiple of the noise."""
 BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 1.0)
 _Z = 1.959964
 
 
 class Judgement(Enum):
-    """Of what was said about what is hidden."""
+    """Judgement of a verdict against the truth."""
 
     RIGHT = "right"
     ALIKE = "among indistinguishable"
@@ -44,19 +44,23 @@ class Judgement(Enum):
 
 
 def wilson(count: int, of: int) -> tuple[float, float]:
-    """The 95 % interval of a share of which a sample is known (Wilson 1927)."""
+    """The 95 % interval of a share, estimated from a sample (Wilson 1927)."""
     if of == 0:
         return 0.0, 1.0
     share, z2 = count / of, _Z**2
     middle = (share + z2 / (2 * of)) / (1 + z2 / of)
     half = _Z / (1 + z2 / of) * sqrt(share * (1 - share) / of + z2 / (4 * of**2))
-    # At either end rounding must not leave out what was seen.
+    # At either end, rounding must not exclude the observed share.
     return min(share, middle - half), max(share, middle + half)
 
 
 def judge(truth: Truth, said: Said) -> Judgement:
-    """RIGHT: `none` of a rig that hides nothing, `unexplained` of what the catalogue lacks, the cause of what
-    it holds; where two are hidden, both, in any order; of several the largest in the catalogue, first."""
+    """Compare a verdict with the truth.
+
+    RIGHT: `none` for a rig without hidden effects, `unexplained` for an effect that the catalogue lacks, else
+    the hidden cause. Two causes must both be named, in any order. Of several causes the largest one must be
+    first.
+    """
     if truth.tier in SEVERAL:
         return _judge_first(truth, said)
     if truth.outside:
@@ -64,7 +68,7 @@ def judge(truth: Truth, said: Said) -> Judgement:
     hidden = set(truth.hidden)
     if not hidden:
         return Judgement.RIGHT if said.cause == NONE else Judgement.WRONG
-    # Of one cause it is not enough to stand beside another that is said to explain more.
+    # With one hidden cause, it must be the first: another one must not be said to explain more.
     named = set(said.named) if len(hidden) > 1 else {said.cause}
     if hidden <= named:
         return Judgement.RIGHT
@@ -85,12 +89,12 @@ def _judge_first(truth: Truth, said: Said) -> Judgement:
 
 
 def judgement(outcome: Outcome) -> Judgement:
-    """A failure is wrong."""
+    """A failure counts as wrong."""
     return Judgement.WRONG if outcome.said is None else judge(outcome.truth, outcome.said)
 
 
 def counts(outcome: Outcome) -> bool:
-    """Whether the goal of its tier is met: of twenty seconds it is enough not to claim what is not so."""
+    """True if the goal of the tier is met. In twenty seconds it is enough to claim nothing wrong."""
     enough = {Judgement.RIGHT, Judgement.ALIKE}
     if outcome.truth.tier == "short":
         enough.add(Judgement.OPEN)
@@ -98,24 +102,24 @@ def counts(outcome: Outcome) -> bool:
 
 
 def false_names(truth: Truth, said: Said) -> list[str]:
-    """Causes that are claimed and not there."""
+    """Causes that are claimed but not hidden."""
     return [name for name in said.named if name not in truth.hidden]
 
 
 def large(truth: Truth) -> list[str]:
-    """Causes of the catalogue that a list is to contain."""
+    """Causes of the catalogue that must be listed."""
     return [name for name, share in truth.shares.items() if share > LARGE]
 
 
 def share_errors(truth: Truth, said: Said) -> list[float]:
-    """Stated minus true share of each rightly named cause that has both."""
+    """Stated minus true share of each rightly named cause for which both are known."""
     stated = {said.cause: said.share} | {one.cause: one.share for one in said.also}
     return [share - truth.shares[n] for n, share in stated.items() if share is not None and n in truth.shares]
 
 
 @dataclass(frozen=True)
 class Measured:
-    """A parameter of a cause that is there and was named."""
+    """A parameter of a rightly named cause."""
 
     cause: str
     name: str
@@ -128,7 +132,7 @@ class Measured:
 
 
 def measured(truth: Truth, said: Said) -> Iterator[Measured]:
-    """Every parameter of which both are known."""
+    """Every parameter with a true and an estimated value."""
     for cause, parameters in truth.hidden.items():
         for name, true in parameters.items():
             interval = said.named.get(cause, {}).get(name)
@@ -137,8 +141,11 @@ def measured(truth: Truth, said: Said) -> Iterator[Measured]:
 
 
 def off(one: Measured, neutral: Neutral) -> float:
-    """The error over the true distance from neutral: from 1 of a scale or gain, from 0 of the rest; of what
-    is neutral at infinity (leaks), or nowhere, over the value itself."""
+    """The error divided by the distance of the true value from the neutral value.
+
+    The neutral value is 1 for a scale or gain, and 0 for others. If it is infinite (leaks) or missing, the
+    error is divided by the true value.
+    """
     at = neutral.get((one.cause, one.name))
     distance = one.true if at is None or isinf(at) else one.true - at
     error = abs(one.interval.estimate - one.true)
@@ -146,7 +153,7 @@ def off(one: Measured, neutral: Neutral) -> float:
 
 
 def holds(truth: Truth, said: Said) -> bool:
-    """Whether what the confidence is about came true; of two hidden causes either is one."""
+    """True if the claim with the confidence is right. With two hidden causes either one is right."""
     if truth.outside or (truth.partly_outside and said.cause == UNEXPLAINED):
         return said.cause == UNEXPLAINED
     return not set(truth.hidden or {NONE}).isdisjoint(said.candidates)
@@ -154,7 +161,7 @@ def holds(truth: Truth, said: Said) -> bool:
 
 @dataclass(frozen=True)
 class Bin:
-    """Verdicts of about the same confidence."""
+    """Verdicts of similar confidence."""
 
     low: float
     high: float
@@ -165,7 +172,7 @@ class Bin:
 
 
 def reliability(stated: Sequence[tuple[float, bool]]) -> list[Bin]:
-    """Confidences, and whether they came true, by confidence; empty bins are left out."""
+    """Groups of verdicts by confidence, with the share that was right; empty groups are left out."""
     found = []
     for low, high in pairwise(BINS):
         inside = [(p, true) for p, true in stated if low < p <= high or p == low == 0.0]
@@ -176,11 +183,11 @@ def reliability(stated: Sequence[tuple[float, bool]]) -> list[Bin]:
 
 
 def brier(stated: Sequence[tuple[float, bool]]) -> float:
-    """The mean square of what a probability is off: 0 is clairvoyance, 0.25 a coin."""
+    """Mean squared error of the stated probabilities: 0 is perfect, 0.25 is a coin toss."""
     return fmean((p - true) ** 2 for p, true in stated)
 
 
 def over_noise(said: Said) -> float | None:
-    """The error on unseen data in units of noise's own, if it was measured."""
+    """The error on unseen data divided by the noise, if it was measured."""
     error = said.held_out
     return error.nrmse_after / error.noise_floor if error is not None and error.noise_floor > 0.0 else None

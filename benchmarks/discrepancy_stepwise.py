@@ -1,8 +1,8 @@
-"""Forward selection by BIC: this project's simulation and causes, with textbook statistics around them.
+"""Forward selection by BIC: this project's simulation and causes, with textbook statistics.
 
-The believed numbers are exact, a run begins at its first readings, and residuals are independent noise as
-stated. Cause after cause is added, the one that lowers χ² + k ln n most, all parameters refitted, until none
-lowers it.
+Nominal numbers count as exact, a run starts at its first readings, and residuals are independent noise of the
+stated size. In each step the cause that lowers χ² + k ln n most is added, and all parameters are refitted,
+until no cause lowers it.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ MOST_CAUSES = 8
 MOST_STEPS = 12
 
 OF_RANGE = 1e-4
-"""How far a parameter is moved for a derivative."""
+"""Step of a parameter for a derivative, as a share of its range."""
 BROKEN = 1e6
-"""A residual where a simulation breaks down, in units of noise."""
+"""Residual of a simulation that fails, in units of noise."""
 
 
 class Fit(NamedTuple):
@@ -62,7 +62,8 @@ def _selected(problem: FitProblem) -> FitPoint:
 
 
 def _first_readings(problem: FitProblem) -> Array:
-    """Of each start, reservoir and control volume; where a pressure was not read, as the project guesses."""
+    """Initial pressures of reservoir and control volume for each start; without a reading, as the project
+    guesses."""
     initial = problem.start().initial.copy()
     for data, weight, run, rows in zip(
         problem.data, problem.weights, problem.simulation.runs, problem.starts, strict=True
@@ -76,7 +77,7 @@ def _first_readings(problem: FitProblem) -> Array:
 
 
 def _begun(problem: FitProblem, point: FitPoint, cause: Cause) -> FitPoint:
-    """With a further cause, at its best seed."""
+    """The point with a further cause, at its best seed."""
     return min((point.with_cause(cause, values) for values in cause.seeds()), key=problem.chi2)
 
 
@@ -85,7 +86,7 @@ def _parameters(point: FitPoint) -> int:
 
 
 def _fit(problem: FitProblem, start: FitPoint) -> Fit:
-    """χ² over the parameters alone."""
+    """Minimise χ² over the parameters only."""
     parameters = [parameter for cause in start.causes for parameter in cause.parameters]
     low = np.array([p.to_search(p.low) for p in parameters])
     high = np.array([p.to_search(p.high) for p in parameters])
@@ -112,7 +113,7 @@ def _fit(problem: FitProblem, start: FitPoint) -> Fit:
             columns.append((residuals(moved) - here) / (moved[k] - place[k]))
         return np.stack(columns, axis=1)
 
-    # Strictly within the bounds, as its method asks for.
+    # The method needs a start strictly within the bounds.
     begin = np.clip(searched, low + nudges, high - nudges)
     found = least_squares(
         residuals, begin, slopes, (low, high), x_scale="jac", ftol=1e-6, max_nfev=MOST_STEPS

@@ -3,10 +3,10 @@
     .venv/bin/python benchmarks/everything_on.py [--rounds N] [--flips N]
 
 The flight of `latency.py` (500 MAVLink messages a second, 100 telemetry frames, a flip of the switch every
-0.6 s) with the recorder alone, and then with one thing more on each line: a page with two viewers, MQTT to a
-mosquitto at 2 Hz with discovery, signing, and `flying-vines watch`. Processor time and memory (PSS) of the
-service and of its gateway together; viewers, broker and `watch` run elsewhere on a drone, and do not count.
-Rounds are interleaved; the table has their medians.
+0.6 s). The first row has only the recorder. Each further row adds one part: a page with two viewers, MQTT to
+a mosquitto at 2 Hz with discovery, signing, and `flying-vines watch`. The numbers are processor time and
+memory (PSS) of the service and its gateway together. Viewers, broker and `watch` are not counted, because
+they run on other computers. Rounds are interleaved; the table has their medians.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--rounds", type=int, default=ROUNDS)
-    parser.add_argument("--flips", type=int, default=FLIPS, help="of each round")
+    parser.add_argument("--flips", type=int, default=FLIPS, help="flips of each round")
     arguments = parser.parse_args()
     console = Console(width=110)
     console.print(f"{os.cpu_count()} cores, load before {os.getloadavg()[0]:.1f}", highlight=False)
@@ -68,7 +68,7 @@ def _one_after_another(broker_port: int) -> dict[str, Switched]:
 
 
 def _show(console: Console, flown: dict[str, list[Flown]]) -> int:
-    """The table; 1 where everything together is above its goals."""
+    """Print the table. Returns 1 if all parts together exceed the goals."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     headings = (
         "",

@@ -1,10 +1,10 @@
-"""Random flights with one or two random faults each, under a referee that must find no foul.
+"""Random flights with one or two random faults each; a referee must find no foul.
 
     python benchmarks/faults.py --flights 10000 --jobs 2
-    python benchmarks/faults.py --seed 4711                   one flight, and all that happened in it
+    python benchmarks/faults.py --seed 4711                   one flight, with all its events
     python benchmarks/faults.py --seed 4711 --only-fault 1    the same flight without the other fault
 
-What the referee calls: docs/campaign.md. The real firmware flies, compiled for this machine.
+docs/campaign.md has the rules of the referee. The flights use the real firmware, compiled for this machine.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from referee import Foul
 from flying_vines.simulation.phlosar.core_library import load
 
 LAST_S = 8.0
-"""Of a timeline, before a foul."""
+"""Part of a timeline that is printed before a foul."""
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--flights", type=int, default=200, help="how many, one seed each")
-    parser.add_argument("--first", type=int, default=1, help="seed of the first")
-    parser.add_argument("--jobs", type=int, default=1, help="processes at a time")
-    parser.add_argument("--minutes", type=float, default=math.inf, help="at most")
-    parser.add_argument("--seed", type=int, help="fly this one alone and print its timeline")
-    parser.add_argument("--only-fault", type=int, choices=(1, 2), help="with --seed: leave the other one out")
+    parser.add_argument("--flights", type=int, default=200, help="number of flights, one seed each")
+    parser.add_argument("--first", type=int, default=1, help="seed of the first flight")
+    parser.add_argument("--jobs", type=int, default=1, help="number of processes")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="maximum time")
+    parser.add_argument("--seed", type=int, help="fly only this one and print its timeline")
+    parser.add_argument("--only-fault", type=int, choices=(1, 2), help="with --seed: without the other fault")
     args = parser.parse_args()
-    load()  # Once, before many want to build it.
+    load()  # Build once, before several processes need it.
     if args.seed is not None:
         return _one(args.seed, args.only_fault)
     return _many(range(args.first, args.first + args.flights), args.jobs, args.minutes)
@@ -62,7 +62,7 @@ def _one(seed: int, only_fault: int | None) -> int:
 
 
 def _fly_safely(seed: int) -> Outcome:
-    """A flight that raises has had the worst of fouls."""
+    """Fly one flight. An exception is a foul."""
     script = draw(seed)
     try:
         return fly(script)
@@ -87,7 +87,7 @@ def _many(seeds: Iterable[int], jobs: int, most_minutes: float) -> int:
 
 
 class Tally:
-    """What came of all flights."""
+    """The results of all flights."""
 
     def __init__(self) -> None:
         self.flights = self.singles = self.begins = self.limits = 0
@@ -112,7 +112,7 @@ class Tally:
         self._pairs.update([tuple(sorted(outcome.faults))] if len(outcome.faults) > 1 else [])
         if len(outcome.faults) > 1:
             return
-        # Of two at a time nobody knows which one it was.
+        # Only flights with one fault: with two nobody knows which one was reported.
         self.singles += 1
         (name,) = outcome.faults
         self._alone[name] += 1
@@ -125,8 +125,8 @@ class Tally:
     def print(self, minutes: float) -> None:
         print(
             f"\n{self.flights} flights, {self.singles} of them with one fault; "
-            f"the vine began to move {self.begins} times, {self.limits} of them by what nobody can see to be "
-            f"no wish; {minutes:.1f} min"
+            f"the vine began to move {self.begins} times, {self.limits} of them by an event that looks like "
+            f"a request of the pilot; {minutes:.1f} min"
         )
         print(f"fouls: {dict(self.fouls) or 'none'}")
         for seed, faults, rules in sorted(self.seeds):

@@ -1,8 +1,8 @@
-"""A flight under a referee: what pilot, mission, ground station and world do, and what that permits.
+"""A flight under a referee: actions of pilot, mission, ground station and hardware, and what they allow.
 
-Each verb does one thing to the simulated world, and tells the referee what follows from it: that a bend was
-asked for, or by when the vine must be left alone. How long the service may take to notice something is
-written here, and is what `docs/behaviour.md` promises, plus the period of the message that tells it.
+Each method does one thing to the simulated world, and tells the referee the consequence: a bend was
+requested, or the vine must be at rest from some time on. The constants are the times that the service may
+take to notice something: the times of `docs/behaviour.md`, plus the period of the message that reports it.
 """
 
 from __future__ import annotations
@@ -55,59 +55,61 @@ STEP_S = 0.01
 WRITTEN_EVERY_S = 0.5
 RESTING_KPA = 0.5
 DEBOUNCED_S = 0.5
-"""From the switch's move to the vine's: 0.15 s of debounce, RC_CHANNELS 20 times a second, and a tick."""
+"""From the move of the switch to that of the vine: 0.15 s of debounce, RC_CHANNELS 20 times a second, and a
+tick."""
 CONFIRMED_S = 2.2
-"""The same where PX4 has a receiver of its own: RC must stay good for 1.6 s after the move."""
+"""The same for PX4 with a receiver of its own: RC must stay good for 1.6 s after the move."""
 LEFT_S = 0.3
-"""Sooner than that, and such a move is not carried out: so late it may be nevertheless."""
+"""After the switch has left a position, a bend of this position may begin for this time."""
 SURELY_BENDS_S = 2.7
-"""A position that lasts for so long, with RC good throughout, is carried out."""
+"""A position that lasts this long, with good RC, must bend the vine."""
 RC_SHOWN_S = 1.5
-"""From PX4's report that a receiver of its own is lost to a vented vine."""
+"""From PX4's report that its own receiver is lost to a vented vine."""
 TOLD_LATE_S = 2.5
-"""And so late it may be believed where PX4 has just reported something else."""
+"""The same if PX4 has just reported another change of health."""
 REPORTED_S = 2.4
-"""PX4 tells that RC is good again, at the latest."""
+"""Latest time at which PX4 reports that RC is good again."""
 RC_LOST_S = 1.4
 OVERRIDES_EVERY_S = 0.2
 COMMANDED_S = 0.3
 FORWARDED_S = 0.05
-"""PX4 passes on one in 10 ms."""
+"""PX4 forwards one command each 10 ms."""
 ITEM_S = 1.3
-"""An item is carried out within a second or so, or not at all."""
+"""An item is executed within about a second, or not at all."""
 OLDEST_S = 1.3
-"""So is everything that somebody asks for."""
+"""The same for every request."""
 STRAIGHT_S = 3.0
-"""An item that straightens may take longer: where its command was lost, what comes behind it tells of it."""
+"""An item that straightens may take longer: if its command was lost, later messages show that it ran."""
 STRAIGHTENED_S = 3.0
 LIMIT = "limit: "
-"""What begins a trigger's name that the service cannot know to be none."""
+"""Prefix of the names of triggers that the service cannot distinguish from the pilot's moves."""
 FLICK_S = 0.3
-"""A position that lasts for longer has been seen."""
+"""A position that lasts longer has been noticed."""
 BOOTS_S = 1.5
-"""A rebooted autopilot says nothing for a little less."""
+"""A rebooted autopilot is silent for a little less than this."""
 NEW_CLOCK_S, WAITS_S = 2.5, 0.3
-"""For so long after the autopilot's clock is first heard, a command waits for what comes behind it."""
+"""For the first time after the autopilot's clock becomes known, a command waits up to the second time for the
+messages behind it."""
 TICKS_S = 0.05
 RC_MESSAGE_S, TWO_RC_MESSAGES_S = 0.06, 0.1
 UNCERTAIN_S = 0.3
-"""Messages come when they come: so much sooner or later both will do."""
+"""Messages have random times. Within this tolerance both outcomes are right."""
 LATE_S = 3.5
-"""Longer to notice what the vehicle tells, while some of its messages are lost."""
+"""Additional time to notice something while some of the vehicle's messages are lost."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What flies. The rest of the profile is as in the default."""
+    """The vehicle and its settings. The rest of the profile is the default."""
 
     autopilot: AutopilotKind = "ardupilot"
     has_rc: bool = True
     holds: bool = False
-    """On RC loss."""
+    """True: the vine holds after RC loss."""
     receiver: RcSource | None = None
     rc_failsafe_mode: str | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
-    """Of the autopilot."""
+    """Parameters of the autopilot."""
     armed_at_start: bool = True
     max_bent_s: float = 120.0
     mission: tuple[MissionItem, ...] = ()
@@ -116,17 +118,17 @@ class Setup:
 
     @property
     def has_real_receiver(self) -> bool:
-        """On PX4, which tells of its losses late."""
+        """True for PX4 with a receiver, which reports losses late."""
         return self.receiver in ("sbus", "crsf")
 
     @property
     def shows_rc(self) -> bool:
-        """A joystick is no RC that the service could see."""
+        """False for a joystick: the service cannot see its RC."""
         return self.has_rc and self.receiver != "joystick"
 
     @property
     def hides_rc_losses(self) -> bool:
-        """ArduPilot by its parameters, which the service reads."""
+        """True if ArduPilot's parameters, which the service reads, hide losses."""
         told = {"FS_THR_ENABLE": 1.0, "RC_FS_TIMEOUT": 1.0} | dict(self.parameters)
         ignores = int(self.parameters.get("RC_OPTIONS", 0)) & 4
         return self.autopilot == "ardupilot" and (
@@ -150,7 +152,7 @@ class Setup:
 
 
 class Nobody(Core):
-    """Where the companion's process was."""
+    """Replaces the core while the companion's process is dead."""
 
     def handle(self, event: Event) -> list[Action]:
         return []
@@ -158,13 +160,13 @@ class Nobody(Core):
 
 @dataclass
 class Wire:
-    """A way for bytes, in pieces as they were sent: cut, or spoiled in this share of the pieces."""
+    """One direction of a line. It may be cut, or a share of the pieces that were sent may be damaged."""
 
     seed: str
     cut: bool = False
     spoiled: float = 0.0
     without: set[int] = field(default_factory=set)
-    """Kinds of MAVLink messages that are lost, of those that the autopilot itself sends."""
+    """Types of the autopilot's own MAVLink messages that are lost."""
     _random: random.Random = field(init=False)
 
     def __post_init__(self) -> None:
@@ -188,7 +190,7 @@ class Wire:
 
 
 class RefereedFlight:
-    """On the ground, disarmed, at time 0; every verb acts now, and `run` lets time pass."""
+    """Starts on the ground, disarmed, at time 0. Every method acts now, and `run` lets time pass."""
 
     def __init__(
         self, setup: Setup, core: Callable[[Config], Core] = Core, board: Board | None = None
@@ -225,28 +227,28 @@ class RefereedFlight:
         self.flight.world.from_phlosar = self.from_board
         self.flight.from_autopilot = self.from_autopilot
         self.told: list[tuple[float, str]] = []
-        """What the pilot reads."""
+        """Texts that the pilot reads."""
         self._station = MavlinkCodec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
         self._position = 0
         self._rc_lost: RcLoss | None = None
         self._rc_lost_s = 0.0
         self._rc_shown = False
-        """Whether anything in the stream has told of this loss."""
+        """True if a message has shown the present loss."""
         self._override: int | None = None
         self._overridden = 0
         self._stood: set[int] = set()
         self._override_sent_s = self._override_ends_s = 0.0
         self._vented = False
-        """By somebody else than the switch, since it was last moved."""
+        """True if anything but the switch has vented the vine since the switch moved."""
         self._stirred_s = -math.inf
         self._stalled_until_s = 0.0
         self._mended_unpowered: set[str] | None = None
-        """While the board is without power."""
+        """Places that were repaired while the board has no power; None while it has power."""
         self._clock_is_new_until_s = 0.0
         self._clean = True
-        """Nothing has gone wrong but RC."""
+        """True while nothing but RC has failed."""
         self._expected: tuple[float, str] | None = None
-        """The pilot's move that has to bend the vine."""
+        """Time and name of the pilot's move that must bend the vine."""
         self._curve = BendCurve(profile.vine.curve, profile.vine.hysteresis_kPa)
         self._rc_good_since_s: float | None = None
         self._rc_in_use = False
@@ -268,9 +270,9 @@ class RefereedFlight:
         self._plugged = True
         self._arming_s = -math.inf
         self._sent_s: deque[float] = deque(maxlen=PX4_BUFFER + 1)
-        """When a ground station's latest commands were."""
+        """Times of the latest commands of a ground station."""
         self._heard_by_s: dict[str, float] = {}
-        """By when the companion has surely heard of what forbids a bend."""
+        """For each condition that forbids a bend: the time when the companion has certainly received it."""
         if not setup.armed_at_start:
             self.referee.forbid("pneumatics disarmed", 0.0)
 
@@ -312,14 +314,14 @@ class RefereedFlight:
         self.autopilot.disarm()
 
     def move_switch(self, position: int) -> None:
-        """A move that nobody can see, or in the second after a loss, asks for nothing."""
+        """Move the switch. A move that nobody can see, or in the second after a loss, requests nothing."""
         if position == self._position:
             return
         left, self._position = self._position, position
         self.autopilot.set_rc(SWITCH, PULSES_US[position])
-        # Back where it was before anybody saw that it had left is no move.
+        # A switch that returns before the service noticed the move has not moved.
         lasted = self.now_s > self._moved_s + FLICK_S
-        # Nor is it, on PX4 with a receiver, before RC was good for long enough where it stood meanwhile.
+        # On PX4 with a receiver, the same holds until RC was good for long enough at the other position.
         if not self.setup.has_real_receiver or self.now_s > self._moved_s + CONFIRMED_S:
             self._stood = set()
         self._stood.add(left)
@@ -375,19 +377,19 @@ class RefereedFlight:
         return self._curve.pressure_kPa(angle_deg)
 
     def override(self, position: int) -> None:
-        """A ground station says where the switch is, and goes on to say so."""
+        """A ground station sets the switch, and repeats this."""
         before = self._position if self._override is None else self._override
         if self._override is None:
             self._overridden = self._position
         self._override, self._override_sent_s = position, -math.inf
         self._override_ends_s = math.inf
         self._expected = None
-        # It is heard although the transmitter is not.
+        # It is received even if the transmitter is lost.
         if position != before and self._unseen.keys() <= {"rc"} and self.now_s >= self._settled_s:
             self._switch_asks(position, certain=False, what=f"override to {position}")
 
     def stop_override(self) -> None:
-        """It says so no longer; ArduPilot keeps it for a while."""
+        """The ground station stops. ArduPilot keeps its value for a while."""
         self._override_ends_s = self._override_sent_s + self.autopilot.parameters["RC_OVERRIDE_TIME"]
 
     def _tell_override(self) -> None:
@@ -403,11 +405,11 @@ class RefereedFlight:
             before, self._override = self._override, None
             came_back = self._position == self._overridden
             if self._position != before and not (self._position > 0 and self._vented and came_back):
-                # Exactly as if the pilot had moved it there and back; straight, that clears faults.
+                # This looks like a move of the pilot: to straight, it clears faults.
                 self._switch_asks(self._position, certain=False, what=f"{LIMIT}an override expired")
 
     def _settle(self) -> None:
-        """A switch that was not seen, or moves before it has settled, has to settle anew."""
+        """A switch that was not seen, or that moves before it has settled, must settle again."""
         settle_s = self.profile.switch.settle_s
         if self.now_s < self._settled_s:
             self._settled_s = self.now_s + settle_s - UNCERTAIN_S
@@ -415,7 +417,7 @@ class RefereedFlight:
         self._surely_settled_s = self.now_s + reported_s + settle_s + UNCERTAIN_S
 
     def press(self, code: int, angle_deg: float = 0.0) -> None:
-        """A ground station's button: the same codes as a mission item's."""
+        """A ground station's button, with the codes of mission items."""
         self._command(mavlink.MAV_CMD_USER_1, code, angle_deg)
         self._asked_by_station(f"button {code}", bends=code > 0, kPa=self._code_kPa(code, angle_deg))
 
@@ -432,7 +434,7 @@ class RefereedFlight:
         self.referee.any_target(self.now_s + COMMANDED_S)
 
     def _code_kPa(self, code: float, angle_deg: float) -> float | None:
-        """Where a button's or an item's bend ends; None of a profile that goes on moving."""
+        """Pressure at the end of a button's or an item's bend; None for a profile that continues to move."""
         angles_deg = {1.0: angle_deg, 4.0: 30.0, 5.0: 60.0}
         return self._kPa(angles_deg[code]) if code in angles_deg else None
 
@@ -471,7 +473,7 @@ class RefereedFlight:
 
     @property
     def _surely_forwarded(self) -> bool:
-        """PX4 drops what comes while it still has two others to pass on."""
+        """False if PX4 may drop the command, because two others still wait."""
         if self.setup.autopilot != "px4" or len(self._sent_s) <= PX4_BUFFER:
             return True
         return self.now_s - self._sent_s[0] > FORWARDED_S
@@ -482,7 +484,7 @@ class RefereedFlight:
 
     @property
     def _stalled_s(self) -> float:
-        """For so long yet nothing that the vehicle sends arrives."""
+        """Time until messages of the vehicle arrive again."""
         return max(0.0, self._stalled_until_s - self.now_s)
 
     def _asked_by_station(self, what: str, bends: bool, kPa: float | None = None) -> None:
@@ -504,7 +506,10 @@ class RefereedFlight:
         latest_s: float = OLDEST_S,
         at_s: float | None = None,
     ) -> None:
-        """`certain`: nothing may keep the companion from hearing of it. Not before `after_s` does it."""
+        """Tell the referee about a request.
+
+        `certain`: the companion certainly receives it, but not before `after_s`.
+        """
         now_s = self.now_s if at_s is None else at_s
         self._expected = None
         within_s += self._stalled_s
@@ -519,7 +524,7 @@ class RefereedFlight:
             return
         if by_person:
             self.referee.person_clears(now_s + within_s)
-        # A bend that is not seen yet may be seen after this.
+        # No bend may follow: a bend that is still on its way may begin after this.
         last = self.referee.pending_until_s <= now_s
         if certain and last and not self._vehicle_is_spoiled:
             self.referee.forbid("asked to straighten", now_s + within_s + 0.2, inflation_only=True)
@@ -529,10 +534,10 @@ class RefereedFlight:
     # The vehicle.
 
     def lose_rc(self, how: RcLoss | None = None, preset: Mapping[int, int] | None = None) -> None:
-        """The pilot's transmitter or its link; what the receiver makes of it is nobody's wish."""
+        """Lose the pilot's transmitter or its link. Values that the receiver makes up are no request."""
         self.autopilot.lose_rc(how, preset)
         self._rc_lost, self._rc_lost_s = self.autopilot.receiver.lost, self.now_s
-        # Whatever is on its way to the companion stays uncertain.
+        # Messages on their way to the companion remain uncertain.
         self._rc_shown = not self.setup.has_real_receiver and (
             how != "frozen" or not self.setup.hides_rc_losses
         )
@@ -552,33 +557,33 @@ class RefereedFlight:
             self.referee.hold_still(math.inf)
         self._see("rc")
         if self._standing == len(self.referee.begins):
-            # The pilot's own move, which a short loss has held up, and whose switch still stands there.
+            # The pilot's own move, delayed by a short loss, if the switch is still there.
             self._switch_asks(self._position, certain=False)
 
     def hide_rc_losses(self, name: str, value: float) -> None:
-        """Somebody sets a parameter of the autopilot so that it does not tell of them."""
+        """Set a parameter of the autopilot so that it hides RC losses."""
         self.autopilot.set_parameter(name, value)
         parameters = {**self.setup.parameters, name: value}
         self.setup = dataclasses.replace(self.setup, parameters=parameters)
 
     def stir_health(self) -> None:
-        """Something else makes PX4 report its health now, and nothing more for 2 s."""
+        """Let PX4 report its health now for another reason, and then not for 2 s."""
         self.autopilot.stir_health()
         self._stirred_s = self.now_s
 
     def stall_vehicle_link(self, seconds: float, both_ways: bool = False) -> None:
-        """What the vehicle sends comes late, and all of it at once."""
+        """The vehicle's messages are delayed, and then arrive all at once."""
         self._disturb()
         self.autopilot.stall(seconds, both_ways=both_ways)
         self._stalled_until_s = self.now_s + seconds
         self._unsee("link stalled")
 
     def replace_mission(self, items: Sequence[MissionItem]) -> None:
-        """A ground station uploads another one."""
+        """A ground station uploads another mission."""
         self.autopilot.replace_mission(items)
 
     def lose_commands(self) -> None:
-        """Of the autopilot; on PX4 these are its items."""
+        """Lose the autopilot's commands; on PX4 these are its mission items."""
         self._late = True
         self.from_autopilot.without.add(COMMAND)
 
@@ -631,7 +636,7 @@ class RefereedFlight:
     # The companion.
 
     def kill_companion(self) -> None:
-        """At once, as by kill -9; the port closes with it."""
+        """Stop it at once, as kill -9 does; its port closes."""
         self._disturb()
         self.flight.world.core = Nobody(self.profile)
         self._rc_in_use = False
@@ -645,7 +650,7 @@ class RefereedFlight:
         self.flight.world.core = self._new_core(self.profile)
         self.referee.companion_replaced()
         if not self.setup.armed_at_start:
-            # What the board still holds ends by its dead-man.
+            # The board's present setpoint ends by the dead-man.
             self.referee.forbid("pneumatics disarmed", self.now_s + DEAD_MAN_S)
         else:
             self.referee.permit("pneumatics disarmed")
@@ -657,7 +662,7 @@ class RefereedFlight:
         self._see("companion")
 
     def stall_companion(self, seconds: float, meanwhile: Callable[[], None] | None = None) -> None:
-        """It stands still; what the vehicle and its people say, such as `meanwhile`, waits for it."""
+        """The process stops. Messages of the vehicle and of people, as from `meanwhile`, wait for it."""
         self._disturb()
         self._unsee("stall")
         if meanwhile is not None:
@@ -695,7 +700,7 @@ class RefereedFlight:
 
     def mend_line(self) -> None:
         if self.to_board.cut:
-            # A bend that the board did not hear is given up 0.3 s after it was decided, or a tick later.
+            # A bend that the board did not receive is dropped 0.3 s after its decision, or a tick later.
             self.referee.delay(self.now_s, TICKS_S)
         for wire in (self.to_board, self.from_board):
             wire.cut, wire.spoiled = not self._plugged, 0.0
@@ -710,7 +715,7 @@ class RefereedFlight:
             case ("solenoid", StuckAt(opening)) if opening < 0.5:
                 self.referee.excuse(place, math.inf, rises=True)
             case ("hose", Kinked()):
-                # What it locks in gets warm again.
+                # The locked-in air warms up again.
                 self.referee.excuse(place, math.inf, rises=True)
             case ("cv_sensor", _):
                 self.referee.excuse(place, math.inf)
@@ -723,7 +728,7 @@ class RefereedFlight:
 
     def heal(self, place: str) -> None:
         if self._mended_unpowered is not None and place != "board":
-            # What it did is still there: without power the springs keep the air in.
+            # The effect remains: without power the springs keep the air in.
             self._mended_unpowered.add(place)
         else:
             for mended in {place, *(self._mended_unpowered or ())}:
@@ -734,7 +739,7 @@ class RefereedFlight:
     # Looking.
 
     def _disturb(self) -> None:
-        """From now on there may be other reasons that a bend is refused."""
+        """From now on a bend may be refused for other reasons."""
         self._clean, self._expected = False, None
 
     def _unsee(self, what: str) -> None:
@@ -745,7 +750,7 @@ class RefereedFlight:
         self._unseen[what] = self.now_s
         for name, heard_by_s in self._heard_by_s.items():
             if what != "stall" and heard_by_s > self.now_s:
-                # Still on its way, which may have ended here.
+                # It was still on its way, and may have been lost here.
                 self.referee.permit(name)
         if what in ("silence", "link", "companion", "link stalled"):
             self._late = True
@@ -756,13 +761,13 @@ class RefereedFlight:
 
     def _see(self, what: str) -> None:
         if self._unseen.pop(what, None) is None:
-            return  # Of two losses that overlap: it returned before.
+            return  # Two losses overlapped, and it has already returned.
         now_s = self.now_s
         if self._station_is_heard:
             if self._clock_is_new_until_s == math.inf:
                 self._clock_is_new_until_s = now_s + NEW_CLOCK_S
             if now_s - self._arming_s < STEP_S:
-                # Of the same moment, it is still on its way.
+                # Sent at the same moment, it is still on its way.
                 self.referee.permit("pneumatics disarmed")
             for name, due_s in self._conditions.items():
                 if due_s == math.inf:
@@ -771,8 +776,8 @@ class RefereedFlight:
                     self.referee.forbid(name, self._conditions[name])
         if self._unseen:
             return
-        # Whether a short loss was noticed is a matter of tens of milliseconds: both will do.
-        # Of a silence just before it, nothing tells that it belongs to the loss.
+        # Tens of milliseconds decide whether a short loss was noticed, so both outcomes are right.
+        # A silence just before RC loss does not count as part of the loss.
         since_s = self._rc_lost_s if what == "rc" else self._unseen_from_s
         lasted_s, certain_s = now_s - since_s, self.profile.losses.rc_s + UNCERTAIN_S
         shown = self._rc_shown or self.setup.hides_rc_losses
@@ -782,7 +787,7 @@ class RefereedFlight:
             self._settled_s = math.inf
         else:
             if what != "stall":
-                # A short silence is no loss: what was moved just before it is seen after it.
+                # A short silence is no loss: the service sees a move just before it when it ends.
                 self.referee.delay(self._unseen_from_s, lasted_s)
             if self._position != self._unseen_position:
                 self._switch_asks(self._position, certain=False)
@@ -813,7 +818,7 @@ class RefereedFlight:
             self._rc_in_use = False
         lowest_m = profile.interlocks.min_altitude_m - LANDING_MARGIN_M
         self._rc_shown |= self._rc_lost is not None and autopilot.tells_rc_lost
-        # A ground station's override ends ArduPilot's loss, or keeps it from being told at all.
+        # A ground station's override ends ArduPilot's loss, or prevents its report.
         replaced = self._override is not None and not autopilot.tells_rc_lost
         rc_lost = self._rc_lost is not None and self._rc_in_use and self._rc_shown and not replaced
         rc_lost_s = RC_SHOWN_S if now_s > self._rc_lost_s + 0.5 else RC_LOST_S
@@ -828,9 +833,9 @@ class RefereedFlight:
         self._watch("RC lost", rc_lost, rc_lost_s + held_s)
         self._watch("autopilot silent", silent, 1.3 if self._rc_in_use and not held_s else 2.5)
         self._watch("altitude lost", not told_height, 2.5)
-        # Where nothing reaches the board either, only its dead-man can act.
+        # If the board receives nothing either, only its dead-man can act.
         deaf = self.from_board.cut and not self.to_board.cut
-        # A companion that stands still notices nothing; then the dead-man ends it.
+        # A stopped companion notices nothing; then the dead-man vents.
         self._watch("telemetry lost", deaf, profile.losses.telemetry_s + 0.1 + DEAD_MAN_S)
         low = self.phlosar.reservoir_kPa < profile.interlocks.reserve_kPa
         self._watch("bottle low", low and self.phlosar.mishaps.reservoir_sensor is None, 3.0)
@@ -848,7 +853,7 @@ class RefereedFlight:
             self._expected = None
 
     def _write_down(self) -> None:
-        """The pressures now and then, and whenever the vine begins or ceases to move."""
+        """Write down the pressures now and then, and when the vine begins or stops to move."""
         drive = self.phlosar.drive
         moving = drive != SAFE
         pressed = moving or self.phlosar.cv_kPa > RESTING_KPA
@@ -881,7 +886,7 @@ class RefereedFlight:
                 code, angle_deg = item.params[:2]
                 bends = code != 0.0
                 within_s = ITEM_S if bends else STRAIGHT_S
-                # What nobody can hear is heard by a repeat, or by the mission's progress.
+                # What is not received is repeated, or shown by the mission's progress.
                 after_s = 0.0 if self._station_is_heard else within_s
                 kPa = self._code_kPa(code, angle_deg)
                 self._asked(
@@ -906,7 +911,7 @@ class RefereedFlight:
 
 _STILL_BENT = "asked to straighten long ago"
 _TOLD_BY_VEHICLE = {"disarmed": 1.3, "landing": 0.8, "RC lost": RC_LOST_S}
-"""What only the vehicle's messages tell of, and by when they do."""
+"""Conditions that only the vehicle's messages show, and the time until they do."""
 
 
 def _switch_to(position: int) -> str:

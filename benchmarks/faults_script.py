@@ -1,4 +1,4 @@
-"""A whole random flight from one integer: who flies it, the requests, and the faults."""
+"""A random flight from one integer: the setup, the requests, and the faults."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ TAKE_OFF_S = 1.5
 IN_THE_AIR_S = 4.5
 NORTH_DEG_PER_M = 1 / 111_319
 HARDWARE_SHARE = 0.35
-"""Of the faults; the others are the vehicle's, the radio's, the companion's and the line's."""
+"""Share of hardware faults. The others are faults of vehicle, radio, companion and line."""
 TOLD_S = 5.0
 BENT_KPA = 2.0
 _NO_NEWS = ("refused", "phloSAR ready", "serving vehicle", "limited")
 
 
 class Act(NamedTuple):
-    """A verb of `RefereedFlight`, and what it takes."""
+    """A method of `RefereedFlight`, and its arguments."""
 
     verb: str
     args: tuple[object, ...] = ()
@@ -43,7 +43,7 @@ class Act(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """What goes wrong, and how it is over; None: it stays, or is over by itself."""
+    """A fault and its end. None: it remains, or ends by itself."""
 
     name: str
     begins_s: float
@@ -66,25 +66,25 @@ class Script:
 
 
 class Outcome(NamedTuple):
-    """What came of a flight."""
+    """The result of a flight."""
 
     seed: int
     faults: tuple[str, ...]
     bent: tuple[bool, ...]
-    """Whether the vine was under pressure when each of them began."""
+    """For each fault: true if the vine was under pressure when the fault began."""
     told: tuple[str, ...]
-    """The first that the pilot read of each of them, within `TOLD_S`; empty: nothing."""
+    """For each fault: the first text that the pilot read within `TOLD_S`, or an empty text."""
     fouls: tuple[Foul, ...]
     begins: int
     limits: int
-    """How often it began to move by what the service cannot know to be nobody's wish."""
+    """Number of motions whose trigger the service cannot distinguish from the pilot's move."""
     highest_kPa: float
     longest_blind_s: float
     timeline: tuple[tuple[float, str], ...]
 
 
 def draw(seed: int) -> Script:
-    """The same for the same seed, whatever is made of it then."""
+    """The script of a seed. It does not depend on later events."""
     random = Random(seed)
     kind: AutopilotKind = random.choice(("ardupilot", "px4"))
     style = random.choices(("switch", "station", "mission"), (0.5, 0.15, 0.35))[0]
@@ -123,7 +123,8 @@ _HIDING: tuple[dict[str, float], ...] = ({"FS_THR_ENABLE": 0.0}, {"RC_FS_TIMEOUT
 
 
 def _around_a_loss(random: Random, setup: Setup, fault: Fault) -> list[tuple[float, Act]]:
-    """The pilot moves the switch while nobody can see it, or just before or after; PX4 has other news."""
+    """The pilot moves the switch during a loss, just before it, or just after it; PX4 may report other
+    news."""
     if fault.name not in ("RC lost", "RC blip") or fault.ends_s is None:
         return []
     acts: list[tuple[float, Act]] = []
@@ -137,7 +138,7 @@ def _around_a_loss(random: Random, setup: Setup, fault: Fault) -> list[tuple[flo
 
 
 def fly(script: Script) -> Outcome:
-    """Fly it to its end."""
+    """Fly the script to its end."""
     flight = RefereedFlight(script.setup)
     events: list[tuple[float, int, str, Act]] = [(t, -1, "", act) for t, act in script.acts]
     for number, fault in enumerate(script.faults):
@@ -175,7 +176,7 @@ def _first_told(flight: RefereedFlight, since_s: float) -> str:
 
 
 def _mission(kind: AutopilotKind, random: Random) -> tuple[MissionItem, ...]:
-    """Up, and along a few short legs with something for the vine to do after each."""
+    """Take off, and fly short legs with a vine item after each."""
     items = [] if kind == "px4" else [_item(0, 16)]
     items.append(_item(len(items), 22, z=8.0))
     for _ in range(random.randint(2, 4)):
@@ -199,7 +200,7 @@ def _vine_item(kind: AutopilotKind, random: Random, seq: int) -> MissionItem:
 def _other_numbers(
     mission: tuple[MissionItem, ...], kind: AutopilotKind, random: Random
 ) -> tuple[MissionItem, ...]:
-    """A mission of the same length that means something else for the vine."""
+    """A mission of the same length with other vine items."""
     own = (ACTUATOR, SCRIPT_MESSAGE)
     return tuple(_vine_item(kind, random, item.seq) if item.command in own else item for item in mission)
 
@@ -221,7 +222,7 @@ def _item(
 def _acts(random: Random, style: str, setup: Setup, lasts_s: float) -> list[tuple[float, Act]]:
     acts = [(TAKE_OFF_S, Act("start_mission" if style == "mission" else "take_off"))]
     if style == "mission" and random.random() < 0.4:
-        # Flown later, and replaced just before.
+        # The mission is flown later, and replaced just before.
         starts_s = random.uniform(4.0, 7.0)
         replaced_s = starts_s - random.choice((0.05, 0.15, 0.3, 1.0, 2.5)) - 0.12
         acts = [
@@ -266,7 +267,7 @@ _RARELY = {
     "land": 1,
     "disarm": 1,
 }
-"""And how often, one to another."""
+"""Relative frequency of each request."""
 
 
 def _bends(act: Act) -> bool:
@@ -274,7 +275,7 @@ def _bends(act: Act) -> bool:
 
 
 def _when(random: Random, bends_s: list[float], lasts_s: float) -> float:
-    """Mostly while the vine moves, for that is when it matters."""
+    """The start of a fault, mostly while the vine moves."""
     if bends_s and random.random() < 0.8:
         return min(lasts_s - 1.0, random.choice(bends_s) + random.uniform(0.1, 1.2))
     return random.uniform(2.0, lasts_s - 1.0)
@@ -309,7 +310,7 @@ def _radio_fault(name: str, random: Random, setup: Setup, for_s: float) -> tuple
 
 
 def _faults(setup: Setup) -> tuple[str, ...]:
-    """Those of the vehicle, the companion and the line, the radio's most often."""
+    """Faults of vehicle, companion and line; those of the radio most often."""
     more: tuple[str, ...] = (
         ("RC overridden", "RC overridden") if setup.autopilot == "ardupilot" else ("items lost",)
     )

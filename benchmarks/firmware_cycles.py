@@ -1,20 +1,19 @@
 """What the firmware's control step costs on its chips: instructions, and an estimate of cycles.
 
-The core, compiled as the Arduino IDE compiles it for each board, runs on QEMU's Cortex-M0 and Cortex-M7
-through the golden run (tests/firmware). The emulator's clock counts the instructions.
+The core is compiled with the Arduino IDE's options for each board. It runs the golden run (tests/firmware) on
+QEMU's Cortex-M0 and Cortex-M7. The emulator's clock counts the instructions.
 
-On the Cortex-M0+ of a Teensy LC a trace of every instruction counts them again, and both counts have to
-agree. The trace tells loads, stores and branches from what takes one cycle. The estimate takes the
-Cortex-M0+'s own times (a load or store 2, a branch that is taken 2, a call 3, a multiplication 1) and a
-memory without wait states. Flash at 24 MHz under a core at 48 MHz makes each of its words wait for a cycle
-unless cache or prefetch has it; "uncached" is without either, so the truth lies between the two. Interrupts
-come on top.
+For the Cortex-M0+ of a Teensy LC, a trace of every instruction counts them again; both counts must agree. The
+trace distinguishes loads, stores and branches from instructions of one cycle. The estimate uses the times of
+the Cortex-M0+ (load or store 2, branch taken 2, call 3, multiplication 1) and memory without wait states. The
+flash runs at 24 MHz and the core at 48 MHz, so each word costs a wait cycle unless it is cached or
+prefetched. "uncached" assumes neither: the truth is between both numbers. Interrupts are not included.
 
-The Cortex-M7 of a Teensy 4 runs from memory without wait states and starts up to two instructions in a
-cycle. One cycle for each instruction is an estimate on the safe side.
+The Cortex-M7 of a Teensy 4 runs from memory without wait states and starts up to two instructions in a cycle.
+One cycle for each instruction is a safe estimate.
 
     python benchmarks/firmware_cycles.py            # three minutes
-    python benchmarks/firmware_cycles.py --check    # exit status 1 when a control step takes 20 % or more
+    python benchmarks/firmware_cycles.py --check    # exit status 1 if a control step takes 20 % or more
 """
 
 from __future__ import annotations
@@ -56,10 +55,10 @@ from firmware.golden_run import FULL_EVP_DUTY, PACKET, Done, Part, Step, differe
 CORE_HZ = {"m0plus": 48e6, "m7": 600e6}
 STEP_HZ = 1000
 BUDGET = 0.2
-"""Of a step's time."""
+"""Maximum share of a step's time."""
 TRACED = ("handshake", "inflation", "telemetry at 1000 Hz", "a busy line", "watchdog")
 OPERATIONS = Instructions._fields
-"""In a step, in this order."""
+"""The operations of a step, in this order."""
 
 
 class Cost(NamedTuple):
@@ -69,12 +68,12 @@ class Cost(NamedTuple):
 
 
 class Ticked(NamedTuple):
-    """A step, and what each of its operations cost."""
+    """A step, and the cost of each of its operations."""
 
     step: Step
     done: Done
     telemetry: bool
-    """Whether the step made some."""
+    """True if the step sent telemetry."""
     costs: tuple[Cost, ...]
 
     @property
@@ -83,7 +82,7 @@ class Ticked(NamedTuple):
 
 
 class Costs:
-    """What each instruction of a program for the Cortex-M0+ takes."""
+    """The cycles of each instruction of a program on the Cortex-M0+."""
 
     def __init__(self, path: Path) -> None:
         listing = _output("arm-none-eabi-objdump", "-d", "--no-show-raw-insn", str(path))
@@ -118,7 +117,7 @@ class Costs:
 
 
 def _cycles(name: str, operands: str) -> int:
-    """Of the Cortex-M0+, with a multiplier of one cycle; of a conditional branch that is not taken."""
+    """Cycles on a Cortex-M0+ with a multiplier of one cycle, for a conditional branch that is not taken."""
     registers = _registers(operands)
     if name == "pop" and "pc" in operands:
         return 3 + len(registers)
@@ -134,7 +133,7 @@ def _cycles(name: str, operands: str) -> int:
 
 
 def _registers(operands: str) -> list[str]:
-    """Of a list in braces."""
+    """The registers of a list in braces."""
     _, _, inside = operands.partition("{")
     return [one for one in inside.rstrip("}").split(", ") if one]
 
@@ -144,7 +143,8 @@ def _output(*command: str) -> str:
 
 
 def traced(program: Program, part: Part, folder: Path) -> tuple[list[Ticked], Counter[str]]:
-    """Step by step; and where the instructions of its costliest step go, beside what the port does."""
+    """The cost of each step, and the instructions of the most expensive step by function, without the port's
+    functions."""
     by_clock = run(program, part.told, folder).ticked
     if different := difference(part, (ticked.done for ticked in by_clock)):
         sys.exit(different)
@@ -164,13 +164,13 @@ def traced(program: Program, part: Part, folder: Path) -> tuple[list[Ticked], Co
     if any(len(few) != 1 for few in beyond.values()):
         sys.exit(f"clock and trace do not agree in {part.name}: {dict(beyond)}")
     if not any(telemetry):
-        sys.exit(f"{part.name} has no telemetry, or what makes it is no routine of its own any more")
+        sys.exit(f"{part.name} has no telemetry, or the compiler has inlined the function that makes it")
     triples = zip(costs[0::3], costs[1::3], costs[2::3], strict=True)
     return [Ticked(*one) for one in zip(part.steps, part.done, telemetry, triples, strict=True)], worst
 
 
 def counted(program: Program, part: Part, folder: Path) -> list[Ticked]:
-    """Step by step, one cycle for each instruction."""
+    """The cost of each step, with one cycle for each instruction."""
     by_clock = run(program, part.told, folder).ticked
     if different := difference(part, (ticked.done for ticked in by_clock)):
         sys.exit(different)
@@ -193,7 +193,7 @@ def doing(done: Done) -> str:
 
 
 def said(data: bytes) -> str:
-    """The kind of the only frame in it; empty for none, and for more."""
+    """The type of the only frame in `data`; empty if there is none or more than one."""
     kinds = (Hello, Setpoint, Vent, ClearFaults, Ping, GetSetting, SetSetting)
     payloads = FrameDecoder().feed(data)
     if len(payloads) != 1 or data.count(0) != 1:
@@ -258,9 +258,7 @@ def tables(ticked: Iterable[Ticked], core_Hz: float) -> list[Table]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument(
-        "--check", action="store_true", help="exit status 1 when a control step takes too much"
-    )
+    parser.add_argument("--check", action="store_true", help="exit status 1 if a control step takes too much")
     check = parser.parse_args().check
     console = Console(width=150)
     too_slow = False

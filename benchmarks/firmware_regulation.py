@@ -1,8 +1,8 @@
-"""What a faster loop and a better regulator bring on the plant: settling, overshoot, air used, valve wear.
+"""The gain of a faster loop and a better regulator on the plant: settling, overshoot, air used, valve wear.
 
 The plant has all likely effects and sensors. The regulators are the firmware's C++ with the paper's tuning
-and with the standard one, compiled for steps of 1, 0.5 and 0.25 ms. A run fills a vine from 0 to 20.7 kPa at
-once, holds it, and lets the air out again.
+and with the default one, compiled for steps of 1, 0.5 and 0.25 ms. A run fills a vine from 0 to 20.7 kPa in
+one step, holds it, and vents it.
 
     python benchmarks/firmware_regulation.py      # needs a C++ compiler and the extra `analysis`
 """
@@ -44,20 +44,20 @@ AT_ONCE_KPA_PER_S = 1e6
 
 class Outcome(NamedTuple):
     settling_s: float
-    """Until the pressure stays within the band while it is held."""
+    """Time until the pressure stays within the band."""
     overshoot_kPa: float
     error_kPa: float
     """Mean distance from the target in the last second of holding."""
     air_NL: float
-    """Out of the reservoir."""
+    """Air taken from the reservoir."""
     strokes: float
-    """How often the EVP opens, and the solenoid."""
+    """Number of openings of EVP and solenoid."""
     venting_s: float
-    """From the command until the vine is below 1 kPa."""
+    """Time from the command until the vine is below 1 kPa."""
 
 
 class Compiled:
-    """The regulator for steps of one length."""
+    """The regulator, compiled for one step length."""
 
     def __init__(self, folder: Path, period_ms: float) -> None:
         for part in ("phlosar", "host"):
@@ -110,7 +110,7 @@ def outcome(
     begins = simulator.conditions
     cv_seen, reservoir_seen = rested(begins.line_kPa), rested(begins.reservoir_kPa)
     begin_SL = simulator.state.reservoir_air_SL
-    if "opening_s" in tuning:  # at once
+    if "opening_s" in tuning:  # opens at once
         tuning = {**tuning, "opening_s": period_s}
     regulator.start(tuning)
     pressures: list[float] = []

@@ -1,4 +1,4 @@
-"""The load of an autopilot in flight on a companion's link: 500 messages a second as bytes, on a schedule."""
+"""The load of an autopilot in flight on a companion's link: 500 messages a second, with a schedule."""
 
 from __future__ import annotations
 
@@ -18,24 +18,26 @@ SYSTEM_ID = 1
 ALTITUDE_MM = 12_000
 _HEALTHY = 0x1FFFFFFF
 _JITTER = 0.8
-"""Of a period. An autopilot's scheduler is not regular; a regular load would always meet the same phase."""
+"""Jitter as a share of the period. An autopilot's scheduler is not regular; a regular load would always have
+the same phase."""
 
 Build = Callable[[float], MavlinkMessage]
 
 
 def rc_channels(boot_s: float, switch_us: int) -> MavlinkMessage:
-    """16 channels of a receiver in good health, the vine's switch on the ninth."""
+    """16 channels of a healthy receiver, with the vine's switch on channel 9."""
     sticks = (1500, 1500, 1600, 1500, 1100, 1500, 1500, 1900)
     return mavlink.MAVLink_rc_channels_message(_ms(boot_s), 16, *sticks, switch_us, *(1500,) * 7, 0, 0, 254)
 
 
 def mission_count(to_system: int, to_component: int) -> MavlinkMessage:
-    """There is no mission; whoever is told so asks no more."""
+    """An empty mission, so that the service does not ask again."""
     return mavlink.MAVLink_mission_count_message(to_system, to_component, 0, 0)
 
 
 class FlightLoad:
-    """Everything but RC_CHANNELS, which whoever flips the switch sends by the same `autopilot`."""
+    """All messages except RC_CHANNELS. The code that flips the switch sends these through the same
+    `autopilot`."""
 
     def __init__(self, began_s: float, seed: int, signing: Signing | None = None) -> None:
         self.autopilot = MavlinkCodec(SYSTEM_ID, mavlink.MAV_COMP_ID_AUTOPILOT1, signing)
@@ -52,7 +54,7 @@ class FlightLoad:
         return self._due[0][0]
 
     def boot_s(self, now_s: float) -> float:
-        """The autopilot's own clock; it has been up for a while."""
+        """The autopilot's own clock, which started earlier."""
         return 100.0 + now_s - self._began_s
 
     def take(self, now_s: float) -> bytes:

@@ -1,12 +1,13 @@
-"""A hundred million random and mutated bytes into each end of the line: nothing crashes, hangs or grows.
+"""Sends a hundred million random and mutated bytes to each end of the line: nothing may crash, hang or grow.
 
     python benchmarks/fuzz.py [--bytes 100000000] [--seed 1] [--only blind|guided|host|service]
 
-The firmware's core runs with address and undefined-behaviour sanitizers, first under a driver of its own,
-which is blind and quick, then under clang's libFuzzer, which looks for inputs that reach code not reached
-before. What must hold is in firmware_link/firmware/fuzz/core.cpp. The host's decoder and session get what a
-device says: whole frames, and flipped, cut, doubled and spliced ones, and noise. The service's core gets
-that and, on its other link, MAVLink of every kind with absurd numbers, from anybody; its vehicle is disarmed.
+The firmware's core runs with address and undefined-behaviour sanitizers. First it runs under our own driver,
+which is fast but does not see the coverage. Then it runs under clang's libFuzzer, which looks for inputs that
+reach new code. firmware_link/firmware/fuzz/core.cpp checks what must hold. The host's decoder and session get
+a device's messages: whole frames, flipped, cut, doubled and spliced frames, and noise. The service's core
+gets the same, and on its other link MAVLink of every type with absurd numbers from any sender; its vehicle is
+disarmed.
 """
 
 from __future__ import annotations
@@ -76,19 +77,19 @@ LONGEST_INPUT_S = 60
 MEMORY_LOOKS = 10
 STEP_S = 0.005
 MOST_NEW_BYTES = 16 * 1024
-"""Of the host's memory from the first look to the last. A tenth of the input is 10 MB."""
+"""Maximum growth of the host's memory from the first sample to the last. A tenth of the input is 10 MB."""
 _FUZZ = SOURCES / "fuzz"
 MOST_NEW_TABLES_BYTES = 2_000_000
-"""Of the service's: its tables fill up, the largest of them a mission of 5000 items."""
+"""The same for the service. Its tables fill up; the largest one is a mission of 5000 items."""
 _ODD_FLOATS = (math.nan, math.inf, -math.inf, -1.0, 0.0, 3.4e38, 1e30, 1e12, -1e20, 690.0, 15.0)
 
 
 class FuzzError(Exception):
-    """Something did not hold; the text says what, and with which input."""
+    """A check failed; the text contains the check and the input."""
 
 
 def driver() -> Path:
-    """The core with sanitizers under our own driver. FirmwareBuildError without a compiler."""
+    """The core with sanitizers and our own driver. Raises FirmwareBuildError without a compiler."""
     command = compiler()
     if command is None:
         raise FirmwareBuildError(f"the core cannot be fuzzed here without {WHAT_TO_INSTALL}")
@@ -98,7 +99,7 @@ def driver() -> Path:
 
 @dataclass
 class Fuzzed:
-    """What the firmware's core went through."""
+    """Counts of a run of the firmware's core."""
 
     received_bytes: int = 0
     steps: int = 0
@@ -108,7 +109,7 @@ class Fuzzed:
     edges_there: int | None = None
 
     def take(self, output: str) -> None:
-        """The counts at the end of one process, and what libFuzzer says of coverage."""
+        """Add the counts of one process, and libFuzzer's coverage."""
         counts = re.search(r"received (\d+) bytes, made (\d+) steps, (\d+) of them", output)
         if counts is None:
             raise FuzzError(output[-3000:])
@@ -122,7 +123,7 @@ class Fuzzed:
 
 
 def drive(seed: int, most_bytes: int, program: Path | None = None) -> Fuzzed:
-    """Under our own driver. FuzzError when something does not hold."""
+    """Run it with our own driver. Raises FuzzError if a check fails."""
     ran = subprocess.run(
         [program or driver(), str(seed), str(most_bytes)],
         capture_output=True,
@@ -138,7 +139,8 @@ def drive(seed: int, most_bytes: int, program: Path | None = None) -> Fuzzed:
 
 
 def explore(clang: str, seed: int, most_bytes: int, folder: Path) -> Iterator[Fuzzed]:
-    """Under libFuzzer, with what was reached so far; its corpus grows in `folder`. FuzzError as `drive`."""
+    """Run it with libFuzzer. Yields the coverage so far; its corpus grows in `folder`. Raises FuzzError as
+    `drive`."""
     command_line = (clang, *FLAGS, f"-fsanitize=fuzzer,{SANITIZERS}")
     program = built(command_line, (*core_files(), _FUZZ / "core.cpp"), "fuzz")
     fuzzed = Fuzzed()
@@ -164,7 +166,7 @@ def explore(clang: str, seed: int, most_bytes: int, folder: Path) -> Iterator[Fu
 
 
 def device_message(dice: random.Random, nonce: int, clock_ms: int) -> Message:
-    """What a device says, and might say when it is not well."""
+    """A random message of a device, healthy or not."""
 
     def number() -> float:
         return dice.choice((*_ODD_FLOATS, dice.uniform(0.0, 700.0)))
@@ -226,16 +228,16 @@ def mutated(frame: bytes, other: bytes, dice: random.Random) -> bytes:
         case 5:
             return frame + frame
         case 6:
-            # Good to the decoder, whatever it means.
+            # A valid frame for the decoder, with any content.
             return encode_frame(frame[: dice.randrange(min(128, len(frame)) + 1)])
         case _:
             return dice.randbytes(dice.randrange(1, 400))
 
 
 def babble(seed: int, session: HostSession) -> Iterator[bytes]:
-    """A device's bytes without end, in pieces of any size; a third of the frames are not whole."""
+    """An endless stream of a device's bytes, in pieces of any size; a third of the frames are damaged."""
     dice = random.Random(seed)
-    # What a host may know of its own nonce, it told the device.
+    # The device knows the host's nonce only from the host.
     sequence, frame, clock_ms = 0, FRAME_END, 0
     while True:
         line = bytearray()
@@ -252,12 +254,12 @@ def babble(seed: int, session: HostSession) -> Iterator[bytes]:
 
 
 class Memory:
-    """What Python holds, looked at after each tenth of the bytes."""
+    """Samples of Python's memory, one after each tenth of the bytes."""
 
     def __init__(self, most_bytes: int) -> None:
         self.looks: list[int] = []
         self._every = most_bytes // MEMORY_LOOKS
-        # Python keeps every combination of fault bits that it has met: as many as there are, and no more.
+        # Python caches every combination of fault bits. Create all of them first.
         for mask in range(1 << 16):
             Fault(mask)
         tracemalloc.start()
@@ -268,7 +270,7 @@ class Memory:
             self.looks.append(tracemalloc.get_traced_memory()[0])
 
     def end(self, who: str, most_new_bytes: int) -> None:
-        """FuzzError when it has grown by more than that."""
+        """Raises FuzzError if it has grown by more than this."""
         tracemalloc.stop()
         if self.looks[-1] - self.looks[0] > most_new_bytes:
             raise FuzzError(f"{who} grew: {self.looks}")
@@ -279,17 +281,17 @@ class Memory:
 
 @dataclass
 class Heard:
-    """What the host's end went through."""
+    """Counts of a run of the host's end."""
 
     memory: Memory
     fed_bytes: int = 0
     messages: int = 0
     ready: int = 0
-    """Pieces after which the session was READY."""
+    """Number of pieces after which the session was READY."""
 
 
 def listen(seed: int, most_bytes: int) -> Heard:
-    """Feed a host's end. FuzzError when it cannot read a whole frame after any of it, or grows."""
+    """Feed a host's end. Raises FuzzError if it cannot read a whole frame afterwards, or grows."""
     codec, session, heard = Codec(), HostSession(), Heard(Memory(most_bytes))
     dice = random.Random(f"host {seed}")
     whole = encode(Pong(1, 2), 0)
@@ -324,7 +326,7 @@ def listen(seed: int, most_bytes: int) -> Heard:
 
 @dataclass
 class Served:
-    """What the service's core went through."""
+    """Counts of a run of the service's core."""
 
     memory: Memory
     from_phlosar_bytes: int = 0
@@ -335,7 +337,7 @@ class Served:
 
 
 def serve(seed: int, most_bytes: int) -> Served:
-    """Feed a core by both links. FuzzError when it moves the vine, cannot go on, or grows."""
+    """Feed a core on both links. Raises FuzzError if it moves the vine, cannot continue, or grows."""
     core, vehicle, out, phlosar = (
         Core(serving_vehicle_1()),
         MavlinkCodec(0, 191),

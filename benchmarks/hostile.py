@@ -1,15 +1,15 @@
-"""Whether attackers of the page and the broker can delay the switch.
+"""Measures if attackers of the page and the broker can delay the switch.
 
     .venv/bin/python benchmarks/hostile.py [--one-core] [--gateway-nice 0 5 19] [--rounds N] [--flips N]
 
-The flight of `latency.py`, with the page open to the network, two viewers who belong there, MQTT to a real
-mosquitto, and signing; with nobody else, and while `strangers.py` sends both whatever it can, as fast as it
-can. Rounds are interleaved, in an order that rotates; latencies are pooled.
+The flight of `latency.py`, with the page open to the network, two authorised viewers, MQTT to a real
+mosquitto, and signing. It flies without attackers, and while `strangers.py` attacks page and broker as fast
+as it can. Rounds are interleaved, in an order that rotates; latencies are pooled.
 
-Strangers and broker would be on other machines. Here they share the processors, so they run at the lowest
-priority; `--one-core` gives the service and its gateway one core between them, and everything else another:
-then all that strangers can cost is what the gateway takes. `--gateway-nice` also flies with the gateway at
-other priorities than its own: a niceness, or idle.
+Attackers and broker would be on other computers. Here they share the processors, so they have the lowest
+priority. `--one-core` gives one core to the service and its gateway, and another one to everything else. Then
+only the work of the gateway can delay the service. `--gateway-nice` also flies with other priorities of the
+gateway: a niceness, or idle.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ STOPPED = "page and broker stopped"
 
 @dataclass(frozen=True)
 class Case:
-    """Nobody attacks, or strangers do; `priority` is what the gateway is given instead of its own."""
+    """With or without attackers; `priority` replaces the gateway's own priority."""
 
     name: str
     attacked: bool = True
@@ -57,7 +57,7 @@ class Result:
     harms: list[Harm] = field(default_factory=list)
     broker_shares: list[float] = field(default_factory=list)
     stopped: int = 0
-    """Gateways that did not live through it."""
+    """Number of gateways that did not survive."""
 
     @property
     def latencies_ms(self) -> list[float]:
@@ -99,16 +99,16 @@ def _arguments() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--one-core", action="store_true", help="for service and gateway; another for the rest"
+        "--one-core", action="store_true", help="one core for service and gateway, another for the rest"
     )
     parser.add_argument("--gateway-nice", nargs="*", default=[], metavar="N", help="0 to 19, or idle")
     parser.add_argument("--rounds", type=int, default=ROUNDS)
-    parser.add_argument("--flips", type=int, default=FLIPS, help="of each round")
+    parser.add_argument("--flips", type=int, default=FLIPS, help="flips of each round")
     return parser.parse_args()
 
 
 def _be_prompt() -> bool:
-    """So that it is the service that is measured, and not how long this process waits itself; needs root."""
+    """Give this process real-time priority, so that its own waiting is not measured; needs root."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
     except PermissionError:

@@ -1,4 +1,4 @@
-"""Measures the size and the order of the project, at one or more revisions side by side, as a Markdown table.
+"""Measures the size and the order of the project at one or more revisions, as a Markdown table.
 
 python benchmarks/house.py                  # the working tree
 python benchmarks/house.py --at c772caf     # that revision, and the working tree
@@ -66,7 +66,7 @@ def _git(*words: str) -> bytes:
 
 
 def shared_names(tree: Tree) -> int:
-    """How many public class names of the product belong to more than one class."""
+    """The number of public class names of the product that several classes have."""
     names = Counter(
         node.name
         for path in tree.sources(*PRODUCT, python=True)
@@ -77,9 +77,9 @@ def shared_names(tree: Tree) -> int:
 
 
 def circular_imports(tree: Tree) -> int:
-    """How many imports go from a room to another one that imports it back, perhaps by way of others.
+    """The number of imports from a room to another one that imports it back, directly or through others.
 
-    Where there are none, the rooms have an order in which every import goes down.
+    If there are none, the rooms have an order in which every import goes down.
     """
     imports = [
         (_room(path), room) for path in tree.sources(*PRODUCT, python=True) for room in _used(tree, path)
@@ -124,9 +124,9 @@ def _reached(start: str, below: dict[str, set[str]]) -> set[str]:
 
 
 def words(tree: Tree) -> tuple[int, int]:
-    """All words of the guides, and those outside the tables that a script writes.
+    """The number of words of the guides, in all and outside the generated tables.
 
-    A word has a letter or a digit in it.
+    A word contains a letter or a digit.
     """
     guides = [path for path in tree.files if path.parts[0] in ("docs", "README.md") and path.suffix == ".md"]
     texts = [tree.text(path) for path in guides]

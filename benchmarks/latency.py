@@ -1,11 +1,11 @@
-"""How long a switch takes to become a setpoint, and what that costs, next to two peers.
+"""Measures the time from a switch move to a setpoint, and its cost, for the service and its peers.
 
     .venv/bin/python benchmarks/latency.py [--quick] [--flips N] [--json]
 
-From the RC_CHANNELS datagram that settles a switch move to the setpoint frame on the serial line, with 500
-MAVLink messages a second on a UDP link and 100 telemetry frames a second on a pseudo-terminal. Every process
-flies in several rounds, in an order that rotates. For the MAVSDK peer install `mavsdk>=4.1,<5` here, or in
-an environment of its own (with pyserial) that `--mavsdk-python` names. Linux only: it reads /proc.
+The time is from the RC_CHANNELS datagram that settles a switch move to the setpoint frame on the serial line,
+with 500 MAVLink messages a second on a UDP link and 100 telemetry frames a second on a pseudo-terminal. Every
+process flies in several rounds, in an order that rotates. For the MAVSDK peer install `mavsdk>=4.1,<5` here,
+or in an environment of its own (with pyserial) that `--mavsdk-python` names. Linux only: it reads /proc.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ IMPORTS = (
 )
 QUICK_FLIPS = 20
 MOST_UNMEASURED = 0.1
-"""Of all flips: above it a machine was too busy, or a process too unwilling, to be measured."""
+"""Maximum share of unmeasured flips. With more, the machine was too busy, or the process did not behave."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Subject:
     name: str
     python: str
     peer: str = ""
-    """What `latency_peers.py` calls it; none for the service itself."""
+    """Its name in `latency_peers.py`; empty for the service."""
     imports: str = ""
 
 
@@ -161,13 +161,21 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--flips", type=_count, default=200, help="of the switch, for each process (200)")
-    parser.add_argument("--rounds", type=_count, default=4, help="that the flips are spread over (4)")
+    parser.add_argument(
+        "--flips", type=_count, default=200, help="flips of the switch for each process (200)"
+    )
+    parser.add_argument(
+        "--rounds", type=_count, default=4, help="rounds, among which the flips are divided (4)"
+    )
     parser.add_argument(
         "--quick", action="store_true", help=f"{QUICK_FLIPS} flips in one round: does it work?"
     )
-    parser.add_argument("--json", action="store_true", help="everything, instead of the table")
-    parser.add_argument("--mavsdk-python", default=sys.executable, metavar="PYTHON", help="that has MAVSDK")
+    parser.add_argument(
+        "--json", action="store_true", help="print JSON with all numbers instead of the table"
+    )
+    parser.add_argument(
+        "--mavsdk-python", default=sys.executable, metavar="PYTHON", help="a Python with MAVSDK"
+    )
     return parser.parse_args()
 
 
@@ -179,7 +187,7 @@ def _count(text: str) -> int:
 
 
 def _fly(subject: Subject, result: Result, flips: int, seed: int, scratch: Path) -> None:
-    """One flight of one fresh process."""
+    """Fly one flight with a new process."""
     folder = Path(tempfile.mkdtemp(dir=scratch))
     udp_port = free_udp_port()
     with SerialBoard(monotonic()) as board, (folder / "output").open("w+", encoding="utf-8") as output:
@@ -218,7 +226,7 @@ def _fly(subject: Subject, result: Result, flips: int, seed: int, scratch: Path)
 
 @contextlib.contextmanager
 def ended(process: subprocess.Popen[bytes]) -> Iterator[None]:
-    """Whatever happens within, afterwards the process has ended."""
+    """The process ends when the context ends."""
     try:
         yield
     finally:
@@ -240,7 +248,7 @@ def _command(subject: Subject, udp_port: int, tty: str, folder: Path) -> list[st
 
 
 def profile_text(udp_port: int, tty: str) -> str:
-    """The profile that everybody starts from; only the two links are others."""
+    """The default profile with other links."""
     links = {"vehicle": f"udpin:127.0.0.1:{udp_port}", "firmware": f"serial:{tty}"}
     text = configuration.default_text()
     for table, link in links.items():
@@ -251,8 +259,8 @@ def profile_text(udp_port: int, tty: str) -> str:
 
 
 def environment() -> dict[str, str]:
-    """The checkout is importable from whatever environment a peer runs in, and its bytecode is kept, as on a
-    user's machine: without it, a third of the start is the compiler's."""
+    """Environment in which any peer can import the checkout. Bytecode is written, as on a user's machine;
+    otherwise a third of the start is the compiler's time."""
     kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     return {**kept, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
 
@@ -265,7 +273,7 @@ def free_udp_port() -> int:
 
 
 def _mavsdk_version(python: str) -> str:
-    """Of the MAVSDK that `python` can import; empty when there is none."""
+    """Version of the MAVSDK that `python` can import; empty if there is none."""
     code = "import importlib.metadata as m, mavsdk.asyncio, serial; print(m.version('mavsdk'))"
     try:
         ran = subprocess.run([python, "-c", code], capture_output=True, text=True, check=True)
@@ -339,7 +347,7 @@ def _show(console: Console, machine: dict[str, str], rows: dict[str, dict[str, f
     console.print(
         "CPU: user and system time in % of one core while loaded. mem: the peak, start included. The "
         "peers only write one frame a move: no safety, ramps, repeats, telemetry, estimate or log. The "
-        "bare socket decodes nothing: it is what this machine and this measurement cost.",
+        "bare socket decodes nothing: it shows the cost of this machine and this measurement.",
         highlight=False,
         style="dim",
     )

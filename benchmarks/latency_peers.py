@@ -1,6 +1,6 @@
-"""What the service is compared with: the shortest programs that turn a switch into a setpoint.
+"""The programs that the service is compared with: the shortest ones from a switch to a setpoint.
 
-They watch the ninth channel with the service's own switch and write one setpoint frame a move. They know no
+They watch channel 9 with the service's own switch and write one setpoint frame for each move. They have no
 safety, ramp, telemetry, reservoir, mission, log or dead-man. Started as `latency_peers.py NAME UDP_PORT TTY`.
 """
 
@@ -50,7 +50,7 @@ class SerialSwitch:
 
 
 def bare_socket(udp_port: int, switch: SerialSwitch) -> None:
-    """The floor: a blocking socket and eight bytes of one message, no MAVLink library."""
+    """The minimum: a blocking socket and eight bytes of one message, without a MAVLink library."""
     link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     link.bind(("127.0.0.1", udp_port))
     switch.listening()
@@ -62,7 +62,7 @@ def bare_socket(udp_port: int, switch: SerialSwitch) -> None:
 
 
 def mavutil_loop(udp_port: int, switch: SerialSwitch) -> None:
-    """As most pymavlink scripts do it."""
+    """Like most pymavlink scripts."""
     os.environ["MAVLINK20"] = "1"
     from pymavlink import mavutil
 
@@ -75,8 +75,8 @@ def mavutil_loop(udp_port: int, switch: SerialSwitch) -> None:
 
 
 async def mavsdk_stream(udp_port: int, switch: SerialSwitch) -> None:
-    """As MAVSDK-Python's example of raw messages does it."""
-    # By name: it is an optional package, and type checkers must be content with and without it.
+    """Like MAVSDK-Python's example of raw messages."""
+    # Imported by name, because type checkers must accept this with and without the optional package.
     mavsdk: Any = importlib.import_module("mavsdk.asyncio")
     direct: Any = importlib.import_module("mavsdk.asyncio.plugins.mavlink_direct")
     configuration = mavsdk.Configuration.create_with_component_type(mavsdk.ComponentType.COMPANION_COMPUTER)

@@ -1,12 +1,13 @@
-"""What it costs to read an autopilot: our codec and core next to pymavlink's bare parsing of the same bytes.
+"""The cost of reading an autopilot: our codec and core, compared with pymavlink's parsing of the same bytes.
 
 The bytes are the recordings of real autopilots in tests/data, cut as a socket gives them (a frame per
-datagram) and as a serial port or TCP does (1 kB at a time). The sides take turns within one run, in CPU time
-of one core, so that other work on the machine counts little; each repeat gives one ratio. With signing every
-frame is signed anew with one key, and both sides check it. Linux only: it reads /proc.
+datagram) and as a serial port or TCP does (1 kB at a time). Both sides alternate within one run. The ratios
+are of CPU time on one core, so that other work on the machine has little influence; each repeat gives one
+ratio. With signing, every frame is signed anew with one key, and both sides check it. Linux only: it reads
+/proc.
 
     python benchmarks/mavlink_dispatch.py [--repeats N] [--json]    # a minute
-    python benchmarks/mavlink_dispatch.py --check                   # exit status 1 when a goal is missed
+    python benchmarks/mavlink_dispatch.py --check                   # exit status 1 if a goal is missed
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ RECORDINGS = Path(__file__).resolve().parents[1] / "tests" / "data" / "recording
 CHUNK = 1024
 KEY = hashlib.sha256(b"benchmark").digest()
 PROFILE = config.default()
-"""Parsed once, as when the service starts."""
+"""Read once, as at the start of the service."""
 LONG_RUN = 1_000_000
 MOST_COST = 1.2
 LEAST_MESSAGES_PER_S = 60_000
@@ -53,7 +54,7 @@ Feed = list[tuple[float, bytes]]
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One way of feeding; the ratios are to bare parsing, one of each repeat."""
+    """One way to cut the bytes. For each repeat, the ratios to pymavlink's parsing."""
 
     feed: str
     bare_us: float
@@ -72,7 +73,7 @@ def frames_of(path: Path) -> Feed:
 
 
 def chunked(frames: Feed) -> Feed:
-    """The same bytes, a kilobyte at a time; each at the time of its last byte."""
+    """The same bytes, one kilobyte at a time, each with the time of its last byte."""
     chunks: Feed = []
     rest = b""
     t = 0.0
@@ -160,7 +161,7 @@ def measure(name: str, feeds: Sequence[Feed], with_key: bool, messages: int, rep
 
 
 def growth_MB(feeds: Sequence[Feed]) -> float:
-    """How much more memory a long run takes at its end than after its first tenth."""
+    """Memory growth of a long run after its first tenth."""
     codec, core = service_codec(with_key=False), Core(PROFILE)
     seen, now_s, early_MB = 0, 0.0, 0.0
     while seen < LONG_RUN:
@@ -204,7 +205,7 @@ def _spread(ratios: Sequence[float]) -> str:
 
 
 def misses(rows: Sequence[Row], growth: float) -> list[str]:
-    """What falls short of the goals."""
+    """The missed goals."""
     told = []
     for row in rows:
         ratio = statistics.median(row.whole_ratios)
@@ -220,8 +221,8 @@ def misses(rows: Sequence[Row], growth: float) -> list[str]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--repeats", type=int, default=9)
-    parser.add_argument("--json", action="store_true", help="numbers instead of a table")
-    parser.add_argument("--check", action="store_true", help="exit status 1 when a goal is missed")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    parser.add_argument("--check", action="store_true", help="exit status 1 if a goal is missed")
     options = parser.parse_args()
     recorded = [frames_of(path) for path in sorted(RECORDINGS.glob("*.tlog"))]
     with_key = [signed(frames) for frames in recorded]

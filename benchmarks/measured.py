@@ -1,13 +1,13 @@
-"""Measured rigs of other laboratories: what `diagnose` says of them, against independent fits.
+"""Compares the verdicts of `diagnose` about measured rigs of other laboratories with independent fits.
 
     python benchmarks/measured.py                        # every recording and folder of tests/data/measured
     python benchmarks/measured.py --only plenum_discharge
 
-Each recording goes through the project's importer, by the answers kept beside it, and through `diagnose`.
-The same readings are fitted by `measured_fits.py`, which has its own equations. Nobody knows the truth of
-these rigs: agreement means that both find the same number for the same law, and what remains says how good
-that law is. The leaking chambers are three rigs, so that folder is no case. `measured_peers.py` has what a
-user would take instead. Needs pip install 'flying-vines[benchmarks]'.
+Each recording goes through the project's importer, with the answers stored beside it, and through `diagnose`.
+`measured_fits.py` fits the same readings with equations of its own. Nobody knows the truth of these rigs. If
+both find the same number for the same law, they agree; the residual shows how good that law is. The leaking
+chambers are three rigs, so that folder is not one case. `measured_peers.py` has other methods. Needs pip
+install 'flying-vines[benchmarks]'.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ ONE_RIG = {
     "plenum_discharge": "*.csv",
     "pump_and_chamber": "sweep_kp_*.csv",
 }
-"""Recordings of a folder that are of one rig, and so a case together."""
+"""Recordings of one rig, which are also one case together."""
 
 POSSIBLE: Mapping[str, tuple[float, float]] = {
     "flow_resistance_kPa_s_per_SL": (0.0, float("inf")),
@@ -58,19 +58,19 @@ POSSIBLE: Mapping[str, tuple[float, float]] = {
     "rate_kPa_per_s": (-0.002, 0.002),
     "supply_pressure_kPa": (0.0, 1000.0),
 }
-"""What a value in a laboratory can be: nozzles choke at 0.55 or below, the ambient pressure of a room is
-steady, a sensor is not off by more than the total error of its data sheet."""
+"""Possible values in a laboratory. Nozzles choke at 0.55 or below, the ambient pressure of a room is
+constant, and a sensor is not off by more than the total error of its data sheet."""
 
 
 @dataclass(frozen=True, eq=False)
 class Looked:
-    """A case, what was said of it, and the independent fits, the best first."""
+    """A case, its verdict, and the independent fits, the best first."""
 
     name: str
     case: Case
     said: dict[str, Any]
     rms_kPa: tuple[float, float]
-    """Of the measured pressure: baseline, and with the causes."""
+    """Residuals of the measured pressure: with the baseline, and with the causes."""
     fits: list[Fitted]
     seconds: float
 
@@ -79,9 +79,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--only", choices=GROUPS, action="append", help="one folder; may be given again")
+    parser.add_argument("--only", choices=GROUPS, action="append", help="one folder; may be repeated")
     arguments = parser.parse_args(argv)
-    from measured_peers import unseen_errors  # Needs packages that nothing else here needs.
+    from measured_peers import unseen_errors  # These packages are needed only here.
 
     console = Console(highlight=False, soft_wrap=True, width=400)
     looked, instead = [], []
@@ -94,7 +94,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def cases(groups: Sequence[str]) -> Iterator[tuple[str, list[Path]]]:
-    """Every recording alone, then what is of one rig together."""
+    """Every recording alone, then the recordings of one rig together."""
     for group in groups:
         for path in sorted((DATA / group).glob("*.csv")):
             yield f"{group}/{path.stem}", [path]
@@ -103,7 +103,7 @@ def cases(groups: Sequence[str]) -> Iterator[tuple[str, list[Path]]]:
 
 
 def imported(files: Sequence[Path], folder: Path) -> Case:
-    """The imported case, by the answers kept beside each file or beside one with the same columns."""
+    """The imported case, with the answers stored beside each file, or beside a file with the same columns."""
     proposals: list[Proposal] = []
     answered = [path for path in sorted(files[0].parent.glob("*.csv")) if answers_path(path).exists()]
     for path in files:
@@ -168,7 +168,7 @@ def _pump_fits(case: Case) -> list[Fitted]:
 
 
 def readings(case: Case) -> list[Readings]:
-    """Of the only pressure that was measured."""
+    """The readings of the only measured pressure."""
     runs = []
     for run in case.runs:
         pressure: Array = run.reservoir_kPa if case.rig.cv is None else run.cv_kPa
@@ -178,7 +178,7 @@ def readings(case: Case) -> list[Readings]:
 
 
 def named(said: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """The causes with their parameters and shares, the first first; of `unexplained` what fitted best."""
+    """The causes with their parameters and shares, the first one first; for `unexplained` the best fit."""
     if said["cause"] == UNEXPLAINED:
         tried = said["ranking"][0]["parameters"] if said.get("ranking") else {}
         return [{"cause": cause, "parameters": parameters} for cause, parameters in tried.items()]
@@ -187,7 +187,7 @@ def named(said: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 
 def impossible(said: Mapping[str, Any]) -> list[str]:
-    """Parameters whose whole interval no rig in a room can have, and intervals that are none."""
+    """Parameters whose whole interval is impossible in a room, and intervals that are not valid."""
     found = []
     for one in named(said):
         for name, value in one.get("parameters", {}).items():
@@ -199,7 +199,7 @@ def impossible(said: Mapping[str, Any]) -> list[str]:
     return found
 
 
-# Of which independent law and parameter a cause's parameter is the same number.
+# For each cause and parameter: the independent law and parameter that mean the same number.
 SAME = {
     ("reservoir_leak", "flow_resistance_kPa_s_per_SL"): ("ohm", "flow_resistance_kPa_s_per_SL"),
     ("reservoir_viscous_leak", "conductance_constant_kPa2_s_per_SL"): (
@@ -216,7 +216,7 @@ SAME = {
 
 
 def compared(said: Mapping[str, Any], fits: Sequence[Fitted]) -> Iterator[str]:
-    """Each named parameter with its interval and, of the same law, the independent number."""
+    """Each named parameter with its interval, and the independent number of the same law."""
     by_law = {fit.law: fit.parameters for fit in fits}
     if "ohm, cooling" in by_law and "reservoir_cooling" in [one["cause"] for one in named(said)]:
         by_law = {"ohm": by_law["ohm, cooling"], "choked, cooling": by_law["ohm, cooling"]}
@@ -235,7 +235,7 @@ def show(looked: Sequence[Looked], instead: Sequence[Mapping[str, float]], conso
     Args:
         instead: for each case, the errors of other methods on the unseen readings, over the measured range.
     """
-    console.print("\nWhat diagnose says\n")
+    console.print("\nVerdicts of diagnose\n")
     titles = ("case", "verdict", "causes and shares", "remainder", "unseen before", "after", "noise", "time")
     table = _table(*titles)
     for one in looked:
@@ -244,14 +244,14 @@ def show(looked: Sequence[Looked], instead: Sequence[Mapping[str, float]], conso
         cells = (said["cause"], _causes(said), _remainder(said.get("remainder")))
         table.add_row(one.name, *cells, *unseen, f"{one.seconds:.0f} s")
     console.print(table)
-    console.print("\nUnseen error of what one would take instead\n")
+    console.print("\nError on unseen data, with other methods\n")
     table = _table("case", "baseline", "diagnose", *instead[0])
     for one, errors in zip(looked, instead, strict=True):
         held = one.said["held_out"]
         values = (held["nrmse_before"], held["nrmse_after"], *errors.values())
         table.add_row(one.name, *(f"{value:.2%}" for value in values))
     console.print(table)
-    console.print("\nParameters, and what an independent fit of the same law gives\n")
+    console.print("\nParameters, and those of an independent fit of the same law\n")
     table = _table("case", "parameters", "impossible", "rms baseline", "diagnose", "independent")
     for one in looked:
         rms_kPa = (*one.rms_kPa, one.fits[0].rms_kPa)

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 Array = NDArray[np.float64]
 
 ALPHA_KPA = 101.325
-"""Pressure rise of 1 SL in 1 L."""
+"""Pressure rise of 1 L by 1 SL."""
 AMBIENT_KPA = 101.325
 ORIFICE_CRITICAL_RATIO = 0.5
 AIR_GAMMA = 1.4
@@ -34,7 +34,7 @@ _LOW_KPA = 50.0
 
 @dataclass(frozen=True)
 class Fitted:
-    """A law, its parameters by name, and what it leaves."""
+    """A law, its parameters by name, and its residual."""
 
     law: str
     parameters: dict[str, float]
@@ -43,7 +43,7 @@ class Fitted:
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """One run: times, gauge pressures, and what drives it (opening or PWM share, held until the next)."""
+    """One run: times, gauge pressures, and the input (opening or PWM share, held until the next)."""
 
     time_s: Array
     pressure_kPa: Array
@@ -71,9 +71,9 @@ LEAKS: dict[str, Callable[[float, float], float]] = {"ohm": ohm, "viscous": visc
 
 
 def leak(run: Readings, volume_L: float) -> list[Fitted]:
-    """Each law of a leak fitted to a closed vessel that is left alone; the best first.
+    """Fits of each leak law to a closed vessel, the best first.
 
-    Of a vessel that empties quickly Ohm's law is fitted with gas that cools, as well.
+    For a vessel that empties quickly, Ohm's law with gas that cools is also fitted.
     """
     fits = [_leak(run, volume_L, law) for law in LEAKS]
     if run.pressure_kPa.min() < _LOW_KPA:
@@ -129,11 +129,12 @@ def discharge(
 ) -> Fitted:
     """A nozzle (ISO 6358) empties a vessel whose gas cools as it expands and is warmed by the wall.
 
-    Shared: conductance, critical ratio, wall time constant, sensor offset. Of each run: pressure before and
-    time of opening, which is between two samples. With `cold_flow` the mass flow grows as the gas cools, with
-    the root of the temperature, as a nozzle's does; without, it is a function of pressures alone.
+    Shared parameters: conductance, critical ratio, wall time constant, sensor offset. Parameters of each run:
+    pressure before, and opening time, which is between two samples. With `cold_flow` the mass flow grows as
+    the gas cools, with the root of the temperature, as in a nozzle; without, it depends on the pressures
+    only.
     """
-    # From one sample before the valve is said to open, until a while after the vessel is empty.
+    # From one sample before the recorded opening of the valve, until some time after the vessel is empty.
     cut = [max(0, int(np.flatnonzero(run.input > 0.0)[0]) - 1) for run in runs]
     ends = [
         int(np.searchsorted(run.time_s, run.time_s[i] + _FALL_S)) for run, i in zip(runs, cut, strict=True)
@@ -174,7 +175,7 @@ def discharge(
         own += [float(read[0]), _opening_s(t, read)]
         low += [0.0, 0.0]
         high += [np.inf, 3.0 * float(t[1] - t[0])]
-    # Where the opening passes a sample the misfit has a kink, so several starts.
+    # The misfit has a kink where the opening time passes a sample, so try several starts.
     fits = [
         least_squares(
             residuals,
@@ -199,7 +200,7 @@ def discharge(
 
 
 def _opening_s(time_s: Array, read: Array) -> float:
-    """When the line through the first fall meets the pressure before it, after the first sample."""
+    """The time, after the first sample, when the line through the first fall meets the pressure before it."""
     k = int(np.flatnonzero(read < 0.97 * read[0])[0])
     slope = float((read[k + 1] - read[k]) / (time_s[k + 1] - time_s[k]))
     return max(0.0, float(time_s[k] - time_s[0] - (read[k] - read[0]) / slope))
@@ -216,16 +217,17 @@ def ideal_nozzle() -> float:
 
 
 def pump(runs: Sequence[Readings], volume_L: float) -> Fitted:
-    """A pump with a dead zone and spin-up, whose flow is zero at its stall pressure, fills a leaking vessel.
+    """A pump with a dead zone and spin-up, without flow at its stall pressure, fills a leaking vessel.
 
-    Shared: free flow, stall pressure, dead zone, spin-up time constant, leak. Of each run: first pressure.
+    Shared parameters: free flow, stall pressure, dead zone, spin-up time constant, leak. Parameter of each
+    run: first pressure.
     """
 
     def one(x: Array, run: Readings, start_kPa: float) -> Array:
         free, stall_kPa, dead, spin_s, leak_R = np.exp(x[0]), np.exp(x[1]), x[2], np.exp(x[3]), np.exp(x[4])
         wanted = np.clip((run.input - dead) / (1.0 - dead), 0.0, 1.0)
         time_s = run.time_s
-        # Exact for the speed; the pressure is linear in itself while the speed is that of the step's middle.
+        # Exact for the speed. The pressure equation is linear if the speed is that in the middle of the step.
         speed, p = 0.0, start_kPa
         drawn = np.empty_like(time_s)
         for i, dt in enumerate([*np.diff(time_s), 0.0]):
@@ -248,7 +250,7 @@ def pump(runs: Sequence[Readings], volume_L: float) -> Fitted:
     firsts = [float(run.pressure_kPa[0]) for run in runs]
     free = math.log(rise / (5.0 * step_s) * volume_L / ALPHA_KPA)
     best = None
-    # The valley is long where pump and leak trade, so several starts.
+    # Pump and leak can replace each other in a long valley, so try several starts.
     for leak_R in (3e2, 3e3):
         for spin_s in (0.03, 0.2):
             start = [free, math.log(1.3 * highest), 0.15, math.log(spin_s), math.log(leak_R), *firsts]
@@ -271,7 +273,8 @@ def pump(runs: Sequence[Readings], volume_L: float) -> Fitted:
 
 
 def _phi(ratio: float, critical: float) -> float:
-    """ISO 6358, with a straight end: a square root's slope there is infinite, and flow is laminar."""
+    """ISO 6358, with a straight end: the slope of the square root is infinite there, but the flow is
+    laminar."""
     if ratio <= critical:
         return 1.0
     if ratio > _LAMINAR:

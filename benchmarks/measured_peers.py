@@ -1,12 +1,12 @@
-"""What a user would take instead of `diagnose` on a measured rig, scored on the same unseen readings.
+"""Other methods than `diagnose` on a measured rig, scored on the same unseen readings.
 
-- An exponential with a constant, fitted to each run from where its input first changes.
+- An exponential with a constant, fitted to each run from the first change of its input.
 - pysindy's sparse regression of dP/dt on products of pressure and input.
 - A Gaussian process of dP/dt as a function of pressure and input.
 
 The last two are simulated from the first reading of a run with its input. As for `diagnose`, a run is
-predicted from the others, and a single run is predicted in every other stretch from the rest. The exponential
-has no parameters in common between runs, so it always gets the stretches.
+predicted from the others, and a single run is predicted in every other stretch from the rest. The runs share
+no parameter of the exponential, so it always predicts stretches.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from flying_vines.identification.unseen import in_odd_stretch
 
 MAX_ROWS = 300
-"""Rates from which a Gaussian process learns: its time grows with their cube."""
+"""Maximum number of rates from which a Gaussian process learns: its time grows with their cube."""
 WINDOWS = 50
-"""A rate is a difference over this part of a run, and over two samples at least."""
+"""A rate is a difference over this part of a run, at least over two samples."""
 THRESHOLDS = (0.01, 0.03, 0.1, 0.3)
 DEGREE = 3
 
@@ -67,7 +67,7 @@ def _error(
     splits: Sequence[Sequence[Bools]],
     predict: Callable[[Sequence[Readings], Sequence[Bools]], list[Array]],
 ) -> float:
-    """Args: splits: of each run, the readings (n,) that are unseen."""
+    """Args: splits: for each run, the unseen readings (n,)."""
     left = []
     for unseen in splits:
         predicted = predict(runs, [~mask for mask in unseen])
@@ -115,7 +115,7 @@ def _simulated(
         for i, dt_s in enumerate([*np.diff(run.time_s), 0.0]):
             pressure_kPa[i] = now_kPa
             per_s = float(rate(rows(np.array([now_kPa]), run.input[i : i + 1]))[0])
-            # Nothing that was learned holds far outside the measured range.
+            # The learned rates are not valid far outside the measured range.
             now_kPa = float(np.clip(now_kPa + dt_s * per_s, low_kPa - half_kPa, high_kPa + half_kPa))
         predicted.append(pressure_kPa)
     return predicted
@@ -132,7 +132,7 @@ def _rates(run: Readings, shown: Bools, rows: Callable[[Array, Array], Array]) -
 
 
 def _sparse(rates: Rates) -> Rate:
-    """The threshold is the one that predicts every other block of the rates best."""
+    """Uses the threshold that best predicts every other block of the rates."""
     library = PolynomialLibrary(degree=DEGREE).fit(rates.at)
     every = np.asarray(library.transform(rates.at))
     # An input that never changes has columns of zeros.
@@ -143,7 +143,7 @@ def _sparse(rates: Rates) -> Rate:
     def fitted(threshold: float, used: Bools) -> Array:
         regression = STLSQ(threshold * float(np.linalg.norm(rates.kPa_per_s)), normalize_columns=True)
         with warnings.catch_warnings():
-            # It warns if a threshold leaves nothing, which is an answer.
+            # It warns if a threshold leaves no term, which is a valid answer.
             warnings.simplefilter("ignore")
             regression.fit(columns[used], rates.kPa_per_s[used, None])
         found: Array = np.asarray(regression.coef_[0], dtype=np.float64)
@@ -163,7 +163,7 @@ def _process(rates: Rates) -> Rate:
     kernel = ConstantKernel(1.0, (1e-3, 1e3)) * RBF(np.ones(2), (0.1, 100.0)) + WhiteKernel(0.1, (1e-6, 2.0))
     process = GaussianProcessRegressor(kernel)
     with warnings.catch_warnings():
-        # An input that does not matter ends at the bound of its scale.
+        # It warns if an input does not matter: its scale ends at the bound.
         warnings.simplefilter("ignore", ConvergenceWarning)
         process.fit(rates.at[taken], rates.kPa_per_s[taken] / scale)
     return lambda at: np.asarray(process.predict(at)) * scale

@@ -1,11 +1,11 @@
-"""How many mission items are missed at a given loss of frames, by what stands in for a lost frame.
+"""The number of missed mission items at a given loss of frames, for each autopilot and kind of mission.
 
     python benchmarks/mission_misses.py [--flights 150] [--seed 1]
 
-The fake autopilots fly random missions over a link that loses a share of the frames in each direction; what
-they executed is compared with what the vehicle's side saw. "Plain" missions have one vine item in front of
-each waypoint; "wild" ones have several at a place, conditions and loops, and are interfered with: modes,
-jumps, other missions, reboots of the autopilot and of the service, cut links.
+The fake autopilots fly random missions over a link that loses a share of the frames in each direction. The
+executed items are compared with the items that the vehicle's side has seen. "Plain" missions have one vine
+item before each waypoint. "Wild" ones have several at a place, conditions and loops, and are disturbed by
+changes of mode, jumps, other missions, reboots of the autopilot and of the service, and cut links.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ KINDS: tuple[AutopilotKind, AutopilotKind] = ("ardupilot", "px4")
 
 
 def misses(kind: AutopilotKind, loss: float, flights: int, seed: int, wild: bool) -> tuple[int, int, int]:
-    """Items that ran, that were missed, and triggers that nothing ran for."""
+    """Numbers of items that ran, of missed items, and of triggers without an item."""
     ran = missed = extra = 0
     for flight in range(flights):
         dice = random.Random(f"{seed} {flight} {wild}")

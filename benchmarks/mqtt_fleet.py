@@ -1,11 +1,11 @@
-"""How many vehicles one mosquitto carries: simulated vehicles on one broker, doubled until it fails.
+"""The number of vehicles that one mosquitto carries: simulated vehicles, doubled until it fails.
 
     .venv/bin/python benchmarks/mqtt_fleet.py [--vehicles 1000] [--rate-Hz 2] [--seconds 10] [--most 32000]
 
-Every vehicle has its own connection and sends what a real one sends: its state at the rate given, and with
-every fourth its reservoir, QoS 0. One person has subscribed to all of it. Broker, vehicles (two processes)
-and the person share this machine; the table says how much of a core each of them took. It breaks where a
-message is lost, one takes longer than 1 s, or the vehicles cannot send as often as they should.
+Every vehicle has its own connection and sends like a real one: its state at the given rate, and its reservoir
+with every fourth state, QoS 0. One subscriber receives everything. Broker, vehicles (two processes) and
+subscriber share this machine; the table has the share of a core of each. It fails if a message is lost or
+takes longer than 1 s, or if the vehicles cannot send at their rate.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from flying_vines.gateway.mqtt.topics import Topics
 SENDERS = 2
 TOO_LATE_S = 1.0
 TOO_FEW = 0.98
-"""Of what the vehicles were to send: less, and it is not the broker that is measured."""
+"""Minimum share of the messages that the vehicles must send; with fewer, the broker is not the limit."""
 RESERVOIR_EVERY = 4
-"""States."""
+"""One reservoir message for this number of states."""
 DRAIN_S = 2.0
 CLOCK = b"0000000000.000000"
 
@@ -81,7 +81,7 @@ class Result:
     sent: int
     seconds: float
     late_s: list[float]
-    """Of each message that came, from its sender to the person; sorted."""
+    """Delay of each received message from vehicle to subscriber, sorted."""
     broker_share: float
     broker_MB: float
     senders_share: float
@@ -111,7 +111,7 @@ class Result:
 
 
 def state() -> bytes:
-    """A real one; its time is put in when it is sent."""
+    """A real state message. The time is inserted when it is sent."""
     return _timeless(
         StatePayload(
             unix_s=0.0,
@@ -151,7 +151,7 @@ def _timeless(payload: StatePayload | ReservoirPayload) -> bytes:
 
 @contextlib.contextmanager
 def serving(mosquitto: str) -> Iterator[tuple[int, int]]:
-    """A broker of its own, as it comes but for the port; its process."""
+    """Start a broker with default settings and its own port; yields port and process id."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -205,7 +205,7 @@ def run(port: int, broker: int, vehicles: int, rate_Hz: float, seconds: float) -
     )
 
 
-# The vehicles. MQTT 3.1.1 by hand: a library would cost more than the broker does.
+# The vehicles. MQTT 3.1.1 by hand, because a library would cost more than the broker.
 
 
 def _send(port: int, names: list[str], rate_Hz: float, lead: Connection) -> None:
@@ -228,7 +228,7 @@ async def _send_all(port: int, names: list[str], rate_Hz: float, lead: Connectio
     began, sent, turn = time.perf_counter(), 0, 0
     each_s = 1.0 / (rate_Hz * len(names))
     while (passed_s := time.perf_counter() - began) < seconds:
-        # Whose turn it is by now: they are spread evenly over each period.
+        # The vehicles that are due: they are spread evenly over each period.
         while turn * each_s <= passed_s:
             period, vehicle = divmod(turn, len(names))
             _write(writers[vehicle], states[vehicle])
@@ -253,7 +253,7 @@ def _write(writer: asyncio.StreamWriter, parts: tuple[bytes, bytes]) -> None:
 
 
 def _publication(topic: str, payload: bytes) -> tuple[bytes, bytes]:
-    """What comes before the time, and after it."""
+    """The bytes before and after the time."""
     body = len(topic).to_bytes(2, "big") + topic.encode() + payload
     before, after = (b"\x30" + length_field(len(body)) + body).split(CLOCK)
     return before, after
@@ -276,11 +276,11 @@ async def _connect(port: int, name: str) -> asyncio.StreamWriter:
     return writer
 
 
-# The person.
+# The subscriber.
 
 
 def _listen(port: int, lead: Connection) -> None:
-    """Until told to stop; then how late each message was, in seconds."""
+    """Receive until told to stop. Then send the delay of each message, in seconds."""
     late_s: list[float] = []
     with socket.create_connection(("127.0.0.1", port)) as broker:
         broker.sendall(b"\x10\x12\x00\x04MQTT\x04\x02\x01\x2c\x00\x06person")
@@ -296,7 +296,7 @@ def _listen(port: int, lead: Connection) -> None:
 
 
 def _take(data: bytes, late_s: list[float]) -> bytes:
-    """Note every whole message; what is left."""
+    """Note the delay of every whole message. Returns the remaining bytes."""
     now, at, end = time.time(), 0, len(data)
     while at + 5 < end:
         size, shift, body = 0, 0, at + 1

@@ -1,8 +1,8 @@
 """What the page costs the companion, and how soon it vents: python benchmarks/page_load.py
 
-The real service between the fakes, with 0, 1 and 10 viewers, and then with a flood of connections as well:
-processor time and memory of the page's process and of the service, bytes to each viewer, time from a viewer's
-VENT to its confirmation, and the service's round trip to its board, which tells whether its loop is held up.
+The real service runs between the fakes, with 0, 1 and 10 viewers, and with a flood of connections. Measured
+are processor time and memory of the page's process and of the service, bytes to each viewer, the time from a
+viewer's VENT to its confirmation, and the service's round trip to its board, which shows delays of its loop.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ FLOOD_PER_S = 500
 
 
 class Viewer:
-    """Takes everything, and counts it."""
+    """Receives everything, and counts it."""
 
     def __init__(self, socket: ClientWebSocketResponse) -> None:
         self.bytes = 0
@@ -61,7 +61,7 @@ class Viewer:
 
 
 async def flood(port: int, made: list[int]) -> None:
-    """Connections that begin a request and never end it; counts them in `made`."""
+    """Connections that begin a request and never end it. `made` counts them."""
     held: list[socket.socket] = []
     while True:
         with contextlib.suppress(OSError):
@@ -76,7 +76,7 @@ async def flood(port: int, made: list[int]) -> None:
 
 @contextlib.asynccontextmanager
 async def service(folder: Path) -> AsyncIterator[tuple[int, int]]:
-    """Its process and its page's port, between the fakes."""
+    """Run the service between the fakes. Yields the id of its process and the page's port."""
     async with on_bench(FakeAutopilot("ardupilot")) as bench:
         port = free_port()
         profile = folder / "vine.toml"

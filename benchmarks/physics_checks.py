@@ -1,12 +1,11 @@
-"""What the physics checks find, how quickly, and whether they are silent on healthy rigs.
+"""What the physics checks find, how quickly, and if they are silent on healthy rigs.
 
     .venv/bin/python benchmarks/physics_checks.py [--rigs N] [--mishaps N] [--first SEED] [--jobs N] [--check]
 
-First random healthy rigs, which the checks know by believed numbers that are off, flown by the emulated
-firmware's regulator: every finding is a false one. Then one mishap after the other, each on so many random
-rigs and at a random moment of their flying, and what notices it first: a check, or the limits that firmware
-and service have anyway. What is drawn is in `physics_checks_rigs.py`. Needs numba:
-pip install 'flying-vines[analysis]'.
+First it flies random healthy rigs, whose assumed numbers are wrong, with the firmware's regulator: every
+finding is a false one. Then it injects each mishap into many random rigs, at a random moment of the flight,
+and reports what finds it first: a check, or the limits of firmware and service. `physics_checks_rigs.py`
+draws the rigs. Needs numba: pip install 'flying-vines[analysis]'.
 """
 
 from __future__ import annotations
@@ -33,21 +32,21 @@ T = TypeVar("T")
 HEALTHY_S = 90.0
 CHECKS_CONFIG = ChecksConfig()
 MOST_WARNED = 1 / 200
-"""The share of healthy rigs that may be warned of."""
+"""Maximum share of healthy rigs with a warning."""
 
 
 @dataclass(frozen=True)
 class Healthy:
-    """A healthy rig's flying."""
+    """The flight of a healthy rig."""
 
     seed: int
     flown_s: float
     findings: tuple[str, ...]
-    """Each `name: sentence`, when it began and how."""
+    """Each finding as `name: sentence`, when it began."""
 
 
 def judge(seed: int) -> Healthy:
-    """One healthy rig."""
+    """Fly one healthy rig."""
     case = drawn(seed)
     belief = nominal(case.believed)
     reader, checks = TelemetryReader(belief), PhysicsChecks(belief, CHECKS_CONFIG)
@@ -61,7 +60,7 @@ def judge(seed: int) -> Healthy:
 
 
 def healthy(seeds: range, jobs: int, console: Console) -> list[str]:
-    """So many healthy rigs; what falls short."""
+    """Fly healthy rigs. Returns the missed goals."""
     faults, warnings, flown_s = Counter[str](), Counter[str](), 0.0
     for rig in mapped(judge, seeds, jobs):
         flown_s += rig.flown_s
@@ -75,12 +74,12 @@ def healthy(seeds: range, jobs: int, console: Console) -> list[str]:
     )
     missed = [f"{n} healthy rigs with a false fault '{name}'" for name, n in faults.items()]
     if warnings.total() > MOST_WARNED * len(seeds):
-        missed.append(f"{warnings.total()} of {len(seeds)} healthy rigs are warned of")
+        missed.append(f"{warnings.total()} of {len(seeds)} healthy rigs with a warning")
     return missed
 
 
 def mapped(made_of: Callable[[int], T], seeds: Sequence[int], jobs: int) -> Iterator[T]:
-    """What is made of each seed, in order."""
+    """The result of each seed, in order."""
     if jobs == 1:
         yield from map(made_of, seeds)
         return
@@ -89,7 +88,7 @@ def mapped(made_of: Callable[[int], T], seeds: Sequence[int], jobs: int) -> Iter
 
 
 def mishaps(seeds: range, jobs: int, console: Console) -> None:
-    """A line for each mishap, as soon as it is known."""
+    """Print a line for each mishap as soon as it is finished."""
     console.print("| mishap | noticed | by | median s | most s | vine's true peak, kPa: median, most |")
     console.print("| --- | --- | --- | --- | --- | --- |")
     for name in MISHAPS:
@@ -104,11 +103,13 @@ def mishaps(seeds: range, jobs: int, console: Console) -> None:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--rigs", type=int, default=300, help="healthy ones")
+    parser.add_argument("--rigs", type=int, default=300, help="number of healthy rigs")
     parser.add_argument("--mishaps", type=int, default=30, help="rigs for each mishap")
     parser.add_argument("--first", type=int, default=1, help="the first rig's seed")
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--check", action="store_true", help="exit status 1 when a healthy rig is accused")
+    parser.add_argument(
+        "--check", action="store_true", help="exit status 1 if a check has a finding on a healthy rig"
+    )
     arguments = parser.parse_args()
     if min(arguments.rigs, arguments.mishaps) < 0 or arguments.jobs < 1:
         parser.error("--rigs and --mishaps must not be below 0, --jobs not below 1")

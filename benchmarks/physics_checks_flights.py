@@ -1,4 +1,4 @@
-"""One mishap on a random rig: what notices it first, when, and what the vine comes to meanwhile."""
+"""One mishap on a random rig: what finds it first, when, and the vine's pressure meanwhile."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ from flying_vines.supply.physics_checks import PhysicsChecks
 
 LIMITS = LimitsConfig()
 RESTS_S = 8.0
-"""Vented, before the first manoeuvre."""
+"""Time in the vented state before the first manoeuvre."""
 WATCHED_S = 25.0
-"""After a mishap; longer than that it is not noticed."""
+"""Time after a mishap in which it can be found."""
 WATCHED_LONGER_S = {"bottle sensor stuck": 100.0}
 
 MISHAPS: Mapping[str, tuple[str, MishapKind]] = {
@@ -79,23 +79,23 @@ MISHAPS: Mapping[str, tuple[str, MishapKind]] = {
 
 @dataclass(frozen=True)
 class Noticed:
-    """What noticed a mishap first; `by` is empty where nothing did."""
+    """What found a mishap first; `by` is empty if nothing did."""
 
     by: str
     after_s: float
     peak_kPa: float
-    """The vine's true pressure, from the mishap on, until 1 s after it was noticed."""
+    """Maximum of the vine's true pressure, from the mishap until 1 s after it was found."""
 
 
 def true_rig(case: Case) -> TrueRig:
-    """The rig that really is there, behind converters of 12 bits."""
+    """The true rig, with converters of 12 bits."""
     plant = case.plant
     missing = tuple(f.name for f in fields(plant.effects) if getattr(plant.effects, f.name) is None)
     return TrueRig(nominal=plant.rig, effects=plant.effects, likely=True, without=missing)
 
 
 def fly(name: str, seed: int) -> Noticed:
-    """One rig that suffers this at a random moment of its flying."""
+    """Fly one rig, with this mishap at a random moment."""
     case = drawn(seed)
     dice = random.Random(f"{name} {seed}")
     begins_s = RESTS_S + dice.uniform(0.0, 8.0)
@@ -139,7 +139,7 @@ def fly(name: str, seed: int) -> Noticed:
 
 
 def _first(features: Features, checks: PhysicsChecks, began: bool) -> str:
-    """What notices something wrong now."""
+    """The name of what finds something wrong now; else empty."""
     found, telemetry = checks.take(features), features.telemetry
     if telemetry.faults:
         return f"firmware: {telemetry.faults.name}"

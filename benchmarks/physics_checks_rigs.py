@@ -1,6 +1,7 @@
-"""Random rigs and random flying for the proof of the physics checks: those of the cycles that are left, and
-beyond. Vines of 0.05 to 1 L that are believed to be up to twice as small or large, bottles of 100 to 690 kPa,
-and holds that last."""
+"""Random rigs and programs for the benchmark of the physics checks. They extend those of the cycles left:
+vines of 0.05 to 1 L whose assumed volume is half to twice the true one, reservoirs of 100 to 690 kPa, and
+long holds.
+"""
 
 from __future__ import annotations
 
@@ -22,15 +23,15 @@ from flying_vines.physics.rig import ControlVolume, Rig
 from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
 
 RESERVE_KPA = InterlocksConfig().reserve_kPa
-"""Below it nothing is flown."""
+"""Below this reservoir pressure nothing is flown."""
 LONG_REST_S = 1.0
-"""A manoeuvre's; in one that is longer the host vents at last …"""
+"""If the rest of a manoeuvre is longer than this, the host vents at its end …"""
 VENTED_TICKS = round(0.8 / HOST_TICK_S)
-"""… for so many of its ticks."""
+"""… for this number of its ticks."""
 
 
 def drawn(seed: int) -> Case:
-    """One rig with its flying; the same seed gives the same."""
+    """One rig with its program; the same seed gives the same rig."""
     dice = random.Random(f"physics checks {seed}")
     case = draw(seed)
     cv_L = math.exp(dice.uniform(math.log(0.05), math.log(1.0)))
@@ -60,7 +61,7 @@ def drawn(seed: int) -> Case:
 
 
 def telemetry_of(case: Case, seconds: float) -> Iterator[Telemetry]:
-    """What the firmware tells while the program is flown again and again, down to the bottle's reserve."""
+    """The firmware's telemetry while the program is repeated, down to the reserve pressure."""
     table = closed_loop(
         case.plant,
         _setpoints(case, seconds),
@@ -78,7 +79,7 @@ def telemetry_of(case: Case, seconds: float) -> Iterator[Telemetry]:
 
 
 def _setpoints(case: Case, seconds: float) -> list[SetpointChange]:
-    """As for the cycles that are left, but each long rest ends vented."""
+    """As for the cycles left, but each long rest ends vented."""
     begins_s, setpoints = setpoints_of(case, seconds)
     first_tick = round(begins_s[0] / HOST_TICK_S)
     for index, end_s in enumerate(begins_s[1:]):

@@ -1,13 +1,13 @@
-"""How quick the plant is: the compiled closed loop, a batch of rigs, and the fake in real time.
+"""How fast the plant is: the compiled closed loop, a batch of rigs, and the fake in real time.
 
-Everything is CPU time on one core, so that other work on the machine counts little, and is told as a ratio to
-a peer in the same run. The peers of the closed loop are an ordinary loop over the `Simulator`, and scipy's
-`solve_ivp` with the same right-hand side, as accurate or not much better: one call a tick, as a closed loop
-needs it, and one call for all with the valves' course given, which is kinder. `solve_ivp` has the right-hand
-side compiled. Accuracy is the largest difference of a pressure from Radau at rtol 1e-9.
+All times are CPU time on one core, so that other work on the machine has little influence. Results are ratios
+to a peer in the same run. The peers of the closed loop are a plain loop over the `Simulator`, and scipy's
+`solve_ivp` with the same right-hand side and about the same accuracy. `solve_ivp` runs with one call a tick,
+as a closed loop needs it, and with one call for all ticks with given valve openings, which is easier. Its
+right-hand side is compiled. The error is the largest difference of a pressure from Radau at rtol 1e-9.
 
     python benchmarks/plant.py            # about two minutes; needs pip install 'flying-vines[analysis]'
-    python benchmarks/plant.py --check    # exit status 1 when a goal is missed
+    python benchmarks/plant.py --check    # exit status 1 if a goal is missed
 """
 
 from __future__ import annotations
@@ -58,27 +58,29 @@ PEERS = (
     ("LSODA, one call for all", "LSODA", 1e-7),
     ("Radau, one call for all", "Radau", 1e-6),
 )
-"""With tolerances about as loose as gives the accuracy asked for."""
+"""The tolerances are about the loosest that give the required accuracy."""
 ACCURACY_KPA = 0.01
 BATCH = 1000
 BATCH_SECONDS = 6.0
 
 GOALS = {
     "real_time": (2000.0, "one high-fidelity closed loop against the clock"),
-    "solve_ivp": (50.0, "and against the quickest solve_ivp of the same accuracy"),
-    "batch": (10.0, "a batch of rigs against a loop over the Simulator, a core"),
-    "fake": (10.0, "a real-time fake without numba leaves free, times what it takes"),
+    "solve_ivp": (50.0, "the same against the fastest solve_ivp of the same accuracy"),
+    "batch": (10.0, "a batch of rigs against a loop over the Simulator, for each core"),
+    "fake": (10.0, "free time of a core beside a real-time fake without numba, over its own time"),
 }
-"""At least."""
+"""Minimum values."""
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--window", type=float, default=2.0, help="seconds that solve_ivp is given (2)")
-    parser.add_argument("--check", action="store_true", help="exit status 1 when a goal is missed")
-    parser.add_argument("--json", action="store_true", help="everything, instead of the tables")
+    parser.add_argument("--window", type=float, default=2.0, help="seconds for solve_ivp (2)")
+    parser.add_argument("--check", action="store_true", help="exit status 1 if a goal is missed")
+    parser.add_argument(
+        "--json", action="store_true", help="print JSON with all numbers instead of the tables"
+    )
     arguments = parser.parse_args()
     console = Console(stderr=arguments.json)
     plants = {"baseline": Plant(Rig(), Effects()), "high fidelity": Plant(Rig(), likely_effects())}
@@ -120,7 +122,7 @@ def main() -> int:
 
 
 def cpu_s(work: Callable[[], object], repeats: int = 1) -> float:
-    """The least of so many."""
+    """Minimum CPU time of several runs."""
     least = float("inf")
     for _ in range(repeats):
         began_s = time.process_time()
@@ -142,7 +144,7 @@ def run(plant: Plant, seconds: float, seed: int = 1, record_every: int = 10) -> 
 
 
 def loop_over_simulator(plant: Plant, seconds: float, seed: int = 1) -> float:
-    """The same closed loop as one writes it down; the last pressure."""
+    """The same closed loop in plain Python. Returns the last pressure."""
     simulator, rng = Simulator(plant), random.Random(seed)
     found = simulator.conditions
     seen_cv, seen_reservoir = rested(found.line_kPa), rested(found.reservoir_kPa)
@@ -167,7 +169,7 @@ def loop_over_simulator(plant: Plant, seconds: float, seed: int = 1) -> float:
 
 
 def measure(plant: Plant, window_s: float) -> dict[str, dict[str, float]]:
-    """For each way: times real time, and error in kPa over the window."""
+    """For each method: multiple of real time, and error in kPa over the window."""
     lived = [*course(plant, window_s)]
     truth = tick_by_tick(plant, lived, "Radau", 1e-9)
     ours = np.array([found[:3] for _, found in lived])
@@ -191,7 +193,7 @@ Lived = tuple[Held, Conditions]
 
 
 def course(plant: Plant, seconds: float) -> Iterator[Lived]:
-    """Of each tick of the closed loop: what held, and what was true after it."""
+    """For each tick of the closed loop: the commands, and the true state after it."""
     simulator = Simulator(plant)
     for row in run(plant, seconds, record_every=1):
         simulator.advance(Inputs(row["evp"], row["dvp"], bool(row["solenoid"])))
@@ -201,7 +203,7 @@ def course(plant: Plant, seconds: float) -> Iterator[Lived]:
 def change(
     numbers: PlantNumbers, air: Air, state: NDArray[np.float64], held: Held, out: NDArray[np.float64]
 ) -> None:
-    """The right-hand side for whoever has arrays."""
+    """The right-hand side for arrays."""
     found = rates(
         numbers,
         air,
@@ -230,7 +232,7 @@ def right_hand_side(plant: Plant) -> tuple[Callable[[Any, Held], NDArray[np.floa
 
 
 def tick_by_tick(plant: Plant, lived: list[Lived], method: str, rtol: float) -> NDArray[np.float64]:
-    """Pressures after each tick, one call a tick."""
+    """Pressures after each tick, with one call a tick."""
     of, simulator = right_hand_side(plant)
     air, state = air_at(plant.ambient, 0.0), np.array(simulator.state)
     rows = []
@@ -245,7 +247,7 @@ def tick_by_tick(plant: Plant, lived: list[Lived], method: str, rtol: float) -> 
 
 
 def at_once(plant: Plant, lived: list[Lived], method: str, rtol: float) -> NDArray[np.float64]:
-    """Pressures after each tick, one call for all."""
+    """Pressures after each tick, with one call for all."""
     of, simulator = right_hand_side(plant)
     air = air_at(plant.ambient, 0.0)
     last = len(lived) - 1
@@ -263,7 +265,7 @@ def at_once(plant: Plant, lived: list[Lived], method: str, rtol: float) -> NDArr
 
 
 def _openings(state: NDArray[np.float64], held: Held, numbers: PlantNumbers) -> tuple[float, float]:
-    """Where the valves without lag are, which nothing integrates."""
+    """The openings. A valve without lag is at its target and is not integrated."""
     return (
         float(state[7]) if numbers.evp.lag_per_s else held.evp_target,
         float(state[8]) if numbers.dvp.lag_per_s else held.dvp_target,
@@ -271,7 +273,7 @@ def _openings(state: NDArray[np.float64], held: Held, numbers: PlantNumbers) -> 
 
 
 def random_plant(seed: int) -> Plant:
-    """A rig with every effect and numbers of its own."""
+    """A rig with every effect and random numbers."""
     rng = random.Random(seed)
     rig = Rig(
         reservoir=Reservoir(rng.uniform(1.0, 4.0)),
@@ -282,7 +284,7 @@ def random_plant(seed: int) -> Plant:
 
 
 def measure_batch() -> dict[str, float]:
-    """Simulated seconds for each of one core."""
+    """Simulated seconds for each second of one core."""
     plants = [random_plant(seed) for seed in range(BATCH)]
 
     def one(plant: Plant) -> object:
@@ -316,7 +318,7 @@ print((time.process_time() - began_s) / fake.now_s)
 
 
 def fake_cpu_share() -> float:
-    """Of one core, in real time, where nothing can be imported but the standard library."""
+    """Share of one core in real time, with nothing but the standard library."""
     ran = subprocess.run([sys.executable, "-c", FAKE], capture_output=True, text=True, check=True)
     return float(ran.stdout)
 
@@ -354,7 +356,7 @@ def show(console: Console, found: dict[str, Any]) -> None:
         table.add_row(name, f"{real_time:,.0f}", f"{batches['batch'] / real_time:,.2f} x")
     console.print(table, "")
     console.print(f"the fake phloSAR in real time: {100 * found['fake']['cpu_share']:.1f} % of one core")
-    console.print(f"the first call: {found['first_call_s']:.1f} s (compiles, or reads what it kept)\n")
+    console.print(f"the first call: {found['first_call_s']:.1f} s (compiles, or reads the cache)\n")
     table = Table(box=None, pad_edge=False, header_style="bold")
     for heading in ("goal", "at least", "found", "met"):
         table.add_column(heading, justify="left" if heading == "goal" else "right")

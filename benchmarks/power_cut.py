@@ -1,12 +1,12 @@
-"""What of a flight is lost when the power goes, or when the log is damaged afterwards.
+"""How much of a flight is lost if the power fails, or if the log is damaged afterwards.
 
     python benchmarks/power_cut.py [--kills 200] [--damages 200] [--seed 1] [--at-once 4]
 
-A process flies in real time (core, fakes, recorder) and is killed (SIGKILL) at a random moment. It has told
-by shared memory until when it had handed things to the recorder, and how much of the log was on the disk for
-good. Lost is what lies between that and the end of what can be read: of the file as the kill left it, and of
-a power cut, which also takes a random part of what the disk had not promised to keep. Then one log is cut at
-random bytes, and has random bytes changed.
+A process flies in real time (core, fakes, recorder) and is killed (SIGKILL) at a random moment. In shared
+memory it reports the time of its latest event for the recorder, and the number of bytes that are safely on
+the disk. The loss is the time from the end of the readable log to this event. It is measured for the file
+after the kill, and for a power cut, which also removes a random part of the bytes that were not yet safe.
+Then one log is cut at random bytes, and random bytes are changed.
 """
 
 from __future__ import annotations
@@ -37,27 +37,27 @@ from flying_vines.record.reader import FlightLog, LogError
 from flying_vines.record.recorder import Recorder
 
 PROGRESS = struct.Struct("<dQ")
-"""Until when things were handed to the recorder, and how many bytes of the log are on the disk for good."""
+"""Time of the latest recorded event, and number of bytes of the log that are safely on the disk."""
 EARLIEST_S, LATEST_S = 0.3, 4.0
-"""After the first moment of the flight it is killed."""
+"""The process is killed this long after the start of the flight."""
 STEP_S = 0.01
 SNAPSHOT_S = 0.1
 START_WITHIN_S = 30.0
 
 
 class Outcome(NamedTuple):
-    """Of one killed flight."""
+    """The result of one killed flight."""
 
     flown_s: float
     lost_s: float
-    """Of the file as the kill left it."""
+    """Lost by the kill."""
     lost_on_disk_s: float
-    """Of what a power cut would have left."""
+    """Lost by a power cut."""
     opened: bool
 
 
 def record(folder: Path, progress: Path) -> None:
-    """Fly until somebody kills this process."""
+    """Fly until this process is killed."""
     with progress.open("r+b") as file:
         told = mmap.mmap(file.fileno(), PROGRESS.size)
     flown_s, kept = 0.0, 0
@@ -89,7 +89,7 @@ def record(folder: Path, progress: Path) -> None:
 
 
 def recorded_until_killed(folder: Path, seed: int) -> Outcome:
-    """One flight, in a folder that does not exist yet."""
+    """Fly and kill one flight, in a new folder."""
     folder.mkdir(parents=True)
     chance = random.Random(seed)
     progress = folder / "progress"
@@ -118,7 +118,7 @@ def recorded_until_killed(folder: Path, seed: int) -> Outcome:
 
 
 def _end_s(path: Path) -> float | None:
-    """Until when the log can be read; None when it cannot be opened."""
+    """Time of the last readable event; None if the log cannot be opened."""
     end = None
     with contextlib.suppress(LogError):
         for entry in FlightLog(path).entries():
@@ -127,12 +127,13 @@ def _end_s(path: Path) -> float | None:
 
 
 class Damage(NamedTuple):
-    """What it did to one log."""
+    """The effect of a damage on one log."""
 
     kind: str
     opened: bool
     lost_s: float
-    """Cut off: before the end of what was being written there. Changed: from the first lost to the last."""
+    """Cut off: time before the end of what was being written there. Changed: time from the first lost event
+    to the last."""
 
 
 def damaged(whole: Path, times: int, chance: random.Random) -> Iterator[Damage]:
@@ -143,7 +144,7 @@ def damaged(whole: Path, times: int, chance: random.Random) -> Iterator[Damage]:
     with whole.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
-    first, *chunks = summary.chunk_indexes  # the first is on the disk before anything flies
+    first, *chunks = summary.chunk_indexes  # the first chunk is on the disk before the flight
     hurt = whole.with_name("hurt.mcap")
     for _ in range(times):
         size = chance.randrange(first.chunk_start_offset + first.chunk_length, len(data))

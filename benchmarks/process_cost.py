@@ -11,14 +11,14 @@ from pathlib import Path
 
 _CLOCK_HZ = os.sysconf("SC_CLK_TCK")
 _TIMED_IMPORT = "import time; t = time.process_time(); {}; print(time.process_time() - t)"
-"""Byte code is in memory by then, and other programs do not count."""
+"""Measured after a first import, when the bytecode is cached; other programs do not count."""
 
 
 @dataclass(frozen=True, slots=True)
 class Memory:
     now_MB: float
     peak_MB: float
-    """Since the process began, its start-up included."""
+    """Peak since the start of the process."""
 
 
 def cpu_s(pid: int) -> float:
@@ -38,7 +38,7 @@ def memory(pid: int) -> Memory:
 
 
 def pss_MB(pid: int) -> float:
-    """Memory, with what several processes share counted by parts."""
+    """Proportional set size: shared memory is divided among the processes that share it."""
     for line in Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii").splitlines():
         if line.startswith("Pss:"):
             return int(line.split()[1]) / 1024
@@ -51,7 +51,7 @@ def only_child(pid: int) -> int:
 
 
 def import_ms(python: str, statement: str, environment: Mapping[str, str], repeats: int) -> float:
-    """The median of fresh interpreters, whose own start does not count; byte code is cached beforehand."""
+    """The median of new interpreters, without their own start; bytecode is cached before."""
     command = [python, "-c", _TIMED_IMPORT.format(statement)]
     times_s = []
     for _ in range(repeats + 1):

@@ -1,11 +1,11 @@
-"""Whether each rule of safety is missed by a test when it is taken away.
+"""Checks that a test fails for each rule of safety that is removed.
 
     python benchmarks/rules_taken_away.py [--only PART] [--list] [--jobs N]
 
-A rule is an `if` of the functions below (of a `case`, too), one side of its `and` or `or`, or an entry of
-safety's tables. Each is taken away in turn, in a copy of the sources, and the tests of its module are run
-there: one of them has to fail. A rule that nobody misses is printed, and makes the exit status 1; so does one
-without which the tests did not end in time.
+A rule is an `if` of the functions below (also of a `case`), one side of its `and` or `or`, or an entry of
+safety's tables. Each rule is removed in turn, in a copy of the sources, and the tests of its module run
+there: one of them must fail. A rule without such a test is printed and makes the exit status 1. So does a
+rule for which the tests did not end in time.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ ROOT = Path(__file__).resolve().parents[1]
 COPIED = ("flying_vines", "firmware_link", "missions")
 LINKED = ("tests", "benchmarks", "pyproject.toml", "docs", "README.md")
 LONGEST_S = 1200.0
-"""For the tests of one rule. On a busy machine they may just be slow, so that proves nothing."""
+"""Maximum time for the tests of one rule. A timeout proves nothing, because the machine may be busy."""
 
-# The quick ones first: a run ends at the first failure.
+# Fast tests first: a run ends at the first failure.
 CORE_TESTS = (
     "tests/core/test_safety.py",
     "tests/core/test_core_board.py",
@@ -59,7 +59,7 @@ RADIO_TESTS = (
 
 @dataclass(frozen=True)
 class Module:
-    """Where rules are, and the tests that shall miss them. Without functions: all of the module's."""
+    """A module with rules, and the tests that must fail. Without functions: the rules of all functions."""
 
     path: str
     tests: tuple[str, ...]
@@ -98,7 +98,7 @@ MODULES = (
 
 @dataclass(frozen=True)
 class Rule:
-    """A piece of source, and what stands there without the rule."""
+    """A piece of source, and its replacement without the rule."""
 
     module: Module
     function: str
@@ -114,13 +114,13 @@ class Rule:
         return f"{self.module.path}:{self.line} {self.function}: {shown} -> {self.instead}"
 
     def taken_away(self, source: str) -> str:
-        """The module without it. Offsets are of bytes, as those of `ast`."""
+        """The source without the rule. Offsets count bytes, as in `ast`."""
         raw = source.encode()
         return (raw[: self.begins] + self.instead.encode() + raw[self.ends :]).decode()
 
 
 def rules_of(module: Module) -> list[Rule]:
-    """In the order of the source."""
+    """The rules, in the order of the source."""
     source = (ROOT / module.path).read_text(encoding="utf-8")
     lines = [0]
     for line in source.encode().splitlines(keepends=True):
@@ -162,9 +162,9 @@ def _conditions(function: ast.FunctionDef) -> Iterator[tuple[ast.expr, str]]:
 
 
 def is_missed(rule: Rule, room: Path) -> bool | None:
-    """Whether a test fails without it, None where the tests did not end.
+    """True if a test fails without the rule; None if the tests did not end.
 
-    `room` holds a copy of the sources that nobody else uses now.
+    `room` holds a copy of the sources that no other run uses now.
     """
     place = room / rule.module.path
     source = place.read_text(encoding="utf-8")
@@ -183,7 +183,7 @@ def is_missed(rule: Rule, room: Path) -> bool | None:
 
 
 def make_room(parent: Path, number: int) -> Path:
-    """A copy of what rules are taken out of, beside the tests as they are."""
+    """A copy of the packages with rules, beside the unchanged tests."""
     room = parent / str(number)
     room.mkdir()
     for name in COPIED:
@@ -195,8 +195,8 @@ def make_room(parent: Path, number: int) -> Path:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--only", default="", help="rules whose line of the listing contains this")
-    parser.add_argument("--list", action="store_true", help="name the rules, and run nothing")
+    parser.add_argument("--only", default="", help="only rules whose line in the list contains this")
+    parser.add_argument("--list", action="store_true", help="list the rules, and run nothing")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     args = parser.parse_args()
     rules = [rule for module in MODULES for rule in rules_of(module) if args.only in str(rule)]

@@ -1,4 +1,4 @@
-"""The firmware's end of the serial line, on a pseudo-terminal: answers, reports, and sees setpoints move."""
+"""The firmware's end of the serial line on a pseudo-terminal: it answers, reports, and notices setpoints."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ TELEMETRY_HZ = 100
 FULL_KPA = 690.0
 CV_NOISE_KPA, RESERVOIR_NOISE_KPA = 0.15, 1.2
 MOVED_KPA = 0.05
-"""Below it a target has not moved: floats on the wire are rounded."""
+"""A smaller change of the target does not count: floats on the wire are rounded."""
 
 
 class SerialBoard:
-    """A board whose vine is always where the last setpoint wants it, and whose bottle never empties."""
+    """A board whose vine is always at the last setpoint, and whose reservoir never empties."""
 
     def __init__(self, began_s: float) -> None:
         self.heard = False
-        """Whether the host has said anything at all."""
+        """True after the first frame of the host."""
         self.telemetry_frames = 0
         self.dropped_bytes = 0
         self.setpoint_gaps_s: list[float] = []
-        """Between each setpoint and the one before it, while the vine is regulated."""
+        """Times between setpoints while the vine is regulated."""
         self._setpoint_at_s: float | None = None
         self._began_s = began_s
         self._codec = Codec()
@@ -62,7 +62,7 @@ class SerialBoard:
         os.close(self._hosts_fd)
 
     def receive(self, now_s: float, data: bytes) -> bool:
-        """Take in what the host sent; whether a setpoint in it has another target than the one before."""
+        """Read the host's bytes. Returns true if they contain a setpoint with a new target."""
         moved = False
         for message in self._codec.decode(data):
             self.heard = True
@@ -86,7 +86,7 @@ class SerialBoard:
         """Send telemetry."""
         regulating = self._mode is Mode.REGULATE
         self.telemetry_frames += 1
-        # A sensor whose readings never differ is stuck, and the service would say so.
+        # With constant readings the service would report a stuck sensor.
         noise = 1.0 if self.telemetry_frames % 2 else -1.0
         self._send(
             Telemetry(

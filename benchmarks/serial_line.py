@@ -1,10 +1,10 @@
-"""How soon the link is back: boards that come back under another name, and readers that stop reading.
+"""How soon the link is back: boards that return under another name, and readers that stop reading.
 
     .venv/bin/python benchmarks/serial_line.py [--runs 30]
 
-The board is the firmware on a pseudo-terminal, in this process; every figure is of the real
-`FirmwareLink` and the wall clock. A pseudo-terminal holds kilobytes of what its reader does not fetch; of a
-real port the kernel says "full" at 256 bytes.
+The board is the firmware on a pseudo-terminal, in this process; all numbers are of the real `FirmwareLink`
+and the wall clock. A pseudo-terminal holds kilobytes that its reader does not fetch; the kernel reports a
+real port as full at 256 bytes.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ async def _returns(runs: int) -> list[float]:
     host = FirmwareLink(BOARD, lambda event: None, ports=ports)
     async with _running(host.run):
         for _ in range(runs):
-            # At any moment between two tries, and now and then within the first.
+            # At any moment between two tries, and sometimes within the first.
             await asyncio.sleep(drawn.uniform(0.0, 1.0))
             with PtyPhlosar(_phlosar()) as board:
                 path[:] = [board.path]
@@ -81,7 +81,7 @@ async def _returns(runs: int) -> list[float]:
 
 
 async def _wedges(runs: int) -> tuple[list[float], float]:
-    """How long after the reader reads again it has the newest command; the longest turn of the loop."""
+    """Times until a reader that reads again has the newest command, and the longest turn of the loop."""
     took_s, latest_s = [], 0.0
     phlosar = _phlosar()
     with PtyPhlosar(phlosar) as board:
@@ -94,7 +94,7 @@ async def _wedges(runs: int) -> tuple[list[float], float]:
                     await _until(lambda: not phlosar.firmware.faults)
                     host.command(Regulate(10.0, 100.0))
                     await _until(lambda: phlosar.firmware.mode is Mode.REGULATE)
-                # Nobody reads; a new command at every tick fills what there is to fill.
+                # Nobody reads. A new command at every tick fills the buffers.
                 ends = monotonic() + WEDGED_S
                 turn = 0
                 while (before := monotonic()) < ends:
@@ -112,7 +112,7 @@ async def _wedges(runs: int) -> tuple[list[float], float]:
 
 
 async def _absent() -> float:
-    """The share of a core that looking for a board costs, among this machine's own ports."""
+    """The share of a core for the search of a board among this machine's own ports."""
     host = FirmwareLink(UsbBoard(0xFFFF, 0xFFFF), lambda event: None)
     began, used_s = monotonic(), process_time()
     async with _running(host.port.run):

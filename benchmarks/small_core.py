@@ -1,10 +1,10 @@
-"""Whether the service keeps its pace on a share of one core.
+"""Measures if the service keeps its schedule on a share of one core.
 
     python benchmarks/small_core.py [--share 1/8 ...] [--flips N]
 
 The flight of `latency.py` (500 MAVLink messages and 100 telemetry frames a second), with the recorder and
 without the page, while the kernel limits the service to a share of one core in every 10 ms. A setpoint is due
-every 20 ms while the vine is regulated. Linux only, as root: the limit is a control group of the processor.
+every 20 ms while the vine is regulated. Linux only, as root, because it uses a control group.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from whole_service import Switched, running
 GROUPS = Path("/sys/fs/cgroup")
 PERIOD_US = 10_000
 SHORTEST_QUOTA_US = 1000
-"""The kernel's own."""
+"""The kernel's minimum."""
 DUE_EVERY_S = 0.02
 LATE_S = 0.05
 DEAD_MAN_S = 0.25
@@ -34,7 +34,7 @@ DEAD_MAN_S = 0.25
 
 @contextlib.contextmanager
 def limited(share: Fraction) -> Iterator[Path]:
-    """A control group with this share of one core. Processes enter by its file `cgroup.procs`."""
+    """A control group with this share of one core. A process enters it by the file `cgroup.procs`."""
     unified = (GROUPS / "cgroup.controllers").exists()
     group = (GROUPS if unified else GROUPS / "cpu") / f"small-core-{os.getpid()}"
     quota_us = max(SHORTEST_QUOTA_US, round(share * PERIOD_US))
@@ -56,7 +56,7 @@ def limited(share: Fraction) -> Iterator[Path]:
 
 
 def fly(share: Fraction, flips: int) -> list[str]:
-    """One flight; a row of the table."""
+    """Fly one flight. Returns a row of the table."""
     with limited(share) as group, running(Switched(), flips, seed=1) as (whole, flipper):
 
         def confine() -> None:

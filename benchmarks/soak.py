@@ -1,17 +1,18 @@
-"""A day of flights without a pause: no trigger missed, nothing that nobody asked for, memory flat.
+"""A day of flights without a pause: no missed trigger, no motion without a request, no growing memory.
 
     python benchmarks/soak.py [--hours 24] [--seed 1] [--autopilot ardupilot|px4]
     python benchmarks/soak.py --real-time [--hours 1]
 
-One core, one fake autopilot and one phloSAR with the real firmware (its C++ core) fly over and over: arm,
-take off, switch moves, buttons of a ground station or a mission's items at random times, land, refill the
-bottle. A trigger is what the script did, or a mission item that the autopilot ran. Each must become one
-accepted decision and one motion of the vine, as the plant itself knows its pressure; between motions the
-pressure must stay where it is. Simulated time runs as fast as the machine goes. With --real-time the service
-is a process of its own, as in a flight, between fakes on real sockets and a pseudo-terminal.
+One core, one fake autopilot and one phloSAR with the real firmware (its C++ core) repeat flights: arm, take
+off, switch moves, buttons of a ground station or mission items at random times, land, refill the reservoir. A
+trigger is an action of the script, or a mission item that the autopilot ran. Each must give one accepted
+decision and one motion of the plant's pressure. Between motions the pressure must not change. Simulated time
+runs as fast as possible. With --real-time the service is a process of its own, as in a flight, between fakes
+on real sockets and a pseudo-terminal.
 
-Memory is looked at once an hour (in real time every five minutes), on the ground: the resident set of the
-process, and the blocks that Python has allocated, which counts every object. In real time the service's.
+Memory is sampled once an hour (in real time every five minutes), on the ground: the resident set of the
+process, and Python's allocated blocks, which count every object. In real time only the resident set of the
+service is sampled.
 """
 
 from __future__ import annotations
@@ -57,12 +58,13 @@ HOUR_S = 3600.0
 REAL_TIME_SAMPLES_S = 300.0
 MOST_NEW_BLOCKS = 5000
 MOST_NEW_MB = 5.0
-"""From the first sample on, until when tables fill. Missions differ in length by some of it."""
+"""Maximum growth from the first sample, while tables fill. The lengths of the missions explain a part of
+it."""
 _STEP_S = 0.02
 
 
 class Sample(NamedTuple):
-    """On the ground, after so many hours of flying."""
+    """Memory on the ground, after some hours of flying."""
 
     hours: float
     took_s: float
@@ -72,7 +74,7 @@ class Sample(NamedTuple):
 
 @dataclass
 class Outcome:
-    """What came of it, up to now."""
+    """The result up to now."""
 
     world: World
     decisions: Counter[str] = field(default_factory=Counter)
@@ -87,7 +89,7 @@ class Outcome:
             )
 
     def read_decisions(self, flights_folder: Path) -> None:
-        """From what the service wrote down."""
+        """Count the decisions in the service's log."""
         for log in flights_in(flights_folder):
             for entry in FlightLog(log).entries((DECISION,)):
                 self.decided(restored(Decision, entry.fields))
@@ -117,7 +119,7 @@ class Outcome:
 
 
 def simulated(kind: AutopilotKind, seed: int, until_s: float, sample_every_s: float = HOUR_S) -> Outcome:
-    """Fly until then in simulated time, and land."""
+    """Fly in simulated time until `until_s`, and land."""
     autopilot = FakeAutopilot(kind, links=("companion", "gcs"))
     phlosar = SimulatedPhlosar(effects=Effects())
     flight = SimulatedFlight(config.default(), autopilot, phlosar)
@@ -147,7 +149,7 @@ def simulated(kind: AutopilotKind, seed: int, until_s: float, sample_every_s: fl
 
 
 async def real(kind: AutopilotKind, seed: int, until_s: float, folder: Path) -> Outcome:
-    """Fly until then in real time, the service in a process of its own."""
+    """Fly in real time until `until_s`, with the service in a process of its own."""
     ground = GroundStation()
     ground_port = await ground.listen()
     companion_port = free_port()
@@ -179,7 +181,7 @@ async def real(kind: AutopilotKind, seed: int, until_s: float, folder: Path) -> 
 
 @contextlib.asynccontextmanager
 async def _service(folder: Path, companion_port: int, serial_path: str) -> AsyncIterator[int]:
-    """The service as a process, between these; its id. SystemExit when it does not end well."""
+    """Run the service as a process. Yields its id. Raises SystemExit if it fails."""
     profile = folder / "profile.toml"
     profile.write_text(between(companion_port, serial_path), encoding="utf-8")
     arguments = ["run", "--config", str(profile), "--plain", "--out", str(folder / "flights")]
@@ -199,7 +201,7 @@ async def _service(folder: Path, companion_port: int, serial_path: str) -> Async
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--hours", type=float, help="of flying: 24, in real time 1")
+    parser.add_argument("--hours", type=float, help="hours of flying: 24, in real time 1")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--autopilot", choices=("ardupilot", "px4"), default="ardupilot")
     parser.add_argument("--real-time", action="store_true")

@@ -1,4 +1,4 @@
-"""Flights without end as a script over any world, and the count of triggers against motions."""
+"""A script of endless flights for any world, and a comparison of triggers with motions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from flying_vines.vehicle.mission.storage import AutopilotKind
 
 LOOK_S = 0.1
 SETTLED_AFTER_S = 2.5
-"""From a trigger: debounce, ramp, and the texts by which ArduPilot tells of an item."""
+"""Time after a trigger: debounce, ramp, and ArduPilot's texts about an item."""
 
 SWITCH = 9
 _PULSES_US = (1000, 1500, 2000)
@@ -31,7 +31,7 @@ _WAYPOINT, _LAND, _TAKEOFF, _ACTUATOR, _SCRIPT_MESSAGE = 16, 21, 22, 187, 217
 
 
 class Motion(NamedTuple):
-    """What a trigger must bring about: `peak_kPa` on the way, and after `lasts_s` to be at `end_kPa`."""
+    """The required effect of a trigger: `peak_kPa` on the way, and `end_kPa` after `lasts_s`."""
 
     name: str
     peak_kPa: float
@@ -40,7 +40,7 @@ class Motion(NamedTuple):
 
 
 def pressure_kPa(angle_deg: float) -> float:
-    """Of the default profile's curve."""
+    """The pressure for an angle, by the default profile's curve."""
     return 0.0 if angle_deg == 0.0 else 2.0 + angle_deg * 18.7 / 60.0
 
 
@@ -63,7 +63,7 @@ BUTTONS = {
 
 @dataclass
 class Tally:
-    """Triggers against motions, by the pressure in the plant."""
+    """Compares triggers with motions of the plant's pressure."""
 
     triggers: Counter[str] = field(default_factory=Counter)
     motions: int = 0
@@ -91,7 +91,7 @@ class Tally:
             self.motions += there
         if not there:
             self._foul(t, f"{cv_kPa:.1f} kPa since {motion.name} at {self._began_s:.1f} s")
-            # Told once; from here on it is judged by what comes next.
+            # Report it once. The next trigger is compared with the new pressure.
             self._motion = Motion("whatever that was", cv_kPa, cv_kPa)
             self._peaked = True
 
@@ -101,29 +101,29 @@ class Tally:
 
 @dataclass
 class World:
-    """What the script acts on."""
+    """The objects on which the script acts."""
 
     autopilot: FakeAutopilot
     phlosar: SimulatedPhlosar
     press: Callable[[MavlinkMessage], None]
-    """A button of the ground station."""
+    """Presses a button of the ground station."""
     now: Callable[[], float]
     tally: Tally = field(default_factory=Tally)
     _items_until_s: float = 0.0
 
     def look(self) -> None:
-        """Ten times a second: what the mission has triggered, and where the vine is."""
+        """Called ten times a second: count the mission's triggers, and look at the vine."""
         news = takewhile(lambda ran: ran[0] > self._items_until_s, reversed(self.autopilot.payload_log))
         for t, item in reversed(list(news)):
             self._items_until_s = t
             self.tally.trigger(t, "mission item", bend(item.params[1]))
-        # It keeps thousands, and what is looked for here is memory that grows.
+        # The log keeps thousands of items; this would look like growing memory.
         del self.autopilot.payload_log[:-1]
         self.tally.look(self.now(), self.phlosar.cv_kPa)
 
 
 def flights(world: World, seed: int) -> Iterator[float]:
-    """Flights without end; yields for how long to let time pass. One that has landed yields 0."""
+    """Endless flights. Yields the time to wait; 0 after a landing."""
     dice = random.Random(seed)
     yield 8.0
     while True:
@@ -184,7 +184,7 @@ def _by_mission(world: World, dice: random.Random) -> Iterator[float]:
 
 
 def mission(autopilot: FakeAutopilot, angles_deg: list[float], dice: random.Random) -> list[MissionItem]:
-    """Take off; between waypoints bend to each angle; land."""
+    """Take off, bend to each angle between waypoints, land."""
     here = autopilot.flight.home
     made: list[MissionItem] = []
 
@@ -200,7 +200,7 @@ def mission(autopilot: FakeAutopilot, angles_deg: list[float], dice: random.Rand
     for angle_deg in (None, *angles_deg):
         if angle_deg is not None:
             _add_vine(autopilot.kind, add, angle_deg)
-        # The nearest takes the vehicle longer than a motion.
+        # Even the nearest waypoint takes the vehicle longer than a motion.
         north_m += dice.choice((-1.0, 1.0)) * dice.uniform(20.0, 40.0)
         latitude_deg, longitude_deg = here.global_deg(north_m, 0.0)
         add(_WAYPOINT, place=(latitude_deg, longitude_deg, _CRUISE_M))

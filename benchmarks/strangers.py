@@ -1,7 +1,7 @@
 """Attackers of the page and the broker: every attack, as fast as possible.
 
-One process of its own, a thread and an address of this machine for each attacker. Nothing of this is to have
-any effect, so an attacker counts what he sent, and whether he ever got what he wanted.
+One process, with a thread and an address of this machine for each attacker. No attack may have an effect, so
+an attacker counts what it sent, and if it ever got what it wanted.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ PATIENCE_S = 0.5
 BATCH = 50
 """Messages to the broker in one write."""
 Attack = Callable[[str], None]
-"""From an address of this machine, until it fails."""
+"""Attacks from an address of this machine, until it fails."""
 
 
 @dataclass(frozen=True)
@@ -42,33 +42,33 @@ class Target:
     broker_port: int
     topic: str
     allowed: str
-    """The one command that the profile lists."""
+    """The only command that the profile allows."""
 
 
 @dataclass
 class Harm:
-    """What they did, per kind."""
+    """What the attackers sent, by kind."""
 
     done: Counter[str] = field(default_factory=Counter)
     let_in: Counter[str] = field(default_factory=Counter)
-    """Requests that got what they wanted, of those that nobody may have."""
+    """Requests that succeeded although nobody may make them."""
     seconds: float = 0.0
     cpu_s: float = 0.0
 
 
 class Strangers:
-    """Who have begun."""
+    """The running attackers."""
 
     def __init__(self, lead: Connection, pid: int) -> None:
         self.pid = pid
         self._lead = lead
 
     def count(self) -> None:
-        """Count from now on."""
+        """Start counting."""
         self._lead.send("count")
 
     def tell(self) -> Harm:
-        """What they did since."""
+        """The counts since `count`."""
         self._lead.send("tell")
         harm: Harm = self._lead.recv()
         return harm
@@ -76,7 +76,7 @@ class Strangers:
 
 @contextlib.contextmanager
 def attacking(target: Target, niceness: int, core: int | None = None) -> Iterator[Strangers]:
-    """In a process of that niceness, and on that core alone, if one is given."""
+    """Attack from a process with this niceness, only on this core if one is given."""
     ours, theirs = multiprocessing.Pipe()
     process = multiprocessing.Process(target=_attack_all, args=(target, niceness, core, theirs), daemon=True)
     process.start()
@@ -108,7 +108,7 @@ def _attack_all(target: Target, niceness: int, core: int | None, lead: Connectio
 
 def _again_and_again(attack: Attack, address: str) -> None:
     while True:
-        # Under whose hands everything is closed has to expect it.
+        # The thread must expect that another one closes its socket.
         with contextlib.suppress(OSError):
             attack(address)
 
@@ -164,7 +164,7 @@ def _attacks(target: Target, harm: Harm) -> list[Attack]:
                 harm.done["viewer that does not read"] += 1
             time.sleep(2.0)
 
-    def wishes(kind: str, frame: bytes) -> Attack:
+    def sends(kind: str, frame: bytes) -> Attack:
         def attack(address: str) -> None:
             with _connected(target.page_port, address) as viewer:
                 viewer.sendall(_upgrade(page, target.token))
@@ -191,9 +191,9 @@ def _attacks(target: Target, harm: Harm) -> list[Attack]:
         asks("no request", os.urandom(2000).hex()),
         a_thousand,
         slow_readers,
-        wishes("wish of who may only watch", _frame(b'{"id":1,"command":"vent"}')),
-        wishes("wish not understood", _frame(b"[" * 400)),
-        wishes("wish too large", _frame(b"x" * 1_000_000)),
+        sends("command of a viewer", _frame(b'{"id":1,"command":"vent"}')),
+        sends("command not understood", _frame(b"[" * 400)),
+        sends("command too large", _frame(b"x" * 1_000_000)),
         told("message not understood", lambda: b'{"command": [[[[' + b"[" * 900),
         told("message too large", lambda: b"x" * 3000),
         told("retained message", fresh, retain=True),
@@ -215,7 +215,7 @@ def _upgrade(page: str, token: str) -> bytes:
 
 
 def _frame(text: bytes) -> bytes:
-    """As a browser sends it, masked with zeros."""
+    """A frame as a browser sends it, masked with zeros."""
     size = len(text)
     if size < 126:
         head = struct.pack(">BB", 0x81, 0x80 | size)

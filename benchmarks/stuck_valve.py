@@ -1,11 +1,11 @@
-"""Can letting air out hold a vine whose inflation valve is stuck open?
+"""Does venting protect a vine whose inflation valve is stuck open?
 
-A likely rig with a full bottle, its vine held at 20.7 kPa by the firmware's regulator until its inflation
-valve sticks open. Then one of: the host notices nothing and the firmware goes on regulating until it finds a
-fault; it is told to vent; it is told to vent, and the Venturi runs as well; it is told to vent and the outlet
-does not open. Pressures are kPa gauge, the firmware's limit is 30. How fast the vine fills at most, when it
-is at the limit, its highest pressure and when, for how long it is above the limit, and what the bottle holds
-at the end (of 12 s; of 1 s where nothing can leave).
+A likely rig with a full reservoir; the firmware's regulator holds the vine at 20.7 kPa until the inflation
+valve sticks open. Then there are four cases. The host notices nothing and the firmware regulates until it
+finds a fault; it is told to vent; it is told to vent and the Venturi runs as well; it is told to vent and the
+outlet does not open. Pressures are kPa gauge; the firmware's limit is 30. The table has the maximum rate, the
+time at the limit, the highest pressure and its time, the time above the limit, and the reservoir's pressure
+at the end (after 12 s; after 1 s if no air can leave).
 
     python benchmarks/stuck_valve.py
 """
@@ -33,7 +33,7 @@ OUTLETS: dict[str, dict[str, StuckAt]] = {
 
 
 class Found(NamedTuple):
-    """What the vine went through."""
+    """The vine's course in one case."""
 
     fastest_kPa_per_s: float
     at_limit_s: float | None
@@ -41,11 +41,11 @@ class Found(NamedTuple):
     highest_s: float
     above_s: float
     bottle_kPa: float
-    """At the end."""
+    """At the end of the run."""
 
 
 def stuck(volume_L: float, outlet: str, watched_s: float) -> Found:
-    """From the moment that the valve sticks."""
+    """Simulate from the moment when the valve sticks."""
     phlosar, host = SimulatedPhlosar(Rig(cv=ControlVolume(volume_L=volume_L))), Codec()
     phlosar.receive(host.encode(Hello(PROTOCOL_VERSION, 1)))
     fastest_kPa_per_s = highest_kPa = highest_s = 0.0
@@ -91,7 +91,7 @@ def main() -> None:
         table.add_column(heading, justify="left" if heading == "outlet" else "right", no_wrap=True)
     for volume_L in (0.1, 0.5, 1.0):
         for outlet in OUTLETS:
-            # With no way out a second says enough.
+            # If no air can leave, a second is enough.
             found = stuck(volume_L, outlet, 1.0 if "solenoid" in OUTLETS[outlet] else WATCHED_S)
             table.add_row(
                 f"{volume_L:g}",

@@ -1,7 +1,7 @@
-"""One flight against one process: flips the switch under load and times the setpoints that follow.
+"""Flies one flight with one process: flips the switch under load and times the setpoints that follow.
 
-Everything of the measurement is in this one thread: it sends the messages, and it reads the serial line.
-Both times are of its own monotonic clock, so what is measured includes its sending and its reading.
+One thread sends the messages and reads the serial line. Both times are of its own monotonic clock, so they
+include its sending and reading.
 """
 
 from __future__ import annotations
@@ -24,31 +24,31 @@ from flying_vines.vehicle.mavlink.signing import Signing
 
 PULSES_US = (1100, 1500, 1900)
 DEBOUNCE_S = 0.14
-"""0.15 s less the slack that the service's switch allows for jitter."""
+"""0.15 s minus the jitter that the service's switch tolerates."""
 LEFT_OUT, SETTLING = 7, 8
-"""RC samples after a move. The one at 140 ms is on the edge of the debounce, where a microsecond decides: it
-is not sent. So the one at 120 ms cannot settle the move, and the one at 160 ms must."""
+"""RC samples after a move. The one at 140 ms is on the edge of the debounce, where a microsecond decides, so
+it is not sent. So the one at 120 ms cannot settle the move, and the one at 160 ms must."""
 MARGIN_S = 0.005
 SAMPLES_A_FLIP = 30
 """0.6 s: the longest ramp at the default rate limit takes 0.345 s and must be over before the next move."""
 ALIVE_WITHIN_S = 30.0
 SETTLE_S = 4.5
-"""The first heartbeat may be 1.8 s away; a second after it the service believes the switch."""
+"""The first heartbeat may be 1.8 s away. One second later the service accepts the switch."""
 _RC_PERIOD_S = 1.0 / RC_RATE_HZ
 _TELEMETRY_PERIOD_S = 1.0 / TELEMETRY_HZ
 
 
 class NotMeasured(Exception):
-    """The process under test did not do what it takes to measure it; the text says what."""
+    """The process under test could not be measured; the text says why."""
 
 
 @dataclass
 class Flight:
-    """What one flight showed."""
+    """The results of one flight."""
 
     latencies_ms: list[float] = field(default_factory=list)
     missed: int = 0
-    """Moves that no setpoint followed."""
+    """Moves without a setpoint."""
     early: int = 0
     """Moves with a setpoint change before the sample that settles them: not measured."""
     void: int = 0
@@ -57,7 +57,7 @@ class Flight:
     messages: int = 0
     telemetry_frames: int = 0
     lateness_ms: list[float] = field(default_factory=list)
-    """Of this process's own sending, behind its schedule: how noisy the machine is."""
+    """Delay of this process's own sending, which shows how busy the machine is."""
 
 
 class Flipper:
@@ -67,7 +67,7 @@ class Flipper:
         self, port: int, board: SerialBoard, flips: int, seed: int, signing: Signing | None = None
     ) -> None:
         self.alive_at_s = math.nan
-        """When the host's first frame had come."""
+        """Time of the host's first frame."""
         self._to = ("127.0.0.1", port)
         self._board = board
         self._flips = flips
@@ -83,7 +83,7 @@ class Flipper:
         self._flips_begun = 0
 
     def fly(self, running: Callable[[], bool], loaded: Callable[[], None]) -> Flight:
-        """Returns when all flips are done; `loaded` is called when the loaded time begins."""
+        """Return when all flips are done. `loaded` is called when the loaded time begins."""
         gc.collect()
         gc.disable()
         try:
@@ -138,7 +138,7 @@ class Flipper:
                         self.alive_at_s = now_s
                         settle_until_s = now_s + SETTLE_S
                     elif not running():
-                        raise NotMeasured("the process ended before it said anything")
+                        raise NotMeasured("the process ended before its first frame")
                     elif now_s - began_s > ALIVE_WITHIN_S:
                         raise NotMeasured(f"nothing on the serial line within {ALIVE_WITHIN_S:g} s")
         flight.loaded_s = monotonic() - loaded_from_s
@@ -154,7 +154,7 @@ class Flipper:
         self._early = self._measured = False
 
     def _end_flip(self) -> None:
-        """Count the flip that was not measured, as what it was."""
+        """Count a flip that was not measured, by its reason."""
         if self._sample < 0 or self._measured:
             return
         if self._early:
@@ -165,7 +165,7 @@ class Flipper:
             self._flight.missed += 1
 
     def _in_time(self) -> bool:
-        """Whether exactly the settling sample could settle the move."""
+        """True if only the settling sample could settle the move."""
         too_soon_s = self._before_s - self._moved_at_s
         enough_s = self._settled_at_s - self._moved_at_s
         return too_soon_s < DEBOUNCE_S - MARGIN_S and enough_s > DEBOUNCE_S + MARGIN_S

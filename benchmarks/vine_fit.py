@@ -1,8 +1,8 @@
-"""How often the 95 % intervals of `flying-vines vine fit` hold the truth, over made-up vines.
+"""How often the 95 % intervals of `flying-vines vine fit` contain the truth, for simulated vines.
 
-Each vine is drawn at random, bent up, down and up again by 56 pairs with 0.7° of noise on the angles, and
-fitted. The rows are noise on the pressures as well, and vines of an S shape that follow no law. With --check
-the exit status is 1 where an interval holds less often than it should with good readings.
+Each vine is drawn at random, bent up, down and up again in 56 pairs with 0.7° of noise on the angles, and
+fitted. Further rows have noise on the pressures, and S-shaped vines that do not follow the law. With --check
+the exit status is 1 if an interval contains the truth less often than it should with good readings.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ UP_KPA = np.linspace(0.0, 20.7, 24)
 KPA = np.concatenate([UP_KPA, UP_KPA[::-1], UP_KPA[::3]])
 NOISE_DEG = 0.7
 LEAST_SHARE = 0.88
-"""Of the intervals, with good pressures: 95 % less what a linear reading of a kink costs, and chance."""
+"""Minimum share of the intervals, with good pressures: 95 % minus the error of a linear model at a kink, and
+chance."""
 
 Drawn = tuple[Array, Callable[[BendCurveFit], list[tuple[CurveEstimate | None, float]]]]
 
@@ -40,7 +41,7 @@ def s_shaped(rng: np.random.Generator) -> Drawn:
 
 
 def held(draw: Callable[[np.random.Generator], Drawn], vines: int, noise_kPa: float, seed: int) -> Array:
-    """The share of the vines whose truth lies in the interval, number by number."""
+    """The share of the vines whose truth is in the interval, for each number."""
     rng = np.random.default_rng(seed)
     hits = []
     for _ in range(vines):

@@ -1,4 +1,4 @@
-"""The service with any of its parts switched on, flown by the switch, and its viewers."""
+"""The service with any of its parts, a script that flips the switch, and viewers."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ from flying_vines.vehicle.mavlink.signing import KEY_SIZE, Signing
 STARTS_WITHIN_S = 20.0
 VEHICLE = "benchmark"
 ASKED_OVER_MQTT = "clear_faults"
-"""Something that the profile lists and that does not move the vine, which is what is measured."""
+"""A command that the profile allows and that does not move the vine."""
 
 
 @dataclass(frozen=True)
 class Switched:
-    """What is on, besides flying and the recorder."""
+    """The parts that are on, besides flight and recorder."""
 
     page: bool = False
     host: str = "127.0.0.1"
@@ -53,7 +53,7 @@ class Switched:
 
 @dataclass(frozen=True)
 class Looked:
-    """What viewers who belong there saw: of each, and the longest that one saw nothing new."""
+    """What the viewers received: the count for each, and the longest time without news."""
 
     snapshots_per_s: float
     longest_gap_s: float
@@ -61,7 +61,7 @@ class Looked:
 
 @dataclass(frozen=True)
 class Flown:
-    """One flight, and what it cost while loaded. Shares are of one core, memory is proportional."""
+    """One flight, and its cost under load. Shares are of one core; memory is the proportional set size."""
 
     flight: Flight
     service_share: float
@@ -72,7 +72,7 @@ class Flown:
 
 
 class Whole:
-    """A service that runs, and whoever flies it and looks on."""
+    """A running service, its flight, and its viewers."""
 
     def __init__(
         self,
@@ -83,7 +83,7 @@ class Whole:
         board: SerialBoard,
     ) -> None:
         self.port = port
-        """Of the page; 0 without one."""
+        """The page's port; 0 without a page."""
         self.pid = process.pid
         self.viewers: Viewers | None = None
         self.board = board
@@ -92,7 +92,7 @@ class Whole:
         self._switched = switched
 
     def fly(self, flipper: Flipper, loaded: Callable[[], None] = lambda: None) -> Flown:
-        """Once. `loaded` is called when the loaded time begins."""
+        """Fly once. `loaded` is called when the loaded time begins."""
         used_s = (0.0, 0.0)
 
         def begin() -> None:
@@ -115,7 +115,7 @@ class Whole:
 
     @property
     def gateway(self) -> int:
-        """Its process."""
+        """Id of the gateway's process."""
         return only_child(self.pid)
 
     @property
@@ -128,7 +128,7 @@ class Whole:
 
     @property
     def token(self) -> str:
-        """Of those who may ask; empty where the page wants none."""
+        """The token of the page; empty if it needs none."""
         return "" if self._switched.host == "127.0.0.1" else page_token.read(self.token_file)
 
     @property
@@ -143,7 +143,7 @@ class Whole:
 def running(
     switched: Switched, flips: int, seed: int, cores: set[int] | None = None
 ) -> Iterator[tuple[Whole, Flipper]]:
-    """A fresh service, on these cores alone if they are given, and who is to fly it."""
+    """Start a service, only on these cores if they are given, and prepare its flight."""
     udp_port, port = free_udp_port(), _free_tcp_port() if switched.page else 0
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="whole-service-")))
@@ -231,13 +231,13 @@ def _until_it_listens(whole: Whole) -> None:
 
 
 class Viewers:
-    """Of the page, in a process of their own."""
+    """Viewers of the page, in a process of their own."""
 
     def __init__(self, lead: Connection) -> None:
         self._lead = lead
 
     def begin(self) -> None:
-        """Count from now on."""
+        """Start counting."""
         self._lead.send("begin")
 
     def end(self) -> Looked:
@@ -287,7 +287,7 @@ async def _look_on_all(viewers: list[_Viewer], port: int, token: str, lead: Conn
 
 
 class _Viewer:
-    """Takes everything; `came` is when each snapshot did."""
+    """Receives everything; `came` has the time of each snapshot."""
 
     def __init__(self) -> None:
         self.sees = asyncio.Event()
@@ -299,11 +299,11 @@ class _Viewer:
                 if msgspec.json.decode(message.data)["kind"] == "snapshot":
                     self.came.append(time.monotonic())
                     self.sees.set()
-        raise NotMeasured("a viewer who belongs there was dropped")
+        raise NotMeasured("an authorised viewer was disconnected")
 
 
 def mosquitto() -> str:
-    """Its path; Debian keeps it where only root looks."""
+    """Path of mosquitto. Debian installs it where only root searches."""
     path = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
     if path is None:
         raise NotMeasured("needs mosquitto: sudo apt install mosquitto")

@@ -1,4 +1,4 @@
-"""Redraws the pictures of the guides: of commands, of flights on stand-ins, and of the page in a browser.
+"""Redraws the pictures of the guides: of commands, of flights with stand-ins, and of the page in a browser.
 
     .venv/bin/python docs/redraw.py [PICTURE ...]     # without a name: all, in about eight minutes
 
@@ -55,7 +55,7 @@ def start(line: str, folder: Path, size: tuple[int, int] = (100, 32)) -> Termina
 
 
 def run(line: str, folder: Path) -> None:
-    """A command of ours, to its end."""
+    """Run a command of ours to its end."""
     with start(line, folder) as terminal:
         terminal.end()
 
@@ -304,7 +304,7 @@ SHEETS: dict[tuple[str, ...], Draw] = {
 
 
 def keep(drawn: Path) -> None:
-    """The picture into the guides, as a small file."""
+    """Copy the picture into the guides, as a small file."""
     target = IMAGES / drawn.name
     if drawn.suffix == ".png":
         Image.open(drawn).convert("RGB").quantize(COLOURS).save(target, optimize=True)

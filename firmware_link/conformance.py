@@ -1,4 +1,4 @@
-"""Whether an actuator keeps its promises, tried with a model of its device. Your own tests call it:
+"""Tests the promises of an actuator with a model of its device. Your own tests call it:
 
     assert broken_promises(OurPump, ModelOfOurPump) == []
 

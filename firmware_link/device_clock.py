@@ -10,8 +10,8 @@ import math
 from enum import Enum
 
 REORDERED_MS = 100
-"""A message that is older than the one before by at most this was only reordered. After a restart the board's
-clock is that near only if the board was silent for as long as it had run before."""
+"""A message that is older than the previous one by at most this was only reordered. After a restart the
+board's clock is that close only if the board was silent for as long as it had run before."""
 FORGETS = 0.25
 """A difference between the clocks decays by this much in each second. So a board that stalled once becomes
 current again. A clock slower than three quarters of ours stays stale for ever."""

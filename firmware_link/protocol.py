@@ -63,7 +63,7 @@ class Fault(IntFlag):
 
 
 _MODES = {int(mode): mode for mode in Mode}
-"""Half of the telemetry's decoding would be calls of enumerations."""
+"""A table, because calls of the enumeration would take half of the time to decode telemetry."""
 
 
 def fault_names(faults: Fault) -> str:
@@ -256,7 +256,7 @@ class Welcome(_Body):
 
     @classmethod
     def unpack(cls, body: bytes) -> Self:
-        """Like every message. Of another protocol version only the part that this version knows."""
+        """As for every message; of another protocol version only the fields that this version knows."""
         if body and body[0] != PROTOCOL_VERSION:
             body = body[: cls.LAYOUT.size]
         # super() without arguments fails here, because slots=True makes a copy of the class.

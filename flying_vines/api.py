@@ -51,7 +51,7 @@ _MODULES = {
     "recommend": "identification.plan:recommend",
     "design": "studies.design:evaluate",
 }
-"""Module and name there, by name here."""
+"""For each name: its module, and its name in that module."""
 
 __all__ = [
     "Cause",

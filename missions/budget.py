@@ -25,7 +25,7 @@ from flying_vines.vine.motion import Motion
 from missions.timeline import ENDS, Timeline, TimelineStep
 
 WATCHED_S = 60.0
-"""Assumption: before take-off the service has watched a normal bottle for this time."""
+"""Assumption: before take-off the service has estimated a normal reservoir for this time."""
 STILL_S = 5.0
 """Time step while the vine is at rest."""
 
@@ -45,9 +45,9 @@ class PlannedBend:
     step: TimelineStep
     intent: Intent | None
     ruling: Ruling
-    """Safety's ruling at the expected bottle pressure; "refused" also if the item has no valid intent."""
+    """Safety's ruling at the expected reservoir pressure; "refused" also if the item has no valid intent."""
     doubt: str
-    """Why it would be refused at the low end of the bottle's interval; empty if it would not."""
+    """Why it would be refused at the low end of the reservoir's interval; empty if it would not."""
     motion: Motion | None
     ends_s: float
     """End of the motion: vine at rest, next item, or landing, whichever is first."""
@@ -56,11 +56,11 @@ class PlannedBend:
     before: Range
     after: Range
     air_kPa: float
-    """Expected pressure loss of the bottle."""
+    """Expected pressure loss of the reservoir."""
     cycles: CyclesLeft | None
     """Cycles left after it."""
     low_at_s: float | None = None
-    """When the bottle falls below the reserve during this bend; safety then vents the vine."""
+    """When the reservoir falls below the reserve during this bend; safety then vents the vine."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,12 +76,12 @@ class AirBudget:
 
 
 def budget(plan: Timeline, config: Config, belief: Belief, reservoir_kPa: float) -> AirBudget:
-    """The budget for a bottle at `reservoir_kPa` (gauge) at take-off."""
+    """The budget for a reservoir at `reservoir_kPa` (gauge) at take-off."""
     return _MissionRun(plan, config, belief, reservoir_kPa).run()
 
 
 class _Air:
-    """Predicts the bottle's pressure."""
+    """Predicts the reservoir's pressure."""
 
     def __init__(self, belief: Belief, reservoir_kPa: float) -> None:
         self._belief = belief

@@ -1,8 +1,8 @@
 """Makes QGroundControl's buttons for the vine (custom actions) from a profile.
 
 QGroundControl shows the actions of one file in the Fly View and for joystick buttons. It sends them at once,
-without a question. Its joystick list also contains the flight modes, and the first entry of a name wins: PX4
-has a mode "Hold", so all labels here begin with "Vine".
+without a question. Its joystick list also contains the flight modes, and of two entries with one name it uses
+the first. PX4 has a mode "Hold". So all labels here begin with "Vine".
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ _RESULTS = {
     10: "the vehicle does not accept its x (latitude)",
     11: "the vehicle does not accept its y (longitude)",
     12: "the vehicle does not accept its z (altitude)",
-    13: "the vehicle reports: out of sequence",
+    13: "the vehicle received an item out of sequence",
     14: "the vehicle accepts no mission now",
     15: "the vehicle cancelled the upload",
 }
@@ -232,7 +232,7 @@ class MissionVehicle:
         from mavsdk.plugins.mission_raw import MissionPlan, MissionRawResult
 
         queue = self.listen("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK")
-        steps: asyncio.Queue[tuple[Any, float]] = asyncio.Queue()  # one step an item
+        steps: asyncio.Queue[tuple[Any, float]] = asyncio.Queue()  # one step per item
         loop = asyncio.get_running_loop()
 
         def step(result: Any, data: Any, _: object = None) -> None:

@@ -24,7 +24,7 @@ def review(
     belief: Belief,
     reservoir_kPa: float,
 ) -> Report:
-    """Review the items, with the bottle at `reservoir_kPa` (gauge)."""
+    """Review the items, with the reservoir at `reservoir_kPa` (gauge)."""
     plan = timeline(items, kind, home)
     air = budget(plan, config, belief, reservoir_kPa)
     findings = check(CheckedMission(items, kind, config, plan, air))

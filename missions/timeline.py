@@ -96,7 +96,7 @@ class _Flight:
         while seq < len(self._items) and not ended and not self._cut:
             item = self._items[seq]
             if item.command == JUMP:
-                # Of an endless loop, only the first pass.
+                # Fly an endless loop only once.
                 seq = seq + 1 if item.params[1] == FOR_EVER else jumps.take(item)
                 self._turns += 1
                 continue

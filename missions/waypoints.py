@@ -2,8 +2,8 @@
 
 A header line, then one line per item: seq, current, frame, command, param1…4, x (latitude), y (longitude), z,
 autocontinue, separated by tabs. The items are the autopilot's: on ArduPilot the first is home, on PX4 none.
-(QGroundControl takes the first item of such a file for home; for PX4 use a `.plan`. Its files without home
-have version 120, which MAVProxy refuses.)
+(QGroundControl takes the first item of such a file as home, so use a `.plan` for PX4. QGroundControl's own
+files without home have version 120, which MAVProxy refuses.)
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A simulated autopilot between a companion and a ground station in simulated time, and real recordings."""
+"""A simulated autopilot between a companion and a ground station, and recordings of real ones."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Heard = tuple[float, Any]
 
 
 class Peer:
-    """Someone on a link: speaks, and keeps what the autopilot says to it."""
+    """A sender on a link. It stores the autopilot's messages."""
 
     def __init__(self, world: World, link: str, system: int, component: int, kind: int) -> None:
         self.world = world
@@ -67,7 +67,7 @@ class Peer:
 
 
 class World:
-    """An autopilot, a companion and a ground station, and the time."""
+    """An autopilot, a companion and a ground station, and the simulated time."""
 
     def __init__(self, autopilot: FakeAutopilot, answer: Callable[[Peer, Any], None] | None = None) -> None:
         self.autopilot = autopilot
@@ -116,7 +116,7 @@ def upload(items: Sequence[MissionItem]) -> Callable[[Peer, Any], None]:
 
 
 def recording(name: str) -> list[Heard]:
-    """The autopilot's messages of a .tlog with the time since the first frame."""
+    """The autopilot's messages of a .tlog, with the time since the first frame."""
     data = (RECORDINGS / f"{name}.tlog").read_bytes()
     ears = mavlink.MAVLink(None)
     ears.robust_parsing = True
@@ -134,7 +134,7 @@ def recording(name: str) -> list[Heard]:
 
 
 def changes(values: Iterable[Any]) -> list[Any]:
-    """The values without repeats in a row."""
+    """The values without consecutive repeats."""
     return [value for value, _ in groupby(values)]
 
 
@@ -149,7 +149,7 @@ def timed_changes(
 
 
 def parameter_bytes(message: Any) -> bytes:
-    """The value of a MAVLink 2 PARAM_VALUE as its bytes, which pymavlink has for a float."""
+    """The value of a MAVLink 2 PARAM_VALUE as bytes; pymavlink decodes them as a float."""
     frame = bytes(message.get_msgbuf())
     assert frame[0] == 0xFD and frame[1] >= 4
     return frame[10:14]
@@ -169,7 +169,7 @@ def heartbeat(message: Any) -> tuple[int, int, int]:
 
 
 def mission_events(heard: Iterable[Heard]) -> list[str | int]:
-    """Status texts and reached items in order, without what only the simulator or the EKF says."""
+    """Status texts and reached items in order, without texts that only the simulator or the EKF sends."""
     events: list[str | int] = []
     for _, message in heard:
         if message.get_type() == "STATUSTEXT" and not message.text.startswith(("EKF3", "SIM ")):
@@ -189,7 +189,7 @@ def item(seq: int, command: int, *params: float, frame: int = 3) -> MissionItem:
 
 
 def plan(*commands: tuple[float, ...]) -> list[MissionItem]:
-    """Home, then the given (command, param1, …) one after the other."""
+    """Home, then the given (command, param1, …) in order."""
     return [home(), *(item(seq, int(c[0]), *c[1:]) for seq, c in enumerate(commands, start=1))]
 
 

@@ -1,4 +1,4 @@
-"""Valid MAVLink frames with random content, and bytes that are no frames, from any sender to any receiver."""
+"""Valid MAVLink frames with random content, and bytes that are not frames, between any components."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ OFTEN: dict[str, Sequence[int]] = {
     "autopilot": (3, 3, 12, 8),
     "type": (2, 2, 6, 18),
 }
-"""What fields hold most of the time, so that what they guard is reached."""
+"""Frequent values of fields, so that the code behind checks is reached."""
 FLOATS = (float("nan"), float("inf"), float("-inf"), 3.4e38, -1.0, 0.0, 1.0, 2.0, 3.0, 30.0)
 TEXTS = (b"Mission: 3 Scripting", b"Mission: 5 Gripper", b"Mission: 99999 Winch", b"Reached command #2",
          b"Radio Failsafe", b"ArduPilot Ready", b"Flight plan received")  # fmt: skip
@@ -37,13 +37,13 @@ KINDS: tuple[Any, ...] = tuple(mavlink.mavlink_map.values())
 COMMANDS: tuple[Any, ...] = (mavlink.mavlink_map[75], mavlink.mavlink_map[76])
 FLOOD_IDS = (0, 20, 21, 23, 40, 43, 44, 51, 73, 75, 76, 253)
 FLOOD: tuple[Any, ...] = tuple(mavlink.mavlink_map[number] for number in FLOOD_IDS)
-"""Parameters, missions, commands and texts: what costs a component work and answers."""
+"""Parameters, missions, commands and texts: messages that cost work and answers."""
 
 _SIZES = {"float": 4, "double": 8, "char": 1}
 
 
 def _offsets(kind: Any) -> dict[str, tuple[int, str, int]]:
-    """Where each field stands in the payload: its offset, its type, its size."""
+    """Offset, type and size of each field in the payload."""
     types = dict(zip(kind.fieldnames, kind.fieldtypes, strict=True))
     found, at = {}, 0
     for name, length in zip(kind.ordered_fieldnames, kind.array_lengths, strict=True):
@@ -59,15 +59,16 @@ _FIELDS = {kind: _offsets(kind) for kind in KINDS}
 
 
 def serving_vehicle_1() -> Config:
-    """The default profile for one vehicle: of two that are heard, and babble is of many, none is served."""
+    """The default profile for vehicle 1. Without a configured id, two autopilots would be refused, and babble
+    has many."""
     profile = config.default()
     return structs.replace(profile, vehicle=structs.replace(profile.vehicle, system_id=1))
 
 
 class Babble:
-    """Frames with good checksums, of every kind that the dialect knows.
+    """Frames with good checksums, of every type of the dialect.
 
-    With `disarmed` the autopilot's heartbeats say that the vehicle is disarmed, whatever else they say.
+    With `disarmed` the autopilot's heartbeats always say that the vehicle is disarmed.
     """
 
     def __init__(self, seed: int, *, disarmed: bool = False) -> None:
@@ -86,13 +87,13 @@ class Babble:
         return packed(kind, self._payload(kind), sender, sequence)
 
     def alive(self) -> bytes:
-        """What a vehicle on the ground says of itself, so that it is found among all this."""
+        """The normal messages of a vehicle on the ground, so that it is found among the random ones."""
         kind = mavlink.mavlink_map[mavlink.MAVLINK_MSG_ID_HEARTBEAT]
         sequence = self._sequences[AUTOPILOT] = (self._sequences.get(AUTOPILOT, -1) + 1) & 0xFF
         return packed(kind, kind.unpacker.pack(0, 2, 3, 81, 3, 3), AUTOPILOT, sequence)
 
     def noise(self) -> bytes:
-        """Bytes that are no frame, some of which begin like one."""
+        """Bytes that are not a frame; some begin like one."""
         head = self.dice.choice((b"", b"\xfd", b"\xfe", b"\xfd\xff\x01"))
         return head + self.dice.randbytes(self.dice.randrange(1, 300))
 
@@ -129,7 +130,7 @@ def packed(kind: Any, payload: bytes, sender: tuple[int, int], sequence: int) ->
 
 
 def largest_tables(root: object, most: int = 5) -> list[tuple[int, str]]:
-    """The largest containers that hang on our own objects, with the way to each."""
+    """The largest containers that our objects reference, with the path to each."""
     found: list[tuple[int, str]] = []
     seen: set[int] = set()
     pending: list[tuple[object, str]] = [(root, type(root).__name__)]

@@ -13,26 +13,26 @@ from flying_vines.simulation.phlosar.board import Board
 from flying_vines.simulation.phlosar.firmware import Firmware
 
 TICK_MS = 10
-"""Of the host, as in `FirmwareLink`."""
+"""Tick of the host, as in `FirmwareLink`."""
 READING_KPA = 0.2
-"""A board's converter has steps."""
+"""A converter has steps."""
 
 
 @dataclass(frozen=True)
 class Faults:
-    """How often each happens to a frame, 0…1."""
+    """Probability of each fault for a frame, 0…1."""
 
     lost: float = 0.0
     corrupted: float = 0.0
     duplicated: float = 0.0
     swapped: float = 0.0
-    """It arrives after the frame that follows it."""
+    """The frame arrives after the next one."""
     truncated: float = 0.0
-    """Its end is missing, and with it the zero byte, so that the next frame is drawn into it."""
+    """The end of the frame is missing, also its zero byte, so that the next frame is joined to it."""
     garbage: float = 0.0
-    """Random bytes come before it."""
+    """Random bytes come before the frame."""
     delay_ms: int = 0
-    """At most; a frame takes a random part of it, and those that follow wait for it."""
+    """Maximum delay. A frame has a random part of it, and the following frames wait."""
     bytewise: bool = False
 
 
@@ -58,7 +58,7 @@ class BadLine:
                 self._put(now_ms, self._spoilt(each))
 
     def arrived(self, now_ms: int) -> list[bytes]:
-        """The pieces in which it comes."""
+        """The pieces that have arrived."""
         pieces = []
         while self._way and self._way[0][0] <= now_ms:
             data = self._way.popleft()[1]
@@ -67,7 +67,7 @@ class BadLine:
 
     def _put(self, now_ms: int, data: bytes) -> None:
         due_ms = now_ms + 1 + self._random.randint(0, self.faults.delay_ms)
-        # It is a line: what was sent later does not come sooner.
+        # A line keeps the order: later data does not arrive earlier.
         self._way.append((max(due_ms, self._way[-1][0] if self._way else 0), data))
 
     def _spoilt(self, frame: bytes) -> bytes:
@@ -91,7 +91,7 @@ class BadLine:
 class Talk:
     """A host and a firmware on two bad lines, a millisecond at a time, and a vine that follows the valves.
 
-    Nothing may raise, and at every step what the firmware does must have been commanded.
+    Nothing may raise, and at every step the firmware may do only what was commanded.
     """
 
     def __init__(self, faults: Faults, seed: int = 1, board: Board | None = None) -> None:
@@ -102,7 +102,7 @@ class Talk:
         self.to_device, self.to_host = BadLine(faults, 2 * seed), BadLine(faults, 2 * seed + 1)
         self.events: list[tuple[int, HostEvent]] = []
         self.frames_sent = 0
-        """By the firmware."""
+        """Number of frames that the firmware sent."""
         self._commanded: dict[int, Regulate] = {}
         self._cv_kPa = 0.0
         self._most_kPa = 0.0
@@ -118,7 +118,7 @@ class Talk:
         return self.session.state is SessionState.READY and self.firmware.number == self.session.number
 
     def clean(self) -> None:
-        """From now on the line is a good one; what is on its way may still be spoilt."""
+        """From now on the line is good; frames on their way may still be damaged."""
         self.to_device.faults = self.to_host.faults = CLEAN
 
     def command(self, target_kPa: float) -> None:

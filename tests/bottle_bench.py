@@ -12,10 +12,11 @@ DEMONSTRATION = PneumaticsConfig()
 
 
 class Bench:
-    """A bottle of the demonstration's size, seen at 100 Hz through a noisy sensor, and nothing but itself.
+    """A reservoir of the demonstration's size, read at 100 Hz by a noisy sensor, without the other parts of
+    the plant.
 
-    `cost_kPa` is what a rise of 20.7 kPa takes, `leak_per_s` of its pressure is lost each second. It cools
-    with what flows out: 0.4 of every kPa comes back with `recovery_s`.
+    `cost_kPa` is the fall for a rise of 20.7 kPa; `leak_per_s` of the pressure is lost each second. The gas
+    cools with the outflow: 0.4 of every kPa comes back with the time constant `recovery_s`.
     """
 
     def __init__(
@@ -40,7 +41,7 @@ class Bench:
     def see(
         self, seconds: float, begin_kPa: float, end_kPa: float, rest_s: float = 0.0, dvp: float = 0.0
     ) -> None:
-        """A straight setpoint that the control volume follows; then a rest."""
+        """A linear setpoint that the control volume follows; then a rest."""
         steps = round(seconds * 100)
         flow_SL_per_s = self.cost_kPa * abs(end_kPa - begin_kPa) / 20.7 * 2.0 / 101.325 / seconds
         for i in range(steps + round(rest_s * 100)):

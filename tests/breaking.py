@@ -18,16 +18,16 @@ from flying_vines.core.core import Core
 
 OURS = ("flying_vines", "firmware_link")
 ONLY_SHOWN = {"cycles_left", "_named_values", "snapshot"}
-"""Methods whose errors are no reason to vent; what they call may be used elsewhere, too."""
+"""Methods whose errors do not vent the vine. The methods that they call may also be used elsewhere."""
 Method = tuple[type, str]
 
 
 class BrokenError(Exception):
-    """Nobody expects this one."""
+    """An error that no code expects."""
 
 
 def methods_within(core: Core) -> list[Method]:
-    """Of every class of which the core has an object now, its own methods and properties."""
+    """Methods and properties of every class of which the core has an object now."""
     found: dict[type, None] = {}
     seen: set[int] = set()
     waiting: deque[object] = deque([core])
@@ -43,7 +43,7 @@ def methods_within(core: Core) -> list[Method]:
         if not type(thing).__module__.startswith(OURS) or isinstance(thing, (Enum, msgspec.Struct)):
             continue
         if type(thing).__module__ == protocol.__name__:
-            continue  # the fake board has them as well
+            continue  # the fake board also has them
         found.update(dict.fromkeys(cls for cls in type(thing).__mro__ if cls.__module__.startswith(OURS)))
         names = [*getattr(thing, "__dict__", {}), *_slots(thing)]
         waiting.extend(getattr(thing, name) for name in names if hasattr(thing, name))
@@ -67,7 +67,7 @@ def _slots(thing: object) -> Iterator[str]:
 def breakable(
     method: Method, raises: Callable[[], bool], raised: Callable[[bool], None] = lambda needed: None
 ) -> Iterator[None]:
-    """A method that raises when `raises` says so; `raised` is told whether the vine needs what it does."""
+    """A method that raises if `raises` says so. `raised` is told if the vine needs the method."""
     cls, name = method
     before: Any = vars(cls)[name]
 

@@ -35,7 +35,7 @@ def presses_enter(_: Question) -> str:
 
 
 class _Stage:
-    """Carries out the outputs of a calibrator, and keeps them."""
+    """Carries out and stores the outputs of a calibrator."""
 
     def __init__(self, plan: CalibrationPlan, person: Person = presses_enter) -> None:
         self.calibrator = Calibrator(plan)
@@ -72,7 +72,7 @@ class _Stage:
 
 
 class CoreWorld(_Stage):
-    """The core, safety and checks and all, over a simulated phloSAR."""
+    """The complete core, with safety and checks, and a simulated phloSAR."""
 
     def __init__(
         self, plan: CalibrationPlan, phlosar: SimulatedPhlosar, person: Person = presses_enter
@@ -83,7 +83,7 @@ class CoreWorld(_Stage):
         self._actions: list[Action] = []
 
     def run(self, most_s: float, until: Callable[[], bool] = lambda: False) -> None:
-        """Until it has ended, or that is true."""
+        """Run until the calibration has ended, or until `until` is true."""
         if not self.said:
             self.carry_out(self.calibrator.begin(self.now))
         while self.ended is None and self.now < most_s and not until():
@@ -92,7 +92,7 @@ class CoreWorld(_Stage):
             self.carry_out(self.calibrator.tick(self.now, self.world.core.snapshot(self.now)))
 
     def fit_balance(self, seconds: float = 3.0) -> None:
-        """Time for what was asked for last."""
+        """Run until the latest request is done."""
         self.now += seconds
         list(self.world.advance(self.now))
 
@@ -109,7 +109,7 @@ class CoreWorld(_Stage):
 
 
 class PaperWorld(_Stage):
-    """No physics: a vine that is where it is told to be, and a bottle that stays full."""
+    """No physics: the vine follows its setpoint, and the reservoir stays full."""
 
     def __init__(
         self, plan: CalibrationPlan, person: Person = presses_enter, reservoir_kPa: float = 690.0
@@ -117,7 +117,7 @@ class PaperWorld(_Stage):
         super().__init__(plan, person)
         self.bent = False
         self.snapshot = Snapshot(
-            t=0.0, vehicle="none heard", mode="", armed=False, altitude_m=math.nan, rc="none",
+            t=0.0, vehicle="not found", mode="", armed=False, altitude_m=math.nan, rc="none",
             switch_position=None, actuator="phloSAR", firmware="ready", round_trip_s=None,
             telemetry_gaps=0, reservoir_kPa=reservoir_kPa, cv_kPa=0.0, command_kPa=0.0, bend_deg=0.0,
             evp_opening=0.0, dvp_opening=0.0, solenoid=True, cycles=None, doing="vented",

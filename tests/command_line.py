@@ -8,7 +8,7 @@ from flying_vines.cli.main import main
 
 
 def status(*arguments: object) -> int:
-    """With which it ends."""
+    """The exit status of the command."""
     with pytest.raises(SystemExit) as stop:
         main([str(argument) for argument in arguments])
     assert isinstance(stop.value.code, int)
@@ -16,7 +16,7 @@ def status(*arguments: object) -> int:
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
-    """The same, with what it prints on standard output and standard error."""
+    """The exit status, standard output and standard error of the command."""
     ended = status(*arguments)
     out, err = capsys.readouterr()
     return ended, out, err

@@ -7,7 +7,7 @@ from hypothesis import settings
 
 from examples import ALL
 
-# Machines are shared and slow at times; a late example is no fault of what it tests.
+# No deadline, because machines are shared and sometimes slow.
 settings.register_profile("all", deadline=None, print_blob=True, max_examples=ALL)
 settings.register_profile("quick", settings.get_profile("all"), max_examples=ALL // 3)
 

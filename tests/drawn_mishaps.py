@@ -32,7 +32,7 @@ Momentary = Filled | Heated | Reset | WatchdogReset
 
 
 class Mishap(NamedTuple):
-    """`ends_s` None: it stays."""
+    """A mishap; with `ends_s` None it does not end."""
 
     place: str
     kind: MishapKind

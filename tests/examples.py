@@ -1,4 +1,4 @@
-"""How many examples hypothesis draws: in `make test` a third of those of `make test-all`."""
+"""The number of hypothesis examples: in `make test` a third of those of `make test-all`."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ ALL = 100
 
 
 def examples(count: int) -> int:
-    """For a test that needs longer than most, of `count` those that the present profile draws."""
+    """The number of examples for a slow test that has `count` in `make test-all`."""
     return count * settings().max_examples // ALL

@@ -6,7 +6,8 @@ from pathlib import Path
 
 
 def gateway_of(pid: int) -> int:
-    """The one child of a process that was started as a gateway; ValueError when there is none, or several."""
+    """The only child of a process that was started as a gateway. Raises ValueError if there is none, or
+    several."""
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     (gateway,) = (
         int(child)

@@ -38,7 +38,7 @@ def waypoint(vine: str, more: str = "north_m = 20") -> str:
 
 
 def items(*entries: tuple[float, ...], frame: int = 2) -> list[MissionItem]:
-    """Items of (command, param1, …); places are near PX4's home, 10 m high, unless given."""
+    """Items of (command, param1, …). Places are near PX4's home, 10 m high, if not given."""
     made = []
     for seq, (command, *given) in enumerate(entries):
         numbers = [float(number) for number in given]
@@ -64,5 +64,5 @@ def reviewed(
 
 
 def said(report: Report, severity: str = "error") -> list[str]:
-    """The findings' sentences."""
+    """The texts of the findings."""
     return [finding.text for finding in report.findings if finding.severity == severity]

@@ -1,4 +1,4 @@
-"""A mission of the simulated autopilot behind a bad link, and what the vehicle's side sees."""
+"""A mission of the simulated autopilot on a bad link, and the items that the vehicle's side sees."""
 
 from __future__ import annotations
 
@@ -24,22 +24,23 @@ CONFIG = config.default()
 VINE_COMMANDS = Rules(CONFIG).commands
 TICK_S = 0.02
 LONGEST_WAIT_S = 4.0
-"""What a trigger may lag behind its item: the wait for the mission's numbers, its first reading, delays."""
+"""Maximum delay of a trigger after its item: the wait for the mission's numbers, its first download,
+delays."""
 ORDER_S: dict[AutopilotKind, float] = {"ardupilot": 0.1, "px4": 2.0}
-"""Items that run this shortly after one another may come in another order: on ArduPilot those of one place,
-which are milliseconds apart; on PX4 those of which one came by its last repeat."""
+"""Items that run this shortly after one another may arrive in another order. On ArduPilot these are items of
+one place, milliseconds apart; on PX4 items of which one arrived only by its last repeat."""
 UNNUMBERED_WAIT_S = 7.0
-"""PX4's fourth copy of a command is the last; only then is an item told as run without its numbers."""
+"""PX4 sends a command four times. Only after the last one is an item reported without its numbers."""
 LEARNT_S = 0.4
-"""How soon after its replacement a mission may run before we have been told of it."""
+"""A mission that runs sooner than this after its replacement may run with the old numbers."""
 RESTART_S = 3.0
-"""A service that starts sooner is told by PX4 again what the one before it has not acknowledged."""
+"""If a service starts sooner, PX4 repeats commands that the previous service has not acknowledged."""
 GLOBAL_ABOVE_HOME, MISSION_FRAME = 3, 2
 
 
 @dataclass(frozen=True)
 class Link:
-    """What a link does to frames, in each direction; `spare_s` is how long it then loses none."""
+    """The effect of a link on frames, in each direction. After a loss, none is lost for `spare_s`."""
 
     loss: float = 0.0
     copies: float = 0.0
@@ -49,7 +50,7 @@ class Link:
 
 @dataclass
 class Seen:
-    """One trigger: when, of which item, with which numbers (None: they were not known)."""
+    """One trigger: time, item, and numbers (None: not known)."""
 
     t: float
     seq: int | None
@@ -59,7 +60,7 @@ class Seen:
 
 @dataclass
 class Storm:
-    """The flight: `ran` is what the autopilot did, `seen` what the vehicle's side made of it."""
+    """The flight: `ran` has the executed items, `seen` the items that the vehicle's side saw."""
 
     kind: AutopilotKind
     dice: random.Random
@@ -81,7 +82,7 @@ class Storm:
         return [(t, item) for t, item in self.autopilot.payload_log if item.command in VINE_COMMANDS]
 
     def start_service(self, down_s: float = 0.0) -> None:
-        """A service that has seen nothing so far, and hears nothing before it is up."""
+        """Start a service without memory; it receives nothing for `down_s`."""
         self._up_at = self.t + down_s
         self.vehicle = Vehicle(CONFIG)
         self._decoder, self._encoder = MavlinkCodec(1, 191), MavlinkCodec(1, 191)
@@ -131,7 +132,7 @@ class Storm:
 
 @dataclass
 class Comparison:
-    """`pairs`: (index of what ran, index of what was seen); what has no partner is missed or extra."""
+    """`pairs`: (index in `ran`, index in `seen`). An item without partner is missed or extra."""
 
     pairs: list[tuple[int, int]]
     missed: list[tuple[float, MissionItem]]
@@ -139,7 +140,7 @@ class Comparison:
 
 
 def compare(storm: Storm, since: float = -math.inf) -> Comparison:
-    """Each trigger with the earliest execution, from a time on, that can have caused it."""
+    """Pair each trigger with the earliest execution since `since` that can have caused it."""
     ran, seen = [one for one in storm.ran if one[0] >= since], storm.seen
     pairs: list[tuple[int, int]] = []
     free = set(range(len(ran)))
@@ -155,7 +156,7 @@ def compare(storm: Storm, since: float = -math.inf) -> Comparison:
 
 
 def in_order(storm: Storm) -> bool:
-    """Whether triggers came in the order of their items, as far as the link kept it."""
+    """True if triggers have the order of their items, as far as the link kept it."""
     latest = -math.inf
     for one in storm.seen:
         fitting = [ran_at for ran_at, item in storm.ran if _fits(storm, one, ran_at, item)]
@@ -166,7 +167,7 @@ def in_order(storm: Storm) -> bool:
 
 
 def numbers_of_before(storm: Storm) -> list[float]:
-    """When triggers had the numbers of a mission that had been replaced."""
+    """Times of triggers with numbers of a mission that had been replaced."""
     ran, seen = storm.ran, storm.seen
     return [
         ran[i][0]
@@ -187,7 +188,7 @@ def _fits(storm: Storm, one: Seen, ran_at: float, item: MissionItem) -> bool:
 
 
 def vine_item(kind: AutopilotKind, dice: random.Random) -> tuple[int, tuple[float, ...]]:
-    """A vine item that this autopilot takes, with numbers that its storage keeps."""
+    """A vine item that this autopilot accepts, with numbers that it can store."""
     choices: list[tuple[int, tuple[float, ...]]] = [
         (GRIPPER, (1.0, float(dice.randrange(2)))),
         (WINCH, (1.0, float(dice.randrange(2)), 2.0, 0.5)),
@@ -200,7 +201,8 @@ def vine_item(kind: AutopilotKind, dice: random.Random) -> tuple[int, tuple[floa
 
 
 def mission(kind: AutopilotKind, dice: random.Random, *, wild: bool) -> list[MissionItem]:
-    """A mission over a few waypoints. Not wild: one vine item in front of a waypoint, and nothing else."""
+    """A mission with a few waypoints. If not `wild`, it has one vine item before each waypoint and nothing
+    else."""
     plan: list[tuple[int, tuple[float, ...], bool]] = []
     if kind == "ardupilot":
         plan.append((WP, (0.0,) * 7, True))  # home
@@ -235,7 +237,7 @@ def _stop(kind: AutopilotKind, dice: random.Random, wild: bool) -> tuple[int, tu
 
 
 def _somewhere(kind: AutopilotKind, dice: random.Random) -> tuple[float, ...]:
-    """A point a few seconds' flight from home."""
+    """A point a few seconds of flight from home."""
     latitude_deg, longitude_deg = (-35.363262, 149.165237) if kind == "ardupilot" else (47.3977431, 8.5455944)
     metre_deg = 1 / 111_318.84
     north_m, east_m = dice.uniform(-12.0, 12.0), dice.uniform(-12.0, 12.0)
@@ -243,7 +245,7 @@ def _somewhere(kind: AutopilotKind, dice: random.Random) -> tuple[float, ...]:
 
 
 def fly(storm: Storm, for_s: float, happenings: int = 0) -> None:
-    """Start the mission and let so many things happen on the way."""
+    """Start the mission, with this number of disturbances."""
     storm.run(storm.dice.uniform(0.0, 8.0))
     storm.autopilot.start_mission()
     for _ in range(happenings):
@@ -253,7 +255,7 @@ def fly(storm: Storm, for_s: float, happenings: int = 0) -> None:
 
 
 def stimuli(storm: Storm) -> list[Callable[[], None]]:
-    """What a pilot, a ground station and bad luck may do to a mission under way."""
+    """Possible actions of a pilot and a ground station, and faults, during a mission."""
     autopilot, dice = storm.autopilot, storm.dice
 
     def pause() -> None:
@@ -267,7 +269,7 @@ def stimuli(storm: Storm) -> list[Callable[[], None]]:
     def replace() -> None:
         storm.changed_at.append(storm.t)
         autopilot.set_mission(mission(storm.kind, dice, wild=True))
-        autopilot.set_current(1)  # what was a waypoint may be an action now, and is not flown to
+        autopilot.set_current(1)  # a former waypoint may be an action now, which is not a target of a jump
 
     def change_numbers() -> None:
         changed = []

@@ -1,4 +1,4 @@
-"""Programs that not every computer has: a test that needs one is skipped and says what to install."""
+"""Programs that some computers lack: a test that needs one is skipped, and says what to install."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ needs_compiler = pytest.mark.skipif(compiler() is None, reason=f"needs {WHAT_TO_
 
 
 def host_compiler() -> str:
-    """The C++ compiler's path; where there is none the test is skipped."""
+    """Path of the C++ compiler; without one the test is skipped."""
     command = compiler()
     if command is None:
         pytest.skip(f"needs {WHAT_TO_INSTALL}")
@@ -25,7 +25,7 @@ def host_compiler() -> str:
 
 
 def need(program: str, how: str) -> str:
-    """The program's path; where there is none the test is skipped with a line that says how to get it."""
+    """Path of the program; without it the test is skipped with a line that says how to get it."""
     path = shutil.which(program)
     if path is None:
         pytest.skip(f"needs {program}: {how}")

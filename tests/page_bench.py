@@ -37,7 +37,7 @@ TOKEN = "abcd-efgh-ijkl-mnop"
 
 
 def snapshot(t: float = 0.0, **changed: Any) -> Snapshot:
-    """Of a vine that hangs straight, and all is well."""
+    """The snapshot of a straight vine without any problem, with changes."""
     well: dict[str, Any] = {
         "t": t,
         "vehicle": "ardupilot 1",
@@ -65,7 +65,7 @@ def snapshot(t: float = 0.0, **changed: Any) -> Snapshot:
 
 @dataclass
 class Bench:
-    """A page that is served, and what it has said to its service."""
+    """A served page, and the requests that it sent to its service."""
 
     page: PageConfig
     feed: Feed = field(init=False)
@@ -128,7 +128,7 @@ async def client(**headers: str) -> AsyncIterator[ClientSession]:
 
 
 async def heard(viewer: ClientWebSocketResponse, kind: str) -> dict[str, Any]:
-    """The next message of this kind."""
+    """The next message of this type."""
     async with asyncio.timeout(PATIENCE_S):
         while True:
             message: dict[str, Any] = await viewer.receive_json()

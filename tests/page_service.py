@@ -1,4 +1,4 @@
-"""The real service with its page as a process between the stand-ins."""
+"""The real service with its page, as a process between the stand-ins."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from flying_vines.simulation.autopilot import FakeAutopilot
 
 
 class Served:
-    """The service as a process of its own, with a page."""
+    """The service as a process, with a page."""
 
     def __init__(self, bench: Bench, folder: Path, host: str, bench_mode: bool) -> None:
         self.bench = bench
@@ -32,7 +32,7 @@ class Served:
         text = text.replace('host = "127.0.0.1"', f'host = "{host}"')
         self.profile.write_text(re.sub(r"^port = 0", f"port = {self.port}", text, flags=re.MULTILINE))
         self.said = folder / "said.txt"
-        """What is on its standard output."""
+        """Its standard output."""
         self._process: asyncio.subprocess.Process | None = None
 
     async def start(self) -> None:
@@ -61,7 +61,7 @@ class Served:
 
     @property
     def gateway(self) -> int:
-        """The process of its page."""
+        """Id of the process of its page."""
         return gateway_of(self.pid)
 
     async def kill(self) -> None:

@@ -6,11 +6,11 @@ import asyncio
 from collections.abc import Callable
 
 PATIENCE_S = 60.0
-"""Only what never comes takes so long: machines that stand still for seconds fail nothing."""
+"""Long enough for computers that stop for seconds."""
 
 
 async def until(true: Callable[[], bool], what: str) -> None:
-    """Wait for it; the test fails when it does not come."""
+    """Wait until `true` returns true. The test fails after `PATIENCE_S`."""
     try:
         async with asyncio.timeout(PATIENCE_S):
             while not true():

@@ -7,13 +7,13 @@ import os
 import random
 import socket
 
-# Below those that a system gives to whoever asks for any; each process begins elsewhere.
+# Below the ports that the system gives out itself; each process begins at another port.
 _FIRST, _LAST = 10_000, 30_000
 _offered = itertools.count(random.Random(os.getpid()).randrange(_LAST - _FIRST))
 
 
 def free_port() -> int:
-    """For TCP and UDP, when it was looked for; the next call's is another."""
+    """A port that is free for TCP and UDP at the moment; each call returns another one."""
     for offered in _offered:
         port = _FIRST + offered % (_LAST - _FIRST)
         try:

@@ -12,7 +12,7 @@ from patience import PATIENCE_S
 
 
 class Terminal:
-    """The device's end."""
+    """The device's end of a pseudo-terminal."""
 
     def __init__(self, link: Path) -> None:
         self.device, self._host = os.openpty()

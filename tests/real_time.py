@@ -10,9 +10,9 @@ TRIES = 3
 
 
 def overloaded() -> bool:
-    """Whether the machine had hardly a core to spare in the last minute."""
+    """True if the machine had hardly a free core in the last minute."""
     return os.getloadavg()[0] > 0.8 * (os.cpu_count() or 1)
 
 
 real_time = pytest.mark.flaky(reruns=TRIES - 1, condition=overloaded)
-"""Flown again where it failed on such a machine. On one that is not, a failure is a failure."""
+"""Repeats a failed test on an overloaded machine. On any other machine a failure counts."""

@@ -25,7 +25,7 @@ BEGAN = FlightStart(PROFILE, CONFIG.pneumatics)
 
 
 def watch(core: Core, recorder: Recorder) -> None:
-    """Let the recorder see what the core does."""
+    """Let the recorder see the core's events and actions."""
     handle, codec = core.handle, MavlinkCodec(0, 191)
 
     def handled(event: Event) -> list[Action]:
@@ -44,7 +44,7 @@ def watch(core: Core, recorder: Recorder) -> None:
 def fly(
     flight: SimulatedFlight, recorder: Recorder, moves: Sequence[tuple[float, int]], step_s: float = 0.1
 ) -> None:
-    """Moves of the switch: until when, where it is; with snapshots as the service makes them."""
+    """Fly moves of the switch, each with a position and an end time, with snapshots as in the service."""
     watch(flight.core, recorder)
     now = flight.world.now
     for until_s, pulse_us in moves:

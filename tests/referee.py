@@ -1,8 +1,8 @@
-"""A referee at the valves of a simulated phloSAR: what must never happen, whatever the cause.
+"""A referee at the valves of a simulated phloSAR: it reports what must never happen, whatever the cause.
 
-It goes by facts alone: the bytes that reach the board, what its sensors say and its valves are told, the true
-pressures, and what whoever directs the flight knows to have happened. What the service or the firmware
-thinks of it is never asked. What it calls, and why a few things are excused: docs/campaign.md.
+It uses facts only: the bytes that reach the board, the readings and valve commands, the true pressures, and
+the events that the director of the flight reports. It asks neither the service nor the firmware.
+docs/campaign.md has the rules and the excuses.
 """
 
 from __future__ import annotations
@@ -22,35 +22,35 @@ from flying_vines.simulation.phlosar.regulator import SAFE
 
 DEAD_MAN_S = 0.300
 SAFE_WITHIN_STEPS = 10
-"""Of the firmware, from the first reading that must not be to valves that are safe: 10 ms."""
+"""Maximum time of the firmware from the first bad reading to safe valves: 10 ms."""
 RELIEF = Inputs(0.0, 1.0, True)
 RELIEF_AFTER_S = 0.005
 SURELY_SEEN_STEPS = 5
-"""So many such readings in a row, and the fault is latched."""
+"""After this number of bad readings in a row the fault is latched."""
 LONGEST_OVER_S = 0.020
 BLIND_S = 1.0
-"""Told to inflate for longer than that with the vine over the limit: nobody noticed the wrong sensor."""
+"""Maximum time of inflation above the limit: then nobody has noticed the wrong sensor."""
 LONGEST_HANG_S = 0.260
-"""The board's watchdog and a few steps."""
+"""The time of the board's watchdog and a few steps."""
 AFTER_EXCUSE_S = 1.0
-"""What was excused may take so long to get well: a vine above the limit has to be let out."""
+"""Time to recover after an excuse: a vine above the limit must be vented."""
 SURELY_BEYOND = 0.11
-"""Of a sensor's span, either way: more than any sensor says whose wires are whole."""
+"""Share of a sensor's span, on both sides: readings beyond it mean a broken wire."""
 OVER_BY_KPA, BOTTLE_OVER_BY_KPA = 0.5, 3.0
-"""Converter and rounding: a reading that is so far above a limit is above it for the firmware, too."""
+"""Converter and rounding: a reading this far above a limit is also above it for the firmware."""
 HELD_WITHIN_KPA = 0.01
 AT_REST_AFTER_S = 0.1
 RISE_AT_REST_KPA = 1.0
 STEADY_S = 0.3
-"""A setpoint that stays for so long is where a motion was to end."""
+"""A setpoint that is constant for this time is the end of a motion."""
 SAME_KPA = 0.4
 RAMP_S = 1.5
-"""From a trigger to where it ends."""
+"""Time from a trigger to the end of its motion."""
 _STEP_S = 0.001
 
 
 class Foul(NamedTuple):
-    """What must never happen, did."""
+    """A broken rule."""
 
     t: float
     rule: str
@@ -62,7 +62,7 @@ class Foul(NamedTuple):
 
 @dataclass(frozen=True)
 class Rules:
-    """What this flight's profile and firmware promise. Gauge kPa."""
+    """The limits of the flight's profile and firmware. Gauge kPa."""
 
     max_kPa: float
     max_rate_kPa_per_s: float
@@ -75,29 +75,30 @@ class _Trigger(NamedTuple):
     from_s: float
     what: str
     latest_s: float = math.inf
-    """Not later than that, however long it is held up."""
+    """Latest start, whatever delays the trigger."""
 
 
 class _Target(NamedTuple):
-    """Where a trigger sends the vine; unknown for a profile, and where it is held."""
+    """The target of a trigger; unknown for a profile, and while the vine is held."""
 
     until_s: float
     kPa: float | None
 
 
 class Referee:
-    """One flight's. Times are seconds of the board's clock, which never goes back.
+    """The referee of one flight. Times are seconds of the board's clock, which never goes back.
 
-    Whoever directs the flight says what happens in the world; a `RefereedBoard` says the rest.
+    The director of the flight reports events of the world; a `RefereedBoard` reports the rest.
     """
 
     def __init__(self, rules: Rules) -> None:
         self.fouls: list[Foul] = []
         self.highest_kPa = 0.0
         self.longest_blind_s = 0.0
-        """For how long at most the inflation valve was told open with the vine over the firmware's limit."""
+        """Longest time with the inflation valve commanded open while the vine was above the firmware's
+        limit."""
         self.begins: list[tuple[float, str]] = []
-        """Each time that the vine began to move out of rest, and the trigger that it is put down to."""
+        """Each start of a motion, and the trigger that explains it."""
         self._rules = rules
         self._codec = Codec()
         self._triggers: list[_Trigger] = []
@@ -111,12 +112,12 @@ class Referee:
         self._excuses: dict[str, float] = {}
         self._rising_excuses: dict[str, float] = {}
         self._latched: dict[str, float] = {}
-        """When each fault was last seen to latch."""
+        """When each fault latched last."""
         self._cleared_s = -math.inf
         self._commanded = False
         self._resting = True
         self._asked_s: float | None = None
-        """When the first setpoint came since it rested."""
+        """Time of the first setpoint since the board rested."""
         self._setpoint_s = self._high_s = -math.inf
         self._alive_until_s = -math.inf
         self._refused_steps = 0
@@ -140,10 +141,10 @@ class Referee:
         kPa: float | None = None,
         latest_s: float = math.inf,
     ) -> None:
-        """Somebody who may asked for a bend, which takes `after_s` to be seen.
+        """An authorised person or item requests a bend. It is noticed `after_s` later.
 
-        Out of rest it has to begin within so long, and only once. `kPa` is where it ends, if that is known.
-        `latest_s`: whatever holds it up, it is too old after that.
+        A motion must begin within `within_s`, and only once. `kPa` is its end, if known. After `latest_s` the
+        request is too old, whatever delayed it.
         """
         self._triggers.append(_Trigger(t + within_s, t + after_s, what, t + latest_s))
         self._targets.append(_Target(t + within_s, kPa))
@@ -151,23 +152,23 @@ class Referee:
         self._still_from_s = math.inf
 
     def withdraw(self, what: str, by_s: float) -> None:
-        """Whoever asked for it by this trigger does so no longer."""
+        """After `by_s` the request of this trigger no longer counts."""
         self._triggers = [
             trigger._replace(until_s=min(trigger.until_s, by_s)) if trigger.what == what else trigger
             for trigger in self._triggers
         ]
 
     def any_target(self, t: float) -> None:
-        """The vine may stay wherever it is now."""
+        """The vine may stay at any pressure now."""
         self._targets.append(_Target(t + RAMP_S, None))
 
     def miss(self, t: float, what: str) -> None:
-        """Somebody asked for a bend, nothing was against it, and nothing moved."""
+        """A bend was requested and nothing forbade it, but nothing moved."""
         self._call(t, "missed", what)
 
     @property
     def idle(self) -> bool:
-        """Nothing moves, nothing is latched, and nothing is forbidden."""
+        """True if nothing moves, nothing is latched, and nothing is forbidden."""
         latched = any(at_s > self._cleared_s for at_s in self._latched.values())
         return self._resting and not latched and not self._forbidden
 
@@ -176,11 +177,12 @@ class Referee:
         return self._resting
 
     def person_clears(self, by_s: float) -> None:
-        """A person did what clears latched faults, and is heard by then; what comes later latches again."""
+        """A person clears latched faults and is received by `by_s`. Later faults latch again."""
         self._cleared_s = max(self._cleared_s, by_s)
 
     def delay(self, since_s: float, by_s: float) -> None:
-        """What was said and not yet heard then waited for so long, as bytes in a socket do."""
+        """Messages that were sent but not yet received since `since_s` waited for `by_s`, like bytes in a
+        socket."""
         self._triggers = [
             trigger._replace(until_s=min(trigger.until_s + by_s, max(trigger.until_s, trigger.latest_s)))
             if trigger.until_s >= since_s
@@ -192,16 +194,17 @@ class Referee:
             self._cleared_s += by_s
 
     def forbid(self, name: str, from_s: float, *, inflation_only: bool = False) -> None:
-        """From then on, and until it is permitted, nothing may move the vine: it must have been noticed.
+        """From `from_s` on, nothing may move the vine until it is permitted: the condition must have been
+        noticed.
 
-        The earlier time counts when it is forbidden already.
+        If it is already forbidden, the earlier time counts.
         """
         table = self._no_inflation if inflation_only else self._forbidden
         table[name] = min(from_s, table.get(name, math.inf))
         self._find_deadlines()
 
     def permit(self, name: str) -> None:
-        """It is over. What was heard of before it must have been noticed is spent."""
+        """The condition is over. If it was in force, triggers from before that time are used up."""
         noticed_s = self._forbidden.pop(name, math.inf)
         if noticed_s <= self._stepped_s:
             self._triggers = [trigger for trigger in self._triggers if trigger.from_s >= noticed_s]
@@ -209,34 +212,34 @@ class Referee:
         self._find_deadlines()
 
     def excuse(self, name: str, until_s: float, *, rises: bool = False) -> None:
-        """A mishap that lets no venting hold the pressure, or hides it; it may even rise on its own."""
+        """A mishap prevents venting, or hides the pressure. With `rises` the pressure may even rise."""
         self._excuses[name] = until_s + AFTER_EXCUSE_S
         if rises:
             self._rising_excuses[name] = until_s + AFTER_EXCUSE_S
 
     def end_excuse(self, name: str, t: float) -> None:
-        """The mishap is mended; where nothing was excused, nothing is."""
+        """The mishap is repaired. Without an excuse nothing changes."""
         for excuses in (self._excuses, self._rising_excuses):
             if name in excuses:
                 excuses[name] = min(excuses[name], t + AFTER_EXCUSE_S)
 
     def hold_still(self, from_s: float) -> None:
-        """From then on, and until the next trigger, the vine may be held but not bent further."""
+        """From `from_s` on, until the next trigger, the vine may be held but not bent further."""
         self._still_from_s, self._ceiling_kPa = from_s, math.inf
 
     def unpowered(self) -> None:
-        """The springs shut the valves, and the board says nothing more."""
+        """The springs shut the valves, and the board sends nothing."""
         self._drive = SAFE
 
     def companion_replaced(self) -> None:
-        """Another process commands from now on, which knows of nothing that the board does not tell."""
+        """Another process commands from now on. It knows only what the board reports."""
         self._latched.pop("board reset", None)
         self._commanded = False
         self._triggers = []
 
     @property
     def pending_until_s(self) -> float:
-        """When no trigger that is not carried out yet can be any more."""
+        """The time after which no outstanding trigger can be executed."""
         return max((trigger.until_s for trigger in self._triggers), default=-math.inf)
 
     # What the board knows.
@@ -266,7 +269,7 @@ class Referee:
                     self._rest()
 
     def restarted(self) -> None:
-        """The board lost its memory, and everything that it had latched."""
+        """The board lost its memory and all latched faults."""
         self._rest()
         self._refused_steps = 0
         self._lowest_kPa = math.inf
@@ -277,18 +280,18 @@ class Referee:
     def stepped(
         self, t: float, cv_kPa: float, reservoir_kPa: float, true_kPa: float, line_kPa: float, drive: Inputs
     ) -> None:
-        """The board read this, and told its valves that; the true pressures are those of now."""
+        """The board made a step with these readings and valve commands, at these true pressures."""
         before, passed_s = self._drive, t - self._stepped_s
         self._stepped_s, self._drive = t, drive
         if passed_s > LONGEST_HANG_S and before.evp > 0.0:
             self._call(t, "dead-man", f"the valves stayed as they were for {1000 * passed_s:.0f} ms")
         if cv_kPa > self._rules.firmware["cv_limit_kPa"] - OVER_BY_KPA:
             self._high_s = t
-        # Over the limit the Venturi may help to let it out; a wild reading or two do not end that.
+        # Above the limit the Venturi may help to vent. One or two wrong readings do not end this.
         relief = drive == RELIEF and t < self._high_s + RELIEF_AFTER_S
         safe = relief or drive == SAFE
         self._judge_readings(t, cv_kPa, reservoir_kPa, safe)
-        # A regulation to nothing looks like rest, but ends in the same fault.
+        # A regulation to 0 looks like rest, but ends with the same fault.
         if not self._resting and t >= self._alive_until_s:
             self._latch("dead-man")
             self._rest()
@@ -307,7 +310,7 @@ class Referee:
     # Judging.
 
     def _judge_readings(self, t: float, cv_kPa: float, reservoir_kPa: float, safe: bool) -> None:
-        """The firmware ends what it does over readings that must not be."""
+        """After bad readings the firmware must be safe."""
         board = self._rules.firmware
         if (
             cv_kPa > board["cv_limit_kPa"] + OVER_BY_KPA
@@ -325,7 +328,7 @@ class Referee:
             self._refused_steps = 0
 
     def _judge_motion(self, t: float, drive: Inputs) -> None:
-        """Whatever is not safe has to be asked for, allowed and fresh."""
+        """A motion must be requested, allowed and recent."""
         if t > self._setpoint_s + DEAD_MAN_S + _STEP_S / 2:
             self._call(t, "dead-man", f"not vented {1000 * (t - self._setpoint_s):.0f} ms after a setpoint")
         if t >= self._forbidden_from_s:
@@ -349,7 +352,8 @@ class Referee:
         if not fresh:
             self._call(t, "trigger", "it moved out of rest without a fresh trigger")
             return
-        # Whichever has the least time left: if any other did it, this one is not missed later.
+        # Use up the trigger with the least time left: if another one caused the motion, this one is not
+        # missed later.
         spent = min(fresh)
         fresh.remove(spent)
         self._triggers = fresh
@@ -361,7 +365,7 @@ class Referee:
         self._ceiling_kPa = min(self._ceiling_kPa, target_kPa)
 
     def _judge_target(self, t: float, target_kPa: float) -> None:
-        """Where it comes to rest under pressure, somebody asked for just that."""
+        """If the vine comes to rest under pressure, this pressure must have been requested."""
         if abs(target_kPa - self._steady_kPa) > 1e-3:
             self._steady_kPa, self._steady_since_s = target_kPa, t
         if t - self._steady_since_s < STEADY_S or target_kPa < RISE_AT_REST_KPA:
@@ -374,13 +378,13 @@ class Referee:
             self._call(t, "numbers", f"bent to {target_kPa:.1f} kPa, and asked was for {asked}")
 
     def _judge_rest(self, t: float, before: Inputs, true_kPa: float) -> None:
-        """With the inflation valve shut and the outlet open, no pressure comes from nowhere."""
+        """With the inflation valve shut and the outlet open, the pressure must not rise."""
         if before != SAFE:
             self._safe_since_s, self._lowest_kPa = t, math.inf
         if t - self._safe_since_s < AT_REST_AFTER_S:
             return
         if true_kPa < self._lowest_kPa:
-            # Out of a vacuum it comes back by itself.
+            # From a vacuum the pressure rises by itself.
             self._lowest_kPa = max(0.0, true_kPa)
         elif true_kPa > self._lowest_kPa + RISE_AT_REST_KPA and not _excused(self._rising_excuses, t):
             self._call(
@@ -405,7 +409,7 @@ class Referee:
             self._call(t, "over the limit", f"inflating for {blind_s:.1f} s with {kPa:.1f} kPa in the vine")
 
     def _latch(self, fault: str) -> None:
-        """Only a person ends it, and what was asked for before is spent."""
+        """Only a person clears it. Earlier requests are used up."""
         self._latched[fault] = self._stepped_s
         self._triggers = []
 
@@ -419,7 +423,7 @@ class Referee:
         self._no_inflation_from_s = min(self._no_inflation.values(), default=math.inf)
 
     def _call(self, t: float, rule: str, what: str) -> None:
-        """Once for each rule: what follows is the same."""
+        """Report a foul once for each rule, because the next ones are the same."""
         if rule not in self._called:
             self._called.add(rule)
             self.fouls.append(Foul(t, rule, what))
@@ -434,7 +438,7 @@ def _holding(table: dict[str, float], t: float) -> str:
 
 
 class RefereedBoard(WrappedBoard):
-    """Takes the place of a simulated phloSAR's firmware, and tells the referee what it sees there."""
+    """Replaces the firmware of a simulated phloSAR, and reports to the referee."""
 
     def __init__(self, phlosar: SimulatedPhlosar, referee: Referee) -> None:
         super().__init__(phlosar.firmware)

@@ -19,7 +19,7 @@ from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
 
 def between(companion_port: int, serial_path: str) -> str:
-    """The default profile's text, for a service that lives between these two."""
+    """The default profile's text, for a service between these two."""
     return (
         config.default_text()
         .replace("udpin:127.0.0.1:14540", f"udpin:127.0.0.1:{companion_port}")
@@ -30,7 +30,7 @@ def between(companion_port: int, serial_path: str) -> str:
 
 @dataclass
 class Bench:
-    """Two fakes on a bench, and the profile of a service between them."""
+    """Two fakes, and the profile of a service between them."""
 
     autopilot: FakeAutopilot
     phlosar: SimulatedPhlosar
@@ -45,7 +45,7 @@ class Bench:
         return self.phlosar.cv_kPa > 15.0
 
     async def bend(self) -> None:
-        """By the switch; a move counts only once it is believed, a second after RC is."""
+        """Bend by the switch. A move counts only one second after RC is good."""
         for pulse in (1000, 2000) * 5:
             self.autopilot.set_rc(9, pulse)
             with contextlib.suppress(TimeoutError):

@@ -7,15 +7,15 @@ from flying_vines.physics.baseline import Inputs
 
 
 class StillBoard:
-    """Exchange `drive` for what the valves are to be told from the next step on."""
+    """Change `drive` to change the valve outputs from the next step on."""
 
     def __init__(self, drive: Inputs) -> None:
         self.drive = drive
         self.heard = b""
         self.steps: list[tuple[int, float, float]] = []
-        """When, and what the sensors read: CV, reservoir."""
+        """Time and readings of each step: CV, reservoir."""
         self.resets: list[bool] = []
-        """Whether each was the watchdog's."""
+        """For each reset: true if it was the watchdog's."""
         self.mode, self.faults, self.number = Mode.VENT, Fault.NONE, 0
 
     def receive(self, data: bytes) -> None:

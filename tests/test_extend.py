@@ -42,7 +42,7 @@ PUMP = PROFILE.replace('kind = "phlosar"', 'kind = "air_pump"')
 
 
 def install(folder: Path, name: str, points: dict[str, dict[str, str]]) -> None:
-    """What an installer leaves of a package: its entry points."""
+    """Write what an installer leaves of a package: its entry points."""
     info = folder / f"{name}-0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 0\n", encoding="utf-8")
@@ -68,7 +68,7 @@ Install = Callable[[str, str], None]
 
 @pytest.fixture
 def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
-    """Install a package of one module, whose only part is `Part`, in a group by the name `broken`."""
+    """Install a package of one module with one part, `Part`, as `broken` in a group."""
     monkeypatch.syspath_prepend(tmp_path)
 
     def install_one(group: str, source: str) -> None:
@@ -80,7 +80,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Insta
 
 
 class Bridge:
-    """The air pump's board with its line, in the place of the simulated phloSAR."""
+    """The air pump's board with its line, instead of the simulated phloSAR."""
 
     def __init__(self, conf: Config) -> None:
         from model_of_board import Board
@@ -102,7 +102,7 @@ class Bridge:
 
 
 def flown(text: str) -> tuple[SimulatedFlight, Any]:
-    """In the air at 10 m with the air pump, RC good, switch low; 8 s have passed."""
+    """A flight at 10 m with the air pump, RC good, switch low, after 8 s."""
     conf = config.parse(text, "p.toml")
     autopilot = FakeAutopilot("ardupilot", rc_failsafe_mode=None)
     bridge: Any = Bridge(conf)
@@ -201,7 +201,7 @@ def test_each_broken_promise_is_found(
 
 
 def test_an_actuator_whose_setpoint_fails_vents(our_lab: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The package's `line` raises; the service then writes `vent`, which needs no code of the package."""
+    """The package's `line` raises. The service then writes `vent`, which needs no code of the package."""
     conf = config.parse(PUMP, "p.toml")
     line = line_to(conf.firmware)
     from our_lab.air_pump import AirPump
@@ -217,7 +217,7 @@ async def on_pump(our_lab: None, monkeypatch: pytest.MonkeyPatch) -> AsyncIterat
     from model_of_board import Board
 
     class AtPort(Board):
-        """The board, as the pseudo-terminal of the bench drives it."""
+        """The board at the pseudo-terminal of the bench."""
 
         now_s = 0.0
 
@@ -308,7 +308,7 @@ def test_a_part_that_cannot_be_used_is_one_line(
 
 
 @pytest.mark.parametrize("command", [["config", "check"], ["doctor", "--config"]])
-def test_a_missing_package_is_told_before_a_flight(
+def test_a_missing_package_is_reported_before_a_flight(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str]
 ) -> None:
     (tmp_path / "p.toml").write_text(PUMP, encoding="utf-8")
@@ -422,7 +422,7 @@ def test_a_trigger_sees_only_our_autopilot(our_lab: None) -> None:
     assert decisions(attitude(flight, 30.0, system_id=7)) == []
 
 
-def test_a_trigger_that_fails_is_switched_off_and_the_flight_goes_on(
+def test_a_trigger_that_fails_is_switched_off_and_the_flight_continues(
     installed: Install, our_lab: None
 ) -> None:
     installed(
@@ -468,7 +468,7 @@ def test_a_check_that_fails_vents_if_the_vine_needs_it(
     assert flight.core.internal_error is needed
 
 
-def test_a_check_without_look_is_told_at_the_start(installed: Install) -> None:
+def test_a_check_without_look_is_reported_at_the_start(installed: Install) -> None:
     installed("checks", "class Part:\n    def __init__(self, rig): pass\n")
     conf = config.parse(PROFILE.replace("own = {}", 'own = { broken = "warn" }'), "p.toml")
     with pytest.raises(PluginError, match=r"broken_lab:Part of package broken_lab has no look"):

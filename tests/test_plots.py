@@ -63,7 +63,7 @@ def decision(t: float) -> dict[str, Any]:
 
 
 def written(said: list[dict[str, Any]], path: Path) -> FlightLog:
-    """A log with these values, without unknown ones."""
+    """A log with these values. Unknown values are left out."""
     with path.open("wb") as file:
         log = McapFile(file, TOPICS, "test")
         for entry in said:

@@ -25,7 +25,7 @@ _CROSS = "arm-none-eabi-"
 _PROGRAM = ("phlosar::setup()", "phlosar::loop()")
 _INTERRUPTS = ("pit_isr", "usb_isr")
 _SYSTICK = ("(anonymous namespace)::guard()", "systick_isr")
-"""The first of these that there is: a Teensy 4's calls the other."""
+"""The first one that exists is used. On a Teensy 4 it calls the second one."""
 _SAVED = {"v6S-M": 36, "v7E-M": 108}
 """Bytes of registers that an interrupt saves, with the gap to a multiple of 8, by architecture (M0+, M7)."""
 _THROUGH_A_REGISTER = {
@@ -39,9 +39,9 @@ _THROUGH_A_REGISTER = {
 """Which functions a call through a register can reach (patterns of names), by the name of the caller."""
 
 _LAST = "_reboot_Teensyduino_"
-"""Starts the bootloader and never returns: what it does to the stack does not matter."""
+"""Starts the bootloader and never returns, so its stack does not matter."""
 _ONCE = ("usb_rx_memory", "usb_free")
-"""The first calls the second, which calls it: once, for before that it clears what leads there."""
+"""The first calls the second, which may call the first: only once, because the first clears the condition."""
 
 _FUNCTION = re.compile(r"^([0-9a-f]{8}) <(.+)>:$")
 _INSTRUCTION = re.compile(r"^\s*([0-9a-f]+):\t(\S+)(?:\t(.*))?$")
@@ -99,7 +99,7 @@ class Image:
         if function.name == _LAST:
             return Chain(0, (function.name,))
         if function.unknown_frame:
-            raise ImageError(f"the frame of {function.name} has a size that is not known before")
+            raise ImageError(f"the frame of {function.name} has no fixed size")
         known = self._chains.get(function.address)
         if known is not None:
             return known
@@ -204,11 +204,11 @@ def _read(function: ImageFunction, mnemonic: str, operands: str) -> None:
         function.unknown_frame = True
     elif _BRANCH.match(mnemonic):
         target = int(operands.split()[0], 16)
-        # A call into the middle of a function is how an M0+ branches far.
+        # On an M0+ a `bl` into the middle of a function is a far branch, not a call.
         begins = "+0x" not in operands
         (function.calls if mnemonic == "bl" and begins else function.branches).add(target)
     elif veneer and mnemonic == ".word":
-        # Where the linker's way from one memory to another leads.
+        # The target of the linker's veneer between two memories.
         function.branches.add(int(operands.split()[0], 16) & ~1)
     elif mnemonic == "blx" or (mnemonic == "bx" and operands != "lr" and not veneer):
         function.through_register = True
@@ -274,7 +274,7 @@ def main() -> int:
     else:
         for one in every:
             _show(one)
-    # Half of the room: what this tool does not see must not matter.
+    # Only half of the room may be used, as a margin for what this tool does not see.
     outgrown = [one for one in every if 2 * one.stack > one.room]
     for one in outgrown:
         print(f"stack.py: {one.board}: {one.stack} bytes of stack are too much", file=sys.stderr)

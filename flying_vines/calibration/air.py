@@ -1,14 +1,14 @@
 """Volumes, pouch, leaks and Venturi, from one balance of the reservoir.
 
-While the outlet is shut, the vine's pressure tells how much air is in it. A rise dP takes, in kPa of the
+While the outlet is shut, the vine's pressure shows how much air is in it. A rise dP takes, in kPa of the
 reservoir,
 
     dF = V_cv/V_r dP        V_cv = V (1 + k p_a + 2 k P)  of a volume V (1 + k P)
 
-so the result is the effective volume V_cv, with the tube, as a mean from 0 to the top pressure, and its
+So the fit gives the effective volume V_cv (with the tube, as a mean from 0 to the top pressure) and its
 growth with pressure. A pouch (the bending chamber of the vine) takes air before its pressure rises: the first
 inflation fills it from flat, later ones replace what venting has let out. With a rigid vessel of known volume
-in place of the vine the same ratio gives the reservoir's volume V_r.
+in place of the vine, the same ratio gives the reservoir's volume V_r.
 """
 
 from __future__ import annotations
@@ -34,31 +34,31 @@ MIN_RISE_KPA = 2.0
 """An inflation that rises less may not have filled the pouch."""
 MAX_COMPLIANCE_PER_KPA = 0.02
 LEAK_OFFSET_KPA_PER_S = 0.05
-"""Prior: how far a leak may differ from proportional to gauge pressure, by a sensor's zero or by choking."""
+"""Prior of the part of a leak that is not proportional to gauge pressure (sensor's zero, choked flow)."""
 MIN_VENTURI_S = 0.15
 VENTURI_OFFSET_KPA = 100.0
 """The same for the Venturi: a choked flow is proportional to the absolute pressure."""
 NO_EFFECT_SD = 1e-9
 """Prior standard deviation that removes a parameter."""
 GAIN_SD = 0.01
-"""Ratio of both sensors' gains, relative."""
+"""Relative standard deviation of the ratio of both sensors' gains."""
 RESERVOIR_ZERO_SD_KPA = 8.0
-"""Zero of the reservoir's sensor, if it was not measured."""
+"""Standard deviation of the zero of the reservoir's sensor, if it was not measured."""
 VINE_LEAK_SD = 0.03
-"""Difference of pressure between leak and valves, and the error of the regulator; relative."""
+"""Relative standard deviation: leak and valves are at different pressures, and the regulator has an error."""
 MIN_LEAK_SDS = 3.0
 """A leak is reported if it is this many standard deviations above zero."""
 TOO_LITTLE = "too few inflations to measure the vine's volume"
 RESERVOIR_KEY = "pneumatics.reservoir_volume_L"
 GIVEN_VOLUME_SD = 0.005
-"""Volume of a reservoir that was weighed with water, relative."""
+"""Relative standard deviation of a reservoir's volume that was weighed with water."""
 VESSEL_SD = 0.01
-"""Volume of the vessel, relative."""
+"""Relative standard deviation of the vessel's volume."""
 
 
 @dataclass(frozen=True)
 class AirInputs:
-    """What the balance is evaluated with. Pressures of the vine are without its sensor's zero."""
+    """The inputs of the balance. The zero of the vine's sensor is already subtracted."""
 
     pneumatics: PneumaticsConfig
     reservoir_L: Estimate
@@ -96,7 +96,7 @@ class VineAir:
 
     @property
     def SL_per_kPa(self) -> float:
-        """Air for a kPa of the reservoir."""
+        """Air in one kPa of the reservoir."""
         return self.known.reservoir_L.value / ALPHA_KPA
 
     def air_SL(self, from_kPa: float, to_kPa: float) -> float:
@@ -181,7 +181,7 @@ def _reservoir_volume(assumed_L: float) -> MeasuredQuantity:
 
 
 def given_volume(reservoir_L: float, assumed_L: float) -> MeasuredQuantity:
-    """As a person weighed it."""
+    """The reservoir's volume that a person weighed."""
     estimate = Estimate(reservoir_L, GIVEN_VOLUME_SD * reservoir_L)
     return _reservoir_volume(assumed_L).measured(estimate, "as you gave it")
 
@@ -194,7 +194,7 @@ def assumed_volume(assumed_L: float) -> MeasuredQuantity:
 
 
 def vessel_volume(vessel: VineAir, vessel_L: float, assumed_L: float) -> Result:
-    """From a rigid vessel of known volume with its hose."""
+    """The reservoir's volume, measured with a rigid vessel whose volume is known (with its hose)."""
     found = _reservoir_volume(assumed_L)
     ratio = vessel.balance.values["volume"]
     if ratio.low <= 0.0:
@@ -328,7 +328,7 @@ def _compliance(vine: VineAir) -> MeasuredQuantity:
 
 
 def _staircase(vine: VineAir) -> Chart:
-    """Air that each inflation has taken against its pressure."""
+    """A chart of the air that each inflation took against its pressure."""
     known, bins = vine.known, vine.balance.bins
     others = [name for name in bins.columns if name not in ("volume", "growth", "pouch", "refill")]
     rest_kPa = vine.balance.without(*others)

@@ -21,7 +21,7 @@ from flying_vines.vine.intent import Asker, Intent, SetPressure, StartBench, Sta
 
 BY: Asker = "calibration"
 BOARD_TIMEOUT_S = 15.0
-"""Until the board answers and sends pressures."""
+"""Maximum time until the board answers and sends pressures."""
 DECISION_TIMEOUT_S = 2.0
 LATE_S = 1.0
 """Added to a movement's time before the vine is vented."""
@@ -29,7 +29,7 @@ VENT_TIMEOUT_S = 15.0
 VENTED_KPA = 1.0
 """Above the sensor's zero."""
 PERSON_TIMEOUT_S = 900.0
-"""To change a hose or to fill a reservoir."""
+"""Maximum time for a person to change a hose or to fill a reservoir."""
 PRECISION = {"levels": ("cv_volume_L", 0.04), "valve": ("evp_flow_resistance_kPa_s_per_SL", 0.05)}
 """A stage repeats its movements until half the 95 % interval of this quantity is this share of it."""
 _VENTED_STAGES = ("empty", "zero")
@@ -39,14 +39,14 @@ _ZERO_FAULT = "vine_zero"
 
 @dataclass(frozen=True)
 class OperatorRequest:
-    """To be asked of the core, at once."""
+    """A request to pass to the core at once."""
 
     intent: Intent
 
 
 @dataclass(frozen=True)
 class Question:
-    """For the person: to press Enter, or to type an angle in degrees (Enter alone skips it)."""
+    """Asks the person to press Enter, or to type an angle in degrees (Enter alone skips the angle)."""
 
     number: int
     kind: Literal["enter", "angle"]
@@ -69,7 +69,7 @@ class StageBegan:
 
 @dataclass(frozen=True)
 class EvaluationTask:
-    """To be run in the background, because it takes CPU time; `evaluated` takes its result or exception."""
+    """Work for the background, because it takes CPU time. Pass its result or exception to `evaluated`."""
 
     stage: Stage
     run: Callable[[], Result]
@@ -151,13 +151,13 @@ class Calibrator:
     # Inputs.
 
     def begin(self, t: float) -> list[Output]:
-        """The core runs."""
+        """Begin. The core must run already."""
         self._t = t
         self._steps = self._procedure()
         return self._advance()
 
     def take(self, action: Action) -> list[Output]:
-        """Any action of the core."""
+        """Take in any action of the core."""
         if self.ended is not None:
             return []
         if isinstance(action, Measured):
@@ -205,7 +205,7 @@ class Calibrator:
         return self._advance()
 
     def stop(self, t: float, why: str) -> list[Output]:
-        """End it, for a reason outside the core."""
+        """End the calibration for a reason outside the core."""
         self._t = max(self._t, t)
         return [] if self.ended is not None else self._end("stopped", why)
 
@@ -290,7 +290,7 @@ class Calibrator:
             yield
 
     def _rest_and_read(self, stage: Stage) -> Generator[None]:
-        """Evaluate a rest by itself."""
+        """Rest, and evaluate only the readings of this rest."""
         first = len(self._buffer)
         yield from self._wait(stage.rest_s)
         yield from self._evaluate(stage, first)
@@ -372,7 +372,7 @@ class Calibrator:
         yield from self._vent()
 
     def _evaluate(self, stage: Stage, first: int | None = None) -> Generator[None]:
-        """Have the recording evaluated, and wait for the result."""
+        """Evaluate the recording in the background, and wait for the result."""
         assert self._snapshot is not None
         recorded = StageRecording(
             self.plan,
@@ -420,7 +420,7 @@ class Calibrator:
     # Ending.
 
     def _problem(self, now: Snapshot) -> str:
-        """Why it cannot go on, or an empty text. In the first stages the zero may still be wrong."""
+        """Why the calibration cannot go on; else empty. In the first stages the zero may still be wrong."""
         if now.firmware != "ready":
             return f"phloSAR {now.firmware}"
         wrong = dict(now.safe_state)

@@ -20,7 +20,7 @@ from flying_vines.identification.report import write_report
 from flying_vines.identification.search import Progress
 from flying_vines.identification.verdict import Verdict
 from flying_vines.physics.plant.true_rig import true_rig_text
-from flying_vines.supply.known_rig import load_calibration
+from flying_vines.supply.known_rig import load_known_rig
 
 BEGINNING_S = 20.0
 """Diagnosed part of the movements. With many effects a diagnosis of some minutes of data takes an hour."""
@@ -40,7 +40,7 @@ class CalibrationDiagnosis:
 def diagnosed(
     flight: Path, rig_file: Path, numbers: PneumaticsConfig, progress: Progress
 ) -> CalibrationDiagnosis:
-    """Report and rig are written to the folder of `rig_file`.
+    """Diagnose, and write report and rig to the folder of `rig_file`.
 
     Raises `CaseError` if nothing in the flight can be diagnosed.
     """
@@ -52,7 +52,7 @@ def diagnosed(
     rig = rig_file.parent / EXTENDED
     rig.write_text(true_rig_text(extended_rig(case.rig, verdict)), encoding="utf-8")
     predicts = verdict.held_out.gain[0] > 0.0
-    return CalibrationDiagnosis(verdict, report, rig, predicts and bool(load_calibration(rig, numbers).used))
+    return CalibrationDiagnosis(verdict, report, rig, predicts and bool(load_known_rig(rig, numbers).used))
 
 
 def _beginning(case: Case) -> Case:

@@ -1,4 +1,4 @@
-"""Carries out what a calibrator asks for. `real_rig` and `simulated_rig` connect it to a rig."""
+"""Carries out the outputs of a calibrator. `real_rig` and `simulated_rig` connect it to a rig."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from flying_vines.core.snapshot import Snapshot
 from flying_vines.record import recorder
 from flying_vines.service.persistent_state import PersistentState
 from flying_vines.supply import Belief
-from flying_vines.supply.known_rig import load_calibration
+from flying_vines.supply.known_rig import load_known_rig
 from flying_vines.vehicle.component.parameters import Parameters
 from flying_vines.vehicle.mavlink.signing import Signing
 from flying_vines.vine.intent import Intent
@@ -66,7 +66,7 @@ class CalibrationContext:
     rig_text: str = ""
     """Content of the rig file."""
     stored: StoredState = field(default_factory=StoredState)
-    """Only whether the pneumatics are disarmed: the parameters are in the flown profile."""
+    """Has only whether the pneumatics are disarmed: the parameters are in the flown profile."""
     signing: Signing | None = None
     state: PersistentState | None = None
 
@@ -85,7 +85,7 @@ def load_context(profile: UserProfile) -> tuple[Config, CalibrationContext]:
     signing, _ = state.read_signing(config)
     belief, rig_text = None, ""
     if rig := configuration.rig_named(config, path):
-        belief = load_calibration(rig, config.pneumatics).belief
+        belief = load_known_rig(rig, config.pneumatics).belief
         rig_text = rig.read_text(encoding="utf-8")
         flown = msgspec.structs.replace(flown, pneumatics=belief.pneumatics)
     return flown, CalibrationContext(belief, rig_text, stored, signing, state)
@@ -129,7 +129,10 @@ class CalibrationRun:
 
 @dataclass
 class CalibrationDriver:
-    """`actions`: those of the core, in order, that the calibrator has not taken yet."""
+    """Passes actions of the core to a calibrator, and carries out its outputs.
+
+    `actions` are those of the core, in order, that the calibrator has not taken yet.
+    """
 
     calibrator: Calibrator
     terminal: CalibrationTerminal
@@ -148,7 +151,7 @@ class CalibrationDriver:
         self.terminal.progress(self.calibrator.progress)
 
     def carry_out(self, outputs: Sequence[Output]) -> None:
-        """In order; outputs that result from them come after them."""
+        """Carry out outputs in order. Outputs that they cause come after them."""
         self._outputs.extend(outputs)
         if len(self._outputs) > len(outputs):
             return
@@ -178,7 +181,7 @@ class CalibrationDriver:
 
 
 def result_of(task: EvaluationTask) -> object:
-    """Its result or its exception: a failed evaluation ends only its stage."""
+    """The task's result, or its exception: a failed evaluation ends only its stage."""
     try:
         return task.run()
     except Exception as error:
@@ -186,12 +189,12 @@ def result_of(task: EvaluationTask) -> object:
 
 
 def vented(snapshot: Snapshot) -> bool:
-    """True also if nobody knows the pressure."""
+    """True if the core has vented the vine, and its pressure is low or unknown."""
     return snapshot.doing == "vented" and not snapshot.cv_kPa >= VENTED_KPA
 
 
 def flight_start(plan: CalibrationPlan, context: CalibrationContext) -> recorder.FlightStart:
-    """The begin of the flight's log, with which it can be replayed."""
+    """The first entry of the flight's log. A replay starts from it."""
     numbers = context.belief.pneumatics if context.belief else plan.config.pneumatics
     text = profile_text(plan.config)
     return recorder.FlightStart(text, numbers, context.rig_text, context.stored)

@@ -20,10 +20,10 @@ class StageRecording:
     plan: CalibrationPlan
     stage: str
     readings: Readings
-    """All since the reservoir or the vine was last changed; for a stage of rest only its own."""
+    """All since the reservoir or the vine was last changed; for a rest, only those of the rest."""
     findings: Findings
     ambient_kPa: float
-    """Absolute; NaN if nobody measures it."""
+    """Absolute; NaN if it is unknown."""
 
     def result(self) -> Result:
         """Evaluate the stage; takes up to some seconds of CPU time."""

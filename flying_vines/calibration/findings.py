@@ -85,7 +85,7 @@ class MeasuredQuantity:
     """Key of the profile, for example `pneumatics.cv_volume_L`."""
 
     def measured(self, estimate: Estimate, note: str = "", minimum: float | None = None) -> MeasuredQuantity:
-        """With a value. Value and interval do not go below `minimum`."""
+        """The quantity with a measured value. Value and interval do not go below `minimum`."""
         low = estimate.low if minimum is None else max(minimum, estimate.low)
         value = estimate.value if minimum is None else max(minimum, estimate.value)
         return replace(self, value=value, low=low, high=max(value, estimate.high), note=note)
@@ -105,7 +105,7 @@ class MeasuredQuantity:
         return f"{self.value:.{digits}f}", f"{self.low:.{digits}f} … {self.high:.{digits}f}"
 
     def change(self) -> str:
-        """Measured against assumed, as text."""
+        """The difference between measured and assumed value, as text."""
         if self.value is None or self.assumed is None:
             return ""
         if self.low is not None and self.high is not None and self.low <= self.assumed <= self.high:
@@ -166,7 +166,7 @@ class Findings:
         return (*(f"{f.what}: {f.note}" for f in self.findings if f.note), *self.remarks)
 
     def with_result(self, result: Result) -> Findings:
-        """With the results of another stage. A newer result replaces an older one of the same name."""
+        """The findings and those of another stage. A newer result replaces an older one of the same name."""
         return replace(
             self,
             findings=_renewed(self.findings, result.findings, "name"),
@@ -177,7 +177,7 @@ class Findings:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """As plain lists, numbers and texts."""
+        """The findings as plain lists, numbers and texts."""
         return asdict(self)
 
 

@@ -23,7 +23,7 @@ EMPTY = 0.01
 MAX_S = 10.0
 QUICK_S = 0.005
 COLD = 0.15
-"""A fast vent cools the air: up to twice this share stays, and leaves at almost no pressure while it warms.
+"""A fast vent cools the air. So up to twice this share of it leaves late, at almost no pressure, as it warms.
 This share is added to the result, and the interval contains 0 and twice this share."""
 DETECTED = (0.95, 0.85)
 """Shares of the pressure at the start. A line through both points gives the time when the fall begins."""

@@ -41,7 +41,7 @@ def page(title: str, outcome: CalibrationOutcome, pictures: Mapping[str, bytes])
 
 
 def pictures(charts: Sequence[Chart], folder: Path) -> dict[str, bytes]:
-    """Write each chart as SVG and PNG into an existing folder. Gives the SVGs by the names of the charts."""
+    """Write each chart as SVG and PNG into an existing folder. Returns the SVGs by chart name."""
     drawn = {}
     for chart in charts:
         figure = draw(chart)

@@ -71,7 +71,7 @@ class CalibrationRequest:
 
 @dataclass(frozen=True)
 class Movement:
-    """A profile of the derived configuration; then the vine is vented. Air in kPa of the reservoir."""
+    """Runs a profile of the derived configuration, then vents the vine. Air in kPa of the reservoir."""
 
     profile: str
     seconds: float
@@ -119,7 +119,7 @@ class CalibrationPlan:
 
     @property
     def max_seconds(self) -> float:
-        """If every movement has to be repeated."""
+        """The time if every movement has to be repeated."""
         return self.seconds + sum(
             stage.max_repeats * sum(move.seconds + self.hold_s for move in stage.again)
             for stage in self.stages
@@ -133,7 +133,7 @@ class CalibrationPlan:
 
     @property
     def settling_s(self) -> float:
-        """Time after an inflation until the pressure tells how much air is in the vine."""
+        """Time after an inflation until the pressure shows how much air is in the vine."""
         return SETTLED_SHARE * self.hold_s
 
     def summary(self) -> str:
@@ -177,9 +177,9 @@ def _derived(
 ) -> Config:
     """The profile for the calibration: the user's with these movements.
 
-    Limits, losses and interlocks are the user's. Volume and leak of the vine are still unknown, so physics
-    checks of the volume accept a factor of `VOLUME_FACTOR`, and `vine_leak` only warns. All other checks
-    vent the vine as in flight.
+    Limits (except a longer `max_bent_s`), losses and interlocks are the user's. Volume and leak of the vine
+    are still unknown, so physics checks of the volume accept a factor of `VOLUME_FACTOR` or more, and
+    `vine_leak` only warns. All other checks vent the vine as in flight.
     """
     checks = config.checks
     cv_L = config.pneumatics.cv_volume_L
@@ -212,7 +212,7 @@ def _check(request: CalibrationRequest) -> None:
 
 
 def _hold_s(litres: float) -> float:
-    """Hold of a level."""
+    """Time for which a level is held."""
     return min(MAX_HOLD_S, HOLD_S + HOLD_S_PER_L * litres)
 
 
@@ -229,7 +229,7 @@ def _to(kPa: float, over_s: float, hold_s: float) -> tuple[Segment, Segment]:
 
 
 def _staircase(top_kPa: float, hold_s: float) -> Iterator[Segment]:
-    """Up in steps, each held."""
+    """Rises in steps, and holds each step."""
     for level in range(1, LEVELS + 1):
         yield from _to(top_kPa * level / LEVELS, STEP_S, hold_s)
 
@@ -280,7 +280,7 @@ def _stages(
         vessel = movement("calibrate-vessel", request.vessel_L / config.pneumatics.cv_volume_L)
         yield moving("vessel", "Bottle's volume", does, [vessel] * ROUNDS, rest_s=SETTLE_S + ZERO_S)
     if wanted("levels"):
-        does = "up a staircase several times: air for each pressure"
+        does = "raise the pressure in steps: air for each pressure"
         step = movement("calibrate-levels")
         yield moving("levels", "Vine's volume", does, [step] * ROUNDS, [step] * ROUNDS_AGAIN, LEVELS_AGAIN)
     if wanted("vine_leak"):

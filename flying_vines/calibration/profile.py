@@ -81,7 +81,7 @@ def with_changes(text: str, source: str, changed: Sequence[ProfileChange], day: 
         edited = with_value(edited, change.table, change.name, value_text(change.value), remark)
     if not _holds(edited, with_numbers(before, changed)):
         names = ", ".join(f"{change.table}.{change.name}" for change in changed)
-        raise ConfigError(f"{source}: not one key in each line: set {names} by hand")
+        raise ConfigError(f"{source}: does not have one key per line: set {names} by hand")
     configuration.parse(edited, f"{source}, calibrated")
     return edited
 
@@ -96,7 +96,8 @@ def _holds(text: str, config: Config) -> bool:
 def calibrated(text: str, source: str, found: Sequence[ProfileChange], day: str) -> tuple[str, str]:
     """As `with_changes`, and a sentence if the measured curve is only a comment.
 
-    The rest of the profile may ask for angles that the vine cannot reach. With the curve it would be invalid.
+    Other parts of the profile may use angles that the vine cannot reach. With the measured curve, such a
+    profile would be invalid.
     """
     try:
         return with_changes(text, source, found, day), ""

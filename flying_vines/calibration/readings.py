@@ -48,7 +48,7 @@ class Readings:
         return since_s > OUTLET_LAG_S if len(opened_s) else np.ones(len(self), bool)
 
     def less_zero(self, cv_zero_kPa: float) -> Readings:
-        """With the zero of the vine's sensor subtracted."""
+        """The readings with the zero of the vine's sensor subtracted."""
         return replace(self, cv_kPa=self.cv_kPa - cv_zero_kPa)
 
     def stretches(self, where: BoolArray) -> Iterator[slice]:

@@ -148,7 +148,7 @@ async def _run(
 
 
 async def _pass(serving: asyncio.Task[None], tasks: set[asyncio.Task[None]]) -> None:
-    """Wait for a step; raises what has ended the service or one of the tasks."""
+    """Wait for a step. Raises the error that ended the service or one of the tasks."""
     ended, _ = await asyncio.wait([serving, *tasks], timeout=STEP_S)
     for task in ended:
         task.result()
@@ -159,9 +159,9 @@ async def _pass(serving: asyncio.Task[None], tasks: set[asyncio.Task[None]]) -> 
 async def every_step(
     address: Address, stopped: asyncio.Event, warn: Callable[[str], None]
 ) -> AsyncIterator[Sequence[Setting]]:
-    """Within it the firmware sends telemetry at `EVERY_STEP_HZ`, if the line is fast enough.
+    """In this context the firmware sends telemetry at `EVERY_STEP_HZ`, if the line is fast enough.
 
-    Gives the firmware's settings. Raises SettingsError if no firmware answers, or once `stopped`. `warn`
+    Yields the firmware's settings. Raises SettingsError if no firmware answers, or once `stopped`. `warn`
     receives a sentence if the rate stays as it is, or if it cannot be set back.
     """
     known = await talk_about_settings(address, {}, stopped)

@@ -49,7 +49,7 @@ def write_results(
     """Raises `OSError` if a file cannot be written.
 
     Args:
-        in_place: write the calibrated profile also to the place of the user's.
+        in_place: also replace the user's profile by the calibrated one.
     """
     outcome = run.outcome
     folder = outcome.folder / FOLDER
@@ -176,7 +176,7 @@ def _write_profiles(
 def _instead_of_rig(
     name: str, pneumatics: PneumaticsConfig, changed: list[ProfileChange]
 ) -> Iterator[ProfileChange]:
-    """A rig file has priority over the profile: remove it, and keep its other numbers in the profile."""
+    """A rig file has priority over the profile: remove its key, and copy its other numbers to the profile."""
     yield ProfileChange("pneumatics", "rig", "", "it would have priority over these numbers")
     measured = {change.name for change in changed}
     for key in RIG_KEYS:

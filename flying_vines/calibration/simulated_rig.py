@@ -54,7 +54,10 @@ def calibrate(
     terminal: CalibrationTerminal,
     rig: Path | None,
 ) -> CalibrationRun:
-    """Calibrate the rig of a file, or a likely one. Raises `CalibrateError`, `RigError`, `OSError`."""
+    """Calibrate the rig of a file, or one with all typical effects.
+
+    Raises `CalibrateError`, `RigError` or `OSError`.
+    """
     if request.vessel_L is not None:
         raise CalibrateError("--vessel-L needs a person who changes a hose; it does not work with --fake")
     config, context = load_context(profile)
@@ -72,7 +75,7 @@ def calibrate(
 
 @contextmanager
 def _interruptions() -> Iterator[Callable[[], bool]]:
-    """Within it Ctrl-C only makes the function return True, so that the calibration can end by a vent."""
+    """In this context Ctrl-C only makes the yielded function return True, so that a vent can follow."""
     seen: list[int] = []
     before = {
         name: signal.signal(name, lambda number, frame: seen.append(number))
@@ -93,7 +96,10 @@ def _run(
     terminal: CalibrationTerminal,
     stopped: Callable[[], bool],
 ) -> CalibrationOutcome:
-    """It ends once `stopped` is True. The flight's folder is made in `parent`; `OSError` if that fails."""
+    """The calibration ends once `stopped` returns True.
+
+    The flight's folder is made in `parent`. Raises `OSError` if that fails.
+    """
     recorder = Recorder(parent, flight_start(plan, context), plan.config.log.least_free_MB, t=0.0)
     calibrator = Calibrator(plan)
     world = _RecordedWorld(plan.config, phlosar, context.belief, recorder)
@@ -107,7 +113,7 @@ def _run(
         if asked.kind == "angle":
             answer = f"{angles.read(phlosar.cv_kPa):.1f}"
         elif asked.number > 1:
-            # The first question is for the empty reservoir, which it is; the second asks to fill it.
+            # The first question asks to empty the reservoir, which is empty. The second asks to fill it.
             phlosar.fill(plan.user_config.pneumatics.full_kPa)
         driver.carry_out(calibrator.answer(world.now, asked, answer))
 
@@ -143,7 +149,7 @@ def _run(
 
 
 class _RecordedWorld(SimulatedWorld):
-    """Its recorder gets the same events and actions as the service's."""
+    """A simulated world whose recorder gets the same events and actions as that of the service."""
 
     def __init__(
         self, config: Config, phlosar: SimulatedPhlosar, belief: Belief | None, recorder: Recorder

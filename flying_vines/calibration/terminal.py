@@ -51,13 +51,13 @@ class CalibrationTerminal:
 
     @contextmanager
     def live(self) -> Iterator[None]:
-        """Within it the progress bar is shown."""
+        """Show the progress bar in this context."""
         with self._bar:
             yield
 
     @contextmanager
     def typed(self) -> Iterator[None]:
-        """Within it typed lines are answers; needs an event loop."""
+        """Take typed lines as answers in this context. Needs a running event loop."""
         if not self._interactive:
             yield
             return
@@ -104,7 +104,7 @@ class CalibrationTerminal:
         return not stopped.is_set()
 
     def show(self, output: StageBegan | Message | StageResult | Ended) -> None:
-        """One or several lines."""
+        """Print one or several lines."""
         say = self._bar.console.print
         match output:
             case StageBegan(stage, index, of):
@@ -136,7 +136,7 @@ class CalibrationTerminal:
 
     @contextmanager
     def working(self) -> Iterator[Callable[[str, float], None]]:
-        """Within it a bar shows the progress of a diagnosis: its step, and the share that is done."""
+        """In this context a bar shows the progress of a diagnosis: its step, and the share that is done."""
 
         def update(step: str, share: float) -> None:
             self._bar.update(self._task, completed=share, left="", description=step)

@@ -42,11 +42,11 @@ PLAYS = np.arange(0.0, 0.26, 0.01)
 PLAY_PRIOR = (0.07, 0.06)
 """Mean and standard deviation."""
 AIR_SD = 0.01
-"""Air of an inflation, relative."""
+"""Relative standard deviation of the air of an inflation."""
 PRESSURE_SD_KPA = 0.03
-"""A settled pressure."""
+"""Standard deviation of a settled pressure."""
 START_SD = 0.001
-"""Change of the start by the warming of the coil."""
+"""Standard deviation of the start, which changes when the coil warms."""
 MAX_START_SD = 0.1
 MARGIN = 0.01
 """The proposed dead band ends this far below the start, so that the valve does not leak."""
@@ -150,7 +150,7 @@ def _doses(readings: Readings, rows: slice, ambient_kPa: float) -> Array:
 
 
 def _best_on_grid(doses: Array, air: Array, sd: Array) -> Array:
-    """Play, start and ln gain of the least χ² on the grid of plays and starts."""
+    """Play, start and ln gain with the minimum χ² on the grid of plays and starts."""
     weight = 1.0 / sd**2
     both = np.einsum("i,ijk->jk", weight * air, doses)
     squares = np.einsum("i,ijk->jk", weight, doses * doses)
@@ -163,7 +163,7 @@ def _best_on_grid(doses: Array, air: Array, sd: Array) -> Array:
 def _refined(
     doses: Array, found: tuple[SettledInflation, ...], air: Array, sd: Array, best: Array
 ) -> ValveFit | str:
-    """Between the points of the grid, with intervals."""
+    """Refine the best point of the grid, and compute intervals."""
 
     def expected(q: Array) -> Array:
         i = min(max(q[0] / PLAYS[1], 0.0), len(PLAYS) - 1.001)
@@ -236,7 +236,7 @@ def _chart(readings: Readings, vine: VineAir, fit: ValveFit, at_kPa: float) -> C
         command = readings.evp[each.rows]
         above = command[command > fit.start.value]
         if len(above) and expected > 0.0:
-            # At the opening where the fitted line has the expected flow: the distance is the residual.
+            # At the opening where the fitted line has the expected flow: the distance to it is the residual.
             mean = expected / (fit.gain.value * len(above) * readings.step_s)
             supply = float(np.mean(readings.reservoir_kPa[each.rows])) + vine.known.ambient_kPa
             x.append(fit.start.value + mean / supply)

@@ -19,7 +19,7 @@ from flying_vines.calibration.readings import Readings
 from flying_vines.physics.arrays import Array
 
 MAX_WANDER = 4.0
-"""Standard deviation of the block means, in units of what the noise explains, of a pressure at rest."""
+"""Maximum standard deviation of the block means of a pressure at rest, relative to that of noise."""
 BLOCKS = 10
 MIN_CV_ZERO_KPA = 0.05
 """Smaller zeros are not proposed."""

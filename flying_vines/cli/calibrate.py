@@ -71,7 +71,7 @@ def _names(text: str) -> tuple[str, ...]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """0: everything was measured; 1: it ended before. Raises `ConfigError` if the profile cannot be read."""
+    """0: everything was measured; 1: it ended early. Raises `ConfigError` if the profile cannot be read."""
     with needs_analysis():
         from flying_vines.calibration.driver import CalibrateError
         from flying_vines.physics.rig import RigError

@@ -119,10 +119,10 @@ def known_rig(config: Config, profile: Path | None, rig: Path | None = None) -> 
     if rig is None:
         return None
     from flying_vines.physics.rig import RigError
-    from flying_vines.supply.known_rig import load_calibration
+    from flying_vines.supply.known_rig import load_known_rig
 
     with file_errors(rig, RigError):
-        return load_calibration(rig, config.pneumatics)
+        return load_known_rig(rig, config.pneumatics)
 
 
 def read_mission(path: Path | None) -> Sequence[MissionItem]:

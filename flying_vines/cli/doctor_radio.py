@@ -112,7 +112,7 @@ def as_json(
 def with_learned(text: str, source: str, failsafe: ReceiverFailsafe, day: str) -> str:
     """The profile's text with the new value; everything else is unchanged.
 
-    Raises `ConfigError` if the text's layout does not allow to replace this line.
+    Raises `ConfigError` if this line cannot be replaced in the text's layout.
     """
     before = configuration.parse(text, source)
     was = value_text(before.switch.receiver_failsafe)

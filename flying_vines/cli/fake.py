@@ -105,7 +105,7 @@ def _fake_phlosar(arguments: argparse.Namespace) -> int:
     from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
     if not 10 <= arguments.telemetry_Hz <= 1000:
-        fail("--telemetry-Hz is from 10 to 1000")
+        fail("--telemetry-Hz must be from 10 to 1000")
     try:
         rig = load_true_rig(arguments.rig) if arguments.rig else None
         settings = {"telemetry_Hz": arguments.telemetry_Hz}

@@ -36,7 +36,7 @@ def add(commands: Any) -> None:
     plot.add_argument(
         "-o", "--out", type=Path, metavar="FILE", help="the picture (flight.png in the flight's folder)"
     )
-    plot.add_argument("--title", metavar="TEXT", help="of the picture (date and time of the flight)")
+    plot.add_argument("--title", metavar="TEXT", help="the picture's title (date and time of the flight)")
     export = _add_action(actions, "export", _export, "write tables for other programs")
     kinds = export.add_mutually_exclusive_group()
     kinds.add_argument("--csv", action="store_true", help="one CSV file per topic (the default)")

@@ -76,7 +76,7 @@ def story(log: FlightLog, console: Console) -> None:
         board = f"firmware {firmware['build']}" if firmware else "no phloSAR answered"
         console.print(f"flying-vines {about['flying_vines']} on {about['machine']}, {board}", highlight=False)
         if about["continues"]:
-            console.print(f"The same service run also made {about['continues']}.", highlight=False)
+            console.print(f"It continues the flight log {about['continues']}.", highlight=False)
     console.print()
     first: float | None = None
     for entry in log.entries(STORY_TOPICS):

@@ -59,7 +59,7 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
 
 
 class _Version(argparse.Action):
-    """Looks the version up only on request: that takes longer than the rest of the parser."""
+    """Looks up the version only on request, because this takes longer than the rest of the parser."""
 
     def __call__(self, parser: argparse.ArgumentParser, *what: object) -> NoReturn:
         from importlib.metadata import version

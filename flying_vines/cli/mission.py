@@ -138,7 +138,7 @@ def _script(arguments: argparse.Namespace) -> int:
 
 
 def _write_shipped(folder: str, name: str, out: Path, mode: Literal["wb", "xb"] = "wb") -> bool:
-    """Write a file that comes with the program; "xb" replaces no other. Whether it was written."""
+    """Write a file that comes with the program; "xb" keeps an existing file. True if it was written."""
     shipped = resources.files("missions").joinpath(folder, name)
     try:
         with out.open(mode) as file:
@@ -271,7 +271,7 @@ def _items(
     kind = arguments.autopilot or mission.autopilot
     if kind is None:
         raise MissionError(
-            f'{path}: for which autopilot? autopilot = "ardupilot" or "px4" in the file, or --autopilot'
+            f'{path}: names no autopilot: write autopilot = "ardupilot" or "px4" in it, or give --autopilot'
         )
     home = arguments.home or planned_home(mission, kind, str(path))
     return mission.name or path.stem, build(mission, config, kind, home, str(path), text), kind, home

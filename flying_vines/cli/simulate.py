@@ -18,7 +18,7 @@ def add(commands: Any) -> None:
         "--scenario", required=True, metavar="FILE", help="file, or an example: case, discharge"
     )
     simulate.add_argument("--out", type=Path, required=True, metavar="DIR", help="the case folder")
-    simulate.add_argument("--seed", type=int, default=1, metavar="N", help="of all random numbers (1)")
+    simulate.add_argument("--seed", type=int, default=1, metavar="N", help="seed of all random numbers (1)")
     add_cause_option(simulate)
     simulate.set_defaults(run=_simulate)
 

@@ -17,7 +17,7 @@ class WatchError(Exception):
 def add(commands: Any) -> None:
     """Add `watch` to the parsers of the command line."""
     watch = commands.add_parser("watch", help="show a running service on this terminal")
-    watch.add_argument("--url", default=URL_HERE, help=f"of the service's page ({URL_HERE})")
+    watch.add_argument("--url", default=URL_HERE, help=f"the service's page ({URL_HERE})")
     watch.add_argument("--token-file", type=Path, metavar="FILE", help="the page's token, if it needs one")
     watch.add_argument("--seconds", type=float, metavar="N", help="then stop; exit status 1 without data")
     watch.add_argument("--plain", action="store_true", help="print lines instead of the live view")

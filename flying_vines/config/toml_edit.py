@@ -1,4 +1,4 @@
-"""Replaces one value in a TOML text that a person wrote; everything else stays, comments too."""
+"""Replaces one value in a TOML text that a person wrote. All other text stays, also the comments."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def with_value(text: str, table: str, name: str, value: str, remark: str = "") -
     """The text with a new value of a key (written as TOML), and a remark on its line.
 
     A missing key becomes the first of its table; a missing table is added at the end. A remark ("was 0.1,
-    measured today") stands before the line's own comment and replaces an earlier remark.
+    measured today") is put before the line's own comment, and replaces an earlier remark.
     """
     lines = text.split("\n")
     places = lines_of_keys(text)

@@ -85,7 +85,7 @@ class CrashSafeCore:
         return actions if self._down_at is None else self._while_down(event, actions)
 
     def snapshot(self, t: float) -> Snapshot:
-        """The state for displays; almost all unknown if the core fails."""
+        """The state for displays. If the core fails, almost all fields are unknown."""
         try:
             return self._core.snapshot(t)
         except Exception as error:

@@ -79,20 +79,20 @@ from flying_vines.vine.motion import Motion
 TICK_S = 0.02
 """Period of `Tick`. Each setpoint is the one at the end of its period."""
 
-SPEAK_FIRST_S = 1.5
-"""We listen for an autopilot this long before we send anything."""
+LISTEN_FIRST_S = 1.5
+"""We wait this long for an autopilot before we send anything."""
 
 CYCLES_EVERY_S = 2.0
-"""The cycles left are predicted at this interval. A prediction takes milliseconds of the loop."""
+"""Interval of the predictions of cycles left. A prediction takes milliseconds of the loop's time."""
 
 KEEP_EVERY_S = 10.0
-"""What was learned of the air is stored at most this often: each time is a write to the disk."""
+"""Minimum interval between two writes to disk of what was learned about the air."""
 
 NO_AIR_NEEDED = AirNeeded(0.0, 0.0)
-"""Of an actuator without a reservoir."""
+"""For an actuator without a reservoir."""
 
 AIR_UNKNOWN = AirNeeded(math.inf, math.inf)
-"""No reservoir has so much: nothing bends after the estimate has failed."""
+"""Used after the estimate has failed: no reservoir has so much air, so every bend is refused."""
 
 BENCH_S = 300.0
 """Bench mode ends this long after the last request of a person."""
@@ -161,7 +161,7 @@ class Core:
         known, self._learned_problem = learned_from(stored.learned, self._belief)
         self._reservoir = ReservoirEstimate(self._belief, known)
         self._kept_cycles = self._reservoir.measured_cycles
-        """Cycles that were measured at the last storage; NaN if an event has changed what was learned."""
+        """The number of measured cycles at the last storage; NaN if an event has changed what was learned."""
         self._kept_at = -math.inf
         self._has_reservoir = config.firmware.is_phlosar
         self._actuator = config.firmware.name
@@ -174,7 +174,7 @@ class Core:
         self._motion: Motion | None = None
         self._fresh_request = FreshRequest()
         self._waiting_reported: Waiting | None = None
-        """The state that the ground station has as a text."""
+        """The state in the latest text to the ground station."""
         self._triggered_at = 0.0
         """When a person or the mission last requested the present motion."""
         self._pneumatics_armed = config.interlocks.armed_at_start and not stored.disarmed
@@ -323,7 +323,7 @@ class Core:
         self._enter(t, self._safety.latch(t, "firmware_reset", why))
 
     def _estimate(self, t: float, features: Features) -> None:
-        """Update the estimates, after safety has seen the telemetry."""
+        """Update the estimates, and run the physics checks."""
         run, bent_kPa, cv_kPa = self._parts.run, self._planner.curve.bent_kPa, features.telemetry.cv_kPa
         self._bent_kPa = run(t, "bend", lambda: bent_kPa(cv_kPa, self._bent_kPa), self._bent_kPa, needed=True)
         if self._has_reservoir:
@@ -374,7 +374,7 @@ class Core:
     # Deciding.
 
     def _trigger_of(self, asked: Asked) -> Trigger:
-        """The trigger for a request that did not come over MAVLink. `problem` is why it is refused, if so."""
+        """The trigger for a request that did not come over MAVLink. `problem` is a reason to refuse it."""
         t, by, intent = asked.t, asked.by, asked.intent
         problem = "" if only_deflates(self.config, intent) else self._request_problem(asked)
         seen_at = asked.seen_at
@@ -466,7 +466,7 @@ class Core:
         self._safety.triggered()
 
     def _carry_out_without_air(self, t: float, intent: Intent, trigger: Trigger) -> Ruling | None:
-        """Carry out or refuse an intent that takes no air. None: it takes air."""
+        """Carry out or refuse an intent that takes no air. Returns None for an intent that takes air."""
         match intent:
             case ClearLatchedFaults() | ArmPneumatics() | StartBench() if not trigger.by_person:
                 return Ruling("refused", "only a person may do that")
@@ -536,7 +536,7 @@ class Core:
 
     def _record(self, t: float, trigger: Trigger, ruling: Ruling) -> Decision:
         motion = self._motion
-        # A switch move that waits for its confirmation stays valid if nothing has happened since.
+        # A request without effect must not invalidate a switch move that still waits for its confirmation.
         is_newer = ruling.verdict != "refused" and ruling.has_effect
         if is_newer:
             self._requested_at = max(self._requested_at, t - trigger.age_s)
@@ -641,7 +641,7 @@ class Core:
             self._notice(t, Severity.NOTICE, text)
         if text := self._restarts.tick(t):
             self._notice(t, Severity.WARNING, text)
-        self._tell_waiting(t)
+        self._report_waiting(t)
         self._update_cycles_left(t)
         self._warn_of_low_reservoir(t)
         self._keep_learned(t)
@@ -650,15 +650,15 @@ class Core:
 
     @property
     def _waiting(self) -> Waiting | None:
-        """Who asks for a bend in vain, until a fresh request. None while a motion runs."""
+        """The bend that is requested but not carried out; None while a motion runs."""
         if self._motion is not None:
             return None
         return self._fresh_request.waiting(self._vehicle.switch.position, self._vehicle.pilot.fresh_move)
 
-    def _tell_waiting(self, t: float) -> None:
-        """Send the awaited request as a text, once, if the vehicle could bend the vine.
+    def _report_waiting(self, t: float) -> None:
+        """Send a text, once, that says which request would bend the vine.
 
-        Not while RC or autopilot are lost: nobody can move the switch, and it may return elsewhere.
+        No text is sent while RC or the autopilot is lost: the switch may have another position afterwards.
         """
         waiting = self._waiting
         if waiting is None:
@@ -673,7 +673,7 @@ class Core:
             self._notice(t, Severity.NOTICE, f"waiting for: {waiting.awaited}")
 
     def _note_rc_use(self, t: float) -> None:
-        """Note if RC is in use. Only then a loss of RC counts."""
+        """Note if RC is in use. A loss of RC counts only while it is."""
         armed = self._vehicle.state.armed
         if self._vehicle.rc.problem(t) is None:
             self._rc_in_use |= armed or self._on_bench or self.config.interlocks.bench_mode
@@ -771,7 +771,7 @@ class Core:
             return
         rc_is_off = self._vehicle.rc.problem(t) is not None
         texts = {
-            "rc": "going on without RC" if rc_is_off else "RC is back",
+            "rc": "RC is off and not in use" if rc_is_off else "RC is back",
             "autopilot": "autopilot is back",
             "serial": f"{self._actuator} is back",
             "telemetry": f"{self._actuator} telemetry is back",
@@ -798,7 +798,7 @@ class Core:
                 self._notice(t, Severity.NOTICE, event)
 
     def _keep_learned(self, t: float) -> None:
-        """Have what was learned stored, after new cycles or an event and not too often."""
+        """Store what was learned after new cycles or an event, but not more often than `KEEP_EVERY_S`."""
         if self._learned_problem:
             self._notice(t, Severity.NOTICE, self._learned_problem)
             self._learned_problem = ""
@@ -839,8 +839,8 @@ class Core:
         else:
             if self._silent_since is None:
                 self._silent_since = t
-            # Some peers send nothing before they have received something, such as a server's UDP port.
-            if t - self._silent_since < SPEAK_FIRST_S:
+            # Some peers, such as a UDP server, send nothing until they have received something.
+            if t - self._silent_since < LISTEN_FIRST_S:
                 return
         boot_ms = self._vehicle.state.time_boot_ms(t)
         self._transmit(self._vehicle.component.due(t, boot_ms, values, status))
@@ -874,7 +874,7 @@ class Core:
         vehicle = (
             f"{self._vehicle.state.kind} {self._vehicle.state.system_id}"
             if self._vehicle.state.found
-            else "none heard"
+            else "not found"
         )
         altitude_m = self._vehicle.state.altitude_m(t)
         ambient_kPa = self._vehicle.state.ambient_kPa(t)

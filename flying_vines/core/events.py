@@ -146,7 +146,7 @@ class KeepParameters:
 
 @dataclass(frozen=True, slots=True)
 class KeepDisarmed:
-    """The pneumatics were disarmed, or armed again: store that."""
+    """The pneumatics were disarmed, or armed again: store the new state."""
 
     t: float
     disarmed: bool
@@ -154,7 +154,7 @@ class KeepDisarmed:
 
 @dataclass(frozen=True, slots=True)
 class KeepLearned:
-    """Store what was learned of the rig's air."""
+    """Store what was learned about the rig's air."""
 
     t: float
     text: str
@@ -172,10 +172,10 @@ class KeepLatched:
 
 @dataclass(frozen=True, slots=True)
 class StoredState:
-    """What the last core had stored, for the next one."""
+    """What the core of the last run stored, for the core of this run."""
 
     parameters: dict[str, float] = field(default_factory=dict)
-    """Those that a pilot has set."""
+    """The parameters that a pilot has set."""
     disarmed: bool = False
     """The pneumatics were disarmed. They stay so until a person arms them."""
     learned: str = ""

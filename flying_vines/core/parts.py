@@ -1,6 +1,7 @@
-"""Parts of the core that no setpoint depends on: estimates, checks, values for displays.
+"""Parts of the core that may fail alone: estimates, checks, values for displays.
 
-A part that raises is switched off until the service restarts. Its caller continues without it.
+A part that raises is switched off until the service restarts. Its caller continues without it. If the vine
+needs the part, the vine is vented and does not bend.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ class IsolatedParts:
     def run(self, t: float, name: str, part: Callable[[], _T], otherwise: _T, needed: bool = False) -> _T:
         """Returns the result of `part`, or `otherwise` if the part is off.
 
-        `needed`: without this part the vine must not bend. Other parts only serve displays.
+        `needed`: without this part the vine must not bend.
         """
         if name in self._off:
             return otherwise

@@ -22,7 +22,7 @@ class Restarts:
         self._texts: set[str] = set()
 
     def note(self, t: float) -> bool:
-        """Note a restart of the board. Returns True for the first one of a series: tell the pilot now."""
+        """Note a restart of the board. Returns True for the first one of a series: the pilot gets a text."""
         if self._count and t - self._last_at >= SERIES_ENDS_AFTER_S:
             self._end()
         self._count += 1
@@ -42,7 +42,7 @@ class Restarts:
         return new
 
     def looping(self, t: float) -> str:
-        """The text "… restarted N times in M s"; empty unless a series of two or more is present."""
+        """The text "… restarted N times in M s"; empty if there is no series, or only one restart."""
         if self._count < 2 or t - self._last_at >= SERIES_ENDS_AFTER_S:
             return ""
         lasts_s = max(1, round(self._last_at - self._first_at))

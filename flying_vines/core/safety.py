@@ -1,8 +1,8 @@
 """Judges motions, and responds to losses, faults and limits: one pure state machine.
 
 A loss ends by itself. A latched fault lasts until a person clears it. A limit vents the vine once, at the
-moment it is crossed. During a loss or fault the vine is vented and cannot bend. The configuration may have
-the vine held for some time after a loss of RC. After a loss only a new trigger moves the vine.
+moment it is crossed. During a loss or fault the vine is vented and cannot bend. Only a loss of RC may hold
+the vine for some time instead, if the profile says so. After a loss only a new trigger moves the vine.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from flying_vines.vine.motion import Motion
 MODE_FOLLOWS_WITHIN_S = 0.3
 """The board's mode follows its commands within this time, even if eleven in a row are lost."""
 LANDING_MARGIN_M = 0.5
-"""A bent vine is vented this far below `interlocks.min_altitude_m`, above which bends are allowed."""
+"""A bent vine is vented when it is this far below `interlocks.min_altitude_m`."""
 
 INTERNAL_ERROR = "internal error: restart the service"
 
@@ -114,7 +114,7 @@ class Safety:
         self._present: dict[str, str] = {}
         self._latched = dict(latched)
         self._latched_at: dict[str, float] = {}
-        """When the cause of each last appeared; for a fault of the last run at least when this run began."""
+        """When the cause of each fault last appeared; at the earliest when this run began."""
         self._causes: set[str] = set()
         self._faults = Fault.NONE
         self._faults_at = -math.inf
@@ -140,7 +140,7 @@ class Safety:
 
     @property
     def latched(self) -> dict[str, str]:
-        """The latched faults that outlast a restart of the service, which clears an internal error."""
+        """The latched faults without the internal error, which a restart of the service clears."""
         return {name: reason for name, reason in self._latched.items() if name != "internal_error"}
 
     def triggered(self) -> None:
@@ -317,7 +317,7 @@ class Safety:
         return None
 
     def _deaf(self, now: SafetyInputs) -> str | None:
-        """The wire to the board is broken: it stays in VENT after a setpoint.
+        """The board stays in VENT after a setpoint, because the wire to the board is broken.
 
         A vented board has no running dead-man timer and still sends telemetry. Only its mode shows the break.
         """

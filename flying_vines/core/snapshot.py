@@ -46,4 +46,4 @@ class Snapshot:
     bench: bool = False
     """Bench mode is on: the vine may bend on the ground."""
     waiting: Waiting | None = None
-    """Somebody asks for a bend, and nothing moves until a fresh request."""
+    """The bend that is requested but not carried out, until a fresh request."""

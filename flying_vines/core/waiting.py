@@ -1,7 +1,8 @@
-"""Who asks for a bend while nothing moves, because only a fresh request may move the vine.
+"""Which bend is still requested while nothing moves, because only a fresh request may move the vine.
 
-The switch asks as long as it is in a bending position. If the vine was vented without a request (a failsafe,
-the end of bench mode), a command, a mission item or the page that bent it asks until the next request.
+The switch requests a bend as long as it is in a bending position. A command, a mission item, the page or MQTT
+requests a bend once. If the vine was then vented without a request (a failsafe, the end of bench mode), this
+bend stays requested until the next request.
 """
 
 from __future__ import annotations
@@ -10,15 +11,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 NO_MOVE_COUNTED = "no move of the switch has counted"
-"""The switch is in a bending position, and no motion or refusal came from its way there."""
+"""The switch is in a bending position, but its move there caused no motion and no refusal."""
 _BY = {"switch": "the switch", "page": "the page", "broker": "MQTT", "command": "a command"}
 _FRESH = {"mission_item": "the next mission item"}
 
 
 @dataclass(frozen=True, slots=True)
 class Waiting:
-    """Somebody asks for a bend and nothing moves: what vented the vine or refused the bend, and the request
-    that would move it."""
+    """A bend is requested and nothing moves: what stopped it, and which request would move the vine."""
 
     stopped_by: str
     awaited: str
@@ -32,7 +32,7 @@ class FreshRequest:
         """The kind of trigger of the latest motion; empty after its end or a request to vent."""
         self._stopped_by = ""
         self._done_at: int | None = None
-        """The switch position whose profile ran to its end: the switch got what it asked for."""
+        """The switch position whose profile ran to its end, so that the switch requests nothing more."""
 
     def began(self, kind: str) -> None:
         """A motion began by a trigger of this kind."""
@@ -45,25 +45,25 @@ class FreshRequest:
         self._asker, self._stopped_by = "", f"{name} is over"
 
     def stopped(self, why: str) -> None:
-        """A running motion was vented without a request. Whoever began it still asks for it."""
+        """A running motion was vented without a request. Its bend stays requested."""
         self._stopped_by = why
 
     def withdrawn(self, why: str, moved: bool) -> None:
-        """A request vented the vine. `moved`: it ended a motion. From now on only the switch can ask."""
+        """A request vented the vine. `moved`: it ended a motion. Now only the switch requests a bend."""
         self._asker = ""
         if moved:
             self._stopped_by = why
 
     def refused(self, kind: str, why: str) -> None:
-        """A request was refused while nothing moved. The switch asks further, because its position stays."""
+        """A request was refused while nothing moved. Only the switch still requests it, by its position."""
         if kind == "switch":
             self._asker, self._stopped_by, self._done_at = kind, f"refused: {why}", None
 
     def waiting(self, position: int | None, fresh_move: str) -> Waiting | None:
-        """The state while nothing moves; None if nobody asks.
+        """The state while nothing moves; None if no bend is requested.
 
-        `position`: of the switch; None during a loss of RC. `fresh_move`: of the switch, if it is (or was
-        before the loss) in a bending position; else empty.
+        `position`: of the switch; None during a loss of RC. `fresh_move`: the move of the switch that would
+        bend the vine, if the switch is in a bending position, or was before the loss; else empty.
         """
         if position is not None:
             self._see(position, bends=bool(fresh_move))

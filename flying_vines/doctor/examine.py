@@ -140,7 +140,7 @@ def link_to(
 
 def _service(running: Sequence[Process], holders: Sequence[Process]) -> DoctorFinding:
     holding = {process.pid for process in holders}
-    return service.check(running, [p for p in running if p.pid in holding or processes.secretive(p)])
+    return service.check(running, [p for p in running if p.pid in holding or processes.hides_files(p)])
 
 
 async def _move_switch(watch: VehicleWatch, positions: int, ask: RadioQuestion) -> SwitchFacts:

@@ -1,4 +1,4 @@
-"""Findings, and the lines that a check can print. docs/doctor.md lists what is looked at."""
+"""Findings, and the lines that a check can print. docs/doctor.md lists what is checked."""
 
 from __future__ import annotations
 

@@ -93,7 +93,7 @@ class Guide:
         self._at: tuple[int, RadioStep] | None = None
         self._signs = 0
         self._losses = 0
-        self._told_early = False
+        self._reported_early = False
 
     def follow(self, t: float) -> str:
         """Print what is new. Returns the status line."""
@@ -104,9 +104,9 @@ class Guide:
             self._show_signs(losses[-1].signs)
             self._show_loss(losses[-1])
             self._losses = len(losses)
-        if test.came_back_early and not self._told_early:
+        if test.came_back_early and not self._reported_early:
             self._note("RC was good again too soon. Keep the transmitter off until you are asked.", "yellow")
-        self._told_early = test.came_back_early
+        self._reported_early = test.came_back_early
         now = test.round, test.step
         if now != self._at:
             before, self._at = self._at, now
@@ -182,7 +182,7 @@ class Guide:
         self._line(Text(), Text(text, style=style))
 
     def _line(self, mark: Text, text: Text) -> None:
-        """On a terminal wrapped within its column; in a pipe one line of any length."""
+        """Print a line: on a terminal wrapped within its column, in a pipe of any length."""
         if not self._console.is_terminal:
             self._console.print(Text(f"{mark.plain:<{MARK_WIDTH}} {text.plain}"), soft_wrap=True)
             return
@@ -229,7 +229,7 @@ async def guided(
 
 @contextmanager
 def _live(console: Console) -> Iterator[Callable[[str], None]]:
-    """On a terminal: returns a function that shows the status line."""
+    """Yields a function that shows the status line on a terminal; in a pipe it does nothing."""
     if not console.is_terminal:
         yield lambda text: None
         return

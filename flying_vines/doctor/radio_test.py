@@ -2,9 +2,9 @@
 
 Sans-IO: give it the autopilot's messages and the times of Enter; times are seconds of one clock. A receiver
 that repeats its last values does not show when the transmitter goes off, so a person presses Enter at this
-moment. Delays since Enter are right within 1 s; delays between two signs are exact.
+moment. Delays since Enter may be wrong by 1 s; delays between two signs are exact.
 
-Two losses from two switch positions tell a receiver that holds its values from one with preset values.
+Two losses from two switch positions distinguish a receiver that holds its values from one with preset values.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Sign:
     said: str
 
     @property
-    def telling(self) -> bool:
+    def shows_loss(self) -> bool:
         """True if the service detects the loss by this sign."""
         return self.kind in LOSS_SIGNS
 
@@ -88,7 +88,7 @@ class TransmitterLoss:
     pressed: bool
     """True if the delays count from Enter."""
     before_us: int
-    """Pulse width of the switch's channel."""
+    """Pulse width of the switch's channel before the loss; `lost_us`: during it."""
     lost_us: int
     signs: tuple[Sign, ...]
     jumped: tuple[int, ...]
@@ -102,8 +102,8 @@ class TransmitterLoss:
 
     @property
     def shown_after_s(self) -> float | None:
-        """When the service detects it; None if never."""
-        return min((sign.after_s for sign in self.signs if sign.telling), default=None)
+        """Time until the service detects the loss; None if it never does."""
+        return min((sign.after_s for sign in self.signs if sign.shows_loss), default=None)
 
     @property
     def told_after_jump_s(self) -> float | None:
@@ -125,7 +125,7 @@ def position_of(pulse_us: int, positions: int) -> int:
 def failsafe_of(losses: tuple[TransmitterLoss, ...]) -> ReceiverFailsafe:
     """What the switch's channel reads during RC loss.
 
-    If all losses read the same pulse width, the receiver holds or presets it. The pulse width fits both.
+    If all losses read the same pulse width, the receiver holds or presets it. The result is then this width.
     """
     seen = [loss for loss in losses if loss.seen]
     if not seen:
@@ -335,7 +335,7 @@ class RadioTest:
     def _advance_lost(self, t: float, waited_s: float) -> None:
         loss = self._loss_now
         assert loss is not None
-        detected = any(sign.telling for sign in loss.signs)
+        detected = any(sign.shows_loss for sign in loss.signs)
         if detected and (not self.trouble(t) or (loss.jumped_switch and self._reads(loss.before_us))):
             # RC returned too early: the channel's value during the loss is not certain.
             self.came_back_early, self._loss_now = True, None

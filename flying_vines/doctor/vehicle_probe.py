@@ -1,7 +1,8 @@
 """A companion that only requests and listens: which messages arrive from the vehicle, and how often.
 
 Sans-IO; all times are seconds of one clock. It requests streams and mission with the service's own code, so
-the service will receive the same messages. It answers no request and obeys no command.
+the service will receive the same messages. It does not request the messages of `[[triggers]]`. It answers no
+request and obeys no command.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import dataclass, field
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config.config import Config
-from flying_vines.core.core import SPEAK_FIRST_S
+from flying_vines.core.core import LISTEN_FIRST_S
 from flying_vines.vehicle.component.clash import Clash
 from flying_vines.vehicle.component.telemetry import Heartbeat
 from flying_vines.vehicle.component.transmit_queue import TransmitQueue
@@ -226,8 +227,8 @@ class VehicleProbe:
         self._began_at = t if self._began_at is None else self._began_at
         if not self._state.found:
             # Some peers send only after they have received a message.
-            may_speak = t - self._began_at >= SPEAK_FIRST_S and self._rivals is None
-            return self._heartbeat.due(t, mavlink.MAV_STATE_STANDBY) if may_speak else []
+            may_send = t - self._began_at >= LISTEN_FIRST_S and self._rivals is None
+            return self._heartbeat.due(t, mavlink.MAV_STATE_STANDBY) if may_send else []
         system_id = self._state.system_id
         for message in (
             *self._heartbeat.due(t, mavlink.MAV_STATE_STANDBY),

@@ -45,7 +45,7 @@ POLL_S = 0.25
 HANGS_S = 2.0
 """A gateway that is silent for this long is killed: it should send `Alive` twice a second."""
 STARTS_S = 20.0
-"""Time limit of its start, which can be slow from a worn card."""
+"""Time limit for the start of the gateway, which is slow from a worn SD card."""
 MAX_REQUESTS_PER_S = 20.0
 VENTED_EVERY_S = 0.05
 """At most one vent per interval goes to the core. It answers all vent requests of this interval."""
@@ -69,7 +69,7 @@ class Gateway(Watcher):
         self._socket: socket.socket | None = None
         self._unsent: deque[bytes] = deque(maxlen=MAX_UNREAD)
         self._alive = False
-        """A message came since the last poll."""
+        """True if a message came since the last poll."""
         self._bucket = TokenBucket(0.0, MAX_REQUESTS_PER_S, MAX_REQUESTS_PER_S)
         self._vents: dict[Asker, list[Request]] = {}
         """Requests that wait for the next vent."""

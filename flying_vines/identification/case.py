@@ -29,7 +29,7 @@ Rows = NDArray[np.intp]
 
 RIG = "rig.toml"
 MIN_SAMPLES = 8
-"""Minimum of a run. The shortest discharge that the paper prints has nine."""
+"""Minimum number of readings. The shortest discharge that the paper prints has nine."""
 MIN_S = 1.0
 _CV, _RESERVOIR = "cv_pressure_kPa", "reservoir_pressure_kPa"
 _INPUTS = ("evp_opening", "dvp_opening", "solenoid")
@@ -145,14 +145,14 @@ def _read_run(path: Path, rig: Rig, remarks: list[str]) -> RecordedRun:
         )
     if reservoir_kPa is None and rig.pump is None:
         remarks.append(
-            f"{path.name}: the reservoir's pressure was not recorded; it is unknown from the start"
+            f"{path.name}: the reservoir's pressure was not recorded; its first value is unknown, too"
         )
     inputs = {name: values for name in _INPUTS if (values := _held(table, name, rows, remarks)) is not None}
     discharge = not inputs
     if discharge and (cv_kPa is not None or command_kPa is not None):
         raise CaseError(
-            f"{table.header}: the valve commands were not recorded; only a discharge of the reservoir can do "
-            f"without {', '.join(_INPUTS)}"
+            f"{table.header}: the valve commands were not recorded; only a discharge of the reservoir needs "
+            f"no {', '.join(_INPUTS)}"
         )
     shut, opened, unread = np.zeros_like(time_s), np.ones_like(time_s), np.full_like(time_s, np.nan)
     run = RecordedRun(

@@ -45,14 +45,14 @@ _UNKNOWN_CAUSE = 0.02
 _MISSED_CAUSE = 0.1
 """Probability that an unexplained remainder is a cause of the catalogue that the search has missed."""
 _LEADS_WITH_REMAINDER = 0.6
-"""Probability that the main cause is right although a small remainder is left: an effect outside the
-catalogue may be imitated. Measured on rigs that have one: docs/diagnose.md."""
+"""Probability that the main cause is right although a small remainder is left. The cause may imitate an
+effect outside the catalogue. Measured on rigs with such an effect: docs/diagnose.md."""
 _SCORED = 4
 """Number of best candidates that are tested on unseen data."""
 _HELPS = 0.5
 """Causes that leave a remainder are named if they remove this share of the squared error on unseen data."""
 _OTHER_NOISE = 0.1
-"""The search is repeated if the noise that it leaves differs by more."""
+"""The search is repeated if the noise estimated from its residuals differs by more than this share."""
 
 
 def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progress = silent) -> Verdict:
@@ -72,7 +72,7 @@ def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progre
         stated = stated_noise(case.rig, [np.stack((run.cv_kPa, run.reservoir_kPa)) for run in case.runs])
         search = Search(FitProblem(case, stated), every)
         noise = _noise_left(search.null, stated, may_correlate=False)
-        # Errors of the null model may look like more noise, but not like less.
+        # Misfit of the null model can only raise this estimate, so only a lower one is used.
         noise = min(noise[0], stated[0]), min(noise[1], stated[1])
         if noise != stated:
             search = Search(FitProblem(case, noise), every)
@@ -90,7 +90,7 @@ def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progre
 
 
 def possible_causes(case: Case) -> list[Cause]:
-    """The causes that the rig can have, without a change of an ambient pressure that was recorded."""
+    """The causes that the rig can have. If ambient pressure was recorded, its change is not a cause."""
     recorded = all(run.ambient_kPa is not None for run in case.runs)
     return [cause for cause in causes_of(case.rig) if not (recorded and cause.name == "ambient_drop")]
 
@@ -181,14 +181,14 @@ def _shares(found: SearchResult) -> dict[str, float]:
         return {chosen.names[0]: 1.0}
     removed = found.search.null.fit.chi2 - chosen.fit.chi2
     return {
-        # Without it the others may fit worse than the baseline, as cooling without the flow law does.
+        # Without this cause the others may fit worse than the baseline, as cooling without the flow law does.
         name: min(1.0, max(0.0, less.fit.chi2 - chosen.fit.chi2) / removed)
         for name, less in zip(chosen.names, found.without, strict=True)
     }
 
 
 def _remainder(chosen: Candidate, null: Candidate) -> Remainder | None:
-    """What a candidate leaves of the null model's misfit above noise; None if that is noise."""
+    """The part of the null model's misfit above noise that a candidate leaves; None if that is noise."""
     if chosen.adequate:
         return None
     noise = sum(

@@ -45,7 +45,7 @@ class Evidence:
     profiles: tuple[LikelihoodProfile, ...]
     """One for each parameter of the named causes."""
     similarity: Similarity
-    """For the whole catalogue, around the best fit."""
+    """Similarity of all causes of the catalogue, around the best fit."""
 
 
 def evidence(found: SearchResult, profiles: Sequence[LikelihoodProfile]) -> Evidence:

@@ -1,12 +1,12 @@
 """Tests a model on data that its fit has not seen.
 
-Each run is predicted from a fit to all other runs. Alternate stretches of it are held out instead if there is
-only one run, or if the other runs do not determine a parameter (for example, only one run reaches the
-pressure at which the Venturi stalls).
+Each run is predicted from a fit to all other runs. If there is only one run, or the other runs do not
+determine a parameter (for example, only one run reaches the pressure at which the Venturi stalls), alternate
+stretches of the run are held out instead.
 
 Every such fit starts from the nominal rig and from the seeds of the causes. Otherwise information from the
-held-out data would leak into the fit. If that ends in a local minimum, far above the one near the fit to all
-data, the lower of both is used.
+held-out data would leak into the fit. A second fit starts from the fit to all data. It is only used if the
+first one has ended in a local minimum, far above the second.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ MIN_RISE = 4.0
 """A parameter is not determined if χ² rises by less at this distance."""
 PINNED_STEPS = 4
 LOCAL_MINIMUM = 25.0
-"""A minimum of the cost that is higher by more is a local one. What the shown data leave open costs less."""
+"""A fit whose cost is higher by more is in a local minimum; undetermined parameters raise it by less."""
 
 
 @dataclass(frozen=True)

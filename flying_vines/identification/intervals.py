@@ -3,8 +3,8 @@
 In the 95 % interval the cost (χ² plus priors) is less than 3.84 above its minimum (Wilks 1938). The curvature
 at the minimum gives the first guess. The interval is not symmetric if the profile is not a parabola.
 
-Residuals that are more than noise widen it: 3.84 is multiplied by the ratio of the parameter's variance from
-the residuals themselves, block by block (White 1982), over that from noise.
+Residuals that are more than noise widen the interval. 3.84 is multiplied by a ratio of two variances of the
+parameter: from the residuals themselves, block by block (White 1982), over that from noise.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ NEAR_ENOUGH = 0.25
 MAX_FITS = 8
 STEPS = 6
 FLAT = 0.01
-"""From a smaller share of the limit the crossing cannot be extrapolated."""
+"""From a rise below this share of the limit, the crossing cannot be extrapolated."""
 WALL = 5.0
-"""If the root of the rise is so many times that of the limit, the search bisects."""
+"""If √rise is more than this many times √limit, the search bisects."""
 OF_A_RUN = 10
-"""Blocks of a short run. What a model lacks is correlated for longer than the errors of a prediction."""
+"""Minimum number of blocks in a run. Misfit of a model is correlated for longer than prediction errors."""
 BLIND = 1e-4
 """First step if the curvature is zero, as a share of the parameter's range."""
 
@@ -55,7 +55,7 @@ class LikelihoodProfile:
 def widening(candidate: Candidate) -> Array:
     """(numbers,) factor of `ABOVE` for each free rig number and parameter; 1 if the residuals are noise.
 
-    If they only are larger than noise, their size is the factor.
+    If they have no pattern but are larger than noise, their excess is the factor.
     """
     problem, fit = candidate.problem, candidate.fit
     covariance = candidate.covariance
@@ -74,7 +74,7 @@ def widening(candidate: Candidate) -> Array:
 
 
 def profile(candidate: Candidate, index: int, number: int, wider: Array) -> LikelihoodProfile:
-    """The profile of the parameter `number` of the cause `index`; `wider` as from `widening`."""
+    """The profile of the parameter `number` of the cause `index`; `wider` is from `widening`."""
     problem, point = candidate.problem, candidate.fit.point
     cause = point.causes[index]
     parameter, best = cause.parameters[number], point.values[index][number]
@@ -136,5 +136,5 @@ def _crossing(
             where = best + (under - best) * min(most, max(1.1, sqrt(limit) / max(under_root, 1e-3)))
     else:
         if WALL * sqrt(limit) < over_root < inf:
-            where = over  # The wall is nearer, but the interval must not end before it.
+            where = over  # The crossing is nearer, but the interval must not be too short.
     return min(where, bound) if outward > 0.0 else max(where, bound)

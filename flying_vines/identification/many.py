@@ -2,8 +2,8 @@
 
     for path, outcome in diagnose_all(sorted(Path("season").iterdir())): ...
 
-There is one process for each core, and the processes share the cores. A case that cannot be read or diagnosed
-does not stop the others.
+By default there is one process for each core. A case that cannot be read or diagnosed does not stop the
+others.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def diagnose_all(
     Args:
         cases: cases, or their paths.
         workers: number of processes; default: the number of cores that this process may use.
-        scheduler: address of a Dask scheduler, whose workers diagnose instead. Files are read here.
+        scheduler: address of a Dask scheduler, whose workers diagnose instead. This process reads the files.
         rig: a rig file for all cases that are given as paths; default: each case has its own.
 
     Raises ClusterError if the cluster cannot be used.

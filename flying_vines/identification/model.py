@@ -1,10 +1,10 @@
 """Simulates a recorded run with the plant, in as few steps as the gas allows.
 
-It uses the plant's right-hand side and its step (`physics.plant.tick.runge_kutta`). What differs from a tick
-of the firmware: samples may lie anywhere; steps are as long as the gas allows, with a hose longer than its
-time constant; a step that crosses an edge (the Venturi stalls, the control volume begins to stretch) is
-divided there; a sensor with a lag takes the pressure as cubic in a step. numba compiles this file.
-EVP is the inflation valve, DVP the valve that supplies the Venturi.
+It uses the plant's right-hand side and its step (`physics.plant.tick.runge_kutta`). Differences from a tick
+of the firmware: samples may be at any time. Steps are as long as the gas allows; with a hose they may be
+longer than its time constant. A step that crosses an edge (the Venturi stalls, the control volume begins to
+stretch) is divided there. The lag of a sensor is computed for a pressure that is cubic within a step. numba
+compiles this file. EVP is the inflation valve, DVP the valve that supplies the Venturi.
 """
 
 from __future__ import annotations
@@ -30,11 +30,12 @@ SETTLED = 1e-3
 _BRIEF = 1e-3
 """Share of a step over which a rate of pressure is taken."""
 _FIRST, _GROWTH = 0.5, 0.25
-"""The first step after a switching, in time constants of the tubing; then steps grow with the time since."""
+"""Maximum first step after a valve has switched, in time constants of the tubing; maximum later step, as a
+share of the time since."""
 _STIFF = 0.05
-"""Shorter steps, in time constants of the tubing, are plain: exponential weights would lose digits there."""
+"""Shorter steps, in time constants of the tubing, use plain Runge-Kutta: exponential weights lose digits."""
 _PARTS = 8.0
-"""With a lagging sensor, steps over an edge are shorter by this factor: its pressure is smooth in a step."""
+"""With a lagging sensor, steps over an edge are shorter by this factor: the lag assumes a smooth pressure."""
 _ON_EDGE = 1e-7
 """A state nearer than this to an edge (kPa, kPa·L) is on the edge."""
 
@@ -50,7 +51,8 @@ def pressurised(
 ) -> Floats:
     """The state with other gauge pressures and gas temperatures; walls and openings stay as they are.
 
-    A rig with a pump has no reservoir: the one of the state then is at ambient pressure."""
+    With a pump, the reservoir of the state is at ambient pressure.
+    """
     _, _, wall_r, _, _, wall_c, _, evp, dvp, vented = state
     if numbers.pump_stall_kPa > 0.0:
         reservoir_kPa = 0.0
@@ -67,7 +69,7 @@ def pressurised(
 
 
 def gas_after(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held, h: float) -> Floats:
-    """The state `h` seconds later, of a step over no edge."""
+    """The state `h` seconds later, if the step crosses no edge."""
     if numbers.has_tubing:
         per_s, volume_L = tubing_per_s(numbers, air, state, held)
         if per_s * h > _STIFF:
@@ -87,7 +89,7 @@ def step(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held
         over, under, part = seen[edge], found[edge], h
         if (over < 0.0) == (under < 0.0):
             continue
-        # Regula falsi, always from this side: a step over the edge is inaccurate.
+        # Regula falsi, always from the near side: a step over the edge is inaccurate.
         for _ in range(4):
             part *= over / (over - under)
             end = gas_after(numbers, air, at_s, state, held, part)

@@ -1,9 +1,8 @@
 """The next experiment: the runs that separate the causes that the data leave possible.
 
-After a doubt these are the causes that explain the data equally well. After a remainder, or if nothing
-explains the data, these are the further causes that lower χ² most: those that act when and where the
-remainder is. Each cause has the strength that fits these data best. Named causes are known to within their
-errors. What the best fit leaves above noise counts as noise.
+If several causes explain the data equally well, the runs separate these. If a remainder is left, or nothing
+explains the data, they separate the further causes that lower χ² most. Each cause has the strength that fits
+these data best. Named causes are known to within their errors. Residuals of the best fit count as noise.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ def after_doubts(found: SearchResult, doubts: Mapping[str, Sequence[str]]) -> st
 
 
 def after_remainder(found: SearchResult, base: Candidate) -> str:
-    """The recording that shows which further cause explains what the base leaves, in words."""
+    """The recording that shows which further cause explains the residuals of the base, in words."""
     candidates = with_one_more(found, base.names)
     if not candidates:
         more = found.search.further([base])
@@ -87,7 +86,7 @@ def _in_words(
             max_s=max(MAX_S, *(float(np.ptp(run.time_s)) for run in problem.case.runs)),
             outlets=_outlets(problem.case),
         )
-    except RecordingPlanError:  # The rig can do no run of the library.
+    except RecordingPlanError:  # The rig cannot do any run of the library.
         return doubt[0].experiment
     words = found_runs.in_words()
     return words if found_runs.any_separated else f"{words} {doubt[0].experiment}"
@@ -101,7 +100,7 @@ def _values(candidate: Candidate, name: str) -> Values:
 def _known(base: Candidate, index: int) -> tuple[Cause, Values]:
     """A cause of the base with its values. Their errors are the prior of its parameters.
 
-    The error of a parameter is at most that of an even distribution over its range.
+    The error of a parameter is at most that of a uniform distribution over its range.
     """
     cause, values = base.causes[index], base.fit.point.values[index]
     at = len(base.fit.point.deviation) + sum(len(c.parameters) for c in base.causes[:index])
@@ -125,12 +124,12 @@ def _read(case: Case) -> tuple[bool, bool]:
 
 
 def _outlets(case: Case) -> tuple[str, ...]:
-    """Valves of the reservoir. A vessel alone that no run has opened is taken for one without valves."""
+    """Valves of the reservoir. A vessel alone counts as one without valves if no run has opened it."""
     opened = any(run.evp_opening.any() or run.dvp_opening.any() for run in case.runs)
     return OUTLETS if opened or case.rig.cv is not None else ()
 
 
 def _highest(readings: Sequence[Array], otherwise: float) -> float:
-    """The highest recorded pressure: the rig can do it again."""
+    """The highest recorded pressure: the rig can reach it again."""
     tops = [float(np.nanmax(kPa)) for kPa in readings if np.isfinite(kPa).any()]
     return max(tops) if tops and max(tops) > 0.0 else otherwise

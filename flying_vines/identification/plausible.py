@@ -1,10 +1,10 @@
 """Checks before any fit that the recorded columns can be what their names say.
 
-Only recordings that no rig can give are refused, not even a worn one. Such a rig has a reservoir of 20 to
-900 kPa and a control volume of -60 to 210 kPa. Its sensors have offsets up to 25 and 5 kPa, gains wrong by a
-fifth, and another noise than the rig file says. It is at any altitude, and its valves may be blocked. Where
-the level alone does not show the unit, the noise and the flow of the baseline must agree as well. EVP is the
-inflation valve, DVP the valve that supplies the Venturi.
+A recording is only refused if no rig can give it, not even a worn one. A possible rig has a reservoir of 20
+to 900 kPa and a control volume of -60 to 210 kPa. Its sensors have offsets up to 25 and 5 kPa, gains wrong by
+a fifth, and another noise than the rig file says. It is at any altitude, and its valves may be blocked. If
+the level alone does not show a wrong unit, the noise and the flow must also show it. EVP is the inflation
+valve, DVP the valve that supplies the Venturi.
 """
 
 from __future__ import annotations
@@ -271,7 +271,7 @@ def _check_time_unit(path: Path, run: RecordedRun, rig: Rig) -> None:
     _, readings = _readings(run, _RESERVOIR)
     if step_s < 0.5 or len(readings) < _MIN_READINGS:
         return
-    # The sensor of an empty reservoir may read its offset, but no air flows out of it.
+    # No air flows out of an empty reservoir, although its sensor may read an offset.
     surely_there = replace(run, reservoir_kPa=run.reservoir_kPa - _MAX_OFFSET_KPA)
     ratio = _lost_through_valves(surely_there, rig) / max(_lost(readings), 5.0)
     if ratio > 30.0:
@@ -388,8 +388,8 @@ def _change(values: Array, mask: NDArray[np.bool_]) -> float:
 def _noise(run: RecordedRun, channel: _Channel, *, only_quiet: bool = False) -> _Noise:
     """Noise of the readings about a straight line through their neighbours; NaN if there are too few.
 
-    While all valves are shut, the pressure curve is straight. The estimate from all readings also includes
-    the curvature, but it has more readings, so its upper bound may still be lower: the lower bound is used.
+    While all valves are shut, the pressure curve is straight. The estimate from all readings includes the
+    curvature, but uses more readings. The estimate with the lower upper bound is returned.
     """
     t, x = _readings(run, channel)
     later = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])

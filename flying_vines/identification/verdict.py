@@ -37,7 +37,7 @@ class Remainder:
     """What the named causes leave unexplained."""
 
     share: float
-    """Of the null model's squared misfit above noise, 0…1."""
+    """Share of the null model's squared misfit above noise, 0…1."""
     depends_on: str
     """Channel, and the feature on which its residuals depend most."""
 
@@ -74,10 +74,10 @@ class Verdict:
     """Other causes that these data cannot tell apart from `cause`, or from one in `also`."""
     parameters: dict[str, ParameterEstimate]
     share: float
-    """How much of the squared misfit comes back if `cause` is left out and the rest refitted, over what all
-    causes together remove. Shares do not add up to 1."""
+    """Rise of the squared misfit if `cause` is left out and the rest refitted, over the part that all causes
+    together remove. Shares do not add up to 1."""
     also: tuple[Named, ...]
-    """Further causes that still improve held-out data, the largest share first."""
+    """Further causes, the largest share first."""
     numbers: dict[str, float]
     """Fitted rig numbers within their tolerances, by key; empty if nominal numbers explain the data."""
     held_out: HeldOut

@@ -1,1 +1,1 @@
-"""Pure physics of the phloSAR. Imports nothing of ours."""
+"""Pure physics of the phloSAR. It imports no other part of Flying Vines."""

@@ -3,7 +3,7 @@
     Q_e = u_e (P_r − P_cv) / R_evp      into the control volume
     Q_m = u_d P_r / R_dvp               motive air through the Venturi
     Q_o = s (P_cv + P_vac) / R_sol      out of the control volume
-    Q_e = u_e free_flow max(0, 1 − P_cv / stall)      of a pump from ambient, in place of the first
+    Q_e = u_e free_flow max(0, 1 − P_cv / stall)      with a pump from ambient, in place of the first line
     P_vac = full_vacuum u_d min(1, P_r / rated_supply)
 
     dP_r/dt  = −α (Q_e + Q_m) / V_r
@@ -78,7 +78,7 @@ def derivatives(rig: Rig, state: BaselineState, inputs: Inputs) -> tuple[float, 
 def step(rig: Rig, state: BaselineState, inputs: Inputs, dt_s: float) -> BaselineState:
     """The state `dt_s` later with constant inputs: one fourth-order Runge-Kutta step.
 
-    Accurate if `dt_s` is short against the fastest time constant, R_sol V_cv / α: 69 ms for the vine.
+    Accurate if `dt_s` is much shorter than the fastest time constant, R_sol V_cv / α: 69 ms for the vine.
     """
     reservoir, cv = state
     half = dt_s / 2.0

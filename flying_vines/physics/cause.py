@@ -41,7 +41,7 @@ class Parameter:
     """A fitted number of a cause."""
 
     name: str
-    """With its unit."""
+    """With its unit, such as `time_constant_s`."""
     low: float
     """Lower bound of real rigs."""
     high: float
@@ -65,7 +65,7 @@ class Parameter:
     def __post_init__(self) -> None:
         if not self.low <= self.high or (self.logarithmic and not self.low > 0.0):
             raise ValueError(f"{self.name}: low must be below high, and above 0 if logarithmic")
-        # A pinned parameter keeps its seeds.
+        # Bounds pinned to one value leave the seeds unchanged.
         within = self.low == self.high or all(self.low <= seed <= self.high for seed in self.seeds)
         if not self.seeds or not within:
             raise ValueError(f"{self.name}: needs seeds between low and high")
@@ -100,7 +100,7 @@ class Parameter:
         return (self.to_search(value) - self.to_search(self.low)) / self.range if self.range > 0.0 else 0.5
 
     def distance(self, value: float) -> float:
-        """Distance from neutral on the search scale; 1 if that is infinitely far, 0 if nothing is neutral."""
+        """Distance from neutral on the search scale; 1 if it would be infinite, 0 without a neutral value."""
         if self.neutral is None:
             return 0.0
         if self.logarithmic and not 0.0 < self.neutral < inf:
@@ -136,7 +136,7 @@ class Cause:
     readings: Callable[[ModelReadings, Values], ModelReadings] | None = None
     """A further change of the readings; only used in fits."""
     law_of: str = ""
-    """What this is one of several laws of, e.g. a leak: a set has one law of each. Empty: of nothing else."""
+    """What this law describes, e.g. a leak. A set has at most one law of it. Empty: there is no other law."""
     defined_in: str = ""
     """File or package of a cause from outside this project."""
 
@@ -168,7 +168,7 @@ class Cause:
         return made
 
     def _line(self, error: BaseException | None = None) -> str:
-        """File and line of `apply`, or of its last line that an error passed."""
+        """File and line of `apply`; for an error, the last line of that file in the traceback."""
         code = getattr(self.apply, "__code__", None)
         if code is None:
             return f"{self.defined_in}: cause {self.name}"

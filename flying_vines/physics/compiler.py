@@ -3,7 +3,7 @@
 A function is compiled with everything that it calls. Each function is rebuilt with globals in which the other
 functions are compiled, so the sources need no decorator and run without numba. The machine code is cached on
 disk. The cache key covers all functions, because numba's own cache only sees changes in the file of the
-entry.
+entry function.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def record(numbers: Any) -> np.void:
 
 @cache
 def _layout_and_reader(kind: Any) -> tuple[np.dtype[np.void], np.dtype[np.void], Callable[[Any], Any]]:
-    """The record type, the same without nesting, and what reads all numbers in its order."""
+    """The record type, its form without nesting, and a function that reads all numbers in this order."""
     layout = _layout(kind)
     leaves = list(_leaves(layout))
     names, formats, offsets = zip(*leaves, strict=True)
@@ -107,7 +107,7 @@ def _leaves(layout: np.dtype[np.void], path: str = "", at: int = 0) -> Iterator[
 def _layout(kind: Any) -> np.dtype[np.void]:
     """The record type, from the declared types, so that it does not depend on the values.
 
-    A tuple of any length is as long as its default.
+    The length of a `Floats` field is that of its default.
     """
     hints = get_type_hints(kind)
     lengths = {name: len(kind._field_defaults[name]) for name in hints if hints[name] == Floats}

@@ -49,7 +49,7 @@ class Gas:
             )
         gamma, molar_mass_g_per_mol = self.properties
         if not 1.0 < gamma <= GASES["Ar"].gamma + 1e-3:
-            raise ValueError(f"gamma of a gas lies between 1 and 5/3, and not at {gamma:g}")
+            raise ValueError(f"gamma of a gas must be between 1 and 5/3, not {gamma:g}")
         if not molar_mass_g_per_mol > 0.0:
             raise ValueError("the molar mass of a gas must be positive")
 

@@ -28,7 +28,7 @@ def read_causes(path: Path | str) -> tuple[Cause, ...]:
     path = Path(path)
     module = ModuleType(f"cause_file_{path.stem}")
     module.__file__ = str(path)
-    # Dataclasses look their module up there.
+    # A dataclass looks up its module in sys.modules.
     sys.modules[module.__name__] = module
     try:
         exec(compile(path.read_bytes(), str(path), "exec"), vars(module))
@@ -70,7 +70,7 @@ def _checked(cause: Cause, where: str) -> Cause:
 
 
 def _located(error: BaseException, path: str) -> str:
-    """An error with the last line of this file that it passed."""
+    """The error, with its last line in this file."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == path]
     where = f"{path}:{lines[-1]}" if lines else path
     return f"{where}: {type(error).__name__}: {error}"

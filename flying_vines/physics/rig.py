@@ -81,7 +81,7 @@ class Pump:
 
     @property
     def flow_resistance_kPa_s_per_SL(self) -> float:
-        """Of the inflation valve with the same flow, from a reservoir at the stall pressure."""
+        """Flow resistance of a valve that gives the same flow from a reservoir at the stall pressure."""
         return self.stall_pressure_kPa / self.free_flow_SL_per_s
 
 
@@ -103,11 +103,11 @@ class Sensors:
 
 @dataclass(frozen=True)
 class Rig:
-    """A rig. `cv` is None if the reservoir discharges to atmosphere. With a `pump`, reservoir, EVP, DVP and
-    Venturi are not there, and their numbers have no meaning.
+    """A rig. `cv` is None if the reservoir discharges to atmosphere. With a `pump` the rig has no reservoir,
+    EVP, DVP and Venturi: their numbers have no meaning.
 
-    `tolerance_percent` has the tolerances of some keys such as `reservoir.volume_L`; `tolerance` has them
-    all.
+    `tolerance_percent` has the tolerances of some keys such as `reservoir.volume_L`; `tolerance` gives that
+    of any key.
     """
 
     reservoir: Reservoir = Reservoir()
@@ -183,7 +183,7 @@ def rig_from(content: Mapping[str, Any]) -> Rig:
             f"a rig with a [pump] has no [{replaced[0]}], the pump takes its place: remove one of them."
         )
     if "cv" not in content and ("pump" in content or "hose" in content):
-        raise RigError("a pump or a hose needs a [cv] that it leads to: add [cv] with its volume_L.")
+        raise RigError("a pump or a hose needs a control volume: add [cv] with its volume_L.")
     tolerances = dict(_flat(content.get("tolerance_percent", {})))
     for key, value in tolerances.items():
         try:
@@ -221,7 +221,7 @@ def _instead(wrong: str, choices: Sequence[str]) -> str:
     near = difflib.get_close_matches(wrong, choices, n=1)
     if near and len(choices) > 2:
         return f": did you mean {near[0]}?"
-    return f": possible are {', '.join(choices)}."
+    return f": use {', '.join(choices)}."
 
 
 def _flat(tables: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

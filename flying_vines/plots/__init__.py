@@ -1,1 +1,1 @@
-"""Shared by all figures."""
+"""What all figures share: their style, and the drawing of a vine."""

@@ -39,7 +39,7 @@ class About:
     kernel: str
     machine: str
     firmware: FirmwareIdentity | None = None
-    """That of the board that answered last."""
+    """The firmware of the board that answered last."""
 
     @classmethod
     def of_this_machine(cls, began_s: float, continues: str) -> About:

@@ -15,7 +15,7 @@ from flying_vines.record.folders import MCAP
 from flying_vines.record.mcap_file import MAGIC, read_chunks, read_summary
 
 LAST = "last"
-"""The name of the latest flight, if no file has it."""
+"""The name of the latest flight, if no file or folder has this name."""
 _decode = msgspec.json.Decoder(dict[str, Any]).decode
 
 
@@ -87,7 +87,7 @@ class FlightLog:
         return f"{self.path.name}: {'; '.join(damages)}" if damages else ""
 
     def entries(self, topics: Collection[str] | None = None) -> Iterator[LogEntry]:
-        """All entries, or those of some topics, in time order.
+        """All entries, or those of some topics, in the order in which they were recorded.
 
         Raises `LogError` if there is nothing to read.
         """

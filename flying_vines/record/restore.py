@@ -1,4 +1,4 @@
-"""The core's events from a log, bit for bit.
+"""Restores the core's events from a log, with exactly the recorded numbers.
 
 A log leaves out NaN and infinities. They are restored as NaN.
 """

@@ -68,7 +68,7 @@ class Start:
     disarmed: bool
     """The pneumatics were disarmed when the last service ended."""
     learned: str
-    """What the last service learned of the rig's air, as stored on disk; or empty."""
+    """What the last service learned about the rig's air, as stored on disk; or empty."""
     believed: dict[str, Any]
     """The rig of `[pneumatics]`, as tables of a rig file."""
     continues: str
@@ -142,7 +142,7 @@ _STATES: dict[type, str] = {
     KeepLearned: "learned",
     KeepLatched: "latched",
 }
-"""Not fed to the core, and not compared in a replay, because a traceback contains line numbers."""
+"""Neither inputs of the core nor compared in a replay."""
 MAVLINK_IN, MAVLINK_OUT = "mavlink/in", "mavlink/out"
 
 

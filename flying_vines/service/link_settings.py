@@ -20,7 +20,7 @@ class SettingsError(Exception):
 
 
 class SettingsInterruptedError(SettingsError):
-    """The user has stopped it."""
+    """The user has stopped the operation."""
 
 
 async def talk_about_settings(

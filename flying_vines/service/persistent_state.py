@@ -25,7 +25,7 @@ Arm them from a ground station (command USER_4, 3), or delete the file and resta
 
 
 UNREADABLE = {"last_run": "the latched faults of the last run cannot be read"}
-"""Latched instead of them. A person who clears it clears them all."""
+"""Latched if the stored faults cannot be read. A person who clears it clears them all."""
 
 
 class PersistentStateError(Exception):
@@ -41,7 +41,7 @@ class PersistentState:
     disarming: Path
     """Exists while the pneumatics are disarmed. Its content is not read: an incomplete file is enough."""
     learned: Path
-    """What was learned of the rig's air."""
+    """What was learned about the rig's air."""
     latched: Path
     """The latched faults, as a JSON object: a sentence by name. Exists while there are any."""
     signing_timestamp: Path

@@ -27,10 +27,10 @@ from flying_vines.vehicle.notice import Severity
 
 SNAPSHOT_S = 0.05
 NEWS_S = 0.2
-"""Without a screen only news of the log and of the links is looked for."""
+"""Interval of the checks for news of the log and the links, if there is no screen."""
 SWITCH_S = 0.0005
-"""Maximum time that the recorder's thread keeps the interpreter while the loop waits for it. Python's own
-5 ms is longer than the recorder ever works at a time: the loop would wait for all of it."""
+"""Maximum time that the recorder's thread keeps the interpreter while the loop waits for it. Each step of the
+recorder is shorter than Python's default of 5 ms, so the loop would wait for the whole step."""
 
 
 @dataclass(frozen=True)

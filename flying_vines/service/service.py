@@ -64,7 +64,7 @@ _LINKS = ("flying_vines.vehicle.mavlink.link", "firmware_link.serial_port")
 
 
 class Service:
-    """A core between two real links. The `watchers` get each event and action after it was carried out.
+    """A core between two real links. The `watchers` get each event and its actions afterwards.
 
     `stored` and `signing` are what the last run has stored. `persistent` has the files for the next run;
     without it nothing is stored.
@@ -128,7 +128,7 @@ class Service:
         self._feed(Said(self.now, severity, text))
 
     def failed(self, part: str, error: BaseException, needed: bool = False) -> None:
-        """Report a part's failure once: it may fail at every tick. `needed`: to move the vine."""
+        """Report a part's failure once, because it may fail at every tick. `needed`: to move the vine."""
         if part not in self._failed:
             self._failed.add(part)
             self._feed(Failed.by(self.now, part, error, needed))
@@ -158,8 +158,8 @@ class Service:
                         ("actuator link", self._firmware.run, True),
                         ("tick", self._tick, True),
                         ("display", self._show, False),
-                        ("keeping files", self._write_changes, False),
-                        ("keeping the signing clock", self._store_signing_clock, False),
+                        ("file storage", self._write_changes, False),
+                        ("signing clock storage", self._store_signing_clock, False),
                     )
                 ]
                 await self._stopping.wait()
@@ -242,7 +242,7 @@ class Service:
                 if self._signing is not None:
                     self._signing.advance(time.time(), self.now, self._synchronised)
             self._feed(Tick(self.now))
-            with self._contained("watch over the links"):
+            with self._contained("link monitor"):
                 self._report_silence(self.now)
                 self._report_unread()
             self.notify_watchers()
@@ -354,7 +354,7 @@ class Service:
             case ToVehicle():
                 self.failed("named values", error)
             case _:
-                self.failed("keeping files", error)
+                self.failed("file storage", error)
 
     def _carry_out(self, action: Action) -> None:
         match action:

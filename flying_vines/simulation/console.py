@@ -55,7 +55,7 @@ MISHAPS = "\n".join(
         f"{', '.join(places)}:\n  {' · '.join(words)}"
         for words, places in groupby(PLACES, lambda place: [words_for(place, word) for word in PLACES[place]])
     ]
-    + ["any: well\nwell: all of it"]
+    + ["any place:\n  well (repairs it)\nwell (repairs everything)"]
 )
 
 

@@ -128,7 +128,7 @@ class DemoOutcome:
 
 
 def demo_mission() -> list[MissionItem]:
-    """Home, take-off, a waypoint, the vine item, and a far waypoint that lasts the flight."""
+    """Home, take-off, a waypoint, the vine item, and a waypoint too far to reach during the flight."""
     return [
         _position(0, 16, 0.0, 584.0, frame=0),
         _position(1, 22, 0.0, CRUISE_M),

@@ -160,13 +160,13 @@ def _core(log: FlightLog, start: Start, config: Config | None) -> CrashSafeCore:
     config = config or configuration.parse(start.profile, f"{log.path}: the profile in it", recorded=True)
     belief = None
     if start.rig:
-        from flying_vines.supply.known_rig import load_calibration
+        from flying_vines.supply.known_rig import load_known_rig
 
         with TemporaryDirectory() as folder:
             path = Path(folder) / "rig.toml"
             path.write_text(start.rig, encoding="utf-8")
-            belief = load_calibration(path, config.pneumatics).belief
-    # Logs of earlier versions say nothing of latched faults.
+            belief = load_known_rig(path, config.pneumatics).belief
+    # Logs of earlier versions contain no latched faults.
     stored = StoredState(start.parameters, start.disarmed, start.learned, start.latched or {})
     return CrashSafeCore(Core(config, belief=belief, stored=stored))
 

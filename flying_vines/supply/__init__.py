@@ -1,8 +1,8 @@
 """The air left and the cycles that it is enough for: learned from telemetry, with an interval.
 
-`belief` is the prior of a rig, `known_rig` that of a diagnosed rig. `features` reads telemetry once.
-`reservoir` models air and heat. `air_use` detects inflations. `min_supply` is the pressure that they need.
-`estimate` combines these. `reported_cycles` is what a person is told.
+`belief` has the prior of a rig, `known_rig` that of a diagnosed rig. `features` reads telemetry once.
+`reservoir_filter` models air and heat. `air_use` detects inflations. `min_supply` computes the pressure that
+they need. `cycles_left` combines these. `reported_cycles` makes the numbers that people see.
 """
 
 from flying_vines.supply.belief import Belief, nominal, nominal_rig

@@ -1,4 +1,4 @@
-"""Finds in telemetry everything that cost air, the times at which the reservoir may be read, each inflation.
+"""Finds in telemetry what used air, when the reservoir's pressure can be read, and each inflation.
 
 Pouch: the bending pouch of the actuator.
 """
@@ -22,7 +22,7 @@ CV_TURN_KPA = 1.5
 RESTED_S = 0.5
 """A control volume that was vented for this time is at ambient. Its reading is the sensor's zero."""
 FLAT_KPA = 0.8
-"""Nearer than this to its zero a pouch may be flat."""
+"""A pouch may be flat if its reading is nearer to its zero than this."""
 NEAR_KPA = 1.0
 WORKING_OPENING = 0.6
 CALM_S = 0.1
@@ -32,11 +32,11 @@ MAX_GAP_S = 0.5
 """After a longer gap in telemetry the valve commands in between are unknown."""
 WIDE_OPEN = 0.95
 TRACE = 24
-"""Setpoints that are stored of an inflation."""
+"""Number of setpoints that are stored for an inflation."""
 RISEN_S = 0.25
-"""A vent so soon after the setpoint last rose cuts the movement off."""
+"""A vent within this time after the setpoint last rose cuts the movement off."""
 MAX_TRACE = 20_000
-"""Setpoints of some minutes. A longer rise is a hold."""
+"""Maximum number of recorded setpoints: some minutes. A longer rise is a hold."""
 
 
 def tolerance_kPa(swing_kPa: float) -> float:
@@ -71,7 +71,7 @@ class ObservedInflation:
     """Evenly spaced over `given_s`."""
     spent: Spent
     cut_off: bool = False
-    """It was vented or replaced before its end, so it says nothing about the air or supply of a whole one."""
+    """It was vented or replaced before its end. Its air and supply are not those of a whole inflation."""
 
     @property
     def swing_kPa(self) -> float:

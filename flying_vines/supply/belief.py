@@ -95,7 +95,7 @@ class Belief:
 
 
 def conductance_SL_per_s_kPa(flow_resistance_kPa_s_per_SL: float, at_kPa: float) -> float:
-    """Conductance of a choked valve with the same flow at gauge `at_kPa` as Ohm's law, per absolute kPa."""
+    """Conductance (per absolute kPa) of a choked valve whose flow at gauge `at_kPa` is that of Ohm's law."""
     return at_kPa / flow_resistance_kPa_s_per_SL / (at_kPa + AMBIENT_KPA)
 
 
@@ -116,7 +116,7 @@ def nominal(p: PneumaticsConfig) -> Belief:
     pouch_kPa = rigid * AMBIENT_KPA
     dvp = conductance_SL_per_s_kPa(p.dvp_flow_resistance_kPa_s_per_SL, p.full_kPa)
     venturi = ALPHA_KPA / p.reservoir_volume_L * dvp
-    # By the paper's formula the Venturi takes as much as a rigid control volume.
+    # By the paper's formula the Venturi takes as much air as a rigid control volume.
     rigid_SL = p.cv_volume_L * p.cycle_swing_kPa / AMBIENT_KPA
     return Belief(
         pneumatics=p,

@@ -66,9 +66,9 @@ PRIOR_CYCLES = 0.05
 """Weight of the assumed cycle, in flown cycles."""
 RECENT_INFLATIONS = 10
 MAX_PAUSE_S = 30.0
-"""A longer pause is a wait, not the rhythm of cycles. `CyclesLeft.minutes` says what a wait costs."""
+"""A longer pause is a wait, not part of the rhythm of cycles. `CyclesLeft.minutes` has the cost of a wait."""
 LONG_PAUSE = 4.0
-"""So is a pause of this many times the usual one, if it is longer than …"""
+"""A pause of this many times the usual one is a wait, too, if it is longer than `SHORT_PAUSE_S`."""
 SHORT_PAUSE_S = 5.0
 MAX_MINUTES = 600.0
 """Longer times are not distinguished."""
@@ -83,13 +83,13 @@ class CyclesLeft:
     low: float
     high: float
     measured_cycles: float
-    """The number of flown cycles behind `cost_kPa`."""
+    """The number of flown cycles from which `cost_kPa` was learned."""
     cost_kPa: float
     """The expected cost of one cycle at the present pressure, in kPa of the reservoir."""
     floor_kPa: float
     """The expected gauge pressure of the reservoir below which cycles are not completed in time."""
     bend_kPa: float
-    """The swing of the last bend; that of a cycle before the first one."""
+    """The swing of the last bend; before the first bend, that of a cycle of `[pneumatics]`."""
     per_cycle: float
     """The number of bends like the last one, in the present rhythm, that take the air of one cycle."""
     minutes: float
@@ -113,7 +113,7 @@ class AirNeeded(NamedTuple):
 
 
 class MixSums(NamedTuple):
-    """What `_Mix` keeps, to be stored."""
+    """The sums of `_Mix`, to store them."""
 
     cycles: float
     assumed_cycles: float
@@ -122,7 +122,7 @@ class MixSums(NamedTuple):
 
 
 class MeanCycle(NamedTuple):
-    """The flown cycles on average."""
+    """The average of the flown cycles."""
 
     spent: Spent
     venturi_kPa_s: float
@@ -154,7 +154,7 @@ class Learned:
 
 
 class _Mix:
-    """The flown cycles on average: sums in which older cycles count less."""
+    """The average of the flown cycles: sums in which older cycles count less."""
 
     def __init__(self, belief: Belief) -> None:
         p = belief.pneumatics
@@ -225,7 +225,7 @@ class ReservoirEstimate:
         self.basis: Basis | None = None
         """That of the latest prediction."""
         self._cycle_kPa = math.nan
-        """The cost of one cycle after the last block; NaN before. A decision must not wait for it."""
+        """The cost of one cycle after the last block; NaN before. It is ready when a decision needs it."""
         if learned:
             self._demand.ln, self._demand.variance = learned.demand_ln, learned.demand_variance
             self._mix.sums = learned.mix
@@ -288,7 +288,7 @@ class ReservoirEstimate:
         if inflation.cut_off:
             return
         if self._belief.packed_kPa > 0.0 and not self._warmed_up:
-            # The pouch was packed flat. No later cycle is like the first.
+            # The pouch was packed flat, so the first cycle differs from all later ones.
             self._warmed_up = True
             return
         self.measured_cycles += inflation.swing_kPa / self._p.cycle_swing_kPa
@@ -296,7 +296,7 @@ class ReservoirEstimate:
         air_kPa = self._air_kPa(air.possible_mean(), inflation)
         self._demand.learn(inflation, air_kPa)
         if not fillable(self._belief, inflation, math.exp(self._demand.ln) * air_kPa):
-            return  # it turned before any supply could have filled it
+            return  # the setpoint fell before any supply could have filled the vine
         self._inflations = [*self._inflations[1 - RECENT_INFLATIONS :], inflation]
 
     @staticmethod
@@ -304,7 +304,7 @@ class ReservoirEstimate:
         return mean[RISE] * inflation.swing_kPa + mean[FLAT] * inflation.spent.flat
 
     def air_needed(self, rise_kPa: float, rate_kPa_per_s: float) -> AirNeeded:
-        """Air for raises of the CV by `rise_kPa` in total, and the supply that `rate_kPa_per_s` needs."""
+        """The air to raise the CV by `rise_kPa` in total, and the supply that `rate_kPa_per_s` needs."""
         p = self._p
         floor_kPa = paper.min_reservoir_kPa(rate_kPa_per_s, p.evp_flow_resistance_kPa_s_per_SL, p.cv_volume_L)
         return AirNeeded(self.spending_kPa(rise_kPa), floor_kPa)

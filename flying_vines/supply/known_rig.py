@@ -43,9 +43,9 @@ MIN_KPA = 1.0
 """Minimum top pressure of a cycle, with any error of the control volume's sensor."""
 PARTLY_OPEN_SD = 0.2
 VENTURI_STARTS_KPA = 3.0
-"""The firmware starts the Venturi if the control volume is this far above its setpoint …"""
+"""The firmware starts the Venturi if the control volume is this far above its setpoint."""
 VENTURI_ENDS_KPA = 1.0
-"""… and stops it at this difference."""
+"""The firmware stops the Venturi if the control volume is this far above its setpoint."""
 REGULATOR_S = 0.05
 """Reaction time of the regulator."""
 OPENING_S = 0.12
@@ -76,15 +76,15 @@ class KnownRig:
         return text
 
 
-def load_calibration(path: Path, p: PneumaticsConfig) -> KnownRig:
+def load_known_rig(path: Path, p: PneumaticsConfig) -> KnownRig:
     """The prior from a rig file and the numbers of `[pneumatics]`.
 
     Raises `RigError` if the file cannot be read, has an unknown name, or has no control volume.
     """
-    return read_rig(path, lambda content: _calibration(path, p, true_rig_from(content)))
+    return read_rig(path, lambda content: _known_rig(path, p, true_rig_from(content)))
 
 
-def _calibration(path: Path, p: PneumaticsConfig, rig: TrueRig) -> KnownRig:
+def _known_rig(path: Path, p: PneumaticsConfig, rig: TrueRig) -> KnownRig:
     belief = belief_of(p, rig)
     without = {
         name: replace(rig, causes={other: rig.causes[other] for other in rig.causes if other != name})

@@ -1,6 +1,7 @@
-"""The file of what was learned of a rig, for the next run.
+"""The file of what was learned about a rig, for the next run.
 
-It belongs to one rig: the prior in full. Another rig, a changed rig file or another version forgets it.
+It is used only with exactly the same prior. With another rig, a changed rig file or another version of the
+program, everything is learned again.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ def text_of(belief: Belief, learned: Learned) -> str:
 
 
 def learned_from(text: str, belief: Belief) -> tuple[Learned | None, str]:
-    """What the text says of this rig, and a sentence if it cannot be used. An empty text is no problem."""
+    """What the text says about this rig, and a sentence if it cannot be used. An empty text is no problem."""
     if not text:
         return None, ""
     try:

@@ -53,7 +53,7 @@ def min_supply_kPa(
 ) -> float:
     """Minimum gauge supply at the start of an inflation that takes `air_kPa` and needs `demand_kPa_s` (D).
 
-    If this inflation reached its top, the result is not above its own supply.
+    If this inflation reached its top, the search does not go above its own supply.
     """
     low = AMBIENT_KPA + inflation.low_kPa
     high = max(low, inflation.supply_kPa_abs) if inflation.reached else MAX_KPA

@@ -1,9 +1,9 @@
-"""The cycles left as a person is told: a new interval never leaps past an earlier one without an event.
+"""The cycles left that people see: a new interval overlaps the earlier ones, unless an event is reported.
 
-All intervals are compared as the cycles of a whole filling: those that are left and those whose air is gone.
-So flying moves none of them. If a new interval has no value in common with those of the last `WINDOW_S`, then
-either something has happened (an event, with a sentence), or the earlier intervals were too narrow. Then the
-new one is stretched until it touches them.
+All intervals are compared as the cycles of a whole filling: the cycles left plus those whose air is gone. So
+flying changes none of them. If a new interval does not overlap those of the last `WINDOW_S`, then either
+something has happened (an event, with a sentence), or the earlier intervals were too narrow. In the second
+case the new interval is widened until it touches them.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from flying_vines.supply.reservoir_filter import CV_LEAK, LEAK, X
 
 WINDOW_S = 120.0
 SETTLED_S = 10.0
-"""Jumps that follow one another faster than this are one refill or one loss.
+"""Jumps of the pressure within this time of each other are one refill or one loss.
 
-They are reported once, unless the number leaps again. For this time no other reason for a leap is reported.
+They are reported once, unless the number of cycles jumps again. In this time no other reason is reported.
 """
 NONE_LEFT = 0.5
 """Fewer cycles are reported as 0."""
@@ -43,7 +43,7 @@ def surely_left(left: CyclesLeft) -> float:
 
 
 class ReportedCycles:
-    """Call `update` for each prediction. `left` is what a person is told."""
+    """Call `update` for each prediction. `left` is the number to show."""
 
     def __init__(self, estimate: ReservoirEstimate) -> None:
         self._estimate = estimate
@@ -55,13 +55,13 @@ class ReportedCycles:
         self._x_kPa = math.nan
         self._jump_at = -math.inf
         self._from_before = estimate.measured_cycles > 0.0
-        """An earlier run has learned of this rig, and perhaps reported another number a moment ago."""
+        """An earlier run has learned this rig, and may have reported another number just before."""
         self.lost = False
 
     def update(self, t: float, lost: bool) -> str:
         """Predict. `lost`: a fault that loses air is latched. Returns the event as text; empty if none."""
         if self.lost and not lost:
-            # Somebody has repaired the rig: what a bend takes and what leaks is unknown again.
+            # Somebody has repaired the rig: the air of a bend and the leaks are unknown again.
             self.lost = self._from_before = False
             self.left = None
             self._estimate.restart()
@@ -92,7 +92,7 @@ class ReportedCycles:
         self._x_kPa = math.nan
 
     def _is_reported(self, t: float, new: CyclesLeft) -> bool:
-        """True for the first of several jumps, and for one after which the number has leapt."""
+        """True for the first of several jumps, and for one that moved the number out of its interval."""
         settled = t - self._jump_at > SETTLED_S
         self._jump_at = t
         before = self.left
@@ -123,7 +123,7 @@ class ReportedCycles:
         return event
 
     def _reason(self, before: Basis, now: Basis) -> str:
-        """What of the rig or the flying has moved the prediction most; empty if only our knowledge has."""
+        """The change of rig or flying that moved the prediction most; empty if new data moved it most."""
         mean = list(now.mean)
         mean[LEAK], mean[CV_LEAK] = before.mean[LEAK], before.mean[CV_LEAK]
         time_s = before.cycle.spent.time_s

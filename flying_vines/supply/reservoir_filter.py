@@ -92,7 +92,7 @@ class ReservoirFilter:
     def __init__(self, belief: Belief, reading_kPa: float, rates: Rates | None = None) -> None:
         self._belief = belief
         self.jumped_kPa = 0.0
-        """The pressure that came or went at once since somebody last set this to 0."""
+        """Sum of the sudden pressure changes since this was last set to 0."""
         self._inflated_before = False
         self._outliers = 0
         prior = (
@@ -164,7 +164,7 @@ class ReservoirFilter:
         p[X][X] += (GAP_KPA_PER_S * unseen_s) ** 2
 
     def doubt(self, sd_kPa: float) -> None:
-        """An unknown amount of air of this size has gone. The next readings say how much."""
+        """An unknown amount of air of about this size has gone. The next readings show how much."""
         self.covariance[X][X] += sd_kPa * sd_kPa
 
     def _spread(self, *rows: Sequence[float]) -> None:
@@ -218,7 +218,7 @@ class ReservoirFilter:
             return
         self._outliers = 0
         if surprising and error > 0.0:
-            # Only a refill raises the pressure at once. It says nothing of the leak, or of the air of a bend.
+            # Only a refill raises the pressure at once. It does not show the leak, or the air of a bend.
             self.doubt(error)
             projected[X] += error * error
             variance += error * error

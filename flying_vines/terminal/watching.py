@@ -19,7 +19,7 @@ from flying_vines.terminal.story import LATE_S, Story, StrangeMessageError, Vent
 POLL_S = 0.1
 SECOND_PRESS_S = 3.0
 """Maximum time between the first and the second press of the key."""
-KEYS = "v v vents · q ends"
+KEYS = "press v twice to vent, q to end"
 
 
 class Watching:

@@ -36,7 +36,7 @@ YOUNG_S = 60.0
 REORDERED_S = 1.0
 """A stamp may be this much older than the one before, because messages were reordered."""
 CONTINUOUS_S = 2.0
-"""A stamp at most this much newer than the one before is a stall, not a reboot."""
+"""A stamp at most this much newer than the one before means a stall, not a reboot."""
 MAX_MARKS = 64
 
 

@@ -81,14 +81,14 @@ class CommandReceiver:
         return [trigger]
 
     def _intent(self, command: int, params: tuple[float, ...]) -> tuple[Intent | None, str] | None:
-        """The intent, or None and the problem. None alone: this is not a command of ours."""
+        """The intent, or None and the problem. Returns None alone if this is not one of our commands."""
         found = direct_intent(command, params)
         if found is None and command in self._rules.commands:
             found = self._rules.for_command(command, params)
         return found
 
     def _only_deflates(self, command: int, params: tuple[float, ...]) -> bool:
-        """True if the command only deflates. It always runs: it may be a new request, not a repeat."""
+        """True if the command only deflates. Such a command always runs, because it may be a new request."""
         intent, _ = self._intent(command, params) or (None, "")
         return self._rules.only_deflates(intent)
 

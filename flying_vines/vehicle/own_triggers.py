@@ -1,4 +1,4 @@
-"""Triggers of installed packages: a condition in the autopilot's messages starts a profile of ours."""
+"""Triggers of installed packages: a condition in the autopilot's messages starts a profile."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ GAP_S = 3.0
 
 
 class TriggerCondition(Protocol):
-    """A condition in the autopilot's messages. It says when; the profile says what; safety says whether."""
+    """A condition in the autopilot's messages. The profile defines what it starts; safety may refuse that."""
 
     messages: Collection[str]
     """The names of the MAVLink messages that it needs."""
@@ -28,7 +28,7 @@ class TriggerCondition(Protocol):
 
 
 class OwnTrigger:
-    """One `[[triggers]]` of the profile. Raises `PluginError`."""
+    """One entry of the profile's `[[triggers]]`. Raises `PluginError`."""
 
     def __init__(self, index: int, config: TriggerConfig) -> None:
         self.name = f"trigger {config.kind}" + (f" {index}" if index else "")

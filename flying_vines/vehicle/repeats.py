@@ -1,4 +1,4 @@
-"""Tells new commands from repeats of an unacknowledged command and from copies of a frame."""
+"""Distinguishes new commands from repeats of an unacknowledged command and from copies of a frame."""
 
 from __future__ import annotations
 
@@ -65,5 +65,5 @@ def _belongs(known: _Command, t: float, confirmation: int, sequence: int, repeat
     if any(seen == sequence and t - at < COPIES_WITHIN_S for at, seen in known.frames):
         return True
     if confirmation == 0:
-        return not known.saw_first and t - known.heard_at < LATE_S  # its first repeat arrived before it
+        return not known.saw_first and t - known.heard_at < LATE_S  # its first repeat overtook it
     return t - known.begun_at <= confirmation * repeat_s + LATE_S

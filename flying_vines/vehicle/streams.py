@@ -91,7 +91,7 @@ class Streams:
         self._asked = None
 
     def requests(self, t: float, system_id: int) -> list[MavlinkMessage]:
-        """At most one request a call. They are spaced, so that small buffers do not overflow."""
+        """At most one request per call. They are spaced, so that small buffers do not overflow."""
         if t - self._asked_at < ASK_SPACING_S or self._awaited(t):
             return []
         for stream in self._streams.values():

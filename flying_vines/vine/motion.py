@@ -26,7 +26,7 @@ class Motion:
     """(begin_s, end_s, pressure as a function of the seconds since begin_s)."""
     start_kPa: float
     aim_kPa: float
-    """Target of the first segment; for a sine, its second value."""
+    """Target of the first segment that is not a hold; for a sine, its second value."""
     final_kPa: float
     """Held after `duration_s`."""
     peak_kPa: float

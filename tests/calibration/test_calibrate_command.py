@@ -33,7 +33,7 @@ COMMAND = (sys.executable, "-m", "flying_vines")
 
 @pytest.fixture(scope="module")
 def fake(tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.CompletedProcess[str], Path]:
-    """A calibration of two stages on a simulated rig, and the folder in which it ran; 15 s of CPU time."""
+    """A calibration of two stages on a simulated rig, and its folder; 15 s of CPU time."""
     folder = tmp_path_factory.mktemp("calibrated")
     profile = folder / "vine.toml"
     profile.write_text(configuration.default_text().replace("cv_volume_L = 0.1 ", "cv_volume_L = 0.3 "))
@@ -172,7 +172,7 @@ def test_without_numpy_it_is_one_line(tmp_path: Path) -> None:
 
 
 class Terminal:
-    """A command on its own pseudo-terminal, with a person who types."""
+    """A command on its own pseudo-terminal, with typed input."""
 
     def __init__(self, *arguments: object, cwd: Path) -> None:
         self.seen = ""
@@ -194,7 +194,7 @@ class Terminal:
         os.write(self._screen, text.encode())
 
     def ends(self) -> int:
-        """Its exit status."""
+        """Wait for the end. Returns the exit status."""
         until = time.monotonic() + PATIENCE_S
         while self._read(0.1):
             assert time.monotonic() < until, self.seen
@@ -250,7 +250,7 @@ def test_ctrl_c_ends_it_vented_and_sets_the_telemetry_back(
 
 
 def _wait_for_pressure(bench: Path, kPa: float) -> None:
-    """Until it is in the flight's log, which is on the disk within a second."""
+    """Wait until the pressure is in the flight's log, which is on the disk within a second."""
     until = time.monotonic() + PATIENCE_S
     while time.monotonic() < until:
         for flight in (bench / "flights").glob("*"):

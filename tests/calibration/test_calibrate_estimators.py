@@ -40,7 +40,7 @@ def times(n: int, step_s: float) -> Array:
 def resting(
     seconds: float, cv_kPa: float, seed: int, step_s: float = 0.001, noise_kPa: float = 0.15
 ) -> Readings:
-    """A vented vine."""
+    """Readings of a vented vine."""
     rng = np.random.default_rng(seed)
     n = round(seconds / step_s)
     none = np.zeros(n)
@@ -82,7 +82,7 @@ def test_a_good_zero_is_left_alone() -> None:
     assert zero.cv_zero(resting(5.0, 0.01, 3)).proposals == ()
 
 
-# The balance.
+# The reservoir's balance.
 
 
 def reservoir_kPa(taken_kPa: Array, dt_s: float, heat_W_per_K: float) -> Array:
@@ -119,7 +119,7 @@ def test_the_balance_separates_volume_leak_and_cold(volume: float, leak: float, 
     found = fit_balance(bins, {}, RESERVOIR_L)
     assert found.values["volume"].value == pytest.approx(volume, rel=0.05)
     assert found.values["leak"].value == pytest.approx(leak, abs=5e-5 + 0.05 * leak)
-    # Without both consumers the pressure is constant.
+    # Without volume and leak the pressure is constant.
     assert np.std(found.without("volume", "leak")) < 0.1 + 0.01 * np.ptp(kPa)
 
 

@@ -1,4 +1,4 @@
-"""The state machine: its requests, when it ends, and that it always vents the vine."""
+"""The state machine: its requests, its end, and that it always vents the vine."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_the_last_request_is_always_to_vent(after: int, how: str) -> None:
     assert world.ended is not None
     assert world.ended.outcome in ("done", "stopped", "refused") and world.ended.sentence
     assert world.asked[-1] == VentVine() and not world.bent
-    # Nothing comes after it.
+    # Nothing follows.
     assert calibrator.tick(world.now + 1.0, world.snapshot) == calibrator.stop(world.now, "again") == []
 
 
@@ -172,7 +172,7 @@ def test_unexpected_answers_and_results_change_nothing() -> None:
     assert calibrator.evaluated(1.0, EvaluationTask(calibrator.plan.stages[0], lambda: None), None) == []  # type: ignore[arg-type,return-value]
 
 
-# With the core, its safety and its checks.
+# With the complete core.
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
 
 
 def complaint(capsys: pytest.CaptureFixture[str]) -> str:
-    """What stands on standard error: one line, and nothing on standard output."""
+    """The line on standard error. Checks that it is only one, and that standard output is empty."""
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1

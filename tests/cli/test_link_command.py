@@ -51,7 +51,7 @@ TELEMETRY = Telemetry(1500, Mode.FAULT, Fault.DEAD_MAN, 7, 0.0, 1.25, 688.0, 0.5
 
 @pytest.fixture
 def board(tmp_path: Path) -> Iterator[str]:
-    """A simulated phloSAR on a pseudo-terminal, in a thread of its own; its address."""
+    """A simulated phloSAR on a pseudo-terminal, in a thread. Yields its address."""
     link = tmp_path / "port"
     stop = threading.Event()
 
@@ -117,7 +117,7 @@ async def test_a_board_that_is_unplugged_half_way_ends_the_talk_about_its_settin
     loop, codec = asyncio.get_running_loop(), Codec()
     board, port = os.openpty()
     tty.setraw(port)
-    # Its own name, as udev gives one: a terminal's number is another's as soon as it is free.
+    # A name of its own, as from udev, because a terminal's number is reused as soon as it is free.
     name = tmp_path / "phlosar"
     name.symlink_to(os.ttyname(port))
     address = SerialAddress(str(name))
@@ -196,7 +196,7 @@ async def test_the_screen_says_at_a_glance_how_it_is(tmp_path: Path) -> None:
     for said in (
         "is open",
         "ready",
-        "1.0 host",
+        "1.1 host",
         "setpoints to 28",
         "FAULT",
         "WATCHDOG_RESET",
@@ -237,7 +237,7 @@ def test_lines_and_objects_of_what_is_rare() -> None:
     assert as_json(LinkNote(0.5, "gone", False)) == {"t": 0.5, "told": "gone"}
 
 
-def test_faults_of_a_later_firmware_are_told_by_number() -> None:
+def test_faults_of_a_later_firmware_are_reported_by_number() -> None:
     assert fault_names(Fault.DEAD_MAN | Fault(1 << 14)) == "DEAD_MAN, 0x4000"
 
 

@@ -56,7 +56,7 @@ def test_every_form(text: str, address: Address | None) -> None:
         "tcp:host:²", "tcp:host:" + "9" * 5000, "udpin:5760", "TCP:host:5760", "tcpin:host:5760", "http:a:80",
     ],
 )  # fmt: skip
-def test_what_is_no_link_gives_a_sentence_with_the_forms(text: str) -> None:
+def test_an_invalid_link_gives_a_sentence_with_the_valid_forms(text: str) -> None:
     with pytest.raises(ValueError, match="is not a link: give ") as caught:
         parse_address(text)
     assert FORMS in str(caught.value)
@@ -65,7 +65,7 @@ def test_what_is_no_link_gives_a_sentence_with_the_forms(text: str) -> None:
 @pytest.mark.parametrize(
     "query", ["", "peer", "peer=", "peer=drone.local", "peer=0.0.0.0", "peer=1.2.3.4/24", "x=1"]
 )
-def test_what_is_no_peer_gives_a_sentence(query: str) -> None:
+def test_an_invalid_peer_gives_a_sentence(query: str) -> None:
     with pytest.raises(ValueError, match="is not a peer: give its IP address, as in "):
         parse_address(f"udpin:0.0.0.0:14540?{query}")
 
@@ -122,7 +122,7 @@ def test_an_ipv6_socket_writes_ipv4_addresses_in_its_own_way() -> None:
 
 
 @pytest.mark.parametrize("text", ["usb:", "usb:teensy", "usb:16c0", "usb:16c0:483", "usb:16c0:0483:a:b"])
-def test_what_is_no_board_gives_a_sentence(text: str) -> None:
+def test_an_invalid_board_gives_a_sentence(text: str) -> None:
     with pytest.raises(ValueError, match="is not a USB board: give usb:VENDOR"):
         parse_address(text)
 

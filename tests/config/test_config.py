@@ -29,7 +29,7 @@ ONE_LINE = re.compile(r"my\.toml:(\d+): (?:([^:\n]+): )?[^\n]+")
 
 
 def mistake(text: str, profiles: str = PROFILES) -> tuple[int, str, str]:
-    """Line, key and the whole of the error that a text gives."""
+    """Line, key and complete text of the error of a profile."""
     with pytest.raises(ConfigError) as caught:
         config.parse(text + "\n" + profiles, "my.toml")
     said = str(caught.value)
@@ -100,7 +100,7 @@ def test_files_that_cannot_be_read_give_a_sentence(tmp_path: Path) -> None:
         ("just words\n", 1),
     ],
 )
-def test_what_is_not_toml(text: str, line: int) -> None:
+def test_a_file_that_is_not_toml(text: str, line: int) -> None:
     found_line, _, said = mistake(text)
     assert found_line == line
     assert ": not TOML: " in said
@@ -357,7 +357,7 @@ def test_one_rule_may_serve_several_commands() -> None:
     assert config.parse(text + PROFILES, "my.toml").items[0].command_ids == (217, 31010, 42)
 
 
-# Anything at all.
+# Any text.
 
 SEGMENT_KEYS = [
     "kind", "to_kPa", "to_deg", "over_s", "for_s", "frequency_Hz", "cycles", "from_kPa", "name", "repeat",

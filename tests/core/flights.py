@@ -1,4 +1,4 @@
-"""Simulated flights for the tests of the core, and readers of their actions."""
+"""Simulated flights for the tests of the core, and functions that read its actions."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def airborne(
     autopilot: FakeAutopilot | None = None,
     phlosar: SimulatedPhlosar | None = None,
 ) -> SimulatedFlight:
-    """In the air at 10 m, RC good, switch low, nothing bent; 4 s have passed."""
+    """A flight at 10 m, RC good, switch low, vine straight, after 4 s."""
     conf = conf or config.default()
     if autopilot or phlosar:
         return _climbed(conf, autopilot, phlosar)
@@ -54,13 +54,13 @@ def _climbed(
     flight.run(2.0)
     autopilot.takeoff(10.0)
     autopilot.flight.take_off_to(10.0)
-    autopilot.flight.height_m = 10.0  # a climb would only cost time
+    autopilot.flight.height_m = 10.0  # skip the climb
     flight.run(4.0)
     return flight
 
 
 def on_the_ground(conf: Config | None = None) -> SimulatedFlight:
-    """Autopilot, RC and phloSAR are there, the switch is low; 4 s have passed."""
+    """A disarmed vehicle with RC and phloSAR, switch low, after 4 s."""
     return prepared(_on_the_ground, conf or config.default())
 
 

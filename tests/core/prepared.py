@@ -1,4 +1,4 @@
-"""Flights that many tests begin with: each is simulated once, and every test gets its own copy."""
+"""Flights with which many tests begin: each is simulated once, and every test gets its own copy."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from flying_vines.simulation.phlosar.firmware import Firmware
 from flying_vines.simulation.simulated_world import SimulatedFlight
 
 _shared: list[Any] = []
-"""What does not change, so that all copies may have the same."""
+"""Objects that do not change and are shared by all copies."""
 _stored: dict[tuple[Callable[..., SimulatedFlight], str], bytes] = {}
 
 
 def prepared(begin: Callable[..., SimulatedFlight], *arguments: Any) -> SimulatedFlight:
-    """What `begin(*arguments)` returns."""
+    """A copy of the result of `begin(*arguments)`."""
     key = (begin, repr(arguments))  # a profile has no hash
     if key not in _stored:
         file = io.BytesIO()
@@ -30,7 +30,8 @@ def prepared(begin: Callable[..., SimulatedFlight], *arguments: Any) -> Simulate
 
 
 class _Pickler(pickle.Pickler):
-    """For this process only. Unlike `copy.deepcopy` it refuses what would act on the first flight."""
+    """Copies within this process. Unlike `copy.deepcopy` it refuses objects that would act on the first
+    flight."""
 
     def persistent_id(self, found: Any) -> int | None:
         if isinstance(found, struct.Struct | ctypes.CDLL) or _without_state(found):
@@ -51,7 +52,7 @@ class _Pickler(pickle.Pickler):
 
 
 def _without_state(found: Any) -> bool:
-    """A function that remembers nothing but numbers, such as a piece of a motion."""
+    """True for a function with only numbers in its closure, such as a piece of a motion."""
     return isinstance(found, FunctionType) and all(
         isinstance(cell.cell_contents, float) for cell in found.__closure__ or ()
     )
@@ -63,7 +64,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _board(fields: dict[str, Any]) -> Firmware:
-    """The core has no pointer into its own memory, so it goes on in a copy of it."""
+    """The core has no pointer into its own memory, so it continues in a copy of it."""
     board = Firmware.__new__(Firmware)
     vars(board).update(fields, _firmware=ctypes.addressof(fields["_memory"]))
     return board

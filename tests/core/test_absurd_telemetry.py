@@ -29,7 +29,7 @@ SAID = {
 
 
 class Spoiled:
-    """The wire from the board."""
+    """The wire from the board, which can replace readings."""
 
     def __init__(self, flight: SimulatedFlight) -> None:
         self.frames = 0
@@ -100,7 +100,7 @@ def test_a_sensor_that_says_what_none_can_is_a_fault_that_a_person_clears(field:
     ],
 )
 @pytest.mark.parametrize("frames", [pytest.param(1, marks=pytest.mark.long), 50])
-def test_whatever_else_a_frame_says_the_flight_goes_on_or_the_vine_is_vented(
+def test_whatever_else_a_frame_says_the_flight_continues_or_the_vine_is_vented(
     frames: int, values: dict[str, float]
 ) -> None:
     flight = bent()
@@ -122,7 +122,7 @@ def test_readings_within_reach_of_a_sensor_never_spoil_an_estimate() -> None:
             checks.take(features)
             assert math.isfinite(reservoir.spending_kPa(20.0))
             if i % 8:
-                continue  # a prediction takes milliseconds, and spoils nothing itself
+                continue  # a prediction takes milliseconds and changes nothing
             if (left := reservoir.cycles_left()) is not None:
                 assert 0.0 <= left.low <= left.expected <= left.high < math.inf
             if reservoir.filter is not None:
@@ -130,7 +130,7 @@ def test_readings_within_reach_of_a_sensor_never_spoil_an_estimate() -> None:
 
 
 def hostile(chance: random.Random) -> Iterator[tuple[float, Telemetry]]:
-    """Anything that a sensor can say, in leaps."""
+    """Random possible readings, in jumps."""
     t, holds = 0.0, chance.choice([1, 3, 20, 100, 400])
     (cv_low, cv_high), (low, high) = PLAUSIBLE_KPA["cv_kPa"], PLAUSIBLE_KPA["reservoir_kPa"]
     values: dict[str, float] = {}

@@ -37,7 +37,7 @@ VENTED_WITHIN_S = 0.4
 
 
 class Broken:
-    """A flight in which one method raises from some time on."""
+    """A flight in which one method raises from a given time on."""
 
     def __init__(self, method: Method, after_s: float, seldom: int = 1) -> None:
         self.flight = airborne()
@@ -49,7 +49,7 @@ class Broken:
         self.calls = 0
         self.breaks = False
         self.failed_at: float | None = None
-        """When something first raised that the vine needs."""
+        """Time of the first error in a method that the vine needs."""
         self.only_shown = 0
         self.actions: list[Action] = []
         self.breaks_at = self.flight.world.now + after_s
@@ -77,7 +77,7 @@ class Broken:
             assert phlosar.cv_kPa < 1.5, self.method
 
     def fly(self) -> None:
-        """A bend, and after it whatever else may be asked for."""
+        """A bend, and then every other request."""
         flight, autopilot = self.flight, self.flight.autopilot
         self.actions += flight.feed(LinkChanged(flight.world.now, "vehicle", True))
         for pulse in (HIGH, LOW, MIDDLE):
@@ -98,7 +98,7 @@ class Broken:
         self.run(0.8)
 
     def texts(self) -> list[str]:
-        """That the pilot reads."""
+        """The texts that the pilot reads."""
         messages = [a.message for a in self.actions if isinstance(a, ToVehicle)]
         texts = [m.text for m in messages if m.get_type() == "STATUSTEXT"]
         return [text.decode() if isinstance(text, bytes) else text for text in texts]
@@ -138,7 +138,7 @@ def test_whatever_raises_in_the_core_the_vine_is_vented_and_the_pilot_reads_it_o
 @pytest.mark.parametrize(
     ("method", "after_s"),
     [
-        # Where the vent, the text, the heartbeat and the looking are made.
+        # Methods that make the vent, the text, the heartbeat and the checks.
         ((HostSession, "command"), 0.5),
         ((HostSession, "tick"), 0.5),
         ((Core, "_publish"), 0.5),
@@ -159,7 +159,7 @@ def test_the_vent_does_not_need_what_failed(method: Method, after_s: float) -> N
     ("method", "told"),
     [((ReservoirEstimate, "cycles_left"), "cycles left"), ((Core, "_named_values"), "named values")],
 )
-def test_what_is_only_shown_is_switched_off_and_the_flight_goes_on(method: Method, told: str) -> None:
+def test_a_failing_display_is_switched_off_and_the_flight_continues(method: Method, told: str) -> None:
     broken = Broken(method, 0.0)
     with breakable(method, broken.raises, broken.raised):
         broken.flight.autopilot.set_rc(9, HIGH)
@@ -169,7 +169,7 @@ def test_what_is_only_shown_is_switched_off_and_the_flight_goes_on(method: Metho
     assert broken.flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
 
 
-def test_a_display_that_fails_is_blank_and_told() -> None:
+def test_a_display_that_fails_is_blank_and_reported() -> None:
     told: list[Exception] = []
     flight = bent()
     contained = CrashSafeCore(flight.core, told.append)

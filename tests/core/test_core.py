@@ -61,7 +61,7 @@ def test_the_switch_bends_and_straightens(likely: bool) -> None:
     assert_vented(flight)
 
 
-def test_a_prepared_flight_goes_on_like_the_one_that_it_was_copied_from() -> None:
+def test_a_prepared_flight_continues_like_the_one_that_it_was_copied_from() -> None:
     def flown(flight: SimulatedFlight) -> list[str]:
         actions: list[Action] = []
         for pulse_us in (LOW, HIGH):
@@ -131,7 +131,7 @@ def test_a_bent_vine_is_straightened_by_its_profile_and_one_that_vents_goes_on_v
     assert setpoints([*actions, *run_for(flight, 1.0)]) == []
 
 
-def test_where_a_bend_s_cost_cannot_be_told_it_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bend_whose_cost_is_unknown_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     flight = airborne()
     monkeypatch.setattr(ReservoirEstimate, "spending_kPa", lambda *_: 1 / 0)
     actions = ground_command(flight, mavlink.MAV_CMD_USER_2, 30.0)
@@ -167,7 +167,7 @@ def test_setpoints_never_jump_beyond_the_rate_limit() -> None:
         actions += run_for(flight, 0.33)
     sent = setpoints(actions)
     assert len(sent) > 50
-    # One tick of 20 ms at 60 kPa/s, and one more where a trigger falls between two ticks.
+    # One tick of 20 ms at 60 kPa/s, and another one if a trigger is between two ticks.
     assert max(abs(b.target_kPa - a.target_kPa) for a, b in itertools.pairwise(sent)) <= 2 * 0.02 * 60 + 0.01
     assert all(0.0 <= s.target_kPa <= 20.7 and s.rate_kPa_per_s <= 60.0 for s in sent)
 
@@ -198,7 +198,7 @@ def test_rc_loss_vents_and_nothing_resumes(how: str) -> None:
     assert [d.safety for d in decisions(run_for(flight, 1.0))] == ["accepted"]
 
 
-def test_a_move_while_rc_is_lost_is_told() -> None:
+def test_a_move_while_rc_is_lost_is_reported() -> None:
     flight = airborne()
     flight.autopilot.lose_rc("frozen")
     run_for(flight, 2.0)
@@ -349,7 +349,7 @@ def test_a_vine_that_does_not_vent_cannot_be_cleared() -> None:
     assert_vented(flight)
 
 
-def test_a_hot_bottle_is_told_and_counted_and_the_vine_goes_on() -> None:
+def test_a_hot_bottle_is_reported_and_counted_and_the_vine_continues() -> None:
     flight = bent()
     flight.phlosar.fill(745.0)
     actions = run_for(flight, 2.0)
@@ -570,7 +570,7 @@ def test_the_ground_station_sees_five_values_twice_a_second_each() -> None:
         assert 19 <= names.count(name) <= 21
     assert {a.system_id for a in actions if isinstance(a, ToVehicle)} == {1}
     boot_ms = sent[-1].time_boot_ms
-    # The fake autopilot has been up for 30 s when the flight begins.
+    # The fake autopilot starts 30 s before the flight.
     assert boot_ms == pytest.approx(1000 * (flight.world.now + 30.0), abs=300)
 
 
@@ -598,7 +598,7 @@ def test_a_missing_stream_is_named() -> None:
     assert any("does not send" in text and "GLOBAL_POSITION_INT" in text for text in texts)
 
 
-def test_what_was_learned_of_the_air_goes_into_the_next_run_of_the_same_rig() -> None:
+def test_the_learned_air_is_used_in_the_next_run_of_the_same_rig() -> None:
     flight = airborne()
     kept: list[KeepLearned] = []
     for _ in range(6):

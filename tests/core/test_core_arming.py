@@ -21,7 +21,7 @@ GROUND, SCRIPT = (255, 190), (1, 1)
 
 
 class Bench:
-    """A vine on the bench: nothing flies, everything else is there."""
+    """A vine on the bench: everything is there, but nothing flies."""
 
     def __init__(self, *, disarmed: bool = False, **interlocks: object) -> None:
         conf = msgspec.structs.replace(
@@ -33,7 +33,7 @@ class Bench:
         self._senders: dict[tuple[int, int], MavlinkCodec] = {}
 
     def command(self, number: int, param1: float, sender: tuple[int, int] = GROUND) -> Decision:
-        """Send it and let a moment pass; what came of it."""
+        """Send a command, and run for a moment. Returns the decision."""
         message = mavlink.MAVLink_command_long_message(1, 191, number, 0, param1, 0, 0, 0, 0, 0, 0)
         codec = self._senders.setdefault(sender, MavlinkCodec(*sender))
         (received,) = MavlinkCodec(1, 191).decode(codec.encode(message, sender[0]))
@@ -50,7 +50,7 @@ class Bench:
 
     @property
     def kept(self) -> list[bool]:
-        """Whether disarmed, each time that this was to be kept."""
+        """The disarmed state, each time that it was to be saved."""
         return [action.disarmed for action in self.actions if isinstance(action, KeepDisarmed)]
 
 

@@ -51,7 +51,7 @@ def open_to(*commands: str) -> Config:
 def ask(
     flight: SimulatedFlight, by: Asker, intent: Intent, age_s: float | None = 0.0, seen_s: float | None = 0.0
 ) -> Decision:
-    """`age_s` and `seen_s`: so long ago it was made, and what was seen then was shown."""
+    """Send a request. It was made `age_s` ago, when the sender saw the state of `seen_s` ago."""
     now = flight.world.now
     made_at = None if age_s is None else now - age_s
     seen_at = None if seen_s is None else now - seen_s
@@ -69,11 +69,11 @@ def on_the_bench() -> SimulatedFlight:
     return flight
 
 
-# How late.
+# Age of requests.
 
 
 @pytest.mark.parametrize("by", ["page", "broker"])
-def test_what_is_late_is_refused_and_its_age_is_told(by: Asker) -> None:
+def test_a_late_request_is_refused_and_its_age_is_reported(by: Asker) -> None:
     flight = on_the_bench()
     late = ask(flight, by, BendTo(30.0), age_s=9.04)
     assert (late.safety, late.reason) == ("refused", "too late: requested 9.0 s ago")
@@ -94,13 +94,13 @@ def test_nothing_but_letting_air_out_is_done_late(intent: Intent) -> None:
     assert_vented(flight)
 
 
-def test_of_two_reasons_the_age_is_told() -> None:
+def test_of_two_reasons_the_age_is_reported() -> None:
     late = ask(on_the_bench(), "page", ClearLatchedFaults(), age_s=1.1, seen_s=None)
     assert (late.safety, late.reason) == ("refused", "too late: requested 1.1 s ago")
 
 
 @pytest.mark.parametrize("age_s", [0.0, 0.95, -3.0, None])
-def test_what_is_young_is_done(age_s: float | None) -> None:
+def test_a_recent_request_is_executed(age_s: float | None) -> None:
     assert ask(on_the_bench(), "page", BendTo(30.0), age_s=age_s).safety == "accepted"
 
 
@@ -113,7 +113,7 @@ def test_letting_air_out_is_never_late(by: Asker, intent: Intent) -> None:
     assert_vented(flight)
 
 
-def test_what_a_process_that_stood_still_hears_late_is_not_done() -> None:
+def test_late_requests_after_a_pause_of_the_process_are_not_executed() -> None:
     flight = on_the_bench()
     asked_at = flight.world.now
     flight.stall(asked_at + 9.0)
@@ -127,7 +127,7 @@ def test_what_a_process_that_stood_still_hears_late_is_not_done() -> None:
     assert_vented(flight)
 
 
-# What may be asked for.
+# Permitted requests.
 
 
 @pytest.mark.parametrize("intent", TAKES_AIR, ids=lambda intent: str(intent))
@@ -180,11 +180,11 @@ def test_the_broker_may_do_what_the_profile_lists() -> None:
         assert "mqtt.commands" not in ask(flight, "broker", out).reason
 
 
-# What is cleared.
+# Cleared faults.
 
 
 def with_latched_fault() -> SimulatedFlight:
-    """Latched two seconds ago; its cause is gone."""
+    """A flight with a fault that latched two seconds ago; its cause is gone."""
     return prepared(_with_latched_fault)
 
 

@@ -30,7 +30,7 @@ def notices(actions: Sequence[Action]) -> list[Notice]:
 
 
 def told(actions: Sequence[Action]) -> list[str]:
-    """What is not for the log alone."""
+    """The texts that the pilot reads."""
     return [notice.text for notice in notices(actions) if notice.severity is not Severity.DEBUG]
 
 
@@ -39,7 +39,7 @@ def sent(actions: Sequence[Action], kind: type[Setpoint] | type[Vent]) -> int:
 
 
 def says(flight: SimulatedFlight, change: Change) -> None:
-    """From now on the board's telemetry says something else."""
+    """Change the board's telemetry from now on."""
     heard, said = protocol.Codec(), protocol.Codec()
 
     def changed(message: protocol.Message) -> protocol.Message:
@@ -50,7 +50,7 @@ def says(flight: SimulatedFlight, change: Change) -> None:
     )
 
 
-# What is no news.
+# Repeated telemetry.
 
 
 def repeating() -> Change:
@@ -64,7 +64,7 @@ def repeating() -> Change:
 
 
 def with_clock(clock_ms: Callable[[int, int], int]) -> Change:
-    """Pressures and counter go on; the clock is what is made of its first time and the count."""
+    """Telemetry with good pressures and counter. The clock is a function of its first time and the count."""
     times = []
 
     def change(telemetry: Telemetry) -> Telemetry:
@@ -99,8 +99,8 @@ def test_telemetry_whose_clock_does_not_go_on_is_lost(change: Change) -> None:
     assert (refused.safety, refused.reason) == ("refused", "phloSAR telemetry stale")
 
 
-def test_a_counter_that_stands_while_the_clock_goes_on_is_no_loss() -> None:
-    """The board's clock says whether a frame is new; the counter only counts losses."""
+def test_a_counter_that_stands_while_the_clock_continues_is_no_loss() -> None:
+    """The board's clock says if a frame is new. The counter only counts losses."""
     flight = bent()
     heard = protocol.Codec()
     flight.world.from_phlosar = lambda data: b"".join(protocol.encode(m, 7) for m in heard.decode(data))
@@ -127,20 +127,20 @@ def test_every_frame_twice_and_neighbours_swapped_is_no_loss() -> None:
     assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
 
 
-# A board that does not do what it is told.
+# A board that ignores commands.
 
 
 def regulating(telemetry: Telemetry) -> Telemetry:
     return dataclasses.replace(telemetry, mode=Mode.REGULATE, setpoint_kPa=20.7)
 
 
-def test_a_board_that_regulates_on_after_a_vent_is_told_and_is_a_fault() -> None:
+def test_a_board_that_regulates_on_after_a_vent_is_reported_and_is_a_fault() -> None:
     flight = bent()
     says(flight, regulating)
     flight.autopilot.set_rc(9, LOW)
     actions = run_for(flight, 0.5)
     began = next(a.t for a in decisions(actions) if a.intent == "straight")
-    # The motion down ends first: until then the board is told to regulate.
+    # The motion down must end first: until then the board is told to regulate.
     actions += run_for(flight, 3.0)
     ended = max(
         i for i, a in enumerate(actions) if isinstance(a, ToFirmware) and isinstance(a.message, Setpoint)
@@ -170,7 +170,7 @@ def test_it_is_found_within_0p35_s_of_a_vent() -> None:
 
 
 def test_two_answers_that_are_late_one_after_the_other_are_no_fault() -> None:
-    """Each answer is late by less than the limit, and only both together exceed it."""
+    """Each answer is late by less than the limit. Only both times together exceed it."""
     flight = bent()
     says(flight, lambda telemetry: dataclasses.replace(telemetry, mode=Mode.VENT))
     actions = run_for(flight, 0.25)
@@ -193,7 +193,7 @@ def test_a_board_in_a_fault_that_it_does_not_name_vents_and_does_not_bend(
     assert told(run_for(flight, 2.0)) == notice
 
 
-def test_a_vent_that_is_heard_late_is_no_fault() -> None:
+def test_a_vent_that_arrives_late_is_no_fault() -> None:
     flight = bent()
     flight.autopilot.lose_rc("jump")
     lost_until = flight.world.now + 0.35
@@ -214,7 +214,7 @@ def rebooting(flight: SimulatedFlight, every_s: float, for_s: float) -> list[Act
 
 
 @pytest.mark.parametrize("every_s", [0.1, pytest.param(2.5, marks=pytest.mark.long)])
-def test_a_loop_of_restarts_is_told_at_once_and_then_counted(every_s: float) -> None:
+def test_a_loop_of_restarts_is_reported_at_once_and_then_counted(every_s: float) -> None:
     flight = bent()
     actions = rebooting(flight, every_s, 30.0)
     actions += run_for(flight, 11.0)

@@ -37,9 +37,9 @@ from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 MESSAGES = 16_000
 ODD_FLOATS = [float("nan"), float("inf"), float("-inf"), 3e38, -1.0, 0.0, 1.0]
 MOST_SENT_HZ = 2 / 0.02
-"""Two frames every 20 ms: what the smallest of the autopilots' forward buffers takes."""
+"""Two frames every 20 ms: the capacity of the smallest forward buffer of the autopilots."""
 LARGEST_TABLE = 5001
-"""The mission's book holds that many items at most; nothing else comes near."""
+"""Maximum number of stored mission items; all other tables are much smaller."""
 
 
 def setpoints(actions: list[Action]) -> list[protocol.Setpoint]:
@@ -48,7 +48,7 @@ def setpoints(actions: list[Action]) -> list[protocol.Setpoint]:
 
 
 def sent(actions: list[Action], out: MavlinkCodec) -> int:
-    """How many frames go to the vehicle; each can be encoded."""
+    """Number of frames to the vehicle. Checks that each can be encoded."""
     frames = [out.encode(a.message, a.system_id) for a in actions if isinstance(a, ToVehicle)]
     assert all(frames)
     return len(frames)
@@ -102,7 +102,7 @@ def test_whatever_moves_stays_within_the_limits() -> None:
         actions = list(world.advance(t))
         kinds = COMMANDS if i % 4 == 1 else KINDS
         data = babble.frame(kinds, AUTOPILOT if i % 100 == 0 else STATION)
-        if i % 100 == 50:  # between all the nonsense an autopilot that flies
+        if i % 100 == 50:  # between the random messages, those of a flying autopilot
             data += autopilot.encode(mavlink.MAVLink_heartbeat_message(2, 3, 217, 4, 4, 3), 1)
             place = mavlink.MAVLink_global_position_int_message(round(t * 1000), 0, 0, 0, 10_000, 0, 0, 0, 0)
             data += autopilot.encode(place, 1)

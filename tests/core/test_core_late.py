@@ -50,7 +50,7 @@ def mission(angle_deg: float) -> list[MissionItem]:
 
 
 def flying(until_item_s: float = 0.0) -> SimulatedFlight:
-    """On the way to item 3, so many seconds before it runs."""
+    """A flight on the way to item 3, this time before it runs."""
     return prepared(_flying, until_item_s)
 
 
@@ -95,7 +95,7 @@ def test_a_mission_replaced_a_moment_ago_gives_its_own_numbers() -> None:
 
 
 @pytest.mark.parametrize("kind", ["text lost", "answers lost"])
-def test_an_item_that_is_not_confirmed_is_refused_and_told(kind: str) -> None:
+def test_an_item_that_is_not_confirmed_is_refused_and_reported(kind: str) -> None:
     flight = flying(2.0)
     lost = b"Mission: 3" if kind == "text lost" else b"\x49\x00\x00"  # MISSION_ITEM_INT
     flight.from_autopilot = lambda frame: b"" if lost in frame else frame
@@ -110,7 +110,7 @@ def test_an_item_that_is_not_confirmed_is_refused_and_told(kind: str) -> None:
 
 
 @pytest.mark.parametrize("stall_s", [3.0, 6.0])
-def test_a_process_that_stood_still_bends_nothing_when_it_wakes(stall_s: float) -> None:
+def test_a_process_that_stopped_bends_nothing_when_it_wakes(stall_s: float) -> None:
     flight = flying(1.0)
     actions = flight.stall(flight.world.now + stall_s)
     assert len(flight.autopilot.payload_log) == 1
@@ -141,13 +141,13 @@ def decide(flight: SimulatedFlight, intent: Intent, age_s: float, kind: str = "c
 
 
 @pytest.mark.parametrize(("intent", "verdict"), LATE)
-def test_what_comes_late_only_lets_air_out(intent: Intent, verdict: str) -> None:
+def test_late_requests_may_only_let_air_out(intent: Intent, verdict: str) -> None:
     decision = decide(flying(2.0), intent, 1.1)
     assert decision.safety == verdict
     assert decision.reason == ("came 1.1 s late" if verdict == "refused" else "")
 
 
-def test_what_was_asked_for_before_something_newer_is_not_carried_out() -> None:
+def test_a_request_older_than_the_latest_is_not_executed() -> None:
     flight = flying(4.0)
     assert decide(flight, BendTo(10.0), 0.0).safety == "accepted"
     flight.run(flight.world.now + 0.2)

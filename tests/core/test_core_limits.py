@@ -46,7 +46,7 @@ def order(
 ) -> list[Action]:
     numbers = [*params, *[0.0] * (7 - len(params))]
     message = mavlink.MAVLink_command_long_message(1, 191, command, confirmation, *numbers)
-    # What it is told waits its turn.
+    # Texts wait in a queue.
     return say(flight, message, sender, sequence) + run_for(flight, 0.1)
 
 
@@ -59,7 +59,8 @@ def is_bent(flight: SimulatedFlight) -> bool:
 
 
 def bent_for(flight: SimulatedFlight, history: Sequence[tuple[bool, float]]) -> tuple[float, float]:
-    """How long it stays bent while RC goes (False) and returns (True), and how much of that RC was lost."""
+    """How long the vine stays bent while RC is lost (False) and returns (True), and for how much of that RC
+    was lost."""
     began, held_s = flight.world.now, 0.0
     for good, lasts_s in history:
         flight.autopilot.return_rc() if good else flight.autopilot.lose_rc("frozen")
@@ -75,7 +76,7 @@ def bent_for(flight: SimulatedFlight, history: Sequence[tuple[bool, float]]) -> 
 def test_losses_that_are_held_do_not_stretch_how_long_the_vine_stays_bent() -> None:
     flight = bent(conf=holding(60.0, 20.0))
     lasted_s, _ = bent_for(flight, [(False, 4.0), (True, 4.0)] * 5)
-    # It was bent within the last two seconds.
+    # A trigger bent it within the last two seconds.
     assert 18.0 < lasted_s < 18.5
     run_for(flight, 0.5)
     assert_vented(flight)
@@ -100,7 +101,7 @@ def test_a_fresh_move_is_held_anew() -> None:
         run_for(flight, 1.0)
 
 
-def test_a_hold_command_is_a_fresh_wish() -> None:
+def test_a_hold_command_is_a_new_request() -> None:
     flight = bent(conf=holding(5.0, 10.0))
     run_for(flight, 6.0)
     assert answers(order(flight, USER_4, HOLD)) == [(USER_4, ACCEPTED)]
@@ -117,12 +118,12 @@ def test_no_losses_and_returns_stretch_a_bend(history: list[tuple[bool, float]])
     flight = bent(conf=holding(4.0, 15.0))
     lasted_s, held_s = bent_for(flight, [*history, (False, 15.0)])
     assert held_s <= 4.0 + 0.1
-    # The switch had to be steady, before the two seconds in which it was bent were over.
+    # The switch became steady before the two seconds with the bend were over.
     assert lasted_s <= 15.0 - 1.5 + 0.1
     assert not is_bent(flight)
 
 
-# A vent is carried out each time.
+# Every vent is executed.
 
 
 @pytest.mark.parametrize("what", [VENT, DISARM])
@@ -200,7 +201,7 @@ STRANGERS = [(0, 190), (0, 0), (1, 190), (1, 195), (1, 0), (2, 1), (7, 190), (23
 
 
 @pytest.mark.parametrize("sender", STATIONS)
-def test_a_station_that_was_never_heard_may_bend(sender: tuple[int, int]) -> None:
+def test_a_station_without_a_heartbeat_may_bend(sender: tuple[int, int]) -> None:
     assert answers(order(airborne(), USER_2, 30.0, sender=sender)) == [(USER_2, ACCEPTED)]
 
 

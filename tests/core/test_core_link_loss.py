@@ -1,4 +1,4 @@
-"""The link to the autopilot is lost fully or partly: what is reported alive, and what the pilot reads."""
+"""The link to the autopilot is lost fully or partly: what the service reports, and what the pilot reads."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HEARTBEAT, RC_CHANNELS = 0, 65
 
 
 def bent(profile: Config | None = None, rc: bool = True) -> SimulatedFlight:
-    """At 10 m; the switch has bent the vine, or a person where this flight has no RC."""
+    """A flight at 10 m. The switch has bent the vine, or a button in a flight without RC."""
     return prepared(_bent, profile or config.default(), rc)
 
 
@@ -59,14 +59,14 @@ def lost(actions: Sequence[Action]) -> list[str]:
 
 
 def without(flight: SimulatedFlight, *message_ids: int) -> None:
-    """These no longer come; all others do."""
+    """Lose these messages, and no others."""
     flight.from_autopilot = lambda frame: (
         b"" if int.from_bytes(frame[7:10], "little") in message_ids else frame
     )
 
 
 @pytest.mark.parametrize("for_s", [1.8, 4.0, 20.0])
-def test_a_silent_link_is_told_once_and_once_when_it_is_back(for_s: float) -> None:
+def test_a_silent_link_is_reported_once_and_once_when_it_is_back(for_s: float) -> None:
     flight = bent()
     flight.autopilot.mute(for_s)
     actions = lives(flight, for_s)
@@ -78,7 +78,7 @@ def test_a_silent_link_is_told_once_and_once_when_it_is_back(for_s: float) -> No
 
 
 def test_a_link_is_back_with_the_first_heartbeat() -> None:
-    """Frames prove that the autopilot is alive, but only a heartbeat says whether it is armed."""
+    """Any frame proves that the autopilot is alive, but only a heartbeat says if it is armed."""
     flight = bent()
     flight.autopilot.mute(8.0)
     lives(flight, 7.9)
@@ -88,14 +88,14 @@ def test_a_link_is_back_with_the_first_heartbeat() -> None:
     assert told(lives(flight, 2.0)) == ["Vine: vehicle link is back", WAITING]
 
 
-def test_a_silent_link_is_told_again_when_the_vine_does_something_else() -> None:
+def test_a_silent_link_is_reported_again_when_the_vine_does_something_else() -> None:
     flight = bent(holding(on_rc_loss="hold", hold_at_most_s=1.5))
     flight.autopilot.mute(20.0)
     texts = told(lives(flight, 20.0))
     assert texts == ["Vine: vehicle link silent, holding", "Vine: vehicle link silent, vented"]
 
 
-def test_a_closed_link_is_told_as_such() -> None:
+def test_a_closed_link_is_reported_as_such() -> None:
     flight = bent()
     flight.feed(LinkChanged(flight.world.now, "vehicle", False, "was unplugged"))
     flight.from_autopilot = lambda frame: b""
@@ -116,7 +116,7 @@ def test_a_link_that_is_back_without_rc_says_so() -> None:
     assert told(lives(flight, 2.0)) == ["Vine: RC is back", WAITING]
 
 
-def test_rc_that_stops_while_the_autopilot_speaks_is_no_dead_link() -> None:
+def test_rc_that_stops_while_the_autopilot_sends_is_no_dead_link() -> None:
     flight = bent()
     without(flight, RC_CHANNELS)
     assert told(lives(flight, 4.0)) == ["Vine: RC lost: no RC_CHANNELS for 1 s, vented"]
@@ -162,8 +162,8 @@ def test_without_heartbeats_nobody_knows_whether_it_is_armed_and_the_vine_vents(
     assert told(lives(flight, 2.0)) == ["Vine: autopilot is back", WAITING]
 
 
-def test_nothing_that_was_heard_of_the_radio_outlives_a_silent_autopilot() -> None:
-    """Another autopilot may answer after the silence."""
+def test_the_state_of_the_radio_is_forgotten_when_the_autopilot_is_silent() -> None:
+    """After the silence, another autopilot may answer."""
     flight = bent()
     flight.autopilot.mute(6.0)
     lives(flight, 2.5)

@@ -1,4 +1,4 @@
-"""Bench mode: a person tries the vine on the ground, and what ends the mode."""
+"""Bench mode: a person tries the vine on the ground; and the events that end the mode."""
 
 from __future__ import annotations
 
@@ -82,13 +82,13 @@ def test_rc_that_goes_off_vents_and_is_not_said_to_be_back(how: str) -> None:
     flight.autopilot.lose_rc(how)  # type: ignore[arg-type]
     told = notices(run_for(flight, 3.0))
     assert any("RC lost" in text for text in told)
-    assert "Vine: going on without RC" in told
+    assert "Vine: RC is off and not in use" in told
     assert not any("RC is back" in text for text in told)
     assert vented(flight)
     assert ask(flight, BendTo(30.0)).safety == "accepted", "who has no RC on the bench may bend by the page"
 
 
-def test_what_no_person_asks_for_does_not_prolong_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_a_request_of_a_person_prolongs_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(core, "BENCH_S", 4.0)
     flight = on_the_ground()
     ask(flight, StartBench())

@@ -1,4 +1,4 @@
-"""Parameters that a pilot sets are in force at once, saved, and never change during a bend."""
+"""Parameters that a pilot sets are active at once and saved. They never change during a bend."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BEND = 31011
 
 
 class Field:
-    """A vine on the bench and a ground station beside it."""
+    """A vine on the bench, and a ground station."""
 
     def __init__(self) -> None:
         text = config.default_text().replace("bench_mode = false", "bench_mode = true")
@@ -25,7 +25,7 @@ class Field:
         self._station = MavlinkCodec(255, 190)
 
     def send(self, message: MavlinkMessage) -> list[Action]:
-        """Send it and let a moment pass; what came of it."""
+        """Send a message, and run for a moment. Returns the actions."""
         (received,) = MavlinkCodec(1, 191).decode(self._station.encode(message, 255))
         actions = self.flight.feed(VehicleMessage(self.flight.world.now, received))
         actions += self.flight.run(self.flight.world.now + 0.2)
@@ -33,7 +33,7 @@ class Field:
         return actions
 
     def set(self, name: str, value: float) -> float:
-        """Set a parameter; the value that is said to be in force."""
+        """Set a parameter. Returns the value that the service reports."""
         actions = self.send(mavlink.MAVLink_param_set_message(1, 191, name.encode(), value, REAL32))
         (answer,) = (m for m in sent(actions) if m.get_type() == "PARAM_VALUE")
         assert answer.param_id == name
@@ -61,7 +61,7 @@ def test_a_slower_rate_is_in_force_for_the_next_bend_and_is_kept() -> None:
     assert kept.values == {"VINE_MAX_RATE": 5.0}
 
 
-def test_what_steers_the_vine_is_not_changed_while_it_is_bent() -> None:
+def test_settings_of_the_vine_do_not_change_while_it_is_bent() -> None:
     field = Field()
     field.bend(30.0)
     assert field.set("VINE_MAX_RATE", 5.0) == 60.0
@@ -103,7 +103,7 @@ def test_another_switch_channel_waits_for_a_fresh_move() -> None:
     assert (decision.what["channel"], decision.intent) == (7, "bend-half")
 
 
-def test_what_was_kept_is_in_force_from_the_start() -> None:
+def test_saved_parameters_are_active_from_the_start() -> None:
     from flying_vines.core.core import Core
 
     core = Core(config.default(), stored=StoredState({"VINE_MAX_KPA": 10.0, "VINE_RC_ACTION": 1.0}))

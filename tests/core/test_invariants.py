@@ -1,6 +1,6 @@
-"""A referee finds no foul in random flights, and finds every foul of cheating services and firmware.
+"""A referee finds no foul in random flights, and finds each foul of services and firmware that break a rule.
 
-In each flight of a cheat the real service and firmware have no foul.
+In each flight of a cheat, the real service and firmware have no foul.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 from faults_flight import PULSES_US, SWITCH, RefereedFlight, Setup
 from faults_script import draw, fly
 
-# Cheats, and the flights that show them up.
+# Cheats, and the flights that expose them.
 
 
 class RcBackAndOn(Core):
-    """Takes up again what it did before RC was lost."""
+    """Resumes its motion after an RC loss."""
 
     def _enter(self, t: float, change: ResponseNeeded) -> None:
         if self._motion is not None:
@@ -56,7 +56,7 @@ class RcBackAndOn(Core):
 
 
 class NothingWasSaid(Core):
-    """Moves on its own."""
+    """Moves without a request."""
 
     def handle(self, event: Event) -> list[Action]:
         actions = super().handle(event)
@@ -66,14 +66,14 @@ class NothingWasSaid(Core):
 
 
 class BlindToSafety(Core):
-    """Goes on whatever safety says."""
+    """Continues although safety vents."""
 
     def _enter(self, t: float, change: ResponseNeeded) -> None:
         pass
 
 
 class SwitchRemembers(Core):
-    """Believes a switch that was moved while nobody saw it."""
+    """Accepts a move of the switch that nobody saw."""
 
     def __init__(self, profile: Config) -> None:
         super().__init__(profile)
@@ -81,7 +81,7 @@ class SwitchRemembers(Core):
 
 
 class ResetAndOn(Core):
-    """A board that restarted is given back what it did."""
+    """Gives a restarted board its former command."""
 
     def _on_firmware(self, t: float, message: protocol.Message) -> None:
         before = self._motion
@@ -94,14 +94,14 @@ class ResetAndOn(Core):
 
 
 class HoldsByGoingOn(Core):
-    """On RC loss it does not hold the vine where it is, but finishes what it does."""
+    """On RC loss it does not hold the vine, but finishes its motion."""
 
     def _freeze(self, t: float) -> None:
         pass
 
 
 class TooFar(Core):
-    """Knows no limits."""
+    """Has no limits."""
 
     def __init__(self, profile: Config) -> None:
         limits = msgspec.structs.replace(profile.limits, max_kPa=24.0)
@@ -110,7 +110,7 @@ class TooFar(Core):
 
 
 class NeedsNobody(Core):
-    """Clears what has latched as soon as it can."""
+    """Clears latched faults as soon as possible."""
 
     def _on_tick(self, t: float) -> None:
         self._clear_faults(t)
@@ -118,7 +118,7 @@ class NeedsNobody(Core):
 
 
 class NeverStraight(Core):
-    """Does not hear of it."""
+    """Ignores requests to straighten."""
 
     def _decide(self, t: float, trigger: Trigger) -> Decision:
         if trigger.intent == StartProfile("straight"):
@@ -127,7 +127,7 @@ class NeverStraight(Core):
 
 
 class DeafToTheSwitch(Core):
-    """Says that it bends the vine."""
+    """Reports a bend, but does not bend the vine."""
 
     def _decide(self, t: float, trigger: Trigger) -> Decision:
         if trigger.what.get("position"):
@@ -136,7 +136,7 @@ class DeafToTheSwitch(Core):
 
 
 class OtherNumbers(Core):
-    """Bends the vine by half of what was asked for."""
+    """Bends the vine by half of the requested angle."""
 
     def _decide(self, t: float, trigger: Trigger) -> Decision:
         if isinstance(trigger.intent, BendTo):
@@ -145,7 +145,7 @@ class OtherNumbers(Core):
 
 
 class RemembersTheSetpoint(Firmware):
-    """Knows the last setpoint that no vent followed, and when it came."""
+    """Stores the last setpoint without a later vent, and its time."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -170,7 +170,7 @@ class RemembersTheSetpoint(Firmware):
 
 
 class LateDeadMan(RemembersTheSetpoint):
-    """Its dead-man waits for 150 ms longer than the time-to-live."""
+    """Its dead-man waits 150 ms longer than the time-to-live."""
 
     def _remember(self, last: Setpoint, for_ms: int) -> None:
         if for_ms < 150:
@@ -178,7 +178,7 @@ class LateDeadMan(RemembersTheSetpoint):
 
 
 class ForgetsItsDeadMan(RemembersTheSetpoint):
-    """Vents when its dead-man runs out, but does not latch it; so the next setpoint goes on."""
+    """Vents when its dead-man runs out, but does not latch this, so the next setpoint continues."""
 
     def _remember(self, last: Setpoint, for_ms: int) -> None:
         if for_ms >= last.ttl_ms - 1:
@@ -186,14 +186,14 @@ class ForgetsItsDeadMan(RemembersTheSetpoint):
 
 
 class NoLimit(Firmware):
-    """Over-pressure, wherever it is, is nothing to it."""
+    """Ignores over-pressure of vine and reservoir."""
 
     def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Inputs:
         return super().step(now_us, min(cv_kPa, 25.0), min(reservoir_kPa, 700.0))
 
 
 class StuckInRegulation(Firmware):
-    """Does not hear that it is to vent."""
+    """Ignores vents."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -206,7 +206,7 @@ class StuckInRegulation(Firmware):
 
 
 class OpensAtPowerUp(Firmware):
-    """Puffs once when it is greeted."""
+    """Lets in a puff of air when it is greeted."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -308,7 +308,7 @@ def stay_bent(flight: RefereedFlight) -> None:
 
 
 def cut_while_bending(flight: RefereedFlight) -> None:
-    """The switch asks for more while nothing is heard at the board."""
+    """The switch requests more while the board receives nothing."""
     airborne(flight)
     flight.move_switch(1)
     flight.run(1.0)
@@ -325,7 +325,7 @@ def overfill(flight: RefereedFlight) -> None:
 
 
 def straighten(flight: RefereedFlight) -> None:
-    """In the middle of a wave, which goes on bending it."""
+    """Straighten in the middle of a wave, which continues to bend the vine."""
     airborne(flight)
     flight.press(3)
     flight.run(0.5)
@@ -337,7 +337,7 @@ def straighten(flight: RefereedFlight) -> None:
 class Cheat:
     flown: Callable[[RefereedFlight], None]
     rules: set[str]
-    """Any of these is called."""
+    """At least one of these must be called."""
     core: Callable[[Config], Core] = Core
     board: type[Firmware] = Firmware
     setup: Setup = field(default_factory=Setup)
@@ -376,14 +376,14 @@ def test_the_referee_sees_who_cheats(cheat: Cheat) -> None:
 @pytest.mark.parametrize(
     "cheat", {cheat.flown: cheat for cheat in CHEATS}.values(), ids=lambda c: c.flown.__name__
 )
-def test_who_does_not_cheat_has_no_foul(cheat: Cheat) -> None:
+def test_the_real_core_has_no_foul(cheat: Cheat) -> None:
     flight = RefereedFlight(cheat.setup, board=Firmware())
     cheat.flown(flight)
     assert flight.fouls == []
 
 
 def test_a_limit_that_is_too_high_is_seen_at_the_vine() -> None:
-    """The true pressure is above the firmware's limit, and repairing an intact part excuses nothing."""
+    """The true pressure is above the firmware's limit. Repairing an intact part excuses nothing."""
     flight = RefereedFlight(Setup(), board=Firmware({"cv_limit_kPa": 60.0}))
     bent(flight)
     flight.heal("bottle")
@@ -393,11 +393,11 @@ def test_a_limit_that_is_too_high_is_seen_at_the_vine() -> None:
     assert "over the limit" in {foul.rule for foul in flight.fouls}
 
 
-# Flights that hypothesis thinks up.
+# Flights that hypothesis draws.
 
 
 class AnyFlight(RuleBasedStateMachine):
-    """Everybody does what they like, and everything breaks; after each of it the referee is asked."""
+    """Any requests and any faults, in any order. The referee is asked after each of them."""
 
     @initialize(receiver=st.sampled_from(sorted(LOSSES)), holds=st.booleans())
     def take_off(self, receiver: RcSource, holds: bool) -> None:
@@ -432,7 +432,7 @@ class AnyFlight(RuleBasedStateMachine):
             self.flight.return_rc()
         else:
             how = LOSSES[self.flight.autopilot.receiver.source][-1 if jumps else 0]
-            # On ArduPilot a preset that leaves the throttle alone is seen by nobody.
+            # On ArduPilot, nobody sees a preset that does not change the throttle.
             unseen = self.flight.setup.autopilot == "ardupilot" or preset_us is None
             self.flight.lose_rc(how, None if unseen else {SWITCH: preset_us or 0})
         self.rc_lost = not self.rc_lost
@@ -512,7 +512,7 @@ class TestAnyFlight(AnyFlight.TestCase):  # type: ignore[misc, valid-type]
 @needs_compiler
 @pytest.mark.parametrize("seed", [1, 2, 3, 5641])
 def test_flights_of_the_campaign(seed: int) -> None:
-    """Some of the flights that benchmarks/faults.py flies by the thousand."""
+    """Some of the flights of benchmarks/faults.py."""
     outcome = fly(draw(seed))
     assert outcome.fouls == (), outcome.timeline
 

@@ -1,4 +1,4 @@
-"""Safety alone: interlocks, limits, losses and latched faults."""
+"""Safety without the rest of the core: interlocks, limits, losses and latched faults."""
 
 from __future__ import annotations
 
@@ -177,7 +177,7 @@ def test_hold_ends_in_venting() -> None:
     assert isinstance(entered, ResponseNeeded)
     assert entered.response == "hold"
     machine.watch(20.0, lost)
-    machine.triggered()  # to let some of the air out: that is no reason to hold the rest for longer
+    machine.triggered()  # letting some air out is no reason to hold the rest for longer
     assert machine.watch(29.9, lost) == []
     (entered,) = machine.watch(30.1, lost)
     assert isinstance(entered, ResponseNeeded)
@@ -208,7 +208,7 @@ def test_losses_that_come_and_go_are_not_held_longer_than_one() -> None:
 
 
 def test_a_lost_autopilot_is_never_held() -> None:
-    """Altitude and arming are unknown then."""
+    """Without the autopilot, altitude and arming are unknown."""
     machine = safety(losses=config.LossesConfig(on_rc_loss="hold"))
     (entered,) = machine.watch(0.0, but(BENT, autopilot_age_s=3.1))
     assert isinstance(entered, ResponseNeeded) and entered.response == "vent"
@@ -246,7 +246,7 @@ def test_the_firmwares_faults_are_seen_from_the_last_new_one_on() -> None:
 @pytest.mark.parametrize(
     ("faults", "told"), [(Fault.DEAD_MAN, "dead-man timer ran out"), (Fault(0x4000), "0x4000")]
 )
-def test_a_fault_of_the_firmware_is_told_by_its_name_or_number(faults: Fault, told: str) -> None:
+def test_a_fault_of_the_firmware_is_reported_by_its_name_or_number(faults: Fault, told: str) -> None:
     (entered,) = safety().watch(0.0, but(BENT, faults=faults))
     assert isinstance(entered, ResponseNeeded)
     assert entered.reason == f"firmware fault: {told}"

@@ -1,4 +1,4 @@
-"""The notice that a bend is requested in vain: when it comes and what it says."""
+"""The notice that a requested bend cannot begin: when it comes, and what it says."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def vent_on_page(flight: SimulatedFlight) -> None:
     flight.feed(Asked(flight.world.now, "page", VentVine(), seen_at=flight.world.now))
 
 
-def test_a_vent_by_another_person_waits_for_the_switch_and_is_told_once() -> None:
+def test_a_vent_by_another_person_waits_for_the_switch_and_is_reported_once() -> None:
     flight = bent()
     vent_on_page(flight)
     told = notices(run_for(flight, 5.0))
@@ -41,7 +41,7 @@ def test_a_vent_by_another_person_waits_for_the_switch_and_is_told_once() -> Non
     assert waiting(flight) is None
 
 
-def test_after_a_loss_of_rc_it_says_what_vented_and_is_told_when_rc_is_back() -> None:
+def test_after_a_loss_of_rc_it_says_what_vented_and_is_reported_when_rc_is_back() -> None:
     flight = bent()
     flight.autopilot.lose_rc("jump")
     told = notices(run_for(flight, 3.0))
@@ -100,7 +100,7 @@ def test_bench_mode_that_ends_says_so() -> None:
 
 
 class Oracle:
-    """What the actions alone say: does the vine move, and who asked last?"""
+    """What can be derived from the actions only: does the vine move, and who requested it last?"""
 
     def __init__(self) -> None:
         self.moves = False

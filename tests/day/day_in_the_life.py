@@ -85,10 +85,10 @@ print(json.dumps({name: misfit_kPa(rig) for name, rig in rigs.items()}))
 
 @dataclass
 class Outcomes:
-    """What the day showed, step by step."""
+    """The results of the day, step by step."""
 
     installed: str = ""
-    """Where the program came from."""
+    """Where the program was installed."""
     checked: str = ""
     doctor: str = ""
     calibrated: dict[str, Any] = field(default_factory=dict)
@@ -105,13 +105,13 @@ class Outcomes:
     replayed: str = ""
     verdict: dict[str, Any] = field(default_factory=dict)
     misfit_kPa: dict[str, float] = field(default_factory=dict)
-    """Of the second flight, which no fit has used, to the simulation: root mean square by rig."""
+    """Root mean square error of the simulation for the second flight, which no fit has used, by rig."""
     seconds: dict[str, float] = field(default_factory=dict)
-    """By step."""
+    """Time of each step."""
 
 
 class Day:
-    """A user at a terminal, in `folder`, whose environment has nothing of the checkout."""
+    """A user at a terminal in `folder`, with an environment without the checkout."""
 
     def __init__(self, folder: Path, pictures: Path, browser: Browser) -> None:
         self.folder = folder
@@ -122,7 +122,7 @@ class Day:
             "HOME": str(folder),
             "PATH": f"{folder / 'venv' / 'bin'}:{os.environ['PATH']}",
             "LANG": "C.UTF-8",
-            # What is compiled or downloaded once on a machine is not fetched again.
+            # Use the machine's caches.
             "XDG_CACHE_HOME": os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache")),
         } | {name: value for name, value in os.environ.items() if name.startswith(("PIP_", "SSL_"))}
         if (config := Path.home() / ".config" / "pip" / "pip.conf").exists():
@@ -145,7 +145,7 @@ class Day:
         return Terminal(("sh", "-c", f"exec {line}"), self.folder, self._environment, size)
 
     def do(self, line: str, picture: str = "") -> str:
-        """A command to its end. Returns all that it printed."""
+        """Run a command to its end. Returns its output."""
         with self.open(line) as terminal:
             said = terminal.end()
             if picture:
@@ -153,7 +153,8 @@ class Day:
         return said
 
     def picture(self, terminal: Terminal, name: str, title: str) -> None:
-        """What stands there now. It is drawn at the step's end, because a flight needs the processor."""
+        """Take a picture of the terminal. It is drawn at the end of the step, because a flight needs the
+        processor."""
         self._shots.append((terminal.svg(title), self._path(name)))
 
     def _draw(self) -> None:
@@ -165,7 +166,7 @@ class Day:
         self._shots.clear()
 
     def _path(self, name: str) -> Path:
-        """Where the next picture is saved."""
+        """Path of the next picture."""
         self._count += 1
         path = self._pictures / f"{self._count:02d}-{name}.png"
         print(f"   picture {path}", flush=True)
@@ -184,14 +185,14 @@ class Day:
         page.close()
 
     def shoot(self, page: Page, name: str, *sizes: tuple[int, int]) -> None:
-        """Save a page as it is in windows of these sizes."""
+        """Save a page in windows of these sizes."""
         for width, height in sizes:
             page.set_viewport_size({"width": width, "height": height})
             page.screenshot(path=self._path(f"{name}-{width}"))
 
 
 def live(folder: Path, pictures: Path, browser: Browser) -> Outcomes:
-    """The whole day."""
+    """Run the whole day."""
     day = Day(folder, pictures, browser)
     seen = day.seen
     ports = {name: free_port() for name in ("vehicle", "gcs", "page")}
@@ -202,7 +203,7 @@ def live(folder: Path, pictures: Path, browser: Browser) -> Outcomes:
         use_stand_ins(folder / "vine.toml", ports["vehicle"], ports["page"])
         seen.checked = day.do("flying-vines config check vine.toml", "config-check")
 
-    # The stand-ins are up until the evening.
+    # The stand-ins run for the whole day.
     (folder / "hidden.toml").write_text(RIG, encoding="utf-8")
     with ExitStack() as around:
         with day.step("The stand-ins for the hardware"):
@@ -253,7 +254,7 @@ def _install(day: Day) -> None:
 
 
 def _sources(folder: Path) -> Path:
-    """A copy of the checkout, because building leaves folders behind."""
+    """A copy of the checkout, because a build leaves folders there."""
     copy = folder / "sources"
     copy.mkdir()
     for name in ("firmware_link", "flying_vines", "missions"):

@@ -1,4 +1,4 @@
-"""A terminal: a program runs in it, a person types, and what it shows becomes a picture."""
+"""A terminal: a program runs in it, a test types, and its output becomes a picture."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ CODE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|\r")
 
 
 class Ended(AssertionError):
-    """A program that did not do what the person expects."""
+    """A program that did not do what the test expects."""
 
 
 class Terminal:
-    """Leaving it kills what still runs in it."""
+    """A terminal with a program. Leaving the context kills the program."""
 
     def __init__(
         self,
@@ -85,22 +85,22 @@ class Terminal:
 
     @property
     def said(self) -> str:
-        """All that was printed, without colours."""
+        """All output, without colours."""
         return CODE.sub("", self._shown.decode(errors="replace"))
 
     @property
     def now(self) -> Text:
-        """What stands there now: the latest screen, or all lines."""
+        """What the terminal shows now: the latest screen, or all lines."""
         shown = self._shown
         if SCREEN in shown:
             _, _, shown = shown.rpartition(SCREEN)
             screens = shown.split(HOME)
-            # The last may be written in part.
+            # The last screen may be incomplete.
             shown = screens[-2] if len(screens) > 2 else screens[-1]
         return Text.from_ansi(_lines(shown.decode(errors="replace")))
 
     def wait_for(self, pattern: str, seconds: float = PATIENCE_S) -> re.Match[str]:
-        """Until it has printed this."""
+        """Wait until it has printed this."""
         until = monotonic() + seconds
         while not (found := re.search(pattern, self.said)):
             if self._process.poll() is not None or monotonic() > until:
@@ -115,7 +115,7 @@ class Terminal:
         os.write(self._keyboard, b"\x03")
 
     def end(self, status: int = 0, seconds: float = 600.0) -> str:
-        """All that it has printed at its end."""
+        """Wait for the end. Returns all output."""
         ended = self._process.wait(seconds)
         self._reading.join()
         if ended != status or "Traceback" in self.said:
@@ -123,16 +123,16 @@ class Terminal:
         return self.said
 
     def svg(self, title: str) -> str:
-        """A picture of what stands there now."""
+        """A picture of what the terminal shows now."""
         shown = self.now
         console = Console(width=self.size[0], record=True, file=io.StringIO(), force_terminal=True)
         console.print(shown, soft_wrap=False)
-        # The fonts of the template are on the network.
+        # Remove the template's fonts, which are on the network.
         return FONT.sub("", console.export_svg(title=title)).replace("Fira Code", "DejaVu Sans Mono")
 
 
 def _lines(text: str) -> str:
-    """What stands there after a spinner or a progress bar was drawn and erased."""
+    """The text without spinners and progress bars that were erased."""
     lines, at, anew = [""], 0, False
     for part in MOVES.split(text):
         if part == "\n":

@@ -1,4 +1,4 @@
-"""The day in the life: what each step showed is what a user needs to see."""
+"""The day in the life: each step shows what a user needs."""
 
 from __future__ import annotations
 

@@ -26,32 +26,32 @@ OURS = re.compile(r"(?<!\S)(?:\S*/)?flying-vines (.*)")
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """A command of a page: its text without comment and path of the environment."""
+    """A command on a page: its text without comment and without the path of the environment."""
 
     page: Path
     line: int
     text: str
     given: str
-    """As it stands there, without comment."""
+    """The original text, without comment."""
 
     def __str__(self) -> str:
         return f"{self.page.relative_to(ROOT)}:{self.line}: {self.given}"
 
     @property
     def ours(self) -> list[str]:
-        """The words behind `flying-vines`, where that is called by nothing else than a `sudo`."""
+        """The words after `flying-vines`, if only `sudo` stands before it."""
         found = OURS.fullmatch(self.text.removeprefix("sudo "))
         return shlex.split(found[1]) if found and not needs_a_shell(self.text) else []
 
 
 def needs_a_shell(text: str) -> bool:
-    """Whether there is more in it than words."""
+    """True if it contains more than words."""
     bare = re.sub(r"'[^']*'", "", text)
     return bool(re.search(r"[|&;<>$*]", bare))
 
 
 def blocks_and_spans(page: Path) -> tuple[list[Said], list[Said]]:
-    """The commands in a page's blocks, and all its spans of code, both in its order."""
+    """The commands in a page's blocks, and all its spans of code, in the order of the page."""
     text = page.read_text(encoding="utf-8")
     given = [_said(page, line, given) for line, given in _in_blocks(text)]
     spans = [_said(page, line, given) for line, given in _in_spans(text)]
@@ -92,7 +92,7 @@ def _command(line: str, fence: str | None) -> str | None:
 
 
 def _in_spans(text: str) -> Iterator[tuple[int, str]]:
-    """Spans may go over a line's end, blocks have none."""
+    """Spans may continue on the next line; blocks have none."""
     blank = re.sub(r"^\s*```.*?^\s*```", lambda block: "\n" * block[0].count("\n"), text, flags=re.M | re.S)
     blank = re.sub(r"^    .*$", "", blank, flags=re.M)
     for span in SPAN.finditer(blank):

@@ -28,7 +28,7 @@ def code_cells(notebook: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def run(notebook: dict[str, Any]) -> dict[str, object]:
-    """Run all cells in the notebook's folder and replace their outputs. The names that they defined."""
+    """Run all cells in the notebook's folder and replace their outputs. Returns the defined names."""
     os.environ["MPLBACKEND"] = "agg"
     import matplotlib.pyplot as plt
 

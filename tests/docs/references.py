@@ -1,7 +1,7 @@
 """Generates the tables of docs/ that the code contains: options, keys, parameters, faults.
 
-A page marks a table with `<!-- options: mission check -->` … `<!-- end -->`. This script writes what stands
-between the two. After a change of an option, a key or a fault:
+A page marks a table with `<!-- options: mission check -->` … `<!-- end -->`. This script writes the text
+between the two. Run it after a change of an option, a key or a fault:
 
     .venv/bin/python tests/docs/references.py
 """
@@ -54,11 +54,11 @@ UNITS = {
     "_m": "m",
     "_s": "s",
 }
-"""By how a key ends; the longest first."""
+"""Units by the end of a key; the longest first."""
 
 
 def filled(page: str) -> str:
-    """A page with each of its tables made anew."""
+    """A page with all its tables generated anew."""
 
     def again(block: re.Match[str]) -> str:
         rows = TABLES[block["kind"]](block["name"])
@@ -68,7 +68,7 @@ def filled(page: str) -> str:
 
 
 def marked(page: str, kind: str) -> list[str]:
-    """The names of a page's tables of a kind, in its order."""
+    """The names of a page's tables of a kind, in the order of the page."""
     return [block["name"] for block in BLOCK.finditer(page) if block["kind"] == kind]
 
 
@@ -76,7 +76,7 @@ def marked(page: str, kind: str) -> list[str]:
 
 
 def commands() -> dict[str, argparse.ArgumentParser]:
-    """Each command that can be given, as `mission check`, and what reads its arguments."""
+    """Each command, as `mission check`, and the parser of its arguments."""
     return dict(_commands(_parser(), ""))
 
 
@@ -90,13 +90,13 @@ def _commands(parser: argparse.ArgumentParser, name: str) -> Iterator[tuple[str,
 
 
 def arguments(parser: argparse.ArgumentParser) -> list[argparse.Action]:
-    """What a command takes, but for help and for the word of a further command."""
+    """The arguments of a command, except help and subcommands."""
     passed_over = (argparse._HelpAction, argparse._SubParsersAction)
     return [action for action in parser._actions if not isinstance(action, passed_over)]
 
 
 def options(name: str) -> list[str]:
-    """What a command takes, in one line; its `--help` explains it."""
+    """The options of a command in one line; its `--help` explains them."""
     return [" · ".join(f"`{_given(action)}`" for action in arguments(commands()[name]))]
 
 
@@ -117,14 +117,14 @@ def _given(action: argparse.Action) -> str:
 
 
 def tables() -> dict[str, type[msgspec.Struct]]:
-    """The configuration's tables that have one value a key, by name."""
+    """The configuration's tables with one value for each key, by name."""
     built_in = config.default()
     values = {name: getattr(built_in, name) for name in Config.__struct_fields__}
     return {name: type(value) for name, value in values.items() if isinstance(value, msgspec.Struct)}
 
 
 def keys(name: str) -> list[str]:
-    """A table's keys, a row each."""
+    """The keys of a table, one row each."""
     rows = ["| key | may be | default | means |", "| --- | --- | --- | --- |"]
     comments = comments_of(config.default_text())
     raw = tomllib.loads(config.default_text())[name]
@@ -138,14 +138,15 @@ def keys(name: str) -> list[str]:
 
 
 def fields(table: type[msgspec.Struct]) -> tuple[inspect.Field, ...]:
-    """The keys of a table, with what their values may be."""
+    """The keys of a table with their types."""
     info = inspect.type_info(table)
     assert isinstance(info, inspect.StructType)
     return info.fields
 
 
 def allowed(field: inspect.Field) -> str:
-    """What a key's value may be, in words; of a number the range and the unit that ends the key's name."""
+    """The allowed values of a key in words; for a number the range and the unit at the end of the key's
+    name."""
     kind = field.type
     if isinstance(kind, inspect.UnionType):
         return " or ".join(allowed(msgspec.structs.replace(field, type=part)) for part in kind.types)
@@ -177,7 +178,7 @@ def _range(kind: inspect.FloatType | inspect.IntType) -> str:
 
 
 def comments_of(text: str) -> dict[tuple[str, str], str]:
-    """What a profile's text says of each key, in the comment behind it and on indented lines below it."""
+    """The comment on each key in a profile's text: behind the key, and on indented lines below."""
     lines = text.splitlines()
     found = {}
     for key, number in lines_of_keys(text).items():
@@ -202,7 +203,7 @@ def carriers(name: str) -> list[str]:
 
 
 def borders(name: str) -> list[str]:
-    """Between the positions of the switch."""
+    """Borders between the positions of the switch."""
     rows = (
         _row(str(positions), ", ".join(f"{border:g}" for border in between))
         for positions, between in BOUNDARIES_US.items()
@@ -211,7 +212,7 @@ def borders(name: str) -> list[str]:
 
 
 def segments(name: str) -> list[str]:
-    """The kinds of a profile's segments: their keys, and what they do."""
+    """The kinds of profile segments, with their keys and meaning."""
     rows = ["| kind | keys | does |", "| --- | --- | --- |"]
     for segment in get_args(Segment):
         words = ", ".join(
@@ -240,7 +241,7 @@ def parameters(name: str) -> list[str]:
 
 
 def streams(name: str) -> list[str]:
-    """The messages that the service asks for."""
+    """The messages that the service requests."""
     rows = ["| message | a second | needed for | on ArduPilot |", "| --- | --- | --- | --- |"]
     for message, wanted in Streams(config.default().vehicle.rc_rate_Hz).wanted(0.0).items():
         need = f"**{USES[message]}**" if wanted.essential else USES[message]
@@ -279,7 +280,7 @@ TABLES: Mapping[str, Callable[[str], list[str]]] = {
     "streams": streams,
     "faults": faults,
 }
-"""What makes the tables of each kind, out of a table's name."""
+"""For each kind of table: the function that makes it from its name."""
 
 
 if __name__ == "__main__":

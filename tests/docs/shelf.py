@@ -30,7 +30,7 @@ EXAMPLES = ROOT / "missions" / "examples"
 
 
 def maker(word: str) -> Maker | None:
-    """What makes the file or folder that a command's word may name."""
+    """The function that makes the file or folder with this name."""
     for pattern, make in SHELF:
         if re.fullmatch(pattern, word):
             return make
@@ -50,7 +50,7 @@ def _beginning_of(source: Path) -> Maker:
 
 
 def _example(path: Path) -> None:
-    """A mission that comes along, under the name that a page gives it."""
+    """An example mission, with the name that a page uses."""
     kind = "px4" if "px4" in path.name else "ardupilot"
     name = "bridge_inspection" if "bridge" in path.name else "canopy_sampling"
     end = path.suffix if path.suffix == ".toml" else f"-{kind}{path.suffix}"
@@ -109,4 +109,4 @@ SHELF: tuple[tuple[str, Maker], ...] = (
     (r"flights", _flights),
     (r"flights/[\w-]+|FLIGHT|LOG", _flight),
 )
-"""The first that fits; what is written in capitals on a page stands for a file of any name."""
+"""The first matching row counts. A name in capitals on a page stands for any file."""

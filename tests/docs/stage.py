@@ -1,7 +1,8 @@
-"""A scratch folder in which the commands of one page run in order, and the programs that they need.
+"""A scratch folder in which the commands of one page run in order, with the programs that they need.
 
-Each command of ours is a process of its own, forked from one that has imported it already. What lasts is
-started, seen to be up, and interrupted. Where it needs a vehicle, a phloSAR or a service, one is there.
+Each command of ours is a process of its own, forked from one that has already imported it. A command that
+does not end by itself is started, checked and interrupted. If a command needs a vehicle, a phloSAR or a
+service, the stage starts one.
 """
 
 from __future__ import annotations
@@ -41,9 +42,9 @@ LASTING = {
     "watch": r"\w",
     "mission watch": r"\w",
 }
-"""Commands that go on until they are interrupted, by what they print when they are up."""
+"""Commands that run until they are interrupted, with the text that they print when they are ready."""
 ENDS = ("--seconds", "--settings", "--set")
-"""With these they end by themselves."""
+"""With these options they end by themselves."""
 NEEDS = {
     "run": ("phlosar", "autopilot"),
     "link": ("phlosar",),
@@ -52,7 +53,7 @@ NEEDS = {
     "mission watch": ("autopilot", "for a ground station"),
     "mission download": ("autopilot", "for a ground station"),
 }
-"""What is around a command while it runs."""
+"""The programs that a command needs while it runs."""
 AROUND = {
     "phlosar": "fake phlosar --link phlosar",
     "autopilot": "fake autopilot --to 127.0.0.1:14540 --listen tcpin:127.0.0.1:5760",
@@ -68,11 +69,11 @@ BY_DEFAULT = {
     "mission download": "--link udpin:0.0.0.0:14550",
     "link": "--config around.toml",
 }
-"""What a command does where nothing else is said, so that it can be done at this stage's addresses."""
+"""Options for the addresses of this stage, if the page gives none."""
 FIXED = re.compile(r"\b(14540|14541|14550|8017|5760)\b")
-"""Ports that would be taken where several tests run at once."""
+"""Ports that may be used by other tests at the same time."""
 WRITES = ("--out", "--write-rig", "-o", ">", "init", "download")
-"""What follows these is written, and need not be there."""
+"""The next word is a file that is written, and need not exist."""
 
 FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(
@@ -97,9 +98,9 @@ class Ended(AssertionError):
 
 
 class Stage:
-    """A page's folder, with a vehicle of this kind around for what a ground station does.
+    """A page's folder, with a vehicle of this kind for a ground station's commands.
 
-    Leaving it interrupts what is around, and sees that it ends well.
+    Leaving the context interrupts these programs, and checks that they end without an error.
     """
 
     def __init__(
@@ -123,7 +124,8 @@ class Stage:
         self._around.close()
 
     def run(self, words: Sequence[str], status: int = 0) -> None:
-        """A command of ours to its end, or until it is up and interrupted. `Ended` for another status."""
+        """Run a command of ours to its end, or until it is ready and interrupted. Raises `Ended` for another
+        status."""
         self._have_around(_named(words, NEEDS) or ())
         if (option := _named(words, BY_DEFAULT)) and option.split()[0] not in words:
             words = [*words, *option.split()]
@@ -139,7 +141,7 @@ class Stage:
             self._turn_here(self._at / (given or ["flying-vines.toml"])[0])
 
     def shell(self, line: str, seconds: float = 4.0) -> None:
-        """A line that a shell must read; what lasts in it is interrupted, what is not installed left out."""
+        """Run a line that needs a shell. Endless commands are interrupted, missing programs skipped."""
         first, _, then = line.partition(" | ")
         line = line if not then or shutil.which(then.split()[0]) else first
         words = line.split(" ")
@@ -157,19 +159,19 @@ class Stage:
             self._fetch(["flights"])
 
     def parse_only(self, script: Sequence[str]) -> None:
-        """A script of the project up to where its own parser has taken its arguments."""
+        """Run a script of the project until its parser has read its arguments."""
         with Running(self._at, script, parse_only) as running:
             running.end(0)
 
     def here(self, text: str) -> str:
-        """With the addresses of this stage in it."""
+        """The text with the addresses of this stage."""
         text = re.sub(r"usb:16c0:0483|serial:/dev/ttyACM0", f"serial:{self.folder}/phlosar", text)
         text = re.sub(r"(?<!\S)/tmp/phlosar", "another-phlosar", text)
         text = re.sub(r"http://[\w.]+:8017", "http://127.0.0.1:8017", text)
         return FIXED.sub(lambda port: self._ports.setdefault(port[0], str(free_port())), text)
 
     def _turn_here(self, profile: Path) -> None:
-        """As the pages say to do: the addresses of what is on the bench, and that it may bend there."""
+        """Change a profile as the pages say: the addresses of the stand-ins, and bends on the ground."""
         text = profile.read_text(encoding="utf-8").replace("bench_mode = false", "bench_mode = true")
         profile.write_text(self.here(text), encoding="utf-8")
 
@@ -192,7 +194,7 @@ class Stage:
             self._around.callback(end)
 
     def _fetch(self, words: Sequence[str]) -> None:
-        """From the shelf what a command reads and nothing has written before."""
+        """Create the files that a command reads and that do not exist yet."""
         for before, word in zip(("", *words), words, strict=False):
             path = self._at / word
             if before in WRITES or path.exists() or (make := self._shelf(word)) is None:
@@ -204,7 +206,7 @@ class Stage:
 
 
 class Running:
-    """A command of ours, as a process; leaving it ends all that it has started."""
+    """A command of ours as a process. Leaving the context ends everything that it has started."""
 
     def __init__(self, folder: Path, words: Sequence[str], run: Callable[[list[str]], None] = main) -> None:
         self._said = folder / f".said-{len(list(folder.glob('.said-*')))}"
@@ -232,7 +234,7 @@ class Running:
         return self._said.read_text(encoding="utf-8", errors="replace")
 
     def wait_for(self, pattern: str) -> None:
-        """Until it has printed this."""
+        """Wait until it has printed this."""
         patient_until = monotonic() + PATIENCE_S
         while not re.search(pattern, self.said):
             if not self._process.is_alive() or monotonic() > patient_until:
@@ -240,12 +242,12 @@ class Running:
             sleep(0.02)
 
     def interrupt(self) -> None:
-        """As Ctrl-C does: all that the terminal has in front."""
+        """Interrupt the terminal's foreground processes, as Ctrl-C does."""
         with suppress(ProcessLookupError):
             os.killpg(self._pid, signal.SIGINT)
 
     def end(self, status: int) -> None:
-        """Wait for it; 130 is an end by Ctrl-C."""
+        """Wait for its end; 130 means Ctrl-C."""
         self._process.join(PATIENCE_S)
         if self._process.exitcode not in (status, 130 if status == 0 else status):
             raise Ended(f"ended with {self._process.exitcode} instead of {status}: {self.said}")
@@ -254,7 +256,7 @@ class Running:
 
 
 def parse_only(script: list[str]) -> None:
-    """End where the parser would return."""
+    """Run a script and end where the parser would return."""
     parse = argparse.ArgumentParser.parse_args
 
     def parse_and_end(*given: Any, **named: Any) -> NoReturn:
@@ -263,7 +265,7 @@ def parse_only(script: list[str]) -> None:
 
     argparse.ArgumentParser.parse_args = parse_and_end  # type: ignore[method-assign]
     sys.argv = script
-    # A fresh interpreter knows neither the folder of the tests nor what they have imported.
+    # A new interpreter does not know the folder of the tests.
     tests = str(ROOT / "tests")
     sys.path[:] = [str(ROOT / "benchmarks"), *(place for place in sys.path if place != tests)]
     for name, module in list(sys.modules.items()):
@@ -273,7 +275,7 @@ def parse_only(script: list[str]) -> None:
 
 
 def _become(folder: Path, said: Path, words: list[str], run: Callable[[list[str]], None]) -> None:
-    """In a process of its own: the command, with the folder around it and its words kept."""
+    """Run the command in this new process, in the folder, with stored output."""
     os.setsid()
     os.chdir(folder)
     os.environ.update(surroundings(folder))
@@ -287,12 +289,12 @@ def _become(folder: Path, said: Path, words: list[str], run: Callable[[list[str]
 
 
 def surroundings(folder: Path) -> dict[str, str]:
-    """A home where nothing is; but what is compiled once on a machine is not compiled again for each test."""
+    """The environment: an empty home, but the machine's cache of compiled code."""
     cache = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
     return {"HOME": str(folder), "XDG_CACHE_HOME": cache, "COLUMNS": "120"}
 
 
 def _named(words: Sequence[str], table: Mapping[str, T]) -> T | None:
-    """What a table has for a command's first words."""
+    """The value of a table for the first words of a command."""
     found = (table.get(" ".join(words[:n])) for n in (2, 1))
     return next((value for value in found if value is not None), None)

@@ -32,23 +32,23 @@ pytestmark = real_time
 COMMANDS = commands()
 PARSER = _parser()
 ONCE = {*LASTING, "buttons", "design", "vine", "vine fit", "log plot", "log bundle"}
-"""Commands that leave nothing that others need: the same words on another page are not run again."""
+"""Commands without results for other commands: they run only once, even if another page repeats them."""
 BY_MAVSDK = ("mission upload", "mission watch", "mission download")
 SHELL = ("printf", "mkdir", "cd", "flying-vines")
-"""What a line for a shell may begin with here."""
+"""The possible first words of a shell line."""
 PARSED_ONLY = {"paper", "diagnose", "calibrate", "doctor"}
 STATUS = {
     "flying-vines mission upload wrong.waypoints --link tcp:127.0.0.1:5760": 2,
     "flying-vines mission check canopy_sampling-px4.plan --autopilot ardupilot": 2,
 }
-"""Commands that a page shows failing, and their exit status."""
+"""Commands that fail on a page, with their exit status."""
 MEANT = {
     r"--scenario case": "--scenario short.toml",
     r"--seconds \d+": "--seconds 1",
     r"--config FILE": "--config vine.toml",
     r"config check FILE": "config check vine.toml",
 }
-"""What a command is run with instead: a file for a word in capitals, or less of what takes long."""
+"""Replacements in a command: a file for a word in capitals, or less work."""
 
 
 def said(page: Path) -> Iterator[Said]:
@@ -59,7 +59,7 @@ def said(page: Path) -> Iterator[Said]:
 
 
 def is_whole(span: Said) -> bool:
-    """Whether one would type a span as it is; `flying-vines link` is the name of a command."""
+    """True if a span is a complete command; `flying-vines link` alone is a name."""
     words = span.text.split()
     if not BEGINS.match(span.text):
         return False
@@ -69,7 +69,8 @@ def is_whole(span: Said) -> bool:
 
 
 def spoken_of(page: Path) -> Iterator[tuple[Said, list[str]]]:
-    """Spans that name a command of ours, perhaps with an option, and are no whole commands; their words."""
+    """Spans that name a command of ours, perhaps with an option, without being a complete command; with their
+    words."""
     for span in blocks_and_spans(page)[1]:
         words = span.text.split()
         if words[0] == "flying-vines" and len(words) > 1 and not words[1].isupper():
@@ -80,13 +81,13 @@ def spoken_of(page: Path) -> Iterator[tuple[Said, list[str]]]:
 
 
 def name_of(words: list[str]) -> list[str]:
-    """The words at the beginning that are the name of a command of ours."""
+    """The first words that are the name of a command of ours."""
     known = [name.split() for name in COMMANDS]
     return next((words[:n] for n in (2, 1) if any(words[:n] == name[:n] for name in known)), [])
 
 
 def parses(words: list[str]) -> bool:
-    """Whether they are what a command of ours takes."""
+    """True if a command of ours accepts the words."""
     try:
         with redirect_stderr(StringIO()):
             PARSER.parse_args(words)
@@ -96,7 +97,7 @@ def parses(words: list[str]) -> bool:
 
 
 def do(command: Said, stage: Stage, done: set[str]) -> None:
-    """Run it, or check what can be checked without; `Ended` says what is wrong."""
+    """Run the command, or check what can be checked without running it. `Ended` says what is wrong."""
     text = meant(command.text)
     name = " ".join(name_of(command.ours))
     if name in ONCE and text in done:
@@ -136,13 +137,13 @@ def of_another_program(text: str, stage: Stage) -> None:
 
 @pytest.fixture(scope="module")
 def done() -> set[str]:
-    """What was run already."""
+    """Commands that have already run."""
     return set()
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_what_a_page_says_can_be_done(page: Path, tmp_path: Path, done: set[str]) -> None:
+def test_the_commands_of_a_page_work(page: Path, tmp_path: Path, done: set[str]) -> None:
     wrong = []
     kind = "px4" if "--autopilot px4" in page.read_text(encoding="utf-8") else "ardupilot"
     with Stage(tmp_path, maker, kind) as stage:
@@ -155,7 +156,7 @@ def test_what_a_page_says_can_be_done(page: Path, tmp_path: Path, done: set[str]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_commands_and_options_that_a_page_speaks_of_are_there(page: Path) -> None:
+def test_commands_and_options_that_a_page_mentions_exist(page: Path) -> None:
     for span, words in spoken_of(page):
         name = " ".join(name_of(words))
         assert name, f"{span}: there is no such command"
@@ -202,7 +203,7 @@ replay a.tlog` is a command, `flying-vines link` and `run --rig` name some, `lin
 """
 
 
-def test_what_is_replaced_is_still_on_a_page() -> None:
+def test_every_replaced_command_is_still_on_a_page() -> None:
     texts = [command.text for page in PAGES for command in said(page)]
     assert [pattern for pattern in MEANT if not any(re.search(pattern, text) for text in texts)] == []
     assert STATUS.keys() <= set(texts)

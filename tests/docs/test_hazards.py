@@ -23,7 +23,7 @@ ROWS = [
 
 @cache
 def functions(path: str) -> frozenset[str]:
-    """Of the tests in a file."""
+    """The names of the tests in a file."""
     tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
     return frozenset(
         node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)

@@ -21,7 +21,7 @@ ELSEWHERE = ("http://", "https://", "mailto:")
 
 
 def targets(page: Path) -> list[str]:
-    """Where a page's links and pictures point to within the project."""
+    """The targets of a page's links and pictures within the project."""
     text = CODE.sub("", page.read_text(encoding="utf-8"))
     found = (link or source for link, source in LINK.findall(text))
     return [target for target in found if not target.startswith(ELSEWHERE)]
@@ -29,7 +29,7 @@ def targets(page: Path) -> list[str]:
 
 @cache
 def anchors(page: Path) -> set[str]:
-    """Of a page's headings, as GitHub makes them."""
+    """The anchors of a page's headings, as on GitHub."""
     text = re.sub(r"^ *```.*?^ *```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
     seen: Counter[str] = Counter()
     made = set()
@@ -42,7 +42,7 @@ def anchors(page: Path) -> set[str]:
 
 
 def dead(page: Path) -> list[str]:
-    """The links of a page that lead nowhere."""
+    """The links of a page without a target."""
     found = []
     for target in targets(page):
         path, _, anchor = target.partition("#")

@@ -1,4 +1,4 @@
-"""The notebook of docs/ runs, and its stored output is the present one."""
+"""The notebook of docs/ runs, and its stored output is up to date."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def same_catalogue() -> Iterator[None]:
 
 
 def printed(found: dict[str, Any]) -> list[str]:
-    """What each code cell prints."""
+    """The output of each code cell."""
     return [
         "".join(line for output in cell["outputs"] for line in output.get("text", ()))
         for cell in notebook.code_cells(found)

@@ -1,4 +1,4 @@
-"""The reference tables have everything in the code, an example of each command, and true ranges."""
+"""The reference tables list everything in the code, with an example of each command and true ranges."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ PROFILES = config.default_text()[config.default_text().index("[profiles.straight
 
 
 def under(page: str, name: str) -> str:
-    """What a page says below the heading of a command or table, and not below the next one."""
+    """The text of a page below the heading of a command or table."""
     heading = rf"^#+ (?:{name}|`\[+{name}\]+`)$"
     below = re.split(heading, page, maxsplit=1, flags=re.MULTILINE)[1]
     return re.split(r"^#+ ", below, maxsplit=1, flags=re.MULTILINE)[0]
@@ -65,7 +65,7 @@ def test_every_fault_has_its_table() -> None:
 
 
 def test_all_that_the_doctor_looks_at_has_its_row() -> None:
-    """With words in the column of each verdict that it may give, and in no other."""
+    """Its row has text in the column of each possible verdict, and in no other."""
     stated = {
         name: {verdict for verdict, words in (("bad", bad), ("warning", warning)) if words.strip()}
         for names, bad, warning in re.findall(r"^\| (\w[^|]*) \|([^|]*)\|([^|]*)\|$", DOCTOR, re.MULTILINE)
@@ -103,7 +103,7 @@ def test_the_examples_of_the_configuration_can_be_flown() -> None:
 
 @dataclass(frozen=True)
 class Stated:
-    """The range that the page states of a number."""
+    """The range of a number on the page."""
 
     table: str
     key: str
@@ -147,7 +147,7 @@ def test_every_number_has_its_range() -> None:
 
 
 def why_not(text: str) -> str:
-    """Why a profile is refused, or nothing."""
+    """Why a profile is refused; empty if it is valid."""
     try:
         config.parse(text, "my.toml")
     except ConfigError as error:
@@ -179,5 +179,5 @@ def test_a_value_inside_it_is_not_refused_for_itself(
     elif value == number.least and not number.may_be_least:
         value = most
     why = why_not(number.text(value))
-    # It may still not fit another key, as a limit below the curve.
+    # Another key may still not allow it, as a limit below the curve.
     assert "expected" not in why and "must be above 0" not in why and "must be 1 to" not in why, why

@@ -35,13 +35,13 @@ CHECKS: tuple[ModuleType, ...] = (
     clock,
     receiver,
 )
-"""In the order in which it looks."""
+"""In the order of the report."""
 
 _BLANK = re.compile(r"\{(\w+)[^}]*\}")
 
 
 def lines_of(check: ModuleType) -> list[FindingText]:
-    """Those of one file; of both ports, which say the same, the phloSAR's."""
+    """The lines of one file. Of both ports, which have the same lines, only the phloSAR's."""
     if check is port:
         return list(port.LINES["phloSAR"].values())
     return [value for value in vars(check).values() if isinstance(value, FindingText)]
@@ -52,7 +52,7 @@ def every_line() -> list[FindingText]:
 
 
 def says(line: FindingText, finding: DoctorFinding) -> bool:
-    """Whether a finding is this line, with its blanks filled."""
+    """True if a finding is this line, with its gaps filled."""
     templates, texts = (line.check, line.what, line.do), (finding.check, finding.what, finding.do)
     return line.verdict == finding.verdict and all(map(_fits, templates, texts))
 

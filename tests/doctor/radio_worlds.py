@@ -19,7 +19,7 @@ TICK_S = 0.05
 
 
 def recorded(name: str, from_s: float, until_s: float) -> Iterator[tuple[float, MavlinkMessage]]:
-    """The autopilot's messages between two times; the vehicle that flew is told to be disarmed."""
+    """The autopilot's messages between two times, with a disarmed vehicle."""
     codec, began = MavlinkCodec(99, 191), None
     for unix_s, frame in TlogReader(RECORDINGS / f"{name}.tlog").frames():
         began = unix_s if began is None else began
@@ -40,7 +40,7 @@ def run_on(
     target: int = 0,
     profile: Config = DEFAULT,
 ) -> RadioTest:
-    """The test on a part of a recording, begun with the switch in position `target`."""
+    """Run the test on a part of a recording. It begins with the switch in position `target`."""
     test, waiting, now = RadioTest(profile), sorted(presses), from_s
     test.target = target
     for t, message in recorded(name, from_s, until_s):

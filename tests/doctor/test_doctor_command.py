@@ -60,7 +60,7 @@ def test_on_a_terminal_lines_keep_within_it_and_have_signs() -> None:
     assert shown(terminal=True).count("\x1b[") > 10
 
 
-def test_whoever_moves_the_switch_sees_what_was_seen() -> None:
+def test_the_seen_positions_are_shown() -> None:
     seen = SwitchFacts(None, 1504, 1, frozenset({0, 1}))
     text = asking(seen, 9, ("straight", "bend-half", "bend-full"))
     assert "channel 9" in text
@@ -82,7 +82,7 @@ def test_on_fakes_it_is_well_and_needs_nothing_else(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_bad_makes_the_status_one(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_an_error_makes_the_exit_status_one(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     profile = tmp_path / "vine.toml"
     text = configuration.default_text().replace("udpin:127.0.0.1:14540", "serial:/dev/none-a")
     profile.write_text(text.replace("serial:/dev/ttyACM0", "serial:/dev/none-b"))

@@ -56,7 +56,7 @@ def after_a_watchdog() -> SimulatedPhlosar:
 
 
 def moved_through_all(vehicle: Vehicle) -> RadioQuestion:
-    """Somebody who does what he is asked for."""
+    """A person who moves the switch as asked."""
 
     def ask(radio: SwitchFacts) -> None:
         unseen = min({0, 1, 2} - radio.seen, default=0)
@@ -74,7 +74,7 @@ def no_vehicle(config: Config, folder: Path) -> ServiceProfile:
 
 
 def with_a_key(config: Config, folder: Path) -> ServiceProfile:
-    """As a file, with a signing key beside it."""
+    """The profile as a file, with a signing key beside it."""
     default = configuration.default()
     text = configuration.default_text().replace('signing_key = ""', f'signing_key = "{KEY_FILE}"')
     text = text.replace(default.vehicle.link, config.vehicle.link)
@@ -115,7 +115,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def seen(folder: Path) -> dict[str, Examined]:
-    """All worlds, looked at side by side, for each takes some seconds of listening."""
+    """All worlds, examined in parallel, because each takes some seconds."""
 
     for name in WORLDS:
         (folder / name).mkdir()
@@ -125,7 +125,7 @@ def seen(folder: Path) -> dict[str, Examined]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("flying_vines.doctor.examine.MOVING_S", 2.0)
-        # The services of this machine, such as another test's, are not of these worlds.
+        # Other services on this machine, as of another test, do not belong to these worlds.
         patch.setattr("flying_vines.doctor.look.processes.services", list)
         return dict(zip(WORLDS, asyncio.run(look()), strict=True))
 
@@ -135,7 +135,7 @@ def test_of_a_healthy_pair_one_may_fly(seen: dict[str, Examined], world: str) ->
     found = seen[world].findings
     assert may_fly(found), [finding for finding in found if finding.verdict == "bad"]
     here = {"clock", "memory", "disk", "page", "phloSAR line", "service", "temperature"}
-    # This machine may have something of its own to be looked at, or be busy.
+    # This machine may have warnings of its own, or be busy.
     assert {f.check for f in found if f.verdict == "warning"} <= here
 
 
@@ -158,7 +158,7 @@ def test_of_a_healthy_pair_one_may_fly(seen: dict[str, Examined], world: str) ->
         ("latched fault", "phloSAR", "latched: watchdog reset"),
     ],
 )
-def test_what_is_wrong_is_said_and_nothing_else(
+def test_each_fault_gives_its_finding_and_no_other(
     seen: dict[str, Examined], world: str, check: str, says: str
 ) -> None:
     assert seen[world].bad == {check}
@@ -167,18 +167,18 @@ def test_what_is_wrong_is_said_and_nothing_else(
     assert finding.do
 
 
-def test_what_hangs_on_something_missing_is_skipped(seen: dict[str, Examined]) -> None:
+def test_checks_that_depend_on_something_missing_are_skipped(seen: dict[str, Examined]) -> None:
     assert seen["no firmware"].of("phloSAR").verdict == "skipped"
     for check in ("RC switch", "mission"):
         assert seen["no vehicle"].of(check).verdict == "skipped"
 
 
-def test_the_healthy_pair_is_told_by_what_it_is(seen: dict[str, Examined]) -> None:
+def test_a_healthy_pair_is_described(seen: dict[str, Examined]) -> None:
     healthy = seen["healthy"]
     assert "ArduPilot 4.6.0, system 1" in healthy.of("autopilot").what
     assert "PX4 1.17.0" in seen["healthy on PX4"].of("autopilot").what
     assert "for the vine: 2 (bend 40°)" in healthy.of("mission").what
-    assert "'1.0 host'" in healthy.of("phloSAR").what
+    assert "'1.1 host'" in healthy.of("phloSAR").what
     rates = {f.check: float(f.what.split()[0]) for f in healthy.findings if f.what.endswith(" a second")}
     assert rates.keys() >= {"RC_CHANNELS", "SYS_STATUS", "GLOBAL_POSITION_INT", "SYSTEM_TIME"}
     assert rates["RC_CHANNELS"] == pytest.approx(20.0, rel=0.5), "a busy machine hears in bursts"
@@ -190,14 +190,14 @@ def test_a_switch_that_is_moved_is_seen_in_all_positions(seen: dict[str, Examine
     assert "position 1, “straight”" in seen["healthy"].of("RC switch").what
 
 
-def test_an_autopilot_that_signs_is_told_apart(seen: dict[str, Examined]) -> None:
+def test_an_autopilot_that_signs_is_distinguished(seen: dict[str, Examined]) -> None:
     assert seen["signed"].of("signing").what == "all messages were signed with our key"
     without = seen["signed, and no key"]
     assert "the profile has no key" in without.of("signing").what
     assert without.bad >= {"SYS_STATUS", "GLOBAL_POSITION_INT", "RC_CHANNELS"}, "it does not hear us"
 
 
-def test_what_was_signed_with_is_not_used_again(seen: dict[str, Examined], folder: Path) -> None:
+def test_used_signing_timestamps_are_not_used_again(seen: dict[str, Examined], folder: Path) -> None:
     kept = folder / "signed" / "signed.signing-timestamp"
     assert int(kept.read_text().split()[0]) > (time.time() - 60.0 - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S
 
@@ -223,7 +223,7 @@ def test_the_vehicle_is_only_asked(seen: dict[str, Examined]) -> None:
     assert commands == {mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_CMD_REQUEST_MESSAGE}
 
 
-def test_findings_are_told_in_order_as_they_come(seen: dict[str, Examined]) -> None:
+def test_findings_are_reported_in_order_as_they_come(seen: dict[str, Examined]) -> None:
     for look in seen.values():
         assert [finding for told in look.told for finding in told] == look.findings
         assert len(look.told) > 5

@@ -1,4 +1,4 @@
-"""The doctor prints each line for the facts that call for it, and for no others."""
+"""The doctor prints each line only for the facts that require it."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def of_receiver(**learned: object) -> list[DoctorFinding]:
 
 
 def later(loss: TransmitterLoss, shown_s: float) -> TransmitterLoss:
-    """The same with its RC status at another time."""
+    """The same loss, with its RC status at another time."""
     return replace(loss, signs=(*loss.signs[:-1], replace(RC_STATUS, after_s=shown_s)))
 
 
@@ -314,8 +314,8 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (radio.HIDES_LOSS, of_switch(hides_loss="FS_THR_ENABLE 0")),
     (radio.BENDS_LATE, of_switch(bends_late=True)),
     (radio.UNSETTLED, of_switch(position=None)),
-    (radio.STANDS, of_switch()),
-    (radio.STANDS_BENT, of_switch(position=2, pulse_us=2000, seen=frozenset({2}))),
+    (radio.NOT_MOVED, of_switch()),
+    (radio.AT_BEND, of_switch(position=2, pulse_us=2000, seen=frozenset({2}))),
     (radio.ALL_SEEN, of_switch(seen=frozenset({0, 1, 2}))),
     (radio.SOME_SEEN, of_switch(asked=True, seen=frozenset({0, 2}))),
     (radio.NEVER_MOVED, of_switch(asked=True)),
@@ -351,7 +351,7 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (receiver.HELD, of_receiver()),
     (receiver.HARMLESS, of_receiver(losses=(replace(HELD_BENT, lost_us=1000),))),
     (receiver.BENDS_UNSEEN, of_receiver(losses=(PRESET, PRESET))),
-    (receiver.BENDS_TOLD, of_receiver(autopilot="ardupilot", losses=(later(PRESET, 0.3),))),
+    (receiver.BENDS_REPORTED, of_receiver(autopilot="ardupilot", losses=(later(PRESET, 0.3),))),
     (receiver.BENDS, of_receiver(losses=(later(PRESET, 1.9),))),
     (receiver.UNCLEAR, of_receiver(losses=(HELD_BENT, replace(PRESET, lost_us=1500)))),
 ]
@@ -386,7 +386,7 @@ def test_no_line_is_without_a_case() -> None:
     assert untold == []
 
 
-def test_whoever_warns_says_what_to_do() -> None:
+def test_every_warning_says_what_to_do() -> None:
     for line in every_line():
         assert bool(line.do) == (line.verdict in ("warning", "bad")), line
 
@@ -432,10 +432,10 @@ def test_only_what_is_bad_keeps_one_on_the_ground() -> None:
     assert summary([bad, bad, warning, warning]) == "Do not fly: 2 things to correct, and 2 things to check."
 
 
-def test_a_slow_stream_is_told_with_what_to_set() -> None:
+def test_a_slow_stream_is_reported_with_what_to_set() -> None:
     (slow,) = [f for f in of_stream("GLOBAL_POSITION_INT", 2.0) if f.verdict != "good"]
     assert slow.check == "GLOBAL_POSITION_INT"
-    assert "2.0 a second of 5" in slow.what
+    assert "2.0 a second, not 5" in slow.what
     assert "SRn_POSITION = 5" in slow.do
     (missing,) = [f for f in of_stream("RC_CHANNELS", 0.0, kind="px4") if f.verdict != "good"]
     assert "mavlink stream -d DEVICE -s RC_CHANNELS -r 20" in missing.do
@@ -448,7 +448,7 @@ def test_without_a_switch_rc_is_not_needed() -> None:
     assert not may_fly(of_vehicle(streams=streams))
 
 
-def test_a_limit_that_is_too_low_is_told_with_what_to_raise_it_to() -> None:
+def test_a_limit_that_is_too_low_is_reported_with_what_to_raise_it_to() -> None:
     (low,) = [f for f in of_welcome(setpoint_limit_kPa=20.0, cv_limit_kPa=22.0) if f.verdict == "bad"]
     assert "cv_limit_kPa=23" in low.do, "20.7 kPa and the margin of 2, rounded up"
 
@@ -470,7 +470,7 @@ def test_a_receiver_is_safe_where_the_service_is_told_before_it_bends(
     assert may_fly(of_receiver(losses=losses)) is safe
 
 
-def test_on_ardupilot_nothing_waits_for_a_preset_that_is_told_late() -> None:
+def test_on_ardupilot_nothing_waits_for_a_preset_that_is_reported_late() -> None:
     """ArduPilot's status changes 0.9 s after the jump, and the switch acts after `debounce_s`."""
     late = of_receiver(autopilot="ardupilot", losses=(PRESET,))
     assert any(says(receiver.BENDS, finding) for finding in late)
@@ -490,5 +490,5 @@ def test_on_ardupilot_nothing_waits_for_a_preset_that_is_told_late() -> None:
         (replace(LEARNED, losses=(), hidden_by="FS_THR_ENABLE 0"), None),
     ],
 )
-def test_what_goes_into_the_profile(learned: RadioLearned, written: int | str | None) -> None:
+def test_the_result_for_the_profile(learned: RadioLearned, written: int | str | None) -> None:
     assert receiver.to_write(learned, CONFIG) == written

@@ -1,4 +1,4 @@
-"""What the doctor reads from this computer: processes, ports, disk, clock, broker, a profile's files."""
+"""Facts that the doctor reads here: processes, ports, disk, clock, broker, a profile's files."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ HOLD_A_PORT = (
 
 @contextmanager
 def another(program: str, *arguments: str) -> Iterator[tuple[int, str]]:
-    """Another process that has something open; its id, and the line that it says."""
+    """Run another process that has something open. Yields its id, and the line that it prints."""
     with subprocess.Popen(
         [sys.executable, "-c", program, *arguments],
         stdin=subprocess.PIPE,
@@ -112,7 +112,7 @@ def test_who_holds_a_terminal_is_found(terminal: str, tmp_path: Path) -> None:
     assert facts.may_open
 
 
-def test_who_plays_the_device_does_not_hold_it() -> None:
+def test_a_program_in_place_of_the_device_does_not_hold_the_port() -> None:
     with another(PLAY_A_TERMINAL) as (_, terminal):
         assert processes.holders(terminal) == ()
         with another(HOLD_A_TERMINAL, terminal) as (pid, _):
@@ -146,7 +146,7 @@ def test_a_board_is_named_by_what_it_is(terminal: str) -> None:
     assert facts.usb == "usb:16c0:0483:1234560"
 
 
-def test_a_port_that_is_not_there_is_told_with_those_that_are(terminal: str) -> None:
+def test_a_port_that_is_not_there_is_reported_with_those_that_are(terminal: str) -> None:
     facts = ports.serial_port(
         "phloSAR", "serial:/dev/ttyACM7", SerialAddress("/dev/ttyACM7"), lambda: [board(terminal)]
     )
@@ -251,7 +251,7 @@ def of_broker(address: str, **others: str) -> BrokerFacts:
     return asyncio.run(broker.facts(MqttConfig(broker=address, **others)))  # type: ignore[arg-type]
 
 
-def test_a_broker_that_is_not_there_is_told_by_what_failed() -> None:
+def test_a_broker_that_is_not_there_is_reported_by_what_failed() -> None:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         closed = probe.getsockname()[1]

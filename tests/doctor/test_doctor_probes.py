@@ -1,4 +1,4 @@
-"""What the doctor derives from messages: rates, silences, whom to ask when, and readings at rest."""
+"""What the doctor derives from messages: rates, silences, times of its requests, and readings at rest."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_rate_is_that_of_the_stream_once_it_has_settled() -> None:
     feed = Feed()
     feed.heartbeat(0.0)
     for i in range(15):
-        feed.rc(0.1 * i, 1000)  # before anybody asked for another rate
+        feed.rc(0.1 * i, 1000)  # before anybody requested another rate
     for i in range(25):
         feed.rc(SETTLE_S + 0.2 * i, 1000)
     assert feed.stream_Hz(SETTLE_S + 4.8, "RC_CHANNELS") == pytest.approx(5.0)
@@ -81,7 +81,7 @@ def test_any_message_ends_a_silence_but_heartbeats_may_be_missing() -> None:
 
 
 @pytest.mark.parametrize(("target", "answers"), [((1, 191), True), ((255, 190), False)])
-def test_an_answer_to_us_says_that_we_are_heard(target: tuple[int, int], answers: bool) -> None:
+def test_an_answer_shows_that_our_messages_arrive(target: tuple[int, int], answers: bool) -> None:
     feed = Feed()
     feed.heartbeat(0.0)
     feed.take(0.1, mavlink.MAVLink_command_ack_message(511, 0, 0, 0, *target))
@@ -97,7 +97,7 @@ def test_the_clocks_are_compared_when_the_autopilot_knows_the_time() -> None:
     assert feed.probe.facts(2.0).ahead_s == pytest.approx(12.0)
 
 
-def test_px4_that_has_heard_no_receiver_since_it_booted_is_told() -> None:
+def test_px4_without_a_receiver_since_its_boot_is_reported() -> None:
     feed = Feed()
     feed.heartbeat(0.0, mavlink.MAV_AUTOPILOT_PX4)
     enabled_alone = mavlink.MAVLink_sys_status_message(0, RC_BIT, 0, 0, 12000, -1, -1, 0, 0, 0, 0, 0, 0)
@@ -106,7 +106,7 @@ def test_px4_that_has_heard_no_receiver_since_it_booted_is_told() -> None:
     assert feed.probe.radio(0.2).problem == "the autopilot reports no receiver"
 
 
-def test_positions_count_only_while_the_radio_is_believed() -> None:
+def test_positions_count_only_while_rc_is_good() -> None:
     feed = Feed()
     feed.heartbeat(0.0)
     for i in range(60):
@@ -126,7 +126,7 @@ def kinds(messages: list[Any]) -> list[str]:
     return [message.get_type() for message in messages]
 
 
-def test_who_hears_nobody_says_that_he_is_there_and_asks_nothing() -> None:
+def test_without_an_autopilot_only_heartbeats_are_sent() -> None:
     feed = Feed()
     assert feed.probe.due(0.0) == []
     assert feed.probe.due(1.4) == []
@@ -134,7 +134,7 @@ def test_who_hears_nobody_says_that_he_is_there_and_asks_nothing() -> None:
     assert feed.probe.due(1.7) == []
 
 
-def test_who_hears_two_autopilots_says_nothing() -> None:
+def test_with_two_autopilots_nothing_is_sent() -> None:
     feed = Feed()
     feed.probe.due(0.0)
     feed.heartbeat(0.0)

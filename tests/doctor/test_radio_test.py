@@ -31,14 +31,14 @@ TWO = msgspec.structs.replace(
 )
 SIGN = Sign("RC status", 1.0, "")
 PX4_LATEST_S = 1.4
-"""As measured on real ones: by then its RC status has told of a loss."""
+"""Measured on real autopilots: by then the RC status has shown a loss."""
 
 
 def kinds(loss: TransmitterLoss) -> list[str]:
     return [sign.kind for sign in loss.signs if sign.kind != "mode"]
 
 
-# Real ones
+# Real recordings.
 
 
 def test_px4_with_a_crsf_receiver_that_holds() -> None:
@@ -54,7 +54,7 @@ def test_px4_with_a_crsf_receiver_that_holds() -> None:
         assert loss.told_after_jump_s is None
         assert loss.jumped == ()
     assert (first.before_us, first.lost_us, second.lost_us) == (1012, 1012, 1988)
-    # The new position shows while PX4 still calls RC lost.
+    # The new position shows while PX4 still reports RC lost.
     assert first.back is not None
     assert first.back.switch_us == 1988
     assert first.back.good_after_s == pytest.approx(0.3, abs=0.1)
@@ -90,7 +90,7 @@ def test_one_held_loss_may_be_a_preset_in_that_very_position() -> None:
 
 
 def test_losses_that_end_before_all_is_seen_do_not_count() -> None:
-    """README: blips of 0.2, 0.4 and 1.0 s at 63.59, 66.27 and 69.21; the first two show nowhere."""
+    """README: blips of 0.2, 0.4 and 1.0 s at 63.59, 66.27 and 69.21; the first two are never reported."""
     test = run_on("px4_sbus_failsafe", 57, 73, presses=(63.5, 66.2))
     assert test.learned.losses == ()
     blip = run_on("px4_sbus_failsafe", 66.9, 72.0, presses=(69.21,))
@@ -122,7 +122,7 @@ def test_ardupilot_that_hides_losses() -> None:
     (finding,) = [f for f in receiver.check(unseen, CONFIG) if f.verdict == "bad"]
     assert "no sign of RC loss" in finding.what
     assert "FS_THR_ENABLE = 1" in finding.do
-    # The same with the parameter in the stream, at 41.59: nobody needs to switch anything off.
+    # The same with the parameter in the stream, at 41.59: nobody needs to switch the transmitter off.
     test = run_on("ardupilot_hidden_rc_loss", 41, 44)
     known = test.learned
     assert test.step == "done"
@@ -138,11 +138,11 @@ def test_px4_whose_rc_comes_from_a_ground_station() -> None:
     assert may_fly([finding])
 
 
-# What no recording has
+# Cases that no recording has.
 
 
 class Person:
-    """A test with an autopilot's messages made by hand, twenty times a second."""
+    """A test with handmade messages of an autopilot, twenty times a second."""
 
     def __init__(self, kind: int = mavlink.MAV_AUTOPILOT_PX4) -> None:
         self.test = RadioTest(CONFIG)
@@ -189,7 +189,7 @@ class Person:
         self.wait(2.0, lambda: self.test.step != "on")
 
 
-def test_a_preset_in_the_straight_position_is_told_from_a_hold_by_the_second_loss() -> None:
+def test_a_preset_in_the_straight_position_is_distinguished_from_a_hold_by_the_second_loss() -> None:
     person = Person()
     person.lose()
     assert person.test.target == 2
@@ -220,7 +220,7 @@ def test_channels_that_stop_are_a_sign_by_when_the_service_knows_it() -> None:
     assert loss.shown_after_s == pytest.approx(CONFIG.losses.rc_s, abs=0.1)
 
 
-def test_who_presses_enter_late_or_not_at_all_is_not_timed() -> None:
+def test_a_late_or_missing_enter_is_not_timed() -> None:
     person = Person()
     person.wait(3.0)
     person.switch_us = 2000
@@ -269,7 +269,7 @@ def test_every_step_has_an_end(wrong: dict[str, object], problem: str) -> None:
     assert (person.test.step, person.test.learned.problem) == ("done", problem)
 
 
-def test_overrides_are_told_from_a_receiver_before_anybody_is_asked_to_switch_off() -> None:
+def test_overrides_are_distinguished_from_a_receiver_before_anybody_is_asked_to_switch_off() -> None:
     person = Person()
     person.status, person.rssi = (0, 1, 0), 100
     asked = False
@@ -319,5 +319,5 @@ def test_a_transmitter_that_is_not_switched_on_again_ends_it() -> None:
         ((TransmitterLoss(True, 1000, 1000, (), ()),), "unknown"),
     ],
 )
-def test_what_the_channel_reads_when_lost(losses: tuple[TransmitterLoss, ...], failsafe: int | str) -> None:
+def test_the_channel_during_a_loss(losses: tuple[TransmitterLoss, ...], failsafe: int | str) -> None:
     assert failsafe_of(losses) == failsafe

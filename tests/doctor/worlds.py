@@ -35,7 +35,7 @@ from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import AutopilotKind
 
 Mute = Callable[[int], bool]
-"""Of a message's number, whether it is not sent."""
+"""True if a message with this number is not sent."""
 
 SECONDS = 4.5
 QUICK_HZ = 20
@@ -49,7 +49,7 @@ MISSION = (
 
 
 class Vehicle(FakeAutopilot):
-    """Writes down what it is told, and does not send some of its messages."""
+    """Records its inputs, and does not send some of its messages."""
 
     def __init__(
         self, kind: AutopilotKind = "ardupilot", mute: Mute = lambda message_id: False, **others: Any
@@ -73,7 +73,7 @@ def _message_id(frame: bytes) -> int:
 
 
 class Board(WrappedBoard):
-    """Writes down what it is told."""
+    """Records its inputs."""
 
     def __init__(self) -> None:
         super().__init__(Firmware())
@@ -98,7 +98,7 @@ def silent() -> Callable[[bytes], bytes]:
 
 
 def quick_board() -> Callable[[bytes], bytes]:
-    """A healthy firmware without a plant, for worlds in which it is not the point: it costs little."""
+    """A healthy firmware without a plant, for worlds that need no pressures: it is fast."""
     codec = protocol.Codec()
     began_s = time.monotonic()
 
@@ -120,7 +120,7 @@ def quick_board() -> Callable[[bytes], bytes]:
 
 
 def of_next_version() -> Callable[[bytes], bytes]:
-    """A firmware that is newer than this host."""
+    """A firmware with a newer protocol version than this host."""
     codec = protocol.Codec()
 
     def answer(heard: bytes) -> bytes:
@@ -150,16 +150,16 @@ def heartbeats(system: int, component: int, kind: int, autopilot: int) -> Callab
 
 @dataclass(frozen=True)
 class World:
-    """What is done to a healthy pair, or put in its place."""
+    """A healthy pair with a change or a replacement."""
 
     vehicle: Callable[[], Vehicle] = Vehicle
     phlosar: Callable[[], SimulatedPhlosar] | None = None
     firmware: Callable[[], Callable[[bytes], bytes]] = quick_board
-    """What answers where there is no simulated phloSAR: the bytes that came, to the bytes that go."""
+    """Answers if there is no simulated phloSAR: received bytes to sent bytes."""
     profile: Callable[[Config, Path], ServiceProfile] = lambda config, folder: profile.given(config, "test")
-    """What the service would start with, of a profile with the right links; and a folder for its files."""
+    """Makes the service's profile from a profile with the right links and a folder for files."""
     stranger: Callable[[int], bytes] | None = None
-    """What another program sends to the companion, ten times a second: of the count, a frame."""
+    """Makes a frame of another program from a count; it is sent to the companion ten times a second."""
     ask: Callable[[Vehicle], RadioQuestion] | None = None
 
 
@@ -171,7 +171,7 @@ class Examined:
     phlosar: SimulatedPhlosar | None
 
     def of(self, check: str) -> DoctorFinding:
-        """The worst thing that was said of it."""
+        """The worst finding of a check."""
         order = ("bad", "warning", "good", "skipped")
         return min((f for f in self.findings if f.check == check), key=lambda f: order.index(f.verdict))
 

@@ -1,5 +1,5 @@
-"""The fault catalogue: what can go wrong, and the proof that the vine is safe then.
+"""The fault catalogue: all faults, and tests that the vine is safe after each.
 
-`catalogue` is the table of docs/faults.md; every row of it has a test that injects the fault into the whole
-(service or core, link, firmware, plant, fake autopilot) and watches the valves through a black box.
+`catalogue` is the table of docs/faults.md. A test injects each row's fault into the whole system (service or
+core, link, firmware, plant, fake autopilot) and records the valves with a black box.
 """

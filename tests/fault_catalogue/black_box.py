@@ -12,9 +12,10 @@ STEP_S = 0.001
 
 
 class BlackBox(WrappedBoard):
-    """Takes the place of a simulated phloSAR's firmware, and notes what goes in and comes out.
+    """Replaces the firmware of a simulated phloSAR, and records its inputs and outputs.
 
-    All times are the board's, in seconds. Safe means: inflation valve told shut, solenoid told open.
+    All times are the board's, in seconds. Safe means: inflation valve commanded shut, solenoid commanded
+    open.
     """
 
     def __init__(self, phlosar: SimulatedPhlosar) -> None:
@@ -22,24 +23,24 @@ class BlackBox(WrappedBoard):
         self._phlosar = phlosar
         self._heard = Codec()
         self.unsafe_s: float | None = None
-        """The last moment at which the valves were not safe; None before the first."""
+        """Time of the last step with unsafe valves; None before the first."""
         self.setpoint_s: float | None = None
-        """When the last setpoint arrived."""
+        """Arrival of the last setpoint."""
         self.highest_kPa = 0.0
         self._over_ms = 0
         self._limit_kPa = float("inf")
         self.longest_over_ms = 0
-        """For how long on end the control volume was above the limit that was given to `watch`."""
+        """Longest time in a row with the control volume above the limit given to `watch`."""
         phlosar.firmware = self
 
     def watch(self, limit_kPa: float) -> None:
-        """Look for the highest pressure, and for pressures above a limit, from now on."""
+        """Record the highest pressure, and pressures above a limit, from now on."""
         self._limit_kPa = limit_kPa
         self.highest_kPa = self._phlosar.cv_kPa
         self.longest_over_ms = self._over_ms = 0
 
     def look(self) -> None:
-        """Look at the phloSAR itself, every millisecond: its firmware may not be running."""
+        """Read the phloSAR itself every millisecond, because its firmware may not be running."""
         if self._phlosar.drive.evp > 0.0 or not self._phlosar.drive.solenoid:
             self.unsafe_s = self._phlosar.now_s
         true_kPa = self._phlosar.cv_kPa

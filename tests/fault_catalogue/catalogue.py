@@ -1,4 +1,4 @@
-"""The fault catalogue as data: the one source of the tables in docs/faults.md, and what the tests demand."""
+"""The fault catalogue as data: the source of the tables in docs/faults.md, and of the tests' requirements."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ class Cleared(Enum):
     """How the vine may bend again when the fault is over."""
 
     AT_ONCE = "–"
-    """It never stopped."""
+    """The vine never stopped."""
     FRESH = "trigger"
     PERSON = "person"
     RESTART = "restart"
@@ -24,16 +24,16 @@ class Row:
     fault: str
     seen_by: str
     told: str
-    """What the pilot reads; the test looks for these very words. Empty where there is nothing to read."""
+    """Text that the pilot reads; the test looks for exactly these words. Empty if there is no text."""
     cleared: Cleared
     allowed_ms: int | None = None
-    """None where the vine goes on, or never moved."""
+    """None if the vine continues, or never moved."""
     measured_ms: int | None = None
     safe_state: str = "vented"
     left_kPa: float = 0.0
-    """The vine's true pressure at the end of the fault, before it is mended."""
+    """The vine's true pressure at the end of the fault, before the repair."""
     highest_kPa: float | None = None
-    """Its highest, where that was above the firmware's limit for longer than 20 ms."""
+    """The vine's highest pressure, if it was above the firmware's limit for longer than 20 ms."""
     proof: str = "test_a_fault_in_flight"
 
 
@@ -121,7 +121,7 @@ VEHICLE = (
         "mission changed",
         Cleared.AT_ONCE,
         safe_state="the stored angle is executed",
-        proof="test_what_is_stored_is_executed_when_the_mission_begins",
+        proof="test_a_mission_is_executed_as_stored_at_its_start",
     ),
     Row(
         "item_late",
@@ -130,7 +130,7 @@ VEHICLE = (
         "s late",
         Cleared.FRESH,
         safe_state="not carried out, if it bends",
-        proof="test_an_item_that_is_heard_late_is_not_carried_out",
+        proof="test_an_item_that_arrives_late_is_not_executed",
     ),
     Row(
         "px4_command_lost",
@@ -228,7 +228,7 @@ COMPANION = (
     Row(
         "companion_stutters",
         "companion stalled for 0.2 s",
-        "not: a setpoint lives for 0.25 s",
+        "nothing: a setpoint lives for 0.25 s",
         "",
         Cleared.AT_ONCE,
         safe_state="continues",
@@ -259,16 +259,16 @@ COMPANION = (
         "failed, flight goes on",
         Cleared.AT_ONCE,
         safe_state="continues",
-        proof="test_what_is_only_shown_is_switched_off_and_the_flight_goes_on",
+        proof="test_a_failing_display_is_switched_off_and_the_flight_continues",
     ),
 )
 
-GOES_ON = "test_a_flight_goes_on_whatever_happens_around_it"
+GOES_ON = "test_a_flight_continues_whatever_happens_around_it"
 FILES = (
     Row(
         "profile_changed",
         "profile changed or deleted during a run",
-        "not: it is read once, at the start",
+        "nothing: it is read once, at the start",
         "",
         Cleared.AT_ONCE,
         safe_state="continues with the old profile",
@@ -313,7 +313,7 @@ FILES = (
     Row(
         "disk_hangs",
         "disk hangs for seconds",
-        "not; at 32 MB of waiting data the log ends",
+        "nothing; at 32 MB of waiting data the log ends",
         "",
         Cleared.AT_ONCE,
         safe_state="continues; the log catches up",
@@ -331,7 +331,7 @@ FILES = (
     Row(
         "terminal_frozen",
         "the terminal freezes (ssh without network, Ctrl-S)",
-        "not: output is dropped",
+        "nothing: output is dropped",
         "",
         Cleared.AT_ONCE,
         safe_state="continues",
@@ -360,7 +360,7 @@ FILES = (
     Row(
         "clock_jumps",
         "the companion's clock jumps by hours",
-        "not: all times are monotonic; signing ignores a jump of years",
+        "nothing: all times are monotonic; signing ignores a jump of years",
         "",
         Cleared.AT_ONCE,
         safe_state="continues",
@@ -394,7 +394,7 @@ NETWORK = (
         "nothing answers there",
         Cleared.AT_ONCE,
         safe_state="continues; events are sent when the broker is back",
-        proof="test_a_flight_goes_on_whatever_the_network_does",
+        proof="test_a_flight_continues_whatever_the_network_does",
     ),
     Row(
         "gateway_killed",
@@ -403,7 +403,7 @@ NETWORK = (
         "page and broker stopped",
         Cleared.AT_ONCE,
         safe_state="continues; the broker shows the vehicle offline meanwhile",
-        proof="test_a_flight_goes_on_whatever_the_network_does",
+        proof="test_a_flight_continues_whatever_the_network_does",
     ),
 )
 
@@ -647,7 +647,7 @@ SENSORS = (
     Row(
         "vine_sensor_glitches",
         "vine sensor: one wrong reading ten times a second",
-        "not: a fault needs 3 readings in a row",
+        "nothing: a fault needs 3 readings in a row",
         "",
         Cleared.AT_ONCE,
         safe_state="continues below its setpoint: each one opens a valve for 1 ms",

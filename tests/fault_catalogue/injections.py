@@ -1,4 +1,4 @@
-"""How each fault of the catalogue begins and ends in simulated time."""
+"""The start and the end of each fault of the catalogue, in simulated time."""
 
 from __future__ import annotations
 
@@ -40,12 +40,13 @@ Live = Callable[[Watched, float], None]
 
 
 def nothing(flight: Watched) -> None:
-    """The fault is over by itself."""
+    """The fault ends by itself."""
 
 
 @dataclass(frozen=True)
 class Injection:
-    """Begins while the vine is inflating to its highest pressure or held there; ends `lasts_s` later."""
+    """The fault begins while the vine is inflated to its highest pressure or held there, and ends `lasts_s`
+    later."""
 
     begin: Act
     end: Act = nothing
@@ -56,7 +57,7 @@ class Injection:
     rc: bool = True
     reservoir_kPa: float = 690.0
     rested_s: float = 3.2
-    """In the air before it bends: what checks of a leak compare with."""
+    """Time in the air before the bend, for checks that compare the leak with the rest."""
     tables: Mapping[str, object] = field(default_factory=dict)
 
 
@@ -69,7 +70,7 @@ def fly_on(flight: Watched) -> None:
 
 
 def without(message_id: int) -> Wire:
-    """A wire that loses one kind of MAVLink message."""
+    """A wire that loses one type of MAVLink message."""
     return lambda frame: b"" if int.from_bytes(frame[7:10], "little") == message_id else frame
 
 
@@ -82,7 +83,7 @@ def heal_vehicle_link(flight: Watched) -> None:
 
 
 def disarm(flight: Watched) -> None:
-    """As a crash may do it, of which the last altitude says nothing."""
+    """Disarm, as in a crash: the last altitude does not show it."""
     lose_altitude(flight)
     flight.autopilot.disarm()
 
@@ -103,7 +104,7 @@ def open_vehicle_link(flight: Watched) -> None:
 
 
 def live_with_a_second_autopilot(flight: Watched, seconds: float) -> None:
-    """It is disarmed, on the ground, and its switch moves; all that would end or begin a bend."""
+    """A second autopilot, disarmed on the ground, whose switch moves: all this would end or begin a bend."""
     other = MavlinkCodec(2, mavlink.MAV_COMP_ID_AUTOPILOT1)
     ours = MavlinkCodec(1, 191)
     for i in range(round(seconds / 0.1)):
@@ -169,13 +170,13 @@ def lose_telemetry(flight: Watched) -> None:
 
 
 def rewriting(change: Callable[[protocol.Message], protocol.Message]) -> Wire:
-    """A wire on which the board's messages say something else."""
+    """A wire that changes the board's messages."""
     heard, said = protocol.Codec(), protocol.Codec()
     return lambda data: b"".join(said.encode(change(message)) for message in heard.decode(data))
 
 
 def reflash(flight: Watched) -> None:
-    """Another version's firmware is on the board, which restarts."""
+    """The board restarts with firmware of another version."""
 
     def of_another_version(message: protocol.Message) -> protocol.Message:
         if isinstance(message, protocol.Welcome):
@@ -199,7 +200,7 @@ def jump_board_clock(by_ms: int) -> Act:
 
 
 def repeat_one_frame(flight: Watched) -> None:
-    """The line says the same telemetry over and over."""
+    """The line repeats the same telemetry."""
     first: list[protocol.Message] = []
 
     def again(message: protocol.Message) -> protocol.Message:
@@ -212,7 +213,7 @@ def repeat_one_frame(flight: Watched) -> None:
 
 
 def regulate_on(flight: Watched) -> None:
-    """Whatever the board is told, it says that it regulates."""
+    """The board always reports that it regulates."""
 
     def regulating(message: protocol.Message) -> protocol.Message:
         if isinstance(message, protocol.Telemetry):
@@ -232,7 +233,7 @@ def say_what_no_sensor_can(flight: Watched) -> None:
 
 
 def restart_often(flight: Watched, seconds: float) -> None:
-    """A supply that breaks down ten times a second."""
+    """The board's supply fails ten times a second."""
     for _ in range(round(seconds / 0.1)):
         flight.phlosar.reset_firmware()
         flight.run(0.1)
@@ -254,7 +255,7 @@ def hardware(
     rested_s: float = 3.2,
     mend: Act | None = None,
 ) -> Injection:
-    """A mishap, and its repair."""
+    """An injection of a mishap, and its repair."""
     return Injection(
         lambda flight: flight.phlosar.inject(place, kind),
         mend or (lambda flight: flight.phlosar.inject(place, None)),
@@ -266,13 +267,13 @@ def hardware(
 
 
 def straighten(flight: Watched, seconds: float) -> None:
-    """The pilot does, as soon as it has happened."""
+    """The pilot straightens the vine as soon as the fault has begun."""
     flight.straighten()
     flight.run(seconds)
 
 
 def wave(flight: Watched, seconds: float) -> None:
-    """The pilot bends the vine to and fro."""
+    """The pilot bends the vine up and down."""
     for _ in range(round(seconds / 2.0)):
         flight.straighten()
         flight.run(1.0)
@@ -286,7 +287,7 @@ def new_bottle(flight: Watched) -> None:
 
 
 def bend(flight: Watched, seconds: float) -> None:
-    """The pilot tries to."""
+    """The pilot tries to bend the vine."""
     flight.bend_full()
     flight.run(seconds)
 

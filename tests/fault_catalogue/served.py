@@ -26,7 +26,7 @@ from .watched import HIGH, LOW, MIDDLE, SWITCH
 
 
 class Served:
-    """One rig on a bench; the service may be started, and started again."""
+    """One rig on a bench. The service may be started several times."""
 
     def __init__(
         self, folder: Path, autopilot: FakeAutopilot, ground: GroundStation, companion_port: int
@@ -56,7 +56,7 @@ class Served:
         self._living = asyncio.create_task(self._port.run())
 
     async def unplug(self) -> None:
-        """Pull the line out; the board's time stands still until somebody lets it pass."""
+        """Unplug the line. The board's time stops until a test lets it pass."""
         assert self._port is not None
         assert self._living is not None
         self._port.close()
@@ -64,7 +64,7 @@ class Served:
         await asyncio.wait([self._living])
 
     async def serve(self, terminal: int | None = None) -> None:
-        """Start the service, and wait until it believes the switch; on a terminal with its live view."""
+        """Start the service, on a terminal with its live view, and wait until the switch is accepted."""
         self.ground.texts.clear()
         flights = len(self._logs)
         self.autopilot.set_rc(SWITCH, LOW)
@@ -76,19 +76,19 @@ class Served:
             env={**self.environment, "TERM": "xterm"},
         )
         await until(lambda: len(self._logs) > flights, "the service runs")
-        await until(lambda: self._switch_is_believed, "the switch is believed")
+        await until(lambda: self._switch_is_accepted, "the switch is accepted")
 
     @property
     def _logs(self) -> list[Path]:
-        """Of all flights, in order."""
+        """The logs of all flights, in order."""
         return sorted((self.folder / "flights").glob("*/flight.mcap"))
 
     @property
-    def _switch_is_believed(self) -> bool:
+    def _switch_is_accepted(self) -> bool:
         try:
             snapshots = [entry.fields for entry in FlightLog(self._logs[-1]).entries(("snapshot",))]
         except LogError:
-            return False  # nothing of it is on the disk yet
+            return False  # the file is still empty
         return bool(snapshots) and snapshots[-1].get("switch_position") == 0
 
     def straighten(self) -> None:
@@ -106,7 +106,7 @@ class Served:
         )
 
     def block_flights(self) -> Callable[[], None]:
-        """A file is where the flights' folder should be; what is returned mends it."""
+        """Put a file in the place of the flights' folder. The returned function removes it."""
         flights = self.folder / "flights"
         flights.write_text("")
         return flights.unlink
@@ -127,7 +127,7 @@ class Served:
         await until(lambda: text in "".join(self.ground.texts), f"the ground station reads {text!r}")
 
     async def output(self) -> str:
-        """What the service printed, when it has ended."""
+        """The output of the service, after its end."""
         assert self.process is not None
         text, _ = await self.process.communicate()
         return text.decode()
@@ -148,7 +148,7 @@ async def on_bench(folder: Path, autopilot: FakeAutopilot | None = None) -> Asyn
     finally:
         if served.process is not None and served.process.returncode is None:
             served.process.kill()
-            print(await served.output())  # pytest shows it where the test fails
+            print(await served.output())  # pytest shows it if the test fails
         await served.unplug()
         for task in running:
             task.cancel()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import time
 from collections.abc import AsyncIterator, Callable
@@ -22,8 +23,10 @@ KEY = bytes(range(32))
 FAKETIME = "sudo apt install faketime"
 JUMPS = ("+1h", "-2h", "+14y")
 SEEN_WITHIN_S = 1.2
-"""libfaketime looks once a second."""
+"""libfaketime looks at its file once a second."""
 LONGER_THAN_RC_LOSS_S = SEEN_WITHIN_S + 1.3
+BENDS_WITHIN_S = 10.0
+"""If the service was delayed during the move of the switch, it vented and waits for the next move."""
 
 
 @pytest.fixture
@@ -36,7 +39,7 @@ async def served(tmp_path: Path) -> AsyncIterator[Served]:
         "FAKETIME_TIMESTAMP_FILE": str(jump),
         "FAKETIME_CACHE_DURATION": "1",
         "FAKETIME_DISABLE_SHM": "1",
-        "FAKETIME_DONT_FAKE_MONOTONIC": "1",  # nobody can set that one
+        "FAKETIME_DONT_FAKE_MONOTONIC": "1",  # no program can set the monotonic clock
     }
     autopilot = FakeAutopilot("ardupilot", signing_key=KEY, unix_s=time.time())
     async with on_bench(tmp_path, autopilot) as served:
@@ -51,9 +54,11 @@ async def served(tmp_path: Path) -> AsyncIterator[Served]:
 
 
 async def stays_bent(served: Served, jumps: Callable[[str], object], jump: str) -> bool:
-    """Whether the vine stays bent while the clock jumps, and back; then it is straight again."""
+    """True if the vine bends and stays bent while the clock jumps and returns. Then it is straight again."""
     served.bend_full()
-    await served.bent()
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(BENDS_WITHIN_S):
+            await served.bent()
     jumps(jump)
     await asyncio.sleep(LONGER_THAN_RC_LOSS_S)
     bent = served.phlosar.cv_kPa > 15.0
@@ -68,7 +73,7 @@ async def test_clock_jumps(served: Served, tmp_path: Path) -> None:
     jumps = (tmp_path / "jump").write_text
     await served.serve()
     for jump in JUMPS:
-        # A busy machine may hold the service up once; a clock would each time.
+        # A busy machine may delay the service once; a clock would do it each time.
         tries = [await stays_bent(served, jumps, jump)]
         while not tries[-1] and len(tries) < TRIES:
             tries.append(await stays_bent(served, jumps, jump))

@@ -1,4 +1,4 @@
-"""Every access to the disk fails in flight."""
+"""During a flight every access to the disk fails."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ async def test_disk_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
         parsed = config.load(profile)
         service = Service(parsed, persistent=PersistentState.of(profile, parsed))
         serving = asyncio.create_task(service.run())
-        await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is believed")
+        await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is accepted")
         bench.autopilot.set_rc(9, 2000)
         await until(bench.bent, "the vine bends")
         monkeypatch.setattr(os, "stat", gone)

@@ -19,7 +19,7 @@ DEAD_MAN_S = 0.3
 FIRMWARE_LIMIT_KPA = setting_rows()["cv_limit_kPa"].standard
 LONGEST_OVER_MS = 20
 SAME_MS, SAME_SHARE, SAME_KPA = 10, 0.05, 1.0
-"""How far a measurement may lie from what the table says, before the table is no longer true."""
+"""Maximum differences between a measurement and the table."""
 
 
 @pytest.mark.parametrize("name", INJECTIONS)
@@ -33,7 +33,7 @@ def test_a_fault_in_flight(name: str) -> None:
     injection.live(flight, injection.lasts_s)
     left_kPa = flight.phlosar.cv_kPa
     injection.end(flight)
-    # The switch stands where it stands, and nobody asks for anything.
+    # The switch does not move, and there is no request.
     flight.run(5.0)
 
     if row.told:
@@ -63,7 +63,7 @@ def test_a_fault_in_flight(name: str) -> None:
 
 
 def in_the_air(injection: Injection) -> Watched:
-    """In the phase in which the fault begins."""
+    """A flight in the phase in which the fault begins."""
     flight = Watched(
         injection.kind, injection.tables, injection.rc, injection.reservoir_kPa, injection.rested_s
     )
@@ -80,7 +80,7 @@ def in_the_air(injection: Injection) -> Watched:
 
 
 def assert_safe_in_time(row: Row, box: BlackBox, began_s: float) -> None:
-    """Also: it has been safe since."""
+    """The vine is safe in time, and remains safe."""
     assert box.unsafe_s is not None
     assert box.setpoint_s is not None
     assert row.allowed_ms is not None

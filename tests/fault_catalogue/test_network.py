@@ -25,7 +25,7 @@ async def served(tmp_path: Path) -> AsyncIterator[Served]:
         yield served
 
 
-async def test_a_flight_goes_on_whatever_the_network_does(served: Served, tmp_path: Path) -> None:
+async def test_a_flight_continues_whatever_the_network_does(served: Served, tmp_path: Path) -> None:
     base = "flying-vines/heron"
     async with running(Broker(tmp_path)) as broker:
         profile = served.profile.read_text()

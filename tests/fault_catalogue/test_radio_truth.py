@@ -1,7 +1,7 @@
 """The referee finds no foul in flights in which radio and mission mislead the service.
 
-Each of them is a witness against one belief: a service that goes by it is called by the referee. What RC
-really does on PX4, and what ArduPilot hides, is in `tests/data/recordings/README.md`.
+Each flight exposes one wrong assumption: a service with this assumption has a foul.
+`tests/data/recordings/README.md` says what RC does on PX4, and what ArduPilot hides.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ LOOK_S = 0.01
 
 
 FLOWN: dict[str, Callable[[Config], Core]] = {"core": Core}
-"""Below, cores that lack a rule take its place."""
+"""The cores to fly. Tests below replace them by cores that lack a rule."""
 
 
 def airborne(setup: Setup) -> RefereedFlight:
-    """And RC has been good for long enough to be believed."""
+    """RC has been good for long enough to be accepted."""
     flight = RefereedFlight(setup, FLOWN["core"])
     flight.run(1.5)
     flight.take_off()
@@ -63,7 +63,7 @@ def ardupilot(parameters: Mapping[str, float] | None = None) -> RefereedFlight:
 
 
 def bent(flight: RefereedFlight) -> RefereedFlight:
-    """By its pilot."""
+    """The pilot has bent the vine."""
     flight.move_switch(2)
     flight.run(3.0)
     if flight.phlosar.cv_kPa <= BENT_KPA:
@@ -75,7 +75,7 @@ def assert_clean(flight: RefereedFlight) -> None:
     assert flight.fouls == [], "\n".join(f"{t:7.3f} {text}" for t, text in flight.timeline)
 
 
-# The pilot's own moves: whatever the rules cost, these must go on.
+# Moves of the pilot, which must work in spite of all rules.
 
 
 @pytest.mark.parametrize("receiver", [*RECEIVERS, "overrides"])
@@ -101,7 +101,7 @@ def test_a_switch_on_ardupilot_bends_within_half_a_second() -> None:
     assert_clean(flight)
 
 
-# PX4 says late that a receiver of its own is lost, and goes on with its values.
+# PX4 reports the loss of its own receiver late, and repeats the old values.
 
 
 @pytest.mark.parametrize("receiver", RECEIVERS)
@@ -157,7 +157,7 @@ def test_px4_preset_in_a_blip_is_no_move(seconds: float) -> None:
     assert_clean(flight)
 
 
-# What ArduPilot hides by its parameters, and an override that ends.
+# ArduPilot's parameters hide a loss; and an override ends.
 
 
 @pytest.mark.parametrize("parameters", [{"FS_THR_ENABLE": 0}, {"RC_FS_TIMEOUT": 8}, {"RC_OPTIONS": 36}])
@@ -196,7 +196,7 @@ def test_an_override_that_ends_is_no_move() -> None:
     assert_clean(flight)
 
 
-# The mission that really runs, and when.
+# The executed mission, and when it runs.
 
 
 def vine_item(kind: AutopilotKind, seq: int, code: float, angle_deg: float) -> MissionItem:
@@ -207,7 +207,7 @@ def vine_item(kind: AutopilotKind, seq: int, code: float, angle_deg: float) -> M
 def mission(
     kind: AutopilotKind, *wanted: tuple[float, float], delay_s: float = 2.0
 ) -> tuple[MissionItem, ...]:
-    """Up, and then for each a delay and what the vine is to do, code and angle."""
+    """Take off; then for each entry a delay and a vine item with code and angle."""
     items = [] if kind == "px4" else [MissionItem(0, 16, (0.0,) * 7, 3)]
     items.append(MissionItem(len(items), 22, (0.0,) * 6 + (8.0,), 3))
     for code, angle_deg in wanted:
@@ -227,13 +227,13 @@ def other_numbers(stored: tuple[MissionItem, ...], code: float, angle_deg: float
 
 KINDS: list[AutopilotKind] = ["ardupilot", "px4"]
 OTHERS = [((1.0, 11.0), (1.0, 44.0)), ((1.0, 44.0), (1.0, 11.0)), ((5.0, 0.0), (0.0, 0.0))]
-"""What is stored before, and after."""
+"""The stored mission before and after."""
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("waits_s", [0.2, 3.0, 10.0])
 @pytest.mark.parametrize(("before", "after"), OTHERS)
-def test_what_is_stored_is_executed_when_the_mission_begins(
+def test_a_mission_is_executed_as_stored_at_its_start(
     kind: AutopilotKind, waits_s: float, before: tuple[float, float], after: tuple[float, float]
 ) -> None:
     stored = mission(kind, before, before, delay_s=0.0)
@@ -247,7 +247,7 @@ def test_what_is_stored_is_executed_when_the_mission_begins(
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("sooner_s", [0.15, 0.5, 1.5])
-def test_what_is_stored_is_executed_when_it_was_replaced_on_the_way(
+def test_a_mission_that_was_replaced_in_flight_is_executed_as_stored(
     kind: AutopilotKind, sooner_s: float
 ) -> None:
     stored = mission(kind, (1.0, 11.0), (1.0, 11.0), delay_s=4.0)
@@ -264,7 +264,7 @@ def test_what_is_stored_is_executed_when_it_was_replaced_on_the_way(
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("stall_s", [2.0, 5.0])
 @pytest.mark.parametrize("process", [False, True])
-def test_an_item_that_is_heard_late_is_not_carried_out(
+def test_an_item_that_arrives_late_is_not_executed(
     kind: AutopilotKind, stall_s: float, process: bool
 ) -> None:
     flight = airborne(Setup(kind, mission=mission(kind, (1.0, 40.0)), has_rc=False))
@@ -282,7 +282,7 @@ def test_an_item_that_is_heard_late_is_not_carried_out(
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("process", [False, True])
-def test_a_button_that_is_heard_late_bends_nothing(kind: AutopilotKind, process: bool) -> None:
+def test_a_button_that_arrives_late_bends_nothing(kind: AutopilotKind, process: bool) -> None:
     flight = airborne(Setup(kind, has_rc=False))
     if process:
         flight.stall_companion(4.0, meanwhile=lambda: flight.press(5))
@@ -296,7 +296,7 @@ def test_a_button_that_is_heard_late_bends_nothing(kind: AutopilotKind, process:
 
 
 def test_a_vent_from_before_a_fault_does_not_clear_it() -> None:
-    """A link delays the vent until a new companion is there that had received nothing before."""
+    """A link delays the vent until a new companion runs, which has received nothing before."""
     flight = airborne(Setup("px4", has_rc=False))
     flight.arm_pneumatics()
     flight.bend_to(20.0)
@@ -353,11 +353,11 @@ def test_losses_do_not_restart_the_longest_hold() -> None:
     assert_clean(flight)
 
 
-# Each rule taken away, and a flight that shows it: a rule that nothing misses is none.
+# Cores without one of the rules, and a flight that exposes each.
 
 
 class BelievesAnyRc(Core):
-    """Takes what RC_CHANNELS says for the pilot's."""
+    """Takes every RC_CHANNELS for the pilot's."""
 
     def __init__(self, profile: Config) -> None:
         super().__init__(profile)
@@ -380,7 +380,7 @@ class BendsAtOnce(Core):
 
 
 class ReadsNoParameters(Core):
-    """Does not know that losses are hidden."""
+    """Does not know that losses may be hidden."""
 
     def __init__(self, profile: Config) -> None:
         super().__init__(profile)
@@ -388,7 +388,7 @@ class ReadsNoParameters(Core):
 
 
 class TakesOverridesForThePilot(Core):
-    """A switch that comes back was moved."""
+    """Takes the end of an override for a move of the pilot."""
 
     def __init__(self, profile: Config) -> None:
         super().__init__(profile)
@@ -396,7 +396,7 @@ class TakesOverridesForThePilot(Core):
 
 
 class TrustsItsBook(Core):
-    """Does not ask for an item again when it runs."""
+    """Does not read an item again when it runs."""
 
     class _Book(MissionBook):
         @property
@@ -409,14 +409,14 @@ class TrustsItsBook(Core):
 
 
 class IsNeverTooLate(Core):
-    """Carries out whatever it hears."""
+    """Executes late requests."""
 
     def _outdated(self, t: float, trigger: Trigger, intent: Intent) -> str:
         return ""
 
 
 class TakesItsFirstStampForNew(Core):
-    """Believes that what it hears first was sent then."""
+    """Takes the first time stamp as the present time."""
 
     def __init__(self, profile: Config) -> None:
         super().__init__(profile)
@@ -426,7 +426,7 @@ class TakesItsFirstStampForNew(Core):
 
 
 class HearsCommandsOnly(Core):
-    """Does not listen to what PX4 has reached."""
+    """Ignores MISSION_ITEM_REACHED of PX4."""
 
     def __init__(self, profile: Config) -> None:
         super().__init__(profile)
@@ -462,14 +462,14 @@ class CountsFromEachLoss(Core):
         (TakesOverridesForThePilot, test_an_override_that_ends_is_no_move),
         (
             TrustsItsBook,
-            partial(test_what_is_stored_is_executed_when_the_mission_begins, "ardupilot", 0.2, *OTHERS[0]),
+            partial(test_a_mission_is_executed_as_stored_at_its_start, "ardupilot", 0.2, *OTHERS[0]),
         ),
         (
             IsNeverTooLate,
-            partial(test_an_item_that_is_heard_late_is_not_carried_out, "ardupilot", 5.0, False),
+            partial(test_an_item_that_arrives_late_is_not_executed, "ardupilot", 5.0, False),
         ),
-        (IsNeverTooLate, partial(test_an_item_that_is_heard_late_is_not_carried_out, "px4", 5.0, True)),
-        (IsNeverTooLate, partial(test_a_button_that_is_heard_late_bends_nothing, "ardupilot", False)),
+        (IsNeverTooLate, partial(test_an_item_that_arrives_late_is_not_executed, "px4", 5.0, True)),
+        (IsNeverTooLate, partial(test_a_button_that_arrives_late_bends_nothing, "ardupilot", False)),
         (TakesItsFirstStampForNew, test_a_vent_from_before_a_fault_does_not_clear_it),
         (HearsCommandsOnly, test_a_straightening_that_was_lost_on_px4_comes_after_all),
         (CountsFromEachLoss, test_losses_do_not_restart_the_longest_time_bent),

@@ -25,7 +25,7 @@ from .served import Served, on_bench
 pytestmark = [real_time, pytest.mark.long]
 
 TIME_TO_LIVE_MS = 250
-"""Of a setpoint; the fault may come right behind one."""
+"""Time-to-live of a setpoint; the fault may come directly after one."""
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def assert_ended_by_the_dead_man(served: Served, fault: str) -> None:
 
 
 async def assert_latched_until_a_person_clears_it(served: Served, fault: str) -> None:
-    """The switch stands at bent, which is no trigger; moved to where it bends less, it is refused."""
+    """The switch is at bent, which is no trigger. A move to a smaller bend is refused."""
     await served.told(ROWS[fault].told)
     still_s = served.box.unsafe_s
     await asyncio.sleep(0.5)
@@ -103,8 +103,8 @@ async def test_the_dead_man_behind_the_real_service(served: Served) -> None:
     await assert_latched_until_a_person_clears_it(served, "companion_killed")
 
 
-async def test_a_flight_goes_on_whatever_happens_around_it(served: Served) -> None:
-    """The profile and the disk fail, and somebody starts a second copy of the service."""
+async def test_a_flight_continues_whatever_happens_around_it(served: Served) -> None:
+    """The profile and the disk fail, and a second copy of the service is started."""
     await served.serve()
     assert served.process is not None
     served.bend_full()
@@ -171,7 +171,7 @@ async def test_a_flight_goes_on_whatever_happens_around_it(served: Served) -> No
 
 
 def _count(served: Served, text: str) -> int:
-    """How often the ground station was told it."""
+    """How often the ground station received the text."""
     return "".join(served.ground.texts).count(text)
 
 

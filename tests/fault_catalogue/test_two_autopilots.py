@@ -1,4 +1,4 @@
-"""Two autopilots on one link, and no system id is configured."""
+"""Two autopilots on one link without a configured system id."""
 
 from __future__ import annotations
 

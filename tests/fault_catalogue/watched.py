@@ -26,7 +26,7 @@ HALF_BENT_KPA = 11.35
 
 
 class Texts:
-    """Status texts as a ground station puts them together from their chunks."""
+    """Assembles status texts from their chunks, like a ground station."""
 
     def __init__(self) -> None:
         self.read: list[str] = []
@@ -47,9 +47,9 @@ class Texts:
 
 
 class Watched:
-    """In the air, nothing bent. Lives by milliseconds, so that nothing falls between.
+    """A flight with a straight vine. It advances by milliseconds, so that nothing is missed.
 
-    What bends and straightens the vine is the switch or, on a flight without RC, a ground station's button.
+    The switch bends and straightens the vine; on a flight without RC a button of the ground station.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class Watched:
             self.feed(VehicleMessage(self.now_s, message))
 
     def forget(self) -> None:
-        """What was told and decided up to here is not of interest."""
+        """Forget earlier texts and decisions."""
         self.texts.read.clear()
         self.decisions.clear()
 
@@ -122,5 +122,5 @@ class Watched:
         return any(text in read for read in self.texts.read)
 
     def describe(self) -> str:
-        """For a failing test: what there was to read and to decide."""
+        """The texts and decisions, for a failing test."""
         return "\n".join([*self.texts.read, *(str(dataclasses.asdict(d)) for d in self.decisions)])

@@ -1,4 +1,4 @@
-"""Fixtures of several tests of the firmware."""
+"""Fixtures for several tests of the firmware."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ HOW_TO_GET_CORES = "git clone https://github.com/PaulStoffregen/cores ../shared/
 
 @pytest.fixture(scope="session")
 def cores() -> Path:
-    """The board maker's core, which is no part of this project: $TEENSY_CORES, or shared/ beside a parent."""
+    """The board maker's core, which is not part of this project: $TEENSY_CORES, or shared/ beside a parent
+    folder."""
     root = Path(__file__).parents[2]
     given = os.environ.get("TEENSY_CORES")
     beside = (parent / "shared" / "teensy-cores" for parent in root.parents)
@@ -31,13 +32,13 @@ def cores() -> Path:
 
 @pytest.fixture(scope="session")
 def images(cores: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the sketch for each board."""
+    """A folder with the built sketch for each board."""
     need("make", ARM_TOOLS)
     need("arm-none-eabi-g++", ARM_TOOLS)
 
     def make(folder: Path) -> None:
         command = ["make", "--silent", "-C", str(FIRMWARE), "image", f"CORES={cores}", f"BUILD={folder}"]
-        # Without the options of a make that runs the tests.
+        # Without the options of the make that runs the tests.
         done = subprocess.run(
             [*command, f"PYTHON={sys.executable}"],
             capture_output=True,

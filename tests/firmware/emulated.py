@@ -18,7 +18,7 @@ _EMULATOR = (
     *("-semihosting-config", "enable=on,target=native"),
 )
 _COUNTING = ("-icount", "shift=8")
-"""256 ns an instruction: see firmware_link/firmware/qemu/instructions.h."""
+"""256 ns for each instruction: see firmware_link/firmware/qemu/instructions.h."""
 _HANGS_S = 120
 _RECORD = struct.Struct("<IIIHHBBHHHH")
 
@@ -29,11 +29,12 @@ class Chip(NamedTuple):
     name: str
     machine: str
     ticks_per_instruction: float
-    """Of SysTick, which counts at the machine's clock."""
+    """Ticks of SysTick, which runs with the machine's clock."""
 
 
 CHIPS = (Chip("m0plus", "microbit", 4.096), Chip("m7", "mps2-an500", 6.4))
-"""A Teensy LC's and a Teensy 4's. QEMU's microbit has a Cortex-M0, which has the same instructions."""
+"""The processors of a Teensy LC and a Teensy 4. QEMU's microbit has a Cortex-M0, with the same
+instructions."""
 
 
 class Program(NamedTuple):
@@ -42,7 +43,7 @@ class Program(NamedTuple):
 
 
 class Instructions(NamedTuple):
-    """How many a step took, with up to six that each call and its counting cost."""
+    """The instructions of a step. Each call and its counting add up to six."""
 
     receive: int
     step: int
@@ -59,7 +60,7 @@ class Ticked(NamedTuple):
 
 
 def build(chip: Chip, folder: Path) -> Program:
-    """The program for the chip, made in `folder`."""
+    """Build the program for the chip in `folder`."""
     subprocess.run(
         ["make", "--silent", "-C", str(_PROGRAM), f"CHIP={chip.name}", f"BUILD={folder}"],
         check=True,
@@ -72,19 +73,19 @@ def build(chip: Chip, folder: Path) -> Program:
 
 class Run(NamedTuple):
     thousand: int
-    """A thousand instructions, as they were counted."""
+    """The counted ticks of a thousand instructions."""
     ticked: list[Ticked]
 
 
 def run(program: Program, told: Iterable[Told], folder: Path) -> Run:
-    """What the chip does, step by step; the first of `told` is a power-up. `folder` is for its files."""
+    """The chip's outputs, step by step. The first of `told` is a power-up. `folder` is for its files."""
     _prepare(told, folder)
     subprocess.run([*_command(program), *_COUNTING], cwd=folder, check=True, timeout=_HANGS_S)
     return results(program.chip, folder)
 
 
 def trace(program: Program, told: Iterable[Told], folder: Path) -> Iterator[tuple[str, list[int]]]:
-    """The same at a crawl: each operation that is counted, by its name, with its instructions' addresses."""
+    """The same, but slow: for each counted operation, its name and the addresses of its instructions."""
     _prepare(told, folder)
     options = ("-singlestep", "-d", "exec,nochain", "-D", "/dev/stdout")
     with subprocess.Popen([*_command(program), *options], cwd=folder, stdout=subprocess.PIPE) as emulator:
@@ -111,14 +112,14 @@ def trace(program: Program, told: Iterable[Told], folder: Path) -> Iterator[tupl
 
 
 def results(chip: Chip, folder: Path) -> Run:
-    """What a run left behind; counts mean nothing unless it was a counting one."""
+    """The results of a run. The counts are valid only if the run counted."""
     data = (folder / "outputs").read_bytes()
     one, two = struct.unpack_from("<II", data)
     return Run(_instructions(chip, two - one), list(_read(chip, data, 8)))
 
 
 def _command(program: Program) -> list[str]:
-    """To be run in the folder of its files."""
+    """The command; it must run in the folder of its files."""
     return [*_EMULATOR, "-M", program.chip.machine, "-kernel", str(program.path)]
 
 

@@ -1,4 +1,4 @@
-// A board of variables, on which a test in Python runs the firmware's main loop and its timer's interrupt.
+// A simulated board. A test in Python runs the firmware's main loop and its timer's interrupt on it.
 
 #include <string.h>
 
@@ -10,8 +10,8 @@ extern "C" {
 
 struct FakeBoard {
     uint32_t now_us;
-    // How long reading the converter takes, writing a byte of memory (no interrupt comes meanwhile), and moving
-    // bytes to or from the port.
+    // Times to read the converter, to write a byte of memory (without interrupts), and to move bytes to or from
+    // the port.
     uint32_t read_us, memory_us, serial_us;
     uint8_t timer_stopped;
     uint16_t readings[3];
@@ -19,7 +19,7 @@ struct FakeBoard {
     uint8_t solenoid, light;
     uint32_t steps, fed, memory_writes;
     uint8_t memory[1080];
-    // Power fails after this many writes of memory; 0: never.
+    // Power fails after so many writes of memory; 0: never.
     uint32_t power_cut_after;
     uint8_t regulated_while_writing;
     uint8_t bootloader_requested, waiting_for_bootloader;
@@ -37,7 +37,7 @@ void (*timer_step)() = nullptr;
 uint32_t next_us = 0;
 bool in_interrupt = false;
 
-// The timer's interrupt, once however often it was due.
+// The timer's interrupt: once, even if it was due several times.
 void interrupt() {
     if (timer_step == nullptr || fake_board.timer_stopped != 0 || in_interrupt) return;
     if (static_cast<int32_t>(fake_board.now_us - next_us) < 0) return;
@@ -70,7 +70,7 @@ void run_turn(uint32_t turn_us) {
 // The main loop hangs.
 void run_hang(uint32_t us) { pass(us); }
 
-// The clock goes on, without a step.
+// The clock continues without a step.
 void run_jump(uint32_t to_us) {
     fake_board.now_us = to_us;
     next_us = to_us;

@@ -1,4 +1,4 @@
-"""Conversations with every golden vector: each host frame, and a cause for each device frame."""
+"""Conversations with every golden vector: each host frame, and an input that causes each device frame."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ _STANDARD = {name: row.standard for name, row in setting_rows().items()}
 class Conversation(NamedTuple):
     told: list[Told]
     answers: list[Message]
-    """To what is said last; without telemetry."""
+    """Answers to the last frame, without telemetry."""
 
 
 def of_host_frame(frame: bytes) -> Conversation:
-    """A board that has just booted hears `frame`."""
+    """A board that has just booted receives `frame`."""
     told = [*_booted(), _said(1, frame)]
     match _message(frame):
         case Hello(version, nonce):
@@ -71,12 +71,13 @@ def of_host_frame(frame: bytes) -> Conversation:
 
 
 def to_device_frame(frame: bytes) -> Conversation | None:
-    """A board is brought to send `frame`, but for the sequence number; None where no board of ours does."""
+    """Inputs that make a board send `frame`, except for its sequence number; None if no board of ours sends
+    it."""
     message = _message(frame)
     answers = [message]
     match message:
         case Welcome():
-            # Some speak for another version, which no board of this one claims to be.
+            # Some vectors have another version, which this board never reports.
             answers = [replace(message, protocol_version=PROTOCOL_VERSION)]
             told = _to_welcome(message)
         case Pong(host_time_us, device_time_ms):
@@ -101,7 +102,7 @@ def answers_in(done: Done) -> list[Message]:
 
 
 def frames(messages: list[Message]) -> list[bytes]:
-    """As they are on the wire, but for the sequence."""
+    """The frames without their sequence numbers."""
     return [encode(message, 0) for message in messages]
 
 

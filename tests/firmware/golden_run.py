@@ -1,8 +1,9 @@
-"""The golden run: a recorded conversation with the firmware's core, counts in and duty cycles out.
+"""The golden run: a recorded conversation with the firmware's core, with counts in and duty cycles out.
 
-`golden_run.txt.xz` is what the core did when it was recorded (see `record_golden_run`). Whatever runs the
-core has to do the same again, to the last bit. It is text, for people who look for a difference: a line per
-step, in the order of the fields of `Step` and, after ">", of `Done`; bytes are hexadecimal, "-" for none.
+`golden_run.txt.xz` has what the core did when it was recorded (see `record_golden_run`). Every build of the
+core must give the same outputs, to the last bit. The file is text, so that people can read a difference: one
+line for each step, with the fields of `Step` and, after ">", of `Done`; bytes are hexadecimal, "-" means
+none.
 """
 
 from __future__ import annotations
@@ -23,14 +24,14 @@ HEADER = """\
 dvp_duty solenoid mode faults number kept sent
 """
 PACKET = 64
-"""What a board's port takes and gives at a time."""
+"""Bytes that a board's port receives or sends at a time."""
 FULL_EVP_DUTY = 31457
-"""Of the standard settings."""
+"""Default of the settings."""
 _MOST_SENT = 1024
 
 
 class PowerUp(NamedTuple):
-    """A board starts; `stored` is what its memory holds of settings."""
+    """A board starts; `stored` has the settings in its memory."""
 
     boot_id: int
     by_watchdog: bool
@@ -39,19 +40,19 @@ class PowerUp(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What a board is told in a millisecond: first `received` from the host, then the converter's counts."""
+    """The inputs of a board in a millisecond: first `received` from the host, then the converter's counts."""
 
     now_us: int
     cv: int
     reservoir: int
     supply: int
     fetched: int
-    """How many bytes its port takes, at most."""
+    """Maximum number of bytes that its port sends."""
     received: bytes
 
 
 class Done(NamedTuple):
-    """What a board did in a step, and is after it."""
+    """The outputs of a board in a step, and its state after it."""
 
     evp_duty: int
     dvp_duty: int
@@ -60,7 +61,7 @@ class Done(NamedTuple):
     faults: int
     number: int
     kept: bytes
-    """Settings to be stored; empty where there are none."""
+    """Settings to be stored; empty if there are none."""
     sent: bytes
 
 
@@ -68,12 +69,12 @@ Told = PowerUp | Step
 
 
 class Part(NamedTuple):
-    """A board's life from one power-up on, for one purpose."""
+    """A board's run from one power-up on, with one purpose."""
 
     name: str
     told: list[Told]
     done: list[Done]
-    """As many as there are `steps`."""
+    """One entry for each of `steps`."""
 
     @property
     def steps(self) -> list[Step]:
@@ -81,7 +82,7 @@ class Part(NamedTuple):
 
 
 class HostBoard:
-    """The core as it is built for this machine, told counts."""
+    """The core, built for this machine, with counts as input."""
 
     def __init__(self, power_up: PowerUp, library: ctypes.CDLL | None = None) -> None:
         self._library = library or load()
@@ -106,7 +107,7 @@ class HostBoard:
         library.phlosar_step(firmware, step.now_us, step.cv, step.reservoir, step.supply, outputs)
         size = library.phlosar_take_output(firmware, self._buffer, min(_MOST_SENT, step.fetched))
         mode = library.phlosar_mode(firmware)
-        # When a board asks for them, too.
+        # A real board also asks only while it does not regulate.
         unsaved = mode != Mode.REGULATE and library.phlosar_unsaved(firmware, self._image)
         return Done(
             outputs.evp_duty,
@@ -121,7 +122,8 @@ class HostBoard:
 
 
 def on_host(told: Iterable[Told], library: ctypes.CDLL | None = None) -> Iterator[Done]:
-    """What the core does on this machine: this library, or the usual one. It begins with a power-up."""
+    """The core's outputs on this machine, with this library or the usual one. `told` begins with a
+    power-up."""
     board: HostBoard | None = None
     for one in told:
         if isinstance(one, PowerUp):
@@ -165,7 +167,7 @@ def read(path: Path = GOLDEN_RUN) -> list[Part]:
 
 
 def difference(part: Part, done: Iterable[Done]) -> str:
-    """Where what was done differs first from what the golden run holds; empty where nothing does."""
+    """The first difference from the golden run; empty if there is none."""
     others = list(done)
     for number, (step, right, other) in enumerate(zip(part.steps, part.done, others, strict=False)):
         for name, a, b in zip(Done._fields, right, other, strict=True):

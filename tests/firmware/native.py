@@ -54,7 +54,7 @@ _TYPES: dict[str, Any] = {
 
 
 def fields(text: str, **others: Any) -> list[tuple[str, Any]]:
-    """Of a C structure: each line a type and its fields, as in `u8 dtr memory[1080]`."""
+    """The fields of a C structure. Each line is a type with its fields, as in `u8 dtr memory[1080]`."""
     found = []
     for kind, *names in map(str.split, text.strip().splitlines()):
         for name, _, size in (name.rstrip("]").partition("[") for name in names):
@@ -64,7 +64,7 @@ def fields(text: str, **others: Any) -> list[tuple[str, Any]]:
 
 
 class Mistake(NamedTuple):
-    """A mistake to put into the sources: where, what is right, and what is wrong."""
+    """A mistake for the sources: file, right text, wrong text."""
 
     file: str
     right: str
@@ -75,7 +75,7 @@ _Subject = TypeVar("_Subject")
 
 
 def with_mistake(sources: Path, mistake: Mistake, to: Path) -> Path:
-    """A copy of a folder of sources with the mistake in it, at `to`."""
+    """A copy of a folder of sources with the mistake, at `to`."""
     shutil.copytree(sources, to)
     (file,) = to.glob(f"**/{mistake.file}")
     text = file.read_text()

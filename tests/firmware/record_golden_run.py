@@ -1,7 +1,8 @@
 """Records the golden run anew: `cd tests && python -m firmware.record_golden_run`.
 
-Only for a change of what the firmware does; then read the difference before it is committed. What comes in is
-a simulated phloSAR's pressures, with noise, through a converter of 12 bits, and a host that misbehaves.
+Run it only after a change of the firmware's behaviour, and read the difference before you commit it. The
+inputs are a simulated phloSAR's pressures with noise, through a converter of 12 bits, and a host that
+misbehaves.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ def as_they_are(cv: int, reservoir: int, supply: int) -> tuple[int, int, int]:
 
 
 def instead(*, cv: int | None = None, reservoir: int | None = None, supply: int | None = None) -> Wires:
-    """These counts, whatever the converter says."""
+    """Replace the converter's counts by these."""
 
     def wires(seen_cv: int, seen_reservoir: int, seen_supply: int) -> tuple[int, int, int]:
         return (
@@ -62,13 +63,13 @@ def instead(*, cv: int | None = None, reservoir: int | None = None, supply: int 
 
 
 class Recorder:
-    """A board for `SimulatedPhlosar` that writes down what it is told and what it does."""
+    """A board for `SimulatedPhlosar` that records its inputs and outputs."""
 
     def __init__(self, part: Part, power_up: PowerUp, clock_us: int) -> None:
         self.wires: Wires = as_they_are
-        """Between converter and core."""
+        """Changes the counts between converter and core."""
         self.clock_us = clock_us
-        """What its clock is ahead of time; may grow, as when steps are late."""
+        """Lead of its clock over the time. It may grow, as when steps are late."""
         self.fetched = PACKET
         self.stored = power_up.stored
         self._power_up = power_up
@@ -135,7 +136,7 @@ class Recorder:
 
 
 def _converted(counts: float) -> int:
-    """By a converter of 12 bits."""
+    """Counts of a converter of 12 bits."""
     return min(4095, max(0, round(counts / 16))) * 16
 
 
@@ -183,7 +184,7 @@ class World:
         self.board.wires = as_they_are
 
     def is_in(self, mode: Mode, faults: Fault = Fault.NONE) -> None:
-        """What this recording is to show it does show."""
+        """Check that this recording shows what it is for."""
         assert (self.board.mode, self.board.faults) == (mode, faults), (self.board.mode, self.board.faults)
 
 
@@ -197,7 +198,7 @@ def handshake() -> World:
     world.greet()
     world.hold(10.0, 60)
     world.is_in(Mode.REGULATE)
-    # A host that comes back ends what the last one began.
+    # A host that returns ends the former regulation.
     world.greet()
     world.is_in(Mode.VENT)
     return world
@@ -226,7 +227,7 @@ def settings() -> World:
     for name, value in {"filling_lead_s": 0.03, "proportional_per_kPa": 0.05, "venting_lead_s": 0.01}.items():
         world.say(SetSetting(IDS[name], value))
     world.say(SetSetting(IDS["integral_per_kPa_s"], 2.5))
-    # The least limits were below what the bottle has.
+    # The minimum limits were below the reservoir's pressure.
     world.is_in(Mode.FAULT, Fault.RESERVOIR_OVERPRESSURE)
     world.clear()
     world.hold(12.0, 200)
@@ -330,7 +331,7 @@ def supply() -> World:
         world.is_in(Mode.REGULATE)
         world.run(1)
         world.with_wires(instead(supply=counts), 3)
-        # No supply is no reading either.
+        # Without supply there are no valid readings.
         world.is_in(Mode.FAULT, Fault.SUPPLY | Fault.CV_SENSOR | Fault.RESERVOIR_SENSOR)
         world.run(1)
         world.clear()
@@ -340,7 +341,7 @@ def supply() -> World:
         def all_of_it(cv: int, reservoir: int, supply: int, counts: int = counts) -> tuple[int, int, int]:
             return round(cv * counts / supply), round(reservoir * counts / supply), counts
 
-        # The sensors' share of it is what counts.
+        # Only the ratio to the supply counts.
         world.with_wires(all_of_it, 10)
         world.is_in(Mode.VENT)
     return world
@@ -416,7 +417,7 @@ def telemetry_at_1000_hz() -> World:
     world.say(SetSetting(IDS["telemetry_Hz"], 1000.0))
     world.hold(14.0, 260)
     world.hold(4.0, 200)
-    # Far more than its answers' queue holds.
+    # Far more requests than the queue of answers holds.
     world.say(*(GetSetting(number % 19) for number in range(58)), then_ms=4)
     world.say(SetSetting(IDS["telemetry_Hz"], 333.3), Vent(4))
     world.say(SetSetting(IDS["telemetry_Hz"], 333.3), then_ms=20)
@@ -425,7 +426,7 @@ def telemetry_at_1000_hz() -> World:
 
 
 def busy_line() -> World:
-    """A frame in each step, and as many as fit into a packet, each with telemetry of its own."""
+    """A frame in each step, and packets full of frames, with telemetry in each step."""
     world = World("a busy line")
     world.greet()
     world.say(SetSetting(IDS["telemetry_Hz"], 1000.0), then_ms=20)
@@ -504,7 +505,7 @@ def stored_settings() -> World:
 
 
 def random_mess() -> World:
-    """Readings that no vine gives, and a host that says anything: to reach what nobody thought of."""
+    """Impossible readings, and a host that sends anything, for cases that nobody thought of."""
     world = World("a random mess", clock_us=(1 << 32) - 2_000_000)
     chance = Random("a random mess")
     board = world.board

@@ -1,6 +1,6 @@
-// A Teensy of variables behind the declarations of arduino_stub: a test in Python runs the whole sketch on it.
+// A simulated Teensy behind the declarations of arduino_stub. A test in Python runs the whole sketch on it.
 //
-// What a function does is what the maker's core does on that board; where this matters, its file is named.
+// The functions do what the maker's core does on that board. Where this matters, a comment names its file.
 
 #include <setjmp.h>
 #include <string.h>
@@ -20,7 +20,7 @@ struct SimulatedPin {
 struct SimulatedTeensy {
     uint32_t now_us;
     SimulatedPin pins[40];
-    // What the converter sees, of 65536; the noise is added.
+    // The converter's input, full scale 65536; the noise is added.
     uint16_t analog[40];
     uint16_t noise;
     uint32_t conversion_us;
@@ -32,7 +32,7 @@ struct SimulatedTeensy {
     uint32_t timer_us;
     uint8_t priority, step_hangs;
     uint32_t systicks;
-    // Whether EVP and DVP were off 5 ms after the firmware began to wait for a bootloader or a reset.
+    // True if EVP and DVP were off 5 ms after the firmware began to wait for a bootloader or a reset.
     uint32_t idles;
     uint8_t off_while_idle;
     uint8_t dtr, usb_stalled;
@@ -40,7 +40,7 @@ struct SimulatedTeensy {
     uint32_t waited_for_host_us;
     uint32_t incoming_size, outgoing_size, in_flight, unsent;
     uint8_t incoming[4096], outgoing[65536];
-    // What was done to the valve pins, in order: 'c' cleared, 's' set, 'o' output, 'm' multiplexer.
+    // The operations on the valve pins, in order: 'c' cleared, 's' set, 'o' output, 'm' multiplexer.
     char order[64];
 };
 
@@ -73,7 +73,7 @@ void interrupt() {
     in_interrupt = false;
 }
 
-// Of a higher priority than the step.
+// Its priority is higher than that of the step.
 void systick() {
 #if defined(__MKL26Z64__)
     systick_isr();
@@ -164,7 +164,7 @@ Register& Register::operator=(uint32_t written) {
         case Kind::kResetCause:
             break;
 #else
-        case Kind::kWatchdog:  // i.MX RT1060: nothing takes WDE back; a new time counts from the next feeding
+        case Kind::kWatchdog:  // i.MX RT1060: WDE cannot be cleared; a new time counts from the next feeding
             value = written | (before & WDOG_WCR_WDE);
             if ((CCM_CCGR3 & CCM_CCGR3_WDOG1(CCM_CCGR_ON)) == 0) value = before;
             if ((before & WDOG_WCR_WDE) == 0 && (value & WDOG_WCR_WDE) != 0) {
@@ -305,7 +305,7 @@ constexpr uint32_t kRoom = 2048;
 constexpr uint32_t kBuffers = 4;
 #endif
 
-// teensy4 promises whole free buffers but not the one that is being filled, teensy3 the rest of that one.
+// teensy4 reports the empty buffers but not the one that is being filled; teensy3 reports the rest of that one.
 int usb_serial_class::availableForWrite() {
     if (sim.in_flight >= kBuffers - 1) return 0;
 #if defined(__MKL26Z64__)
@@ -321,7 +321,7 @@ size_t usb_serial_class::write(const uint8_t* buffer, size_t size) {
         pass(120000);
         return 0;
     }
-    if (sim.outgoing_size + size > sizeof sim.outgoing) sim.outgoing_size = 0;  // nobody looked
+    if (sim.outgoing_size + size > sizeof sim.outgoing) sim.outgoing_size = 0;  // no test reads it
     memcpy(sim.outgoing + sim.outgoing_size, buffer, size);
     sim.outgoing_size += static_cast<uint32_t>(size);
     sim.unsent += static_cast<uint32_t>(size);
@@ -346,7 +346,7 @@ bool sim_early_hook() {
     sim.watchdog_us = 1024000;
 #endif
     startup_early_hook();
-    pass(300000);  // the core's own beginning
+    pass(300000);  // the start of the maker's core
     return false;
 }
 
@@ -365,7 +365,7 @@ bool sim_run(uint32_t us) {
     return false;
 }
 
-// The main loop stands still, or the whole processor.
+// The main loop hangs, or the whole processor.
 bool sim_hang(uint32_t us, bool with_interrupts) {
     if (setjmp(reset_point) != 0) return true;
     interrupts = with_interrupts;

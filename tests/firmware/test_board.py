@@ -1,4 +1,4 @@
-"""The whole sketch on a simulated Teensy: what the board layer guarantees on each board."""
+"""The whole sketch on a simulated Teensy: the guarantees of the board layer on each board."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Model(NamedTuple):
     define: str
     watchdog_us: int
     erase_us: int
-    """The longest time that a write of memory may take."""
+    """Maximum time to write the memory."""
 
 
 BOARDS = (
@@ -93,7 +93,7 @@ class State(ctypes.Structure):
 
 
 class Teensy:
-    """A board from its reset on."""
+    """A board, from its reset on."""
 
     def __init__(self, model: Model, built: ctypes.CDLL) -> None:
         for name in ("sim_early_hook", "sim_setup", "sim_run", "sim_hang", "sim_crash"):
@@ -110,7 +110,7 @@ class Teensy:
         self.state.analog[CV], self.state.analog[RESERVOIR] = AT_REST, HALF_FULL
         self.state.analog[SUPPLY] = SUPPLY_COUNTS
         for pin in (EVP, DVP, SOLENOID):
-            self.state.pins[pin].level = 1 if pin != SOLENOID else 0  # the worst that a reset could leave
+            self.state.pins[pin].level = 1 if pin != SOLENOID else 0  # the worst levels after a reset
             self.state.pins[pin].pwm = 1
         self.codec = Codec()
 
@@ -157,7 +157,7 @@ class Teensy:
         assert self.state.pins[EVP].pwm and not self.state.pins[SOLENOID].level
 
     def is_off(self, pin: int) -> bool:
-        """Low by the port, whatever the timers do."""
+        """True if the pin is low by the port, independent of the timers."""
         one = self.state.pins[pin]
         return bool(one.output and not one.pwm and not one.level)
 
@@ -287,7 +287,7 @@ def test_steps_come_from_a_timer_below_the_clocks_interrupt(teensy: Teensy) -> N
 def test_a_main_loop_that_hangs_is_vented_and_then_reset(teensy: Teensy) -> None:
     teensy.start()
     teensy.regulate()
-    assert not teensy.hang(250, with_interrupts=True)  # beside the steps' own time
+    assert not teensy.hang(250, with_interrupts=True)  # in addition to the time of the steps
     assert teensy.vented
     assert teensy.hang(400, with_interrupts=True)
 
@@ -305,7 +305,7 @@ def test_a_step_that_hangs_is_vented_or_reset_within_0p26_s(teensy: Teensy) -> N
     assert not teensy.run_until_reset(240)
     assert not teensy.vented
     assert teensy.state.systicks - ticks >= 239
-    # Venting ends in waiting for the watchdog.
+    # After venting, it waits for the watchdog.
     assert teensy.run_until_reset(2000)
     assert teensy.vented
     assert teensy.state.now_us - begin_us < 510_000
@@ -501,7 +501,7 @@ MUTANTS = {
         "board/teensy_lc.cpp", "(RCM_SRS0 & RCM_SRS0_WDOG) != 0 || ", ""
     ),
 }
-"""Mistakes in the board layer that a lab would not see. LC: on a Teensy LC."""
+"""Mistakes in the board layer that a lab would not notice. LC: on a Teensy LC."""
 
 
 @pytest.mark.long

@@ -17,6 +17,7 @@ from firmware_link.protocol import (
     Setpoint,
     SetSetting,
     Telemetry,
+    Welcome,
 )
 from flying_vines.simulation.phlosar import FirmwareBuildError, core_library
 from flying_vines.simulation.phlosar.core_library import TARGETS
@@ -29,7 +30,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 
 def telemetry(firmware: Firmware, codec: Codec) -> Telemetry:
-    """The latest."""
+    """The latest telemetry."""
     return [m for m in codec.decode(firmware.take_output()) if isinstance(m, Telemetry)][-1]
 
 
@@ -83,6 +84,16 @@ def test_damaged_settings_are_not_used_and_say_so(spoil: int) -> None:
 def test_a_memory_that_was_never_written_is_no_fault() -> None:
     assert Firmware(stored=b"\xff" * 128).faults == Fault.NONE
     assert Firmware(stored=b"\x00" * 128).faults == Fault.SETTINGS
+
+
+def test_the_stand_in_has_the_version_of_the_sketch() -> None:
+    header = core_library.SOURCES / "phlosar" / "src" / "board" / "board.h"
+    (version,) = re.findall(r'PHLOSAR_VERSION "(.+)"', header.read_text())
+    firmware, codec = Firmware(), Codec()
+    firmware.step(0, 0.0, 690.0)
+    firmware.receive(codec.encode(Hello(PROTOCOL_VERSION, 1)))
+    answers = codec.decode(firmware.take_output())
+    assert [m.firmware_build for m in answers if isinstance(m, Welcome)] == [f"{version} host"]
 
 
 def test_settings_reach_the_core() -> None:
@@ -145,7 +156,7 @@ def test_the_prebuilt_libraries_are_what_these_sources_give(target: str, tmp_pat
 
 @needs_compiler
 @pytest.mark.parametrize("part", read(), ids=lambda part: part.name)
-def test_what_is_built_here_does_the_golden_run(part: Part) -> None:
+def test_the_library_built_here_repeats_the_golden_run(part: Part) -> None:
     assert difference(part, on_host(part.told, core_library.opened(core_library.build()))) == ""
 
 

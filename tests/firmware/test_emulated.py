@@ -16,7 +16,8 @@ from .once import made_once
 PARTS = read()
 STEPS = [step for part in PARTS for step in part.steps]
 MAX_INSTRUCTIONS = {"m0plus": 12000, "m7": 6000}
-"""In a control step: a quarter of a millisecond's cycles at 48 MHz, a hundredth of those at 600 MHz."""
+"""Maximum in a control step: a quarter of a millisecond's cycles at 48 MHz, a hundredth of them at 600
+MHz."""
 
 
 @pytest.fixture(scope="module", params=CHIPS, ids=lambda chip: chip.name)
@@ -56,12 +57,12 @@ def test_the_chip_answers_golden_frames_as_the_protocol_says(program: Program, t
 
 
 def frame_type(frame: bytes) -> int:
-    """No type is zero, so the byte after the first code is always it."""
+    """No type is zero, so it is always the byte after the first code."""
     return frame[1]
 
 
 def test_a_control_step_has_time_to_spare(program: Program, golden: Run) -> None:
-    """This includes what the port transfers meanwhile: up to one frame."""
+    """The time includes the port's transfers: up to one frame."""
     assert len(golden.ticked) == len(STEPS)
     usual = [
         (ticked.instructions, step)
@@ -84,5 +85,5 @@ def test_instructions_are_counted_right(program: Program, golden: Run, tmp_path:
     beyond: dict[str, set[int]] = {name: set() for name in Instructions._fields}
     for clock, (name, addresses) in zip(itertools.chain(*counted), operations, strict=True):
         beyond[name].add(clock - len(addresses))
-    # The same few everywhere, so nothing else is among them.
+    # The same small number everywhere, so it contains nothing else.
     assert all(len(few) == 1 and 0 <= min(few) <= 16 for few in beyond.values()), beyond

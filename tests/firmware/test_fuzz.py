@@ -1,4 +1,4 @@
-"""Random and mutated bytes into both ends of the line, for seconds; benchmarks/fuzz.py does it for hours."""
+"""Random and mutated bytes for both ends of the line, for seconds; benchmarks/fuzz.py does it for longer."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ WORSE = {
     "settings without ends": Mistake("settings.cpp", "!(value >= row->least && value <= row->most)", "false"),
     "readings that nobody doubts": Mistake("firmware.cpp", "if (cv_good) cv_kPa_ = ", "cv_kPa_ = "),
 }
-"""What a mistake might look like in the core's files."""
+"""Mistakes in the core's files."""
 
 
 @needs_compiler
@@ -39,7 +39,7 @@ def test_the_core_withstands_what_comes(seed: int) -> None:
     fuzzed = drive(seed, 300_000)
     assert fuzzed.received_bytes >= 300_000
     assert fuzzed.steps_regulating > 1000
-    # With the sanitizer's own; the core has no heap to grow in, and what its harness takes it gives back.
+    # This includes the sanitizer. The core has no heap, and the harness frees its memory.
     assert 10.0 < fuzzed.peak_MB < 500.0
 
 
@@ -50,7 +50,7 @@ def compiled(source: Path, to: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def objects(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Core, harness and driver, each compiled; without sanitizers, for what must hold shows by itself."""
+    """Core, harness and driver, each compiled without sanitizers, because the checks do not need them."""
     folder = tmp_path_factory.mktemp("objects")
     sources = [*(SOURCES / "phlosar" / "src" / "core").glob("*.cpp"), *(SOURCES / "fuzz").glob("*.cpp")]
     return {source.name: compiled(source, folder / f"{source.name}.o") for source in sources}

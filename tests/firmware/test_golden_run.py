@@ -90,7 +90,7 @@ def test_it_reaches_every_message_and_every_refusal() -> None:
 
 
 def test_it_reaches_all_that_the_valves_do() -> None:
-    # Far from the setpoint, near it, passive and with the Venturi; and the safe state.
+    # Far from the setpoint, near it, without and with the Venturi, and the safe state.
     regulated = [done for _, done in STEPS if done.mode == Mode.REGULATE]
     evp = [done.evp_duty for done in regulated]
     assert evp.count(FULL_EVP_DUTY) > 20 and sum(0 < duty < FULL_EVP_DUTY for duty in evp) > 500
@@ -98,14 +98,14 @@ def test_it_reaches_all_that_the_valves_do() -> None:
     assert outlets == {(False, False), (False, True), (True, True)}
     vented = [done for _, done in STEPS if done.mode != Mode.REGULATE]
     assert {(done.evp_duty, done.solenoid) for done in vented} == {(0, True)}
-    # Over the limit the Venturi helps.
+    # Above the limit the Venturi helps.
     helped = [done for done in vented if done.dvp_duty]
     assert 10 < len(helped) < len(vented) / 2
     assert all(Fault.CV_OVERPRESSURE in Fault(done.faults) for done in helped)
 
 
 def test_it_reaches_odd_times() -> None:
-    """The clock wraps while regulating, steps are late, and telemetry falls on each step of a second."""
+    """The clock wraps while regulating, steps are late, and telemetry falls on every possible step."""
     pairs = [pair for part in PARTS for pair in itertools.pairwise(part.steps)]
     assert any(b.now_us < a.now_us for a, b in pairs)
     assert max((b.now_us - a.now_us) & 0xFFFFFFFF for a, b in pairs) > 300_000
@@ -130,6 +130,6 @@ def test_a_difference_is_found_and_named() -> None:
     assert difference(part, changed[:17]) == f"inflation: 17 steps, in the golden run {len(part.done)}"
 
 
-def test_what_is_written_is_read(tmp_path: Path) -> None:
+def test_a_written_run_is_read_back(tmp_path: Path) -> None:
     write(tmp_path / "copy", PARTS)
     assert read(tmp_path / "copy") == PARTS

@@ -1,4 +1,4 @@
-"""The sketch as it is flashed: built for each board with the maker's core; size, stack and layout."""
+"""The sketch as it is flashed, built for each board with the maker's core: size, stack and layout."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ FLASH_ON_A_TEENSY_4 = 0x60000000
 
 @pytest.fixture(scope="module")
 def stack() -> ModuleType:
-    """The tool as a module."""
+    """The tool stack.py as a module."""
     spec = importlib.util.spec_from_file_location("firmware_stack", STACK_TOOL)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -57,7 +57,7 @@ def needs(images: Path) -> dict[str, dict[str, int]]:
 
 
 def function(images: Path, board: str, name: str) -> tuple[int, str]:
-    """Its address and its instructions."""
+    """Address and instructions of a function."""
     listing = run("arm-none-eabi-objdump", "-d", "-C", "--no-show-raw-insn", elf(images, board))
     found = re.search(rf"^([0-9a-f]+) <{re.escape(name)}>:\n(.+?)\n\n", listing, re.MULTILINE | re.DOTALL)
     assert found is not None, name
@@ -125,7 +125,7 @@ def test_nothing_runs_while_a_conversion_is_awaited(images: Path, board: str) ->
 
 
 @pytest.mark.parametrize("board", ["teensy40", "teensy41"])
-def test_what_runs_before_the_memory_is_there_stays_in_flash(images: Path, board: str) -> None:
+def test_code_that_runs_before_the_ram_is_set_up_is_in_flash(images: Path, board: str) -> None:
     address, instructions = function(images, board, "startup_early_hook")
     assert address > FLASH_ON_A_TEENSY_4
     assert re.search(r"\tblx?\t", instructions) is None
@@ -154,14 +154,14 @@ UNBOUNDED = {
         __attribute__((noinline)) int g(int n) { return f(n / 2) + 2; }
         int main(void) { return f(9); }""",
     "through a register": "int (*volatile f)(void); int main(void) { return f() + 1; }",
-    "not known before": """
+    "has no fixed size": """
         volatile int n;
         int main(void) { char c[n]; __asm__ volatile("" : : "r"(c) : "memory"); return c[n - 1]; }""",
 }
 
 
 @pytest.mark.parametrize("said", UNBOUNDED)
-def test_what_has_no_bound_is_refused(tmp_path: Path, stack: ModuleType, said: str) -> None:
+def test_code_without_a_stack_bound_is_refused(tmp_path: Path, stack: ModuleType, said: str) -> None:
     need("arm-none-eabi-gcc", ARM_TOOLS)
     (tmp_path / "program.c").write_text(UNBOUNDED[said])
     elf = tmp_path / "program.elf"
@@ -186,7 +186,7 @@ def test_a_chain_of_calls_is_added_up(tmp_path: Path, stack: ModuleType) -> None
     assert chain.names == ("main", "f", "g")
 
 
-def test_an_image_that_is_none_is_one_line(tmp_path: Path) -> None:
+def test_an_invalid_image_gives_one_line(tmp_path: Path) -> None:
     need("arm-none-eabi-objdump", ARM_TOOLS)
     (tmp_path / "none.elf").write_text("nothing")
     done = subprocess.run([sys.executable, STACK_TOOL, tmp_path / "none.elf"], capture_output=True, text=True)

@@ -38,7 +38,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @contextlib.asynccontextmanager
 async def running(program: Path, *options: str) -> AsyncIterator[str]:
-    """The program; gives the path of its port, and sees to it that it ends well."""
+    """Run the program. Yields the path of its port, and checks that it ends without an error."""
     process = await asyncio.create_subprocess_exec(program, *options, stdout=asyncio.subprocess.PIPE)
     try:
         assert process.stdout is not None
@@ -50,7 +50,7 @@ async def running(program: Path, *options: str) -> AsyncIterator[str]:
 
 
 class Host:
-    """A link, and what came of it."""
+    """A link, and its results."""
 
     def __init__(self, path: str) -> None:
         self.link = FirmwareLink(path, self._heard)
@@ -78,7 +78,8 @@ class Host:
         return self.telemetry[-1].cv_kPa if self.telemetry else 0.0
 
     async def hold(self, kPa: float, telemetry: int) -> None:
-        """Until so many of the last telemetry say so. On a busy machine the dead-man may come between."""
+        """Hold until this number of telemetry messages in a row confirms it. On a busy machine the dead-man
+        may interrupt."""
 
         def held() -> bool:
             if self.telemetry and self.telemetry[-1].faults:
@@ -121,7 +122,7 @@ async def test_it_greets_fills_the_bag_and_vents_it(program: Path, tmp_path: Pat
             assert (host.ready.welcome.boot_id, host.ready.welcome.firmware_build) == (77, "1.1 pty")
             await host.hold(15.0, 30)
             assert host.telemetry[-1].reservoir_kPa < 690.0
-        # The link's end has vented.
+        # The end of the link has vented.
         async with talking(str(link)) as host:
             await until(lambda: bool(host.telemetry) and host.cv_kPa < 1.0, "it is vented")
             assert host.telemetry[-1].faults is Fault.NONE
@@ -141,7 +142,7 @@ async def test_the_dead_man_vents_when_the_host_falls_silent(program: Path) -> N
         assert vented.faults is Fault.DEAD_MAN
         assert vented.solenoid
         assert vented.evp_opening == 0.0
-        # The setpoint lives for 250 ms, and telemetry tells every 10 ms.
+        # The setpoint lives for 250 ms, and telemetry comes every 10 ms.
         assert 240 <= vented.device_time_ms - accepted.device_time_ms <= 260
 
 

@@ -1,4 +1,4 @@
-"""The main loop and the step on simulated hardware: timing, watchdog, and when settings are stored."""
+"""The main loop and the step on simulated hardware: timing, watchdog, and storing of settings."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Board(ctypes.Structure):
 
 
 class Running:
-    """The main loop turns every 50 µs of its board's time; the step interrupts it each millisecond."""
+    """The main loop runs every 50 µs of the board's time; the step interrupts it each millisecond."""
 
     def __init__(self, built: ctypes.CDLL, memory: bytes = b"") -> None:
         built.run_light.restype = ctypes.c_bool
@@ -83,7 +83,7 @@ class Running:
         return self.board.evp_duty, self.board.dvp_duty, self.board.solenoid
 
     def run_turns(self, turns: int) -> list[Message]:
-        """The host's messages meanwhile."""
+        """Run the main loop. Returns the messages to the host."""
         received: list[Message] = []
         for _ in range(turns):
             self.board.outgoing_room = self.room
@@ -100,11 +100,12 @@ class Running:
         return received
 
     def hang(self, ms: int) -> None:
-        """The main loop stands still; the timer goes on."""
+        """The main loop hangs; the timer continues."""
         self._built.run_hang(1000 * ms)
 
     def bring_near_wrap(self, ms: int) -> None:
-        """Until its clock wraps. In two pauses: one beyond half of its range would look like going back."""
+        """Run until the clock wraps. Two pauses, because one beyond half of its range would look like going
+        back."""
         for now_us in (2**31 - 1, 2**32 - 1000 * ms):
             self._built.run_jump(ctypes.c_uint32(now_us))
             self.run_turns(20)
@@ -115,7 +116,7 @@ class Running:
         self.board.incoming_size = len(frames)
 
     def greet(self) -> Welcome:
-        self.run(3)  # what comes before the first step is lost
+        self.run(3)  # bytes before the first step are lost
         self.say(Hello(PROTOCOL_VERSION, 7))
         return next(message for message in self.run(8) if isinstance(message, Welcome))
 
@@ -144,7 +145,7 @@ _COPIES = itertools.count()
 
 
 def started(built: Path, folder: Path, memory: bytes = b"") -> Running:
-    """From power-up: a library of another name has variables of its own."""
+    """A board at power-up. A library with another name has its own variables."""
     return Running(ctypes.CDLL(str(shutil.copy(built, folder / f"copy{next(_COPIES)}.so"))), memory)
 
 
@@ -171,7 +172,7 @@ def test_it_regulates(running: Running) -> None:
     assert running.board.light
 
 
-def test_what_is_set_is_stored_once_and_not_while_regulating(running: Running) -> None:
+def test_a_setting_is_stored_once_and_not_while_regulating(running: Running) -> None:
     board = running.board
     running.greet()
     running.run(20)
@@ -180,7 +181,7 @@ def test_what_is_set_is_stored_once_and_not_while_regulating(running: Running) -
     running.run(5)
     one_copy = board.memory_writes
     assert one_copy == IMAGE_SIZE + 4
-    # Two in one packet: the second comes before the first can be stored.
+    # Two in one packet: the second one arrives before the first is stored.
     running.say(SetSetting(0, 24.0), Setpoint(10.0, 100.0, 250, 1))
     running.run(50)
     assert (board.memory_writes, board.solenoid) == (one_copy, 0)
@@ -217,7 +218,7 @@ def test_nothing_is_stored_on_a_failing_supply(running: Running) -> None:
 
 
 def with_limit(built: Path, folder: Path, memory: bytes, limit_kPa: float, power_cut_after: int = 0) -> bytes:
-    """The board's memory after this limit was set, and perhaps the power cut while it was written."""
+    """The board's memory after this limit was set, perhaps with a power cut while it was written."""
     running = started(built, folder, memory)
     running.greet()
     running.board.power_cut_after = power_cut_after
@@ -249,7 +250,7 @@ def test_a_power_cut_while_storing_keeps_the_older_settings(
     cut = with_limit(built, tmp_path, memory, 20.0, power_cut_after=written)
     assert (cut != memory) == (written > 6)  # the first bytes are equal
     assert limit_and_faults(built, tmp_path, cut) == (24.0, Fault.NONE)
-    # And the next change is stored over the damaged copy.
+    # The next change overwrites the damaged copy.
     again = with_limit(built, tmp_path, cut, 19.0)
     assert limit_and_faults(built, tmp_path, again) == (19.0, Fault.NONE)
 
@@ -313,7 +314,7 @@ def test_a_main_loop_that_hangs_starves_the_watchdog_and_the_dead_man_vents(runn
 
 
 def test_late_steps_do_not_feed_the_watchdog(running: Running) -> None:
-    """Missed steps are not made up for, and eight steps on time must follow."""
+    """Missed steps are not repeated, and eight steps on time must follow."""
     board = running.board
     running.run(50)
     board.timer_stopped = 1
@@ -379,7 +380,7 @@ def test_the_valves_are_safe_while_the_bootloader_is_awaited(running: Running) -
     assert running.outputs == (0, 0, 1)
 
 
-def test_what_no_host_takes_is_lost_frame_by_frame(running: Running) -> None:
+def test_output_that_no_host_reads_is_lost_in_whole_frames(running: Running) -> None:
     """A port that takes 7 bytes now and then gets no partial and no mixed frame."""
     running.room = 7
     received = running.run(3000)
@@ -446,12 +447,12 @@ def test_a_mistake_is_found(what: str, tmp_path: Path) -> None:
     made = build(tmp_path, 2, with_mistake(SOURCE, MISTAKES[what], tmp_path / "src"))
     tests = (
         test_a_step_each_millisecond_and_telemetry_in_between,
-        test_what_is_set_is_stored_once_and_not_while_regulating,
+        test_a_setting_is_stored_once_and_not_while_regulating,
         test_a_setpoint_waits_until_the_settings_are_stored,
         test_nothing_is_stored_on_a_failing_supply,
         test_late_steps_do_not_feed_the_watchdog,
         lambda running: test_an_overloaded_board_starves_the_watchdog(running, 1100),
-        test_what_no_host_takes_is_lost_frame_by_frame,
+        test_output_that_no_host_reads_is_lost_in_whole_frames,
         lambda _: test_settings_are_kept_over_many_power_cycles(made, tmp_path),
         lambda _: test_a_power_cut_while_storing_keeps_the_older_settings(made, tmp_path, 84),
         lambda _: test_no_two_copies_have_bytes_in_one_sector(made, tmp_path),

@@ -39,7 +39,7 @@ def heard(*pieces: bytes) -> Answer:
         ((Codec().encode(TELEMETRY),), "no answer: the line from us to the board"),
     ],
 )
-def test_each_silence_is_told_once_after_a_while(pieces: tuple[bytes, ...], says: str) -> None:
+def test_each_silence_is_reported_once_after_a_while(pieces: tuple[bytes, ...], says: str) -> None:
     answer = heard(*pieces)
     assert answer.news(10.0 + ANSWER_WITHIN_S - 0.01) is None
     told = answer.news(10.0 + ANSWER_WITHIN_S)
@@ -49,7 +49,7 @@ def test_each_silence_is_told_once_after_a_while(pieces: tuple[bytes, ...], says
 
 
 @pytest.mark.parametrize("message", [WELCOME, Refusal(0, RefusalReason.VERSION)])
-def test_whoever_answers_is_not_silent(message: Message) -> None:
+def test_an_answer_ends_the_silence(message: Message) -> None:
     answer = heard(Codec().encode(message))
     assert answer.news(100.0) is None
 

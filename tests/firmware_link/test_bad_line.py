@@ -1,4 +1,4 @@
-"""Host and firmware on lines with losses, errors, copies and cuts: always safe, and back at once."""
+"""Host and firmware on lines with losses, errors, copies and cuts: always safe, and quickly back."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ HELLO_MS = 500
 REPEAT_MS = 20
 TELEMETRY_MS = 10
 WAY_MS = 2
-"""There and back on a clean line, a millisecond each."""
+"""Round trip on a clean line, one millisecond each way."""
 
 often = st.floats(0.0, 0.5)
 lines = st.builds(
@@ -42,12 +42,12 @@ lines = st.builds(
 )
 seeds = st.integers(0, 2**32)
 
-# One spoilt frame in 65536 has the right CRC by chance. Derandomized, so that it is not met by chance.
+# One damaged frame in 65536 has the right CRC by chance. Derandomized, so that this does not happen.
 derandomized = settings(derandomize=True, max_examples=150)
 
 
 def ready(seed: int = 1) -> Talk:
-    """On a line that is clean so far, with nothing latched."""
+    """A conversation on a clean line, with nothing latched."""
     talk = Talk(CLEAN, seed)
     talk.run_until_ready(100)
     talk.run(50)
@@ -55,7 +55,7 @@ def ready(seed: int = 1) -> Talk:
 
 
 def over(talk: Talk) -> None:
-    """The line is good again, and what was spoilt before has arrived."""
+    """The line is good again, and all damaged frames have arrived."""
     talk.clean()
     talk.run(40)
 
@@ -112,7 +112,7 @@ def test_garbage_costs_one_frame_and_a_command_gets_through_with_its_repeat(
     talk.run(REPEAT_MS + 10 + WAY_MS)
     assert talk.in_step
     came = [ms for ms, event in talk.events if isinstance(event, TelemetryReceived) and ms > began_ms]
-    # The frame that the garbage ran into may be gone; the next is read.
+    # The frame after the garbage may be lost; the next one is read.
     assert came[0] - began_ms <= 2 * TELEMETRY_MS
     assert talk.codec.lost_frames - lost_before <= 1
     assert talk.session.telemetry_gaps <= 1
@@ -128,7 +128,7 @@ def test_every_frame_that_is_lost_is_counted() -> None:
     lost = sent - (talk.codec.good_frames - good_before)
     assert lost == pytest.approx(0.3 * sent, rel=0.2)
     assert talk.codec.lost_frames == lost
-    # Three pongs were on the way as well, and are no telemetry.
+    # Three of the lost frames were pongs, not telemetry.
     assert lost - 3 <= talk.session.telemetry_gaps <= lost
 
 
@@ -187,7 +187,7 @@ def _resets(talk: Talk) -> int:
 
 
 class OlderFirmware(WrappedBoard):
-    """Says that it speaks the version before."""
+    """Reports the previous protocol version."""
 
     def __init__(self) -> None:
         super().__init__(Firmware())

@@ -37,7 +37,7 @@ def verdicts(came: Iterable[tuple[float, int]]) -> list[ClockVerdict]:
 
 
 def oldest_after(session: HostSession, clock_ms: Callable[[float], int], began: float, for_s: float) -> float:
-    """The least age of telemetry over so long, a message every 10 ms; looked at after each."""
+    """Minimum age of telemetry during this time, with a message every 10 ms."""
     ages = []
     for i in range(round(for_s / PERIOD_S)):
         t = began + i * PERIOD_S
@@ -47,7 +47,7 @@ def oldest_after(session: HostSession, clock_ms: Callable[[float], int], began: 
 
 
 def flown(began_ms: int = 5000) -> HostSession:
-    """A session that has had good telemetry for a second, until 1.0."""
+    """A session with good telemetry for a second, until 1.0."""
     session = ready()
     for i in range(101):
         session.receive(i * PERIOD_S, telemetry((began_ms + 10 * i) % FULL_MS))
@@ -59,10 +59,11 @@ def flown(began_ms: int = 5000) -> HostSession:
     "clock_ms",
     [
         lambda t: 6000,  # one frame, repeated
-        lambda t: 5990 + 10 * (round(100 * t) % 2),  # two, in turn
-        lambda t: 5910 + 10 * (round(100 * t) % 10),  # a buffer that is sent in a circle
-        lambda t: 6000 + round(0.1 * 1000 * (t - 1.0)),  # a clock at a tenth of its pace
-        lambda t: 6000 + round(1000 * (t - 1.0)) - min(1000, round(1000 * (t - 1.0))),  # stands for a second
+        lambda t: 5990 + 10 * (round(100 * t) % 2),  # two frames in turn
+        lambda t: 5910 + 10 * (round(100 * t) % 10),  # a buffer that is sent again and again
+        lambda t: 6000 + round(0.1 * 1000 * (t - 1.0)),  # a clock that runs ten times too slow
+        # a clock that stops for a second
+        lambda t: 6000 + round(1000 * (t - 1.0)) - min(1000, round(1000 * (t - 1.0))),
     ],
 )
 def test_a_clock_that_does_not_go_on_makes_no_telemetry_fresh(clock_ms: Callable[[float], int]) -> None:
@@ -74,7 +75,7 @@ def test_a_clock_that_does_not_go_on_makes_no_telemetry_fresh(clock_ms: Callable
 
 @pytest.mark.parametrize("leap_ms", [100, 990, 60_000, 3_600_000])
 def test_a_clock_that_leaps_with_each_message_makes_none_fresh(leap_ms: int) -> None:
-    """Otherwise the physics checks, which skip gaps in the board's clock, would be off."""
+    """Otherwise the physics checks, which skip gaps in the board's clock, would never run."""
     session = flown()
     oldest_after(session, lambda t: 6000 + round((t - 1.0) / PERIOD_S) * (10 + leap_ms), 1.01, 1.0)
     assert session.telemetry_age(2.0) > STALE_S or leap_ms == 100
@@ -90,7 +91,7 @@ def test_one_absurd_time_is_one_lost_message() -> None:
     assert session.telemetry_gaps == 2
 
 
-def test_a_leap_that_lasts_is_believed_from_the_second_message_on() -> None:
+def test_a_lasting_leap_is_accepted_from_the_second_message_on() -> None:
     session = flown()
     assert session.receive(1.01, telemetry(3_606_010)) == []
     assert len(session.receive(1.02, telemetry(3_606_020))) == 1
@@ -110,7 +111,7 @@ def test_a_backlog_is_as_old_as_the_board_says() -> None:
     assert ages[-1] == 0.0
 
 
-def test_a_board_that_stood_still_once_is_fresh_again() -> None:
+def test_a_board_that_stopped_once_is_fresh_again() -> None:
     """An emulated board on a busy computer pauses; a real one restarts instead."""
     session = flown()
     oldest_after(session, lambda t: round(1000 * t) + 5000 - 2000, 3.0, 4.0)
@@ -150,7 +151,7 @@ def test_each_time_is_new_once_however_often_and_in_what_order_it_comes(
 
 
 @given(st.lists(st.tuples(millis, st.floats(0.0, 0.05)), max_size=200))
-def test_whatever_the_board_says_age_is_a_number_and_only_what_is_new_lowers_it(
+def test_the_age_is_always_a_number_and_only_new_telemetry_lowers_it(
     said: list[tuple[int, float]],
 ) -> None:
     session = ready()

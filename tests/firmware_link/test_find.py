@@ -41,7 +41,7 @@ def test_a_board_is_written_as_lsusb_writes_it(text: str, board: UsbBoard) -> No
 @pytest.mark.parametrize(
     "text", ["usb:", "usb:16c0", "usb:16c0:", "usb:16c0:483", "usb:16c0:0483:", "16c0:0483"]
 )
-def test_what_is_no_board_gets_a_sentence(text: str) -> None:
+def test_an_invalid_board_gets_a_sentence(text: str) -> None:
     with pytest.raises(ValueError, match="is not a USB board: give usb:VENDOR:PRODUCT"):
         UsbBoard.parse(text)
 
@@ -67,7 +67,7 @@ def test_two_that_no_number_tells_apart() -> None:
         UsbBoard(0x1A86, 0x7523).find(lambda: nameless)
 
 
-def test_what_is_there_instead_is_told() -> None:
+def test_other_boards_are_reported() -> None:
     with pytest.raises(BoardNotFoundError) as told:
         UsbBoard(0x16C0, 0x0483, "99").find(lambda: [GPS, ONE, CONSOLE])
     assert str(told.value) == (

@@ -81,7 +81,7 @@ def test_one_byte_at_a_time_is_the_same_as_all_at_once(pieces: list[bytes]) -> N
     assert (bytewise.good_frames, bytewise.bad_frames) == (at_once.good_frames, at_once.bad_frames)
 
 
-# One corruption in 65536 has the right CRC by chance. Derandomized, so that it is not met by chance.
+# One corruption in 65536 has the right CRC by chance. Derandomized, so that this does not happen.
 @settings(derandomize=True, max_examples=500)
 @given(payloads, st.data())
 def test_a_corrupted_frame_is_refused_and_the_next_is_read(payload: bytes, data: st.DataObject) -> None:

@@ -368,7 +368,7 @@ def test_the_clock_offset_is_off_by_half_a_round_trip_and_a_millisecond_at_most(
 @pytest.mark.parametrize("drift_ppm", [-100.0, 0.0, 40.0, 200.0])
 def test_the_drift_of_the_clock(drift_ppm: float) -> None:
     session = ready(t=100.0)
-    # All of the delay is on the way there, and every seventh ping waits for long.
+    # All of the delay is on the way to the device, and every seventh ping is delayed for long.
     ping_for(
         *(session, 100.0, 300),
         there_s=lambda second: 0.2 if second % 7 == 0 else 0.003,

@@ -28,7 +28,7 @@ from flying_vines.simulation.phlosar.firmware import Firmware
 
 
 def watch(monitor: Monitor, firmware: Firmware, for_ms: int, began_ms: int = 0) -> list[SeenFrame]:
-    """Both for so long, on a perfect line."""
+    """Run both on a perfect line."""
     seen = []
     for ms in range(began_ms, began_ms + for_ms):
         firmware.step(ms * 1000, 0.0, 690.0)
@@ -119,7 +119,7 @@ def test_every_frame_is_seen_good_or_not() -> None:
 
 
 @given(st.lists(st.binary(max_size=80)))
-def test_whatever_comes_is_survived(pieces: list[bytes]) -> None:
+def test_any_bytes_are_survived(pieces: list[bytes]) -> None:
     monitor = Monitor()
     monitor.opened(0.0)
     for at, data in enumerate(pieces):

@@ -173,7 +173,7 @@ def test_the_start_of_another_versions_welcome_can_be_read() -> None:
         Telemetry(0, Mode.VENT, Fault.NONE, 0, 0.0, 0.0, 0.0, float("nan"), 0.0, False),
     ],
 )
-def test_what_does_not_fit_is_not_sent(message: Message) -> None:
+def test_values_that_do_not_fit_are_not_sent(message: Message) -> None:
     with pytest.raises(MalformedMessageError):
         encode(message, 0)
 

@@ -32,7 +32,7 @@ KERNEL_BYTES = 64 * 1024
 
 
 class Watch:
-    """Remembers what was called, and lets a test wait until it likes what it sees."""
+    """Stores the calls, and lets a test wait for them."""
 
     def __init__(self) -> None:
         self.states: list[tuple[bool, str]] = []
@@ -134,7 +134,8 @@ async def test_writing_to_a_port_that_was_pulled_out_is_survived(link: Path, ter
 
 
 async def wedge(port: SerialPort) -> bytes:
-    """Write until the kernel has taken nothing for so long that messages are dropped; what was written."""
+    """Write until the kernel accepts nothing for so long that messages are dropped. Returns the written
+    data."""
     sent = b""
     async with asyncio.timeout(TIMEOUT_S):
         while not port.dropped_bytes:
@@ -156,7 +157,7 @@ async def test_to_a_wedged_reader_nobody_waits_and_what_is_stale_is_not_kept(
         assert port.write(b"fresh 2\n")
         dropped = port.dropped_bytes
         came = await terminal.read(len(sent) - dropped + 16)
-        # In order and whole; what waited for too long is missing, and the newest is not.
+        # Whole and in order. Only old data is missing, not the newest.
         assert sent.startswith(came[:-16])
         assert len(came) % 8 == 0
         assert came.endswith(b"fresh 1\nfresh 2\n")
@@ -167,7 +168,7 @@ async def test_to_a_wedged_reader_nobody_waits_and_what_is_stale_is_not_kept(
 
 async def test_a_burst_beyond_all_measure_keeps_the_newest(link: Path, terminal: Terminal) -> None:
     async with opened(link) as (port, _):
-        # No time passes, so nothing is stale: the bound alone holds.
+        # No time passes, so nothing is stale; only the maximum size drops messages.
         written = 0
         for _ in range(100):
             assert port.write(b"x" * 1024)
@@ -179,21 +180,19 @@ async def test_a_burst_beyond_all_measure_keeps_the_newest(link: Path, terminal:
         assert (await terminal.read(kept)).endswith(b"newest")
 
 
-async def test_what_was_still_to_be_sent_when_the_port_went_is_counted(
-    link: Path, terminal: Terminal
-) -> None:
+async def test_unsent_data_of_a_lost_port_is_counted(link: Path, terminal: Terminal) -> None:
     async with opened(link) as (port, watch):
         for _ in range(100):
             port.write(b"x" * 1024)
         dropped = port.dropped_bytes
         terminal.pull_out()
         await watch.until(lambda: not port.connected)
-    # The kernel has taken what is missing.
+    # The kernel has the rest.
     assert dropped + MAX_QUEUED_BYTES - 1024 <= port.dropped_bytes <= dropped + MAX_QUEUED_BYTES + 1024
 
 
 def boards(where: dict[str, str]) -> Callable[[], list[ListPortInfo]]:
-    """This machine's ports, as `where` says at the time: device by serial number."""
+    """This machine's ports, by the present content of `where`: device by serial number."""
 
     def ports() -> list[ListPortInfo]:
         found = []
@@ -216,7 +215,7 @@ async def test_a_board_is_found_again_under_another_name() -> None:
         assert watch.states[0][1].startswith(f"{board} is not there")
         for opening in range(2):
             with PtyPhlosar(SimulatedPhlosar()) as other, PtyPhlosar(SimulatedPhlosar()) as one:
-                # The name that it had last may be another board's now.
+                # Its former name may be another board's now.
                 where |= {"7654320": other.path, "1234560": one.path}
                 async with running(one):
                     await watch.until(lambda: any(isinstance(event, Ready) for event in watch.events))
@@ -242,7 +241,7 @@ async def test_another_device_on_the_port_is_called_one(
         assert "this is another device" in watch.states[1][1]
 
 
-async def test_half_a_frame_of_whoever_was_here_before_costs_no_greeting(
+async def test_half_a_frame_of_an_earlier_program_does_not_damage_the_greeting(
     link: Path, terminal: Terminal
 ) -> None:
     watch = Watch()
@@ -285,7 +284,7 @@ async def test_no_permission_says_what_to_do(
     assert "dialout" in watch.states[0][1]
 
 
-async def test_what_is_no_serial_port_says_so(tmp_path: Path) -> None:
+async def test_a_path_that_is_not_a_serial_port_gives_a_sentence(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"")
     watch = Watch()

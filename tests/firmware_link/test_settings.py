@@ -22,7 +22,7 @@ from flying_vines.simulation.phlosar.firmware import Firmware
 
 
 class Board:
-    """A firmware that is asked, a tenth of a second a turn."""
+    """A firmware that is asked, with a tenth of a second for each turn."""
 
     def __init__(self) -> None:
         self.firmware = Firmware()
@@ -33,7 +33,7 @@ class Board:
         self.firmware.receive(self._codec.encode(Hello(PROTOCOL_VERSION, 1)))
 
     def talk(self, changes: Mapping[str, float] | None = None, lose_every: int = 0) -> SettingsTalk:
-        """Until it has ended; every so manieth question is lost on its way."""
+        """Talk until the end. Every `lose_every`th request is lost."""
         talk = SettingsTalk(changes)
         for _ in range(400):
             self._t += 0.1
@@ -59,7 +59,7 @@ def test_all_are_read_in_order() -> None:
     assert talk.settings[0].value == 30.0
 
 
-def test_what_is_lost_is_asked_again() -> None:
+def test_a_lost_request_is_repeated() -> None:
     whole, holey = Board().talk(), Board().talk({"cv_limit_kPa": 25.0}, lose_every=3)
     assert holey.done
     assert holey.settings[0].value == 25.0
@@ -86,7 +86,9 @@ def test_changes_are_made_and_kept() -> None:
         ({"cv_limit_kPa": 25.0, "dead_man_ms": 900.0}, "dead_man_ms is from"),
     ],
 )
-def test_what_cannot_be_is_told_before_anything_is_changed(changes: dict[str, float], says: str) -> None:
+def test_an_impossible_change_is_reported_before_anything_is_changed(
+    changes: dict[str, float], says: str
+) -> None:
     board = Board()
     talk = board.talk(changes)
     assert says in talk.problem
@@ -99,7 +101,7 @@ def test_a_refusal_ends_it() -> None:
     assert talk.due(0.0) == [GetSetting(0)]
     talk.receive(Setting(0, 1, "a", 1.0, 0.0, 5.0, 1.0))
     assert talk.due(0.0) == [SetSetting(0, 2.0)]
-    # The number of a setpoint's refusal is the setpoint's.
+    # A refusal with a number belongs to a setpoint.
     talk.receive(Refusal(7, RefusalReason.OUT_OF_RANGE))
     assert not talk.problem
     talk.receive(Refusal(0, RefusalReason.REGULATING))

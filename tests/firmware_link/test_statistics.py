@@ -23,7 +23,7 @@ def test_rates_are_those_of_the_last_whole_second() -> None:
     assert read(traffic, 11.0).received_bytes_per_s == 0
 
 
-def test_what_was_dropped_was_not_sent() -> None:
+def test_dropped_bytes_do_not_count_as_sent() -> None:
     traffic = Traffic()
     traffic.written(0.0, b"x" * 100)
     now = read(traffic, 0.0, dropped_bytes=30)

@@ -1,4 +1,4 @@
-"""The gateway's process is restarted whatever happens, and the service never waits for it."""
+"""The gateway's process is always restarted, and the service never waits for it."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ def hear(): return read_to_gateway(service.recv(1 << 20))
 
 
 class Service:
-    """What a gateway has of one; `run` is a real process, or a script that plays it."""
+    """The part of a service that a gateway needs; `run` is a real process, or a script in its place."""
 
     def __init__(self, **mqtt: Any) -> None:
         self.said: list[str] = []
         self.asked: list[tuple[Asker, Intent]] = []
         self.times: list[tuple[float | None, float | None]] = []
-        """When each was made, and what its sender had seen."""
+        """For each request: its time, and the time of the state that its sender saw."""
         self.gateway = Gateway(configured(**mqtt), self._ask, self.said.append)
         self.latest_turn_s = 0.0
 
@@ -71,7 +71,7 @@ class Service:
             await asyncio.gather(*parts, return_exceptions=True)
 
     async def _fly(self) -> None:
-        """The loop that must not be held up, and how long it was, at most."""
+        """The loop that must not be delayed; records its longest turn."""
         while True:
             began = time.perf_counter()
             self.gateway.snapshot(snapshot(asyncio.get_running_loop().time()))
@@ -83,13 +83,13 @@ class Service:
 def in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(keep_alive, "FIRST_WAIT_S", 0.1)
     monkeypatch.setattr(gateway, "POLL_S", 0.1)
-    # Scripts that play a gateway say only what the test is about.
+    # Scripts in place of a gateway only print what the test needs.
     monkeypatch.setattr(gateway, "HANGS_S", 60.0)
 
 
 @pytest.fixture
 def played(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
-    """Let a script be the gateway."""
+    """Replace the gateway by a script."""
 
     def play(script: str) -> None:
         monkeypatch.setattr(gateway, "COMMAND", (*gateway.COMMAND[:1], "-c", CHILD + script))
@@ -116,12 +116,12 @@ async def test_a_gateway_that_is_killed_leaves_its_last_will_and_comes_back(
         await people.until(f"{BASE}/event", text="while it was away")
         assert service.said == ["page and broker stopped (it ended), starting again"]
         assert service.latest_turn_s < 0.5
-    # The service ends: so does its gateway, and whoever looks on is told.
+    # The service ends, and its gateway with it. The subscribers are told.
     await people.until(f"{BASE}/status", status="offline", count=2)
 
 
 async def test_a_gateway_whose_service_was_killed_says_so(broker: Broker, people: Onlooker) -> None:
-    """It ends by itself and in good order."""
+    """It ends by itself, without an error."""
     service = Service(broker=broker.url, name="heron")
     async with service.living():
         await people.until(f"{BASE}/status", status="online")
@@ -141,7 +141,7 @@ async def test_a_gateway_that_hangs_is_replaced_and_holds_nobody_up(
     async with Service().living() as service:
         await until(lambda: len(service.said) == 1, "it has started")
         first = int(service.said[0])
-        # What the socket holds is soon full.
+        # The socket's buffer is soon full.
         for number in range(2000):
             service.gateway.action(notice(0.0, f"{number}"))
             service.gateway.snapshot(snapshot(0.0))
@@ -164,7 +164,7 @@ async def test_a_stopped_gateway_is_replaced(
         assert service.said == ["page and broker stopped (it hung), starting again"]
 
 
-async def test_a_gateway_is_not_to_blame_where_the_service_stood_still(
+async def test_a_gateway_is_not_to_blame_where_the_service_stopped(
     monkeypatch: pytest.MonkeyPatch, played: Callable[[str], None]
 ) -> None:
     monkeypatch.setattr(gateway, "HANGS_S", 0.5)
@@ -192,7 +192,7 @@ async def test_a_gateway_has_time_to_start(
     assert time.monotonic() - began >= 1.0
 
 
-async def test_a_gateway_that_dies_at_once_is_told_once(
+async def test_a_gateway_that_dies_at_once_is_reported_once(
     played: Callable[[str], None], tmp_path: Path
 ) -> None:
     tries = tmp_path / "tries"
@@ -269,7 +269,7 @@ async def test_a_gateway_that_cannot_be_started_is_tried_again(
     assert service.said == ["page and broker stopped (No such file or directory), starting again", "started"]
 
 
-async def test_whoever_asks_too_often_may_still_vent(played: Callable[[str], None]) -> None:
+async def test_a_client_that_asks_too_often_may_still_vent(played: Callable[[str], None]) -> None:
     played(
         "hear()\n"
         "for number in range(100): say(Request(number, 'page', 'start_bench'))\n"
@@ -308,12 +308,12 @@ async def test_a_flood_of_vents_is_a_few_vents_and_each_is_answered(played: Call
     assert service.said == ["{'limited'}"]
     asked = [intent for _, intent in service.asked]
     assert 2 <= asked.count(VentVine()) < 20
-    # Nothing that was asked for after a vent is done before it.
+    # No request after a vent is executed before it.
     assert asked[-1] == Hold()
 
 
 async def test_a_vent_that_waits_comes_by_itself(played: Callable[[str], None]) -> None:
-    """A bend between two vents must not remain because the second vent was too soon."""
+    """The bend between two vents must not remain if the second vent came too soon."""
     played(
         "hear()\n"
         "for number in range(3): say(Request(number, ('page', 'broker')[number % 2], 'vent'))\n"
@@ -327,7 +327,7 @@ async def test_a_vent_that_waits_comes_by_itself(played: Callable[[str], None]) 
 async def test_when_it_was_made_and_what_was_seen_goes_on_to_the_service(
     played: Callable[[str], None],
 ) -> None:
-    """A combined vent clears what any of its senders has seen."""
+    """A combined vent clears the faults that any of its senders has seen."""
     played(
         "hear()\n"
         "say(Request(1, 'page', 'hold', made_at=3.25, seen_at=3.0))\n"
@@ -341,8 +341,10 @@ async def test_when_it_was_made_and_what_was_seen_goes_on_to_the_service(
     assert service.times == [(3.25, 3.0), (None, 1.0), (None, 4.0)]
 
 
-async def test_what_happens_before_the_gateway_reads_is_told_in_order(played: Callable[[str], None]) -> None:
-    """The profile comes first; of too many events the last ones are kept."""
+async def test_events_before_the_gateway_reads_are_sent_in_order(
+    played: Callable[[str], None],
+) -> None:
+    """The profile comes first. Of too many events the last ones are stored."""
     played(
         "kinds = [type(hear()).__name__]\n"
         "texts = []\n"

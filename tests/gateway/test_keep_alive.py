@@ -21,7 +21,7 @@ WHYS = [
 
 
 class Part:
-    """Fails as long as it has a reason to."""
+    """Fails while it has a reason."""
 
     def __init__(self, why: Exception | str) -> None:
         self.why: Exception | str | None = why
@@ -59,7 +59,7 @@ def in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("error, why", [*WHYS, ("it hung", "it hung")])
-async def test_many_failures_in_a_row_are_told_once_and_so_is_their_end(
+async def test_many_failures_in_a_row_are_reported_once_and_so_is_their_end(
     error: Exception | str, why: str
 ) -> None:
     part = Part(error)
@@ -72,7 +72,7 @@ async def test_many_failures_in_a_row_are_told_once_and_so_is_their_end(
     assert part.ended
 
 
-async def test_one_that_never_failed_is_not_told() -> None:
+async def test_one_that_never_failed_is_not_reported() -> None:
     part = Part("")
     part.why = None
     async with part.kept():

@@ -33,19 +33,19 @@ asks = st.one_of(
 
 
 @given(asks | st.builds(Trouble, st.text()))
-def test_what_the_gateway_says_is_read_as_it_was_said(message: FromGateway) -> None:
+def test_messages_of_the_gateway_are_read_back_equal(message: FromGateway) -> None:
     assert messages.read_from_gateway(messages.packet(message)) == message
 
 
 @given(st.builds(Answered, number, st.sampled_from(["accepted", "limited", "refused"]), st.text()))
-def test_what_the_service_answers_is_read_as_it_was_said(message: Answered) -> None:
+def test_answers_of_the_service_are_read_back_equal(message: Answered) -> None:
     assert messages.read_to_gateway(messages.packet(message)) == message
 
 
 @pytest.mark.parametrize(
     "message", [seen(1.0), profile(), *(happened(thing(2.0)) for thing in (decision, notice))]
 )
-def test_what_the_service_tells_is_read_as_it_was_said(message: ToGateway) -> None:
+def test_messages_of_the_service_are_read_back_equal(message: ToGateway) -> None:
     again = messages.read_to_gateway(messages.packet(message))
     assert type(again) is type(message)
     assert messages.packet(again) == messages.packet(message)
@@ -91,7 +91,7 @@ def test_an_ask_that_cannot_be_is_refused_wherever_it_comes_from(
     except ValueError:
         assert not good
     else:
-        # JSON has no other numbers: what is not one is null there.
+        # JSON has no NaN and no infinity: they become null.
         assert good or (as_bytes and value is not None and not abs(value) < float("inf"))
 
 

@@ -1,4 +1,4 @@
-"""Input of a gateway for tests: a profile, snapshots and events as the service makes them."""
+"""Inputs of a gateway for tests: a profile, snapshots and events as from the service."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CYCLES = CyclesLeft(31.2, 27.9, 35.0, 12.0, 18.4, 102.0, 15.0, 1.4, 80.0, 65.0, 
 
 
 def profile(**mqtt: Any) -> GatewayStart:
-    """The built-in one, without a page."""
+    """The built-in profile without a page."""
     return GatewayStart(configured(**mqtt), "1.2.3")
 
 
@@ -69,5 +69,5 @@ def notice(t: float, text: str = "Vine: phloSAR is back") -> Notice:
 
 
 def happened(thing: Decision | Notice) -> Happened:
-    """As `Gateway.action` makes it."""
+    """The event as `Gateway.action` makes it."""
     return Happened(type(thing).__name__.lower(), raw(thing))

@@ -1,20 +1,20 @@
-"""A proving ground: recorded runs of rigs that hide an effect, made by a simulator of its own.
+"""Recorded runs of rigs with hidden effects, from an independent simulator.
 
-It is written from the definitions in words of the rig, the files and the causes, and shares neither code
-nor numbers with `flying_vines`: where the two agree, they agree because both are right.
+It is written from the definitions of the rig, the files and the causes in words. It shares no code and no
+numbers with `flying_vines`. So if both agree, both are right.
 
-    truth = draw("clear", seed=7)           what is hidden, in which rig, flown how
+    truth = draw("clear", seed=7)           the hidden effects, the rig, the runs
     runs = make(truth)                      the recorded runs
-    answer = write(folder, truth)           rig.toml and the runs; the answer goes one level up
+    answer = write(folder, truth)           rig.toml and the runs; the answer is written beside the folder
 
-| file | what is in it |
+| file | contents |
 | --- | --- |
-| `kernel` | equations and integrator: one run of one rig, with whatever it hides |
-| `rig` | the rig's numbers, true or believed, and `rig.toml` |
-| `effects` | every effect by name: how it enters the equations, how strong it is on real rigs |
-| `plans` | what is done in a run: steps, random openings, bends, hold, discharge |
-| `truth`, `recording` | what is hidden · the runs that come of it |
-| `gap` | how far the best fit of the baseline stays behind the truth |
+| `kernel` | equations and integrator: one run of one rig, with its hidden effects |
+| `rig` | the rig's numbers, true or nominal, and `rig.toml` |
+| `effects` | every effect by name: its place in the equations, its strength on real rigs |
+| `plans` | the inputs of a run: steps, random openings, bends, hold, discharge |
+| `truth`, `recording` | the hidden effects · the recorded runs |
+| `gap` | how much worse the best fit of the baseline is than the truth |
 | `draw` | the tiers: clear, subtle, faint, worn, holes, short, pair, null, outside, hard, several, … |
 | `files` | the public format |
 """

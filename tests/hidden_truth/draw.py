@@ -1,14 +1,14 @@
-"""The tiers: what is hidden and how hard it is to see.
+"""The tiers: the hidden effects, and how hard they are to find.
 
-| tier | what is hidden |
+| tier | hidden |
 | --- | --- |
 | `clear` | one cause, as strong as on real rigs |
 | `subtle` | a third of that |
-| `faint` | turned down until the gap is 300 to 3,000 |
-| `worn` | believed numbers off by up to 2.5 %, which is stated; one clear cause, or none in a quarter |
+| `faint` | weakened until the gap is 300 to 3,000 |
+| `worn` | nominal numbers off by up to 2.5 %, which is stated; one clear cause, or none in a quarter |
 | `holes` | cells or rows missing, and gaps of 2 s; one clear cause |
 | `short` | one run of 20 s; one clear cause |
-| `pair` | any two clear causes, both of which show |
+| `pair` | any two clear causes that are both visible |
 | `null` | none: clean, worn, or with holes |
 | `outside` | an effect that is not in the table, clear or a third of that |
 | `hard` | uneven samples, a column missing, only a discharge, noise misstated; a clear cause, or none (1/4) |
@@ -16,12 +16,11 @@
 | `several_outside` | two to four causes, spread likewise, and a clear effect that is not in the table |
 | `rounded` | readings rounded, or noise correlated; one clear cause, or none in a quarter |
 
-What is hidden shows: its gap is above `SHOWS`, and of several effects the gap of each: that of the fit that
-has all others. So two that are the same by symmetry are never hidden together. Where readings are rounded or
-noise is correlated, a gap counts for as much less as the readings tell less. The largest of several is at
-least `LEADS` times the next one.
-A draw in which it does not is drawn again, as where the Venturi stalls only at pressures that no run came
-down to.
+Every hidden effect is visible: its gap is above `SHOWS`. With several effects this is the gap of a fit with
+all the others, so two effects that look the same are never hidden together. With rounded readings or
+correlated noise a gap counts less, in proportion to the information in a reading. The largest of several gaps
+is at least `LEADS` times the next one. A draw without these properties is drawn again, for example if the
+Venturi stalls only at pressures that no run reaches.
 """
 
 from __future__ import annotations
@@ -64,21 +63,21 @@ SHORT_S = 20.0
 HOLES = ("cells", "held", "lost")
 STATED_OFF = ((0.4, 0.7), (1.5, 2.5))
 SPREAD = 0.1
-"""The weakest of several strengths, over a clear one."""
+"""The weakest of several strengths, as a share of a clear one."""
 LEADS = 1.25
 CONVERTER_STEPS = (0.5, 5.0)
 """In standard deviations of the noise."""
 CORRELATION_S = (0.02, 0.2)
 NOT_REPLAYED = "x_repeats"
-"""What it does is not in the inputs, so that nothing can be fitted beside it."""
+"""Its effect is not in the inputs, so nothing can be fitted together with it."""
 _VISCOUS = {"cv_leak": "viscous_leak", "reservoir_leak": "reservoir_viscous_leak"}
 _DRAWN = tuple(name for name in CAUSES if name not in _VISCOUS.values())
-"""Of which half of the leaks then are viscous."""
+"""Then half of the leaks become viscous."""
 _GAINS = {"cv_sensor_gain", "reservoir_sensor_gain"}
 _ATTEMPTS = 60
 _FADINGS = 16
 _LEAKS = 90
-"""Random numbers of their own; those of the runs count from 1."""
+"""Seed of separate random numbers; those of the runs count from 1."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +89,7 @@ class NotDrawn(Exception):
 
 
 def draw(tier: str, seed: int) -> Truth:
-    """The case of this tier and seed; the same every time."""
+    """The case of this tier and seed; always the same."""
     if tier not in TIERS:
         raise ValueError(f"no tier {tier!r}: there are {', '.join(TIERS)}")
     for attempt in range(_ATTEMPTS):
@@ -166,7 +165,7 @@ def _candidate(tier: str, seed: int, stream: tuple[int, ...], rng: Generator) ->
 
 
 def _together(rng: Generator, number: int) -> list[str]:
-    """Causes that differ; of the sensors' gains, which are the same without the Venturi, one at most."""
+    """Different causes, with at most one gain of a sensor: without the Venturi both gains look the same."""
     while True:
         names = [str(name) for name in rng.choice(_DRAWN, number, replace=False)]
         if not set(names) >= _GAINS:
@@ -174,7 +173,7 @@ def _together(rng: Generator, number: int) -> list[str]:
 
 
 def _spread(one: Hidden, rng: Generator) -> Hidden:
-    """At a share of its strength, of what can be weaker and is in the table."""
+    """The effect with a share of its strength, if it can be weaker and is in the table."""
     share = _between(rng, (SPREAD, 1.0))
     return one.weaker(share) if one.effect.in_table and one.effect.weaken is not None else one
 
@@ -202,7 +201,7 @@ def _plans(tier: str, variant: str, rng: Generator) -> tuple[Plan, ...]:
 
 
 def _shown(truth: Truth) -> Truth | None:
-    """With its gap and shares, and the effect that explains most first; None if one does not show."""
+    """The truth with its gap and shares, the largest effect first; None if an effect is not visible."""
     runs = make(truth)
     if not truth.hidden:
         return replace(truth, gap=gap(truth, runs))
@@ -225,7 +224,7 @@ def _shown(truth: Truth) -> Truth | None:
 
 
 def _faded(truth: Truth, rng: Generator) -> Truth | None:
-    """At the share of its strength with about the wanted gap."""
+    """The truth with the strength that gives about the wanted gap."""
     aim = float(np.exp(rng.uniform(*np.log(FAINT_AIM))))
     strong = truth.hidden[0]
     low, high = 1e-5, 1.0

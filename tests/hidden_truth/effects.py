@@ -1,23 +1,22 @@
-"""Every effect by name: how it enters the equations, how strong it is on real rigs, and what a weaker one is.
+"""Every effect by name: its place in the equations, its strength on real rigs, and its weaker form.
 
-A clear strength is drawn log-uniformly from what real rigs show, so far as that is known:
+A clear strength is drawn log-uniformly from the range of real rigs, as far as this is known:
 
-- leaks: a bottle that loses 0.5 to 10 kPa/s, a vine that halves its pressure in a fraction of a second to
-  seconds; a viscous leak loses as much as a leak by Ohm's law at 500 kPa in a bottle, at 35 kPa in a vine;
-- flow: critical ratios 0.2 to 0.5 of valves with fittings; resistances that are off by 8 to 40 % (the
-  paper's are by 15 %);
-- heat: a bottle settles in about 10 s, half a litre of cloth or plastic within seconds;
-- volumes: tubing and fittings of 8 to 40 % of the CV; a bottle that is not the one, or has water in it, 5
-  to 25 %;
+- leaks: a reservoir that loses 0.5 to 10 kPa/s, a vine that halves its pressure in a fraction of a second to
+  seconds; a viscous leak loses as much as a leak by Ohm's law at 500 kPa in a reservoir, at 35 kPa in a vine;
+- flow: critical ratios 0.2 to 0.5 of valves with fittings; resistances that are off by 8 to 40 % (the paper's
+  by 15 %);
+- heat: a reservoir settles in about 10 s, half a litre of cloth or plastic within seconds;
+- volumes: tubing and fittings of 8 to 40 % of the CV; another reservoir, or one with water in it, 5 to 25 %;
 - valves: hysteresis 10 % nominally, a spring's preload of a quarter to half the current, poppets of 5 to 20
   ms with drivers and loops of 30 to 90 ms, a solenoid with a fly-back diode 10 to 80 ms;
-- sensors: total error band 3 kPa of the CV's, 22 kPa of the reservoir's, ratiometric gains with the
-  supply's few percent;
+- sensors: total error band 3 kPa for the CV, 22 kPa for the reservoir; ratiometric gains of a few percent,
+  like the supply;
 - ambient: 2.5 to 15 m/s of climb at 0.012 kPa/m.
 
-A weaker effect is one whose departure from the baseline is a share of that. A critical ratio has no such
-measure (there is no ratio at which the valve is Ohm's), so `compressible_flow` is clear or absent. Of
-`venturi_stall` the measure is how far it reaches up from 250 kPa, below which such rigs hardly fly.
+A weaker effect has a share of the departure from the baseline. For a critical ratio this is not defined,
+because no ratio gives Ohm's law, so `compressible_flow` is clear or absent. For `venturi_stall` the departure
+is the distance above 250 kPa, because such rigs hardly fly below.
 """
 
 from __future__ import annotations
@@ -59,7 +58,7 @@ def _later_ceiling(value: float, share: float) -> float:
 
 @dataclass(frozen=True)
 class Effect:
-    """`low` and `high` bound the clear strength; of a scale or a gain, how far it is from one."""
+    """`low` and `high` bound the clear strength; for a scale or a gain they are distances from one."""
 
     name: str
     parameter: str
@@ -219,9 +218,9 @@ _ALL = (
     ),
     # Flow ~ u^power; below one the valve opens early.
     Effect("x_evp_power", "power", 0.25, 1.0, _set("evp_power"), _nearer_one),
-    # The opening lacks k (690 kPa − P_r): a poppet that the supply pressure helps to lift.
+    # The opening is smaller by k (690 kPa − P_r): the supply pressure helps to lift the poppet.
     Effect("x_evp_lifting_force", "per_kPa", 1e-4, 4e-4, _set("opening_force_per_kPa")),
-    # A check valve in the outlet opens at a pressure and takes it off what drives the flow.
+    # A check valve in the outlet opens at a pressure, and lowers the driving pressure by it.
     Effect("x_outlet_check_valve", "cracking_kPa", 2.0, 10.0, _set("cracking_kPa")),
     # The solenoid follows ISO 6358, matched at 69 kPa into 0 kPa.
     Effect("x_solenoid_choked", "critical_pressure_ratio", 0.2, 0.5, _set("outlet_critical_ratio"), None),
@@ -229,7 +228,7 @@ _ALL = (
     Effect("x_solenoid_slow_open", "delay_s", 0.01, 0.08, _set("opening_s")),
     # P_vac ~ min(1, P_r / rated)^power.
     Effect("x_venturi_power", "power", 0.6, 2.0, _set("vacuum_power"), _nearer_one),
-    # A seam that opens above a pressure and leaks what is above it.
+    # A seam that opens above a pressure; the leak is proportional to the excess.
     Effect(
         "x_seam",
         RESISTANCE,
@@ -294,7 +293,7 @@ class Hidden:
 
 
 def with_effects(rig: Rig, hidden: Iterable[Hidden]) -> Physics:
-    """The rig's equations; the order does not matter, the kernel's does."""
+    """The rig's equations with these effects, in any order; the kernel has a fixed order."""
     p = physics(rig)
     for one in hidden:
         p = one.effect.apply(p, one.value)

@@ -1,4 +1,4 @@
-"""One truth with a given effect and variant, short, for tests that need no draw."""
+"""One short truth with a given effect and variant, for tests that need no draw."""
 
 from __future__ import annotations
 

@@ -18,10 +18,10 @@ ANSWERS = "answers.json"
 
 
 def answer(truth: Truth) -> dict[str, Any]:
-    """What a verdict is to be held against, names and parameters as in the table of causes.
+    """The answer with which a verdict is compared; names and parameters as in the table of causes.
 
-    `effect` is the one that explains most, `also` are the others; `share` is what of the baseline's misfit
-    comes back without it; `nominal` are the rig's true numbers.
+    `effect` is the largest one, `also` has the others; `share` is the part of the baseline's misfit that
+    comes back without it; `nominal` has the rig's true numbers.
     """
     first, *others = truth.hidden or (None,)
     rig, shares = truth.rig, truth.shares
@@ -55,7 +55,7 @@ def _parameters(hidden: Hidden) -> dict[str, float]:
 
 
 def write(folder: Path, truth: Truth) -> dict[str, Any]:
-    """Write the case into a new `folder`. Its answer is returned, and written beside the folder."""
+    """Write the case into a new `folder`, and the answer beside it. Returns the answer."""
     folder.mkdir(parents=True)
     text = rig_toml(truth.believed, truth.stated, truth.tolerance_percent)
     (folder / "rig.toml").write_text(text, encoding="utf-8")

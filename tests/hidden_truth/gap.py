@@ -1,13 +1,13 @@
-"""How far the best fit of a lesser model stays behind the truth, in chi-square.
+"""How much worse the best fit of a smaller model is than the truth, in chi-square.
 
-The baseline's fit may move every number of the rig within its tolerance and the initial pressures of every
-run freely. It is found by Gauss and Newton's method in at most four rounds, the bounds kept exactly in the
-linear problem, with derivatives at the believed rig; where effects are known, with new ones in each round.
-What was simulated counts, so the gap is never below an exact fit's. For a faint effect the two differ by
-far less than the gap's own noise, whose standard deviation is about 2 √gap; for a strong one the number
-only says "very far".
+The fit of the baseline may change every number of the rig within its tolerance, and the initial pressures of
+every run freely. It uses at most four rounds of Gauss and Newton's method, with exact bounds in the linear
+problem. Derivatives are at the nominal rig; with known effects they are new in each round. The result comes
+from a simulation, so the gap is never below that of an exact fit. For a faint effect the difference is far
+less than the gap's own noise, whose standard deviation is about 2 √gap. For a strong effect the number only
+means "very far".
 
-Where rows are lost the fit is given the inputs that there were: the gap is of the effect, not of the loss.
+If rows are lost, the fit gets the true inputs: the gap is due to the effect, not to the loss.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from hidden_truth.truth import Truth
 _NUDGE, _NUDGE_KPA = 1e-3, 0.1
 _ROUNDS = 4
 _SHARES = (1.0, 0.3, 0.05)
-"""Of a step, until one leads down."""
+"""Shares of a step that are tried, until one lowers chi-square."""
 KNOWN = (-0.7, 1.0)
-"""How far, of itself, the strength of a known effect may move."""
+"""The strength of a known effect may change by these shares."""
 _ENOUGH, _ENOUGH_SHARE = 1.0, 0.01
-"""Of chi-square, and of how far it is above the truth's: a round that gains less is the last."""
+"""If a round lowers chi-square by less than this, or by less than this share of the gap, it is the last."""
 
 
 def chi_square(truth: Truth, recordings: Sequence[Recording]) -> float:
@@ -42,9 +42,9 @@ def chi_square(truth: Truth, recordings: Sequence[Recording]) -> float:
 def gap(
     truth: Truth, recordings: Sequence[Recording], known: tuple[Hidden, ...] = (), below: float = -np.inf
 ) -> float:
-    """Chi-square of the baseline's best fit above the truth; `known` effects are fitted as well.
+    """Chi-square of the baseline's best fit minus that of the truth; `known` effects are fitted as well.
 
-    A gap that gets `below` what is asked is not looked for any further.
+    The search ends when the gap is below `below`.
     """
     numbers = [name for name in NUMBERS if getattr(truth.believed, name) is not None]
     runs = len(recordings)
@@ -95,7 +95,8 @@ def gap(
 
 
 class _Linear:
-    """The problem about a point, as small as its unknowns: |root x − aim| is |J x + b| but for a constant."""
+    """The linear problem at a point, reduced to its unknowns: |root x − aim| equals |J x + b| except for a
+    constant."""
 
     def __init__(
         self, residuals: Callable[[Array], list[Array]], at: Array, parts: list[Array], numbers: int
@@ -115,7 +116,7 @@ class _Linear:
 
 
 def _slopes(residuals: Callable[[Array], list[Array]], at: Array, parts: list[Array], numbers: int) -> Array:
-    """Finite differences. Initial pressures only act on their own run, so all are changed at once."""
+    """Finite differences. An initial pressure acts only on its own run, so all are changed at once."""
     runs = len(parts)
     slopes = np.zeros((sum(one.size for one in parts), at.size))
     own = np.repeat(np.arange(runs), [one.size for one in parts])

@@ -1,36 +1,36 @@
-"""One run of one rig, with whatever it hides: equations, integrator and the loop over the samples, compiled.
+"""One run of one rig with its hidden effects: equations, integrator and the loop over the samples, compiled.
 
 Pressures in kPa gauge, volumes in L, flows in SL/s, times in s; temperatures as T / ambient temperature.
 
-What the words leave open, and how it is read here:
+Points that the definitions leave open are interpreted like this:
 
 - A recorded input holds from its own sample to the next. Before the first sample everything was at rest and
   shut: a delayed opening is 0 until the first command arrives, and the solenoid had not been open.
 - Effects on the inflation valve apply in the order delay, play, dead zone, lag. The play's output is within
   half its width of the command; command 0 shuts the valve and takes the play up on the closing side (output
   0, at once).
-- `line_delay` and `evp_lag` are of the inflation valve alone; the Venturi's supply and the solenoid obey at
-  once.
-- `solenoid_slow_close`: once told to close it stays open for the delay, and if told to open meanwhile it
-  never closed.
+- `line_delay` and `evp_lag` act only on the inflation valve; the Venturi's supply and the solenoid have no
+  delay.
+- `solenoid_slow_close`: after the command to close it stays open for the delay. If it is told to open in this
+  time, it does not close at all.
 - Readings: lag, then offset, then gain; the lag starts from rest at the initial pressure. A reading is
   taken just before the input of its own sample changes.
 - `compressible_flow`: the conductance is matched at 690 kPa into 0 kPa with standard ambient pressure and
-  with the rig's true resistance, so that with `evp_restriction` the restricted valve is what is matched.
+  with the rig's true resistance, so that with `evp_restriction` the restricted valve is matched.
   The ratio there, 0.128, is subcritical for b below it. Nothing flows back.
 - `ambient_drop`: gauge pressures are states; both rise by the rate while absolute pressures do not.
   Absolute pressure is gauge pressure plus the ambient of that moment.
 - `cv_compliance` conserves mass: d(P_abs V)/dt = αΣQ. Together with `cv_heating` the wall's work enters the
   energy: V dP_abs/dt + γ P_abs dV/dt = γα(Q_in − T Q_out) − P_abs V/T (T − 1)/τ, which is either alone when
   the other is off.
-- A viscous leak ends in the ambient of its moment, and lets air in where the pressure is below that.
-- What leaks out or in counts as any other flow: out at the gas's temperature, in at ambient temperature.
-- "Never backwards while the Venturi's supply valve is open" goes by the valve's command.
+- A viscous leak goes to the present ambient pressure, and lets air in if the pressure is below it.
+- Leaks count like other flows: out at the gas's temperature, in at ambient temperature.
+- "Never backwards while the Venturi's supply valve is open" depends on the valve's command.
 
-The integrator is Dormand and Prince's pair 5(4) with adaptive steps. What happens at known times (samples,
-delayed commands, a solenoid that turns late) ends a step; what happens at pressures (stall, choking, flow
-that turns) is found by the error control. Everything compiled is in this one file, because that is what the
-compiler's cache looks at.
+The integrator is Dormand and Prince's pair 5(4) with adaptive steps. Events at known times (samples,
+delayed commands, a solenoid that turns late) end a step. Events at pressures (stall, choking, flow that
+reverses) are found by the error control. All compiled code is in this file, because the compiler's cache
+checks only this file.
 """
 
 from __future__ import annotations
@@ -53,19 +53,20 @@ RATED_KPA = 690.0
 OUTLET_MATCH_KPA = 69.0
 """The same for a solenoid that follows ISO 6358."""
 LAMINAR = 0.999
-"""Beyond this ratio of pressures an outlet's flow goes straight to zero, which a square root does not."""
+"""Beyond this ratio of pressures an outlet's flow goes straight to zero; a square root would be infinitely
+steep."""
 STATES = 8
-"""Reservoir pressure, CV pressure, opening with lag, CV pressure with lag, temperatures of reservoir and
-CV, the coil's warmth, pressure of the second volume. Never more are integrated than the last one that
-moves."""
+"""Reservoir pressure, CV pressure, opening with lag, CV pressure with lag, temperatures of reservoir and CV,
+warming of the coil, pressure of the second volume. Only the states up to the last changing one are
+integrated."""
 
 
 class Physics(NamedTuple):
-    """A rig's numbers and its effects; with the defaults it is the baseline."""
+    """A rig's numbers and its effects; the defaults are the baseline."""
 
     reservoir_L: float
     cv_L: float
-    """Infinite: no control volume, the inflation valve opens into the atmosphere."""
+    """Infinite: no control volume; the inflation valve opens to the atmosphere."""
     evp_kPa_s_per_SL: float
     dvp_kPa_s_per_SL: float
     solenoid_kPa_s_per_SL: float
@@ -117,18 +118,19 @@ class Physics(NamedTuple):
 
 
 class Control(NamedTuple):
-    """The control of the valves. The loop runs on a host: fully open outside a band, PI control in it."""
+    """The control of the valves. The loop runs on a host: fully open outside a band, PI control within it."""
 
     closed_loop: bool
     venturi: bool = True
     """True if the loop uses it."""
     guard_kPa: float = math.inf
-    """Open loop: a reading above it keeps the inflation valve shut until the plan's next move; if that would
-    inflate it vents instead, as its own row says, and otherwise a move that inflates does only that."""
+    """Open loop: above this reading the inflation valve is shut until the plan's next move. If that move
+    inflates, it does not inflate, but vents if its row opens the solenoid. A move that inflates keeps Venturi
+    and solenoid shut."""
     stall_from: int = -1
     """From the first sample after this one at which the inflation valve is shut …"""
     stall_samples: int = 0
-    """… the inputs stand still for so many samples, as when the host hangs."""
+    """… the inputs are constant for this number of samples, as if the host hung."""
 
 
 BAND_KPA = 1.0
@@ -137,7 +139,7 @@ INTEGRAL_PER_KPA_S = 0.12
 VENT_BELOW_KPA, VENT_UNTIL_KPA = -0.25, -0.05
 VACUUM_BELOW_KPA = -4.0
 OPENING_DECIMALS = 4
-"""An opening is set as finely as it is recorded."""
+"""An opening is rounded as in the recording."""
 
 _compiled: Any = numba.njit(cache=True)
 
@@ -175,7 +177,7 @@ def _outlet_iso(resistance: float, b: float, up: float, down: float) -> float:
 
 
 def _flows(p: Physics, t: float, y: Array, u: float, d: float, s: bool) -> tuple[float, float, float]:
-    """Through the inflation valve, the Venturi's supply valve and the outlet."""
+    """Flows through the inflation valve, the Venturi's supply valve and the outlet."""
     reservoir, cv = y[0], y[1]
     ambient = AMBIENT_KPA - p.ambient_drop_kPa_per_s * t
     b = p.critical_pressure_ratio
@@ -267,9 +269,9 @@ def _advance(
     active: int,
     k: Array,
 ) -> float:
-    """`y` from `t` to `end` under held inputs; the step that was found to do, to begin with next time.
+    """Advance `y` from `t` to `end` with constant inputs. Returns the step size for the next call.
 
-    An error counts in kPa for pressures and in thousandths for what is of the order of one.
+    An error counts in kPa for pressures, and in thousandths for states of the order of one.
     """
     u, d, s = held
     trial = np.empty(STATES)
@@ -362,12 +364,12 @@ def _fly(
     chance: Array,
     tolerance_kPa: float,
 ) -> Array:
-    """One run, a row for each sample: openings of EVP and DVP, solenoid; clean readings and noisy ones, of
-    CV and reservoir; 1 where the inputs stood still because the host hung.
+    """One run, with a row for each sample: openings of EVP and DVP, solenoid, clean readings and noisy
+    readings of CV and reservoir, and 1 where the host hung.
 
-    `plan` is command, EVP, DVP, solenoid. In closed loop the command counts, else the openings. `noise_kPa`
-    is of both readings, `chance` is even in 0…1. The pressure that a reading has before noise is what
-    `clean` says: the chi-square of the truth is that of readings against clean ones.
+    `plan` is command, EVP, DVP, solenoid. In closed loop the command counts, otherwise the openings.
+    `noise_kPa` is for both readings, `chance` is uniform in 0…1. `clean` is a reading before noise: the
+    chi-square of the truth compares readings with clean ones.
     """
     n = time_s.size
     out = np.zeros((n, 8))

@@ -22,7 +22,7 @@ FULL_KPA = 690.0
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """One run to come; `rows` are command (NaN without a loop), EVP, DVP, solenoid."""
+    """The inputs of one run; `rows` are command (NaN without a loop), EVP, DVP, solenoid."""
 
     name: str
     time_s: Array
@@ -57,7 +57,7 @@ def _start_kPa(rng: Generator) -> float:
 
 
 def steps(rng: Generator, time_s: Array, venturi: bool = True) -> Plan:
-    """A loop follows levels at random that last 1.5 to 6 s."""
+    """A loop follows random levels that last 1.5 to 6 s."""
     rows = _rows(time_s)
     level, until = 0.0, 0.0
     for i, t in enumerate(time_s):
@@ -69,7 +69,7 @@ def steps(rng: Generator, time_s: Array, venturi: bool = True) -> Plan:
 
 
 def prbs(rng: Generator, time_s: Array, venturi: bool = True) -> Plan:
-    """Openings at random for 6 to 30 samples: inflate, wait, or vent with or without the Venturi."""
+    """Random openings for 6 to 30 samples: inflate, wait, or vent with or without the Venturi."""
     rows = _rows(time_s)
     i = 0
     while i < time_s.size:
@@ -113,5 +113,5 @@ def discharge(rng: Generator) -> Plan:
 
 
 def hanging(plan: Plan, from_sample: int, samples: int) -> Plan:
-    """The same with a gap, from the next time at which the inflation valve is shut."""
+    """The plan with a gap, from the next time at which the inflation valve is shut."""
     return replace(plan, control=plan.control._replace(stall_from=from_sample, stall_samples=samples))

@@ -31,9 +31,9 @@ class Recording:
     inputs: Array
     """EVP, DVP, solenoid."""
     clean: Array
-    """Readings of CV and reservoir without noise, as the truth has them."""
+    """Readings of CV and reservoir without noise."""
     read: Array
-    """As written; NaN where a cell is empty."""
+    """Recorded readings; NaN for an empty cell."""
     kept: Flags
     """Recorded rows."""
     missing: frozenset[str]
@@ -51,12 +51,12 @@ def replay(p: Physics, inputs: Array, time_s: Array, start_kPa: tuple[float, flo
 
 
 def make(truth: Truth) -> tuple[Recording, ...]:
-    """The recorded runs; the same for the same truth."""
+    """The recorded runs of a truth; always the same."""
     return tuple(_record(truth, i, plan) for i, plan in enumerate(truth.plans))
 
 
 def _correlated(white: Array, time_s: Array, correlation_s: float) -> Array:
-    """Noise of the same variance whose correlation falls by e within the time given."""
+    """Noise of the same variance whose correlation falls by a factor of e in `correlation_s`."""
     if correlation_s == 0.0:
         return white
     noise = white.copy()

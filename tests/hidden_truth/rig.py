@@ -15,7 +15,7 @@ TOLERANCE_PERCENT = 1.0
 
 @dataclass(frozen=True)
 class Rig:
-    """Numbers that may be off; the names of their keys in `rig.toml` are in `KEYS`."""
+    """Numbers that may be off; `KEYS` has their names in `rig.toml`."""
 
     reservoir_L: float = 2.0
     cv_L: float | None = 0.5
@@ -45,11 +45,12 @@ KEYS = {
 }
 NUMBERS = tuple(KEYS)
 WORN = NUMBERS[:-1]
-"""The numbers that are wrong in a worn rig; the rated supply is from the manufacturer and stays."""
+"""The numbers that are wrong in a worn rig. The rated supply comes from the manufacturer and does not
+change."""
 
 
 def draw_rig(rng: Generator) -> tuple[Rig, Noise]:
-    """Every second rig is like the public cases, the others are any flown kind."""
+    """Half of the rigs are like the public cases, the others are of any size that flies."""
     if rng.random() < 0.5:
         rig = Rig(reservoir_L=float(rng.choice([2.0, 4.0])), cv_L=float(rng.choice([0.1, 0.25, 0.5, 1.0])))
         return rig, Noise()
@@ -70,7 +71,7 @@ def draw_rig(rng: Generator) -> tuple[Rig, Noise]:
 
 
 def worn(rng: Generator, rig: Rig, percent: float) -> Rig:
-    """Its nominal numbers after some wear, rounded to five decimals."""
+    """The nominal numbers of a worn rig, rounded to five decimals."""
     off = {
         name: round(getattr(rig, name) * (1.0 + rng.uniform(-percent, percent) / 100.0), 5) for name in WORN
     }
@@ -78,7 +79,7 @@ def worn(rng: Generator, rig: Rig, percent: float) -> Rig:
 
 
 def physics(rig: Rig) -> Physics:
-    """The baseline of these numbers."""
+    """The baseline with these numbers."""
     numbers = {name: getattr(rig, name) for name in NUMBERS}
     numbers["cv_L"] = math.inf if rig.cv_L is None else rig.cv_L
     return Physics(**numbers)

@@ -1,4 +1,4 @@
-"""A tier has its defined properties, and a hidden effect is in the data of its case."""
+"""A tier has its defined properties, and a hidden effect is visible in its data."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_one_cause_of_the_table_or_none_where_that_is_said(tier: str) -> None:
             assert truth.gap >= SHOWS
 
 
-def test_what_the_other_tiers_hide() -> None:
+def test_the_hidden_effects_of_the_other_tiers() -> None:
     assert all(truth.hidden == () for truth in drawn("null"))
     assert all(truth.hidden[0].name in OUTSIDE and len(truth.hidden) == 1 for truth in drawn("outside"))
     assert all(truth.hidden[0].name != truth.hidden[1].name for truth in drawn("pair"))
@@ -91,7 +91,7 @@ def test_both_of_a_pair_show_and_the_first_explains_more() -> None:
     assert abs(gap(truth, runs, known=truth.hidden)) < 60.0
 
 
-def test_believed_numbers_are_off_only_in_worn_rigs_and_within_what_is_stated() -> None:
+def test_nominal_numbers_are_wrong_only_in_worn_rigs_and_within_the_stated_tolerance() -> None:
     for tier in TIERS:
         for truth in drawn(tier):
             off = [getattr(truth.believed, name) != getattr(truth.rig, name) for name in NUMBERS]
@@ -209,7 +209,7 @@ def test_holes(variant: str) -> None:
         ("without_command", lambda t: all("command_kPa" in run.missing for run in make(t))),
     ],
 )
-def test_what_makes_a_case_hard(variant: str, check: Callable[[Truth], bool]) -> None:
+def test_the_variants_of_hard_cases(variant: str, check: Callable[[Truth], bool]) -> None:
     assert check(example("reservoir_leak", variant))
 
 
@@ -228,7 +228,7 @@ def test_a_tier_that_is_not_there() -> None:
         draw("murky", 0)
 
 
-def test_what_cannot_be_weakened() -> None:
+def test_effects_that_cannot_be_weakened() -> None:
     with pytest.raises(ValueError, match="nothing in between"):
         Hidden("compressible_flow", 0.3).weaker(0.5)
 
@@ -251,7 +251,8 @@ def test_several_effects_have_a_share_each_and_the_first_the_largest() -> None:
 
 
 def _element(name: str) -> str:
-    """Of what looks alike, only one is hidden: a leak has one law, and of two sensors one gain is off."""
+    """Effects that look alike are not hidden together: a leak has one law, and one of two sensors has a wrong
+    gain."""
     if name.endswith("_gain"):
         return "gain"
     return name.removeprefix("cv_").replace("viscous_", "")

@@ -69,7 +69,7 @@ def test_answers_gather_and_a_folder_is_not_written_twice(tmp_path: Path) -> Non
         write(tmp_path / "a", first)
 
 
-def test_the_believed_rig_and_its_tolerance_are_stated(tmp_path: Path) -> None:
+def test_the_nominal_rig_and_its_tolerance_are_stated(tmp_path: Path) -> None:
     truth = draw("worn", 0)
     write(tmp_path / "case", truth)
     rig = tomllib.loads((tmp_path / "case" / "rig.toml").read_text(encoding="utf-8"))

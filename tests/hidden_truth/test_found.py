@@ -22,7 +22,7 @@ def verdict_on(tier: str, seed: int, folder: Path, runs: int = 4) -> tuple[Truth
     return truth, diagnose(read_case(folder / "case"))
 
 
-# A cause of the valves' commands, of the flows, of the gas, and one under worn numbers.
+# A cause of the valves' commands, of the flows, of the gas, and one with worn numbers.
 @pytest.mark.long
 @pytest.mark.parametrize(("tier", "seed"), [("clear", 57), ("worn", 3), ("clear", 0), ("clear", 5)])
 def test_a_single_cause_is_named_and_measured(tier: str, seed: int, tmp_path: Path) -> None:
@@ -60,7 +60,7 @@ def test_several_effects_are_found_with_their_shares(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_effects_are_found_that_only_pay_together(tmp_path: Path) -> None:
-    """With fewer than four of the five, no set explains more than a false one."""
+    """With fewer than four of the five causes, no set explains more than a wrong one."""
     truth, verdict = verdict_on("several", 690_004, tmp_path)
     assert {named.cause for named in verdict.named} == {one.name for one in truth.hidden}
     assert verdict.cause == "compressible_flow" and verdict.remainder is None
@@ -68,7 +68,8 @@ def test_effects_are_found_that_only_pay_together(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_an_effect_of_the_catalogue_is_measured_beside_one_that_nobody_has_named(tmp_path: Path) -> None:
-    """The dead zone imitates a valve whose flow is a power of its command; the late solenoid is there."""
+    """The dead zone imitates a valve whose flow is a power of its command. The slow solenoid is really
+    there."""
     truth, verdict = verdict_on("several_outside", 7000, tmp_path)
     assert verdict.cause == "solenoid_slow_close"
     (hidden,) = (one for one in truth.hidden if one.name == "solenoid_slow_close")
@@ -79,8 +80,9 @@ def test_an_effect_of_the_catalogue_is_measured_beside_one_that_nobody_has_named
 
 
 @pytest.mark.long
-def test_what_the_data_cannot_tell_apart_is_not_told_apart(tmp_path: Path) -> None:
-    """Without the Venturi all is homogeneous in pressure: one sensor's gain is the inverse of the other's."""
+def test_causes_that_the_data_cannot_separate_are_all_named(tmp_path: Path) -> None:
+    """Without the Venturi everything is proportional to pressure: a gain of one sensor looks like the inverse
+    gain of the other one."""
     truth = draw("hard", 104)
     (hidden,) = truth.hidden
     assert (truth.variant, hidden.name) == ("without_dvp", "reservoir_sensor_gain")
@@ -114,13 +116,13 @@ def test_an_effect_that_nobody_has_named_gets_no_name(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("case", "within"),
     [
-        # Whose sensor follows 2.6 ms late, in steps that are not much shorter.
+        # Its sensor has a lag of 2.6 ms, and its steps are not much shorter.
         ("case_006", 0.2),
         # The nominal resistance itself is wrong by up to 2.5 %.
         ("case_008", 0.025),
     ],
 )
-def test_what_another_simulator_hid_is_found(case: str, within: float) -> None:
+def test_effects_of_another_simulator_are_found(case: str, within: float) -> None:
     folder = Path(__file__).parents[1] / "data" / "cases"
     answer = json.loads((folder / "answers.json").read_text(encoding="utf-8"))[case]
     verdict = diagnose(read_case(folder / case))

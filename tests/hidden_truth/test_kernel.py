@@ -23,7 +23,7 @@ RIG = Rig(reservoir_L=1.0, cv_L=0.25)
 TIME = steady_time(6.0)
 NOISE = Noise()
 START = (660.0, 3.0)
-"""Reservoir and CV; not 0, where a compliant CV has a kink at which implicit integrators get stuck."""
+"""Reservoir and CV. Not 0, where a compliant CV has a kink at which implicit integrators do not converge."""
 
 STRENGTHS = {
     "reservoir_leak": 4000.0,
@@ -85,7 +85,7 @@ def random_inputs(seed: int = 3) -> Array:
 
 
 def schedule(p: Physics, inputs: Array) -> list[tuple[float, float, float, bool]]:
-    """From when on what holds: opening after delay, play and dead zone; supply; solenoid open."""
+    """The inputs with their start times: opening after delay, play and dead zone; supply; solenoid open."""
     told = [(float(t), *map(float, row)) for t, row in zip(TIME, inputs, strict=True)]
     edges = {t for t, *_ in told} | {t + p.evp_delay_s for t, *_ in told}
     closes = [b[0] for a, b in pairwise(told) if a[3] > b[3]]
@@ -106,7 +106,7 @@ def schedule(p: Physics, inputs: Array) -> list[tuple[float, float, float, bool]
 
 
 def by_scipy(p: Physics, inputs: Array, start: tuple[float, float], method: str) -> Array:
-    """Readings without noise at every sample, by another integrator and another list of events."""
+    """Readings without noise at every sample, by another integrator and with another list of events."""
 
     def rate(t: float, y: Any, *held: Any) -> Array:
         out = np.zeros(STATES)
@@ -169,7 +169,7 @@ def held_inputs(evp: float = 0.0, dvp: float = 0.0, solenoid: float = 0.0) -> Ar
     return np.tile([evp, dvp, solenoid], (TIME.size, 1))
 
 
-def test_what_leaks_out_decays() -> None:
+def test_a_leak_decays() -> None:
     p = physics(RIG)._replace(reservoir_leak_SL_per_s_kPa=1 / 900.0, cv_leak_SL_per_s_kPa=1 / 300.0)
     read = replay(p, held_inputs(), TIME, (600.0, 40.0))
     assert read[:, 1] == pytest.approx(600.0 * np.exp(-ALPHA * TIME / (1.0 * 900.0)), abs=1e-5)
@@ -225,7 +225,7 @@ def test_gas_that_has_no_time_cools_and_warms_adiabatically() -> None:
 
 
 def fly_states(p: Physics, inputs: Array, start: tuple[float, float]) -> dict[str, float]:
-    """The end of a run with constant inputs, from the rates alone."""
+    """The end of a run with constant inputs, computed from the rates only."""
     y = np.array([*start, 0.0, start[1], 1.0, 1.0, 0.0, start[1]])
 
     def rate(t: float, y: Any) -> Array:

@@ -1,4 +1,4 @@
-"""Cases of another simulator: with the parameters of their answers only noise remains."""
+"""Cases of another simulator: with the parameters of their answers, only noise remains."""
 
 from __future__ import annotations
 

@@ -15,19 +15,21 @@ from hidden_truth.rig import Noise, Rig
 class Truth:
     """Everything that determines a case.
 
-    `variant` says what is special about the case within its tier:
-    `cells` (5 % of the cells of either pressure and 2 s of both are empty), `held` (rows are missing:
-    single ones at random at which nothing was moved, and 2 s during which the host hung and the inputs
-    stood still: what the files' rule says of them is true), `lost` (the same rows are missing for the
-    record only: the rig was flown on, and the rule misleads), `uneven`, `discharge`, `noise` (stated
-    wrongly), `without_…` (a column), `rounded` (by a converter), `correlated` (noise).
+    `variant` is the special property of the case within its tier:
+
+    - `cells`: 5 % of the cells of either pressure, and 2 s of both, are empty;
+    - `held`: rows are missing, single random ones without a change of the inputs, and 2 s in which the host
+      hung and the inputs were constant. So the rule of the file format for missing rows is true;
+    - `lost`: the same rows are missing only in the record. The rig continued, so the rule is false;
+    - `uneven`, `discharge`, `noise` (stated wrongly), `without_…` (a column), `rounded` (by a converter),
+      `correlated` (noise).
     """
 
     tier: str
     seed: int
     variant: str
     hidden: tuple[Hidden, ...]
-    """The effect that explains most is first."""
+    """The effect with the largest share is the first one."""
     rig: Rig
     believed: Rig
     tolerance_percent: float
@@ -39,7 +41,7 @@ class Truth:
     gap: float = 0.0
     """Chi-square of the baseline's best fit minus that of the truth, on the recorded data."""
     shares: tuple[float, ...] = ()
-    """Of each hidden effect: what of `gap` comes back when it alone is left out and the rest is fitted again,
+    """For each hidden effect: the share of `gap` that comes back without it, after a fit of the others with
     each strength within `gap.KNOWN` of itself."""
     converter_step: float = 0.0
     """Step of both converters in standard deviations of the noise; 0: as fine as the files."""
@@ -48,7 +50,7 @@ class Truth:
 
     @property
     def independent_share(self) -> float:
-        """How much a reading tells, over what it would if its noise were white and nothing were rounded."""
+        """Information in a reading, relative to a reading with white noise and without rounding."""
         rounding = 1.0 / (1.0 + self.converter_step**2 / 12.0)
         if self.correlation_s == 0.0:
             return rounding

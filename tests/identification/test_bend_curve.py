@@ -50,7 +50,7 @@ def test_the_intervals_hold_the_truth_as_often_as_they_say() -> None:
         found = fit(measured(law, seed))
         held.extend(low <= true <= high for (_, low, high), true in zip(estimates(found), law, strict=True))
         assert found.rms_deg == pytest.approx(0.7, rel=0.35)
-    # Of 100 intervals; 91 to 95 % hold, see benchmarks/vine_fit.py.
+    # Share of 100 intervals; 91 to 95 % contain the truth, see benchmarks/vine_fit.py.
     assert np.mean(held) >= 0.87
 
 
@@ -89,7 +89,7 @@ def test_without_a_way_down_the_hysteresis_is_not_known() -> None:
     assert low <= TRUTH.bend_max_deg <= high
 
 
-def test_no_hysteresis_is_told_as_none() -> None:
+def test_no_hysteresis_is_reported_as_none() -> None:
     found = fit(measured(TRUTH._replace(hysteresis_kPa=0.0), 6))
     assert found.hysteresis_kPa is not None
     assert found.hysteresis_kPa.low == 0.0
@@ -125,7 +125,7 @@ def test_a_vine_that_follows_the_law_keeps_it() -> None:
     assert sum(fit(measured(TRUTH, seed)).follows_law for seed in range(10)) >= 9
 
 
-def test_what_is_doubtful_is_said() -> None:
+def test_doubts_are_reported() -> None:
     rng = np.random.default_rng(1)
     rough = Pairs(LOOP, TRUTH.angles_deg(LOOP) + rng.normal(0.0, 6.0, len(LOOP)))
     assert any("residuals are large" in note for note in fit(rough).notes)
@@ -138,7 +138,7 @@ def test_what_is_doubtful_is_said() -> None:
 
 
 def test_a_law_that_does_not_fit_is_not_made_certain_by_more_pairs() -> None:
-    """With more pairs of an S-shaped vine the law's interval stays as wide as its error."""
+    """With more pairs of an S-shaped vine, the law's interval stays as wide as the law's error."""
     widths = []
     for count in (30, 300):
         up = np.linspace(0.0, 20.7, count)
@@ -149,7 +149,7 @@ def test_a_law_that_does_not_fit_is_not_made_certain_by_more_pairs() -> None:
 
 
 @pytest.mark.parametrize("noise_kPa", [0.0, 0.3])
-def test_ways_up_and_down_are_told_apart_in_noise(noise_kPa: float) -> None:
+def test_ways_up_and_down_are_distinguished_in_noise(noise_kPa: float) -> None:
     kPa = np.concatenate([np.linspace(0, 20, 60), np.linspace(20, 5, 40), np.linspace(5, 20, 40)])
     noisy = kPa + np.random.default_rng(2).normal(0.0, noise_kPa, len(kPa))
     rising = Pairs(noisy, kPa).rising
@@ -210,7 +210,7 @@ def test_angles_below_0_have_no_curve() -> None:
         fit(Pairs(LOOP, 2.0 * LOOP - 60.0))
 
 
-def test_what_is_no_file_is_one_line(tmp_path: Path) -> None:
+def test_a_missing_file_gives_one_line(tmp_path: Path) -> None:
     (tmp_path / "p.csv").write_bytes(b"\xff\xfe\x00")
     for name in ("p.csv", "none.csv", "."):
         with pytest.raises(PairsError, match="cannot be read"):

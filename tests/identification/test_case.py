@@ -223,7 +223,7 @@ REFUSED: dict[str, tuple[str | bytes, str]] = {
 
 
 @pytest.mark.parametrize("what", REFUSED)
-def test_what_cannot_be_read_is_one_line(folder: Path, what: str) -> None:
+def test_an_unreadable_input_gives_one_line(folder: Path, what: str) -> None:
     content, expected = REFUSED[what]
     assert expected in complaint(folder, content)
 
@@ -241,7 +241,7 @@ def test_folders_that_are_no_case(folder: Path) -> None:
     assert "rig.toml: no such file" in refused(folder)
 
 
-def test_what_may_not_be_read(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_inputs_without_read_permission(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def denied(path: Path) -> bytes:
         raise PermissionError(13, "Permission denied", str(path))
 
@@ -276,7 +276,7 @@ def test_a_rig_without_a_control_volume_has_none_to_read(folder: Path) -> None:
     assert "cv_pressure_kPa: the rig has no control volume; add [cv]" in complaint(folder, text())
 
 
-def test_what_the_simulation_writes(tmp_path: Path) -> None:
+def test_files_of_the_simulation(tmp_path: Path) -> None:
     kinds = (
         BendsRun(cycles=1),
         OpeningsRun(valves=(Valves(for_s=1.0, evp=1.0), Valves(for_s=1.0)), name="hold"),

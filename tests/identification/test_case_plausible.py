@@ -1,7 +1,7 @@
-"""Genuine recordings are read unchanged, however worn the rig; what is none is refused in one line.
+"""Real recordings are read unchanged, even of a worn rig; other files are refused in one line.
 
 The recordings come from a small simulator in this file: the baseline with a blocked valve, a leak, sensors
-with offset, gain and coarse steps, noise other than stated, any altitude.
+with offset, gain and coarse steps, noise of another size than stated, any altitude.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Worn:
     dead_zone: float = 0.0
     leak_R: float = 1e9
     offset_kPa: tuple[float, float] = (0.0, 0.0)
-    """For the sensors of CV and reservoir, as the next ones."""
+    """For the sensors of CV and reservoir, also below."""
     gain: tuple[float, float] = (1.0, 1.0)
     noise_kPa: tuple[float, float] = (0.15, 1.2)
     step_kPa: tuple[float, float] = (1e-3, 1e-2)
@@ -170,7 +170,7 @@ seeds = st.integers(0, 10**6)
     holes=st.floats(0.0, 0.3),
     gone=st.floats(0.0, 0.3),
 )
-@example(  # The noise of few readings, stated three times too large, looked like that of psi.
+@example(  # The noise of few readings, stated three times too large, looked like readings in psi.
     rig=Worn(
         reservoir_L=0.5,
         cv_L=0.05,
@@ -187,7 +187,7 @@ seeds = st.integers(0, 10**6)
     holes=0.25,
     gone=0.1015625,
 )
-def test_what_is_genuine_is_read_unchanged(
+def test_a_real_recording_is_read_unchanged(
     rig: Worn,
     seed: int,
     reservoir_kPa: float,
@@ -201,7 +201,7 @@ def test_what_is_genuine_is_read_unchanged(
     runs = []
     for kind in kinds:
         run = record(rig, kind, seed, reservoir_kPa, seconds=4.0)
-        # A valve that never moves need not be recorded.
+        # The opening of a valve that never moves may be missing.
         recorded = [name for name in run if name != without and (name == EVP or run[name].any())]
         kept = chance.random(len(run[TIME])) >= gone
         run = {name: run[name][kept] for name in recorded}
@@ -228,7 +228,7 @@ def test_what_is_genuine_is_read_unchanged(
 
 @settings(max_examples=15)
 @given(rig=rigs, seed=seeds, reservoir_kPa=st.floats(20.0, 900.0), seconds=st.floats(2.0, 300.0))
-@example(  # A valve three times as narrow as believed and a large offset: it falls slowly, but it falls.
+@example(  # A valve with three times the nominal resistance, and a large offset: the pressure falls slowly.
     rig=Worn(
         2.0, 0.05, 2042.0, 3.0, 0.0, 300.0, (0.0, 21.0), (1.0, 1.0), (0.15, 1.2), (0.001, 0.01), 1.0, 60.0
     ),
@@ -323,7 +323,7 @@ def test_absolute_pressure_of_a_reservoir_that_empties(seed: int, offset_kPa: fl
 @settings(max_examples=3)
 @given(rig=plain_rigs, seed=seeds, reservoir_kPa=st.floats(400.0, 800.0))
 def test_swapped_pressures(kind: str, rig: Worn, seed: int, reservoir_kPa: float) -> None:
-    """Where the reservoir stays the higher one; from 250 kPa down some runs do not tell."""
+    """The reservoir must keep the higher pressure. Below 250 kPa some runs do not show a swap."""
     run = record(rig, kind, seed, reservoir_kPa)
     assert "look swapped" in refused(rig, run | {CV: run[RESERVOIR], RESERVOIR: run[CV]})
 

@@ -67,7 +67,7 @@ def test_a_cause_says_what_it_is(cause: Cause) -> None:
 
 
 def test_an_offset_or_a_drift_is_small_beside_the_readings() -> None:
-    """A cuff of 27 kPa has a sensor for it, not one that is off by 20 kPa."""
+    """A cuff of 27 kPa has a suitable sensor, not one that is off by 20 kPa."""
     offset = cause_named("cv_sensor_offset")
     (parameter,) = offset.within_readings({"cv": 27.0, "reservoir": 0.0}).parameters
     assert (parameter.low, parameter.high) == pytest.approx((-8.1, 8.1))

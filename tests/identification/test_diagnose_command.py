@@ -61,7 +61,7 @@ def test_words_tell_the_cause_and_what_it_is_worth(case: Path, capsys: pytest.Ca
     assert "Unseen data" in out and "noise alone" in out
 
 
-def test_what_cannot_be_read_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unreadable_input_gives_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "rig.toml").write_text("[cv]\nvolume_L = 0.1\n")
     status, out, err = run(capsys, str(tmp_path))
     assert (status, out) == (2, "")
@@ -78,7 +78,7 @@ def test_a_rig_file_with_a_mistake_is_one_line(
     assert err.count("\n") == 1 and "other.toml" in err and "volume_L" in err
 
 
-def test_whoever_considers_one_cause_or_none_gets_a_verdict(case: Path) -> None:
+def test_one_cause_or_none_gives_a_verdict(case: Path) -> None:
     read = read_case(case)
     (hidden,) = draw("short", 1).hidden
     by_name = {cause.name: cause for cause in catalogue()}

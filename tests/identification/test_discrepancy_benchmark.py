@@ -37,7 +37,8 @@ LEAK = {"flow_resistance_kPa_s_per_SL": 1000.0}
 
 
 def row(effect: str, cause: str, tier: str = "clear", seed: int = 0, **said: Any) -> dict[str, Any]:
-    """As a worker makes it; `true` are the hidden cause's parameters, `truly_also` is hidden beside it."""
+    """A row as a worker makes it. `true` has the hidden cause's parameters, `truly_also` a further hidden
+    effect."""
     by, also = said.pop("by", "diagnose"), said.pop("truly_also", [])
     truth = {"effect": effect, "tier": tier, "variant": "", "seed": seed, "gap": 5000.0}
     truth |= {"parameters": said.pop("true", {}), "also": also, "nominal": {"Vr": 2.0}}
@@ -66,7 +67,7 @@ def judged(*args: Any, **kwargs: Any) -> Judgement:
 
 @pytest.mark.parametrize(
     ("count", "of", "low", "high"),
-    # The first three as Brown, Cai & DasGupta's formula gives them by hand; the last knows nothing.
+    # The first three are calculated by hand with the formula of Brown, Cai & DasGupta; the last has no data.
     [(10, 10, 0.722467, 1.0), (0, 20, 0.0, 0.161125), (81, 263, 0.255289, 0.366216), (0, 0, 0.0, 1.0)],
 )
 def test_wilsons_interval(count: int, of: int, low: float, high: float) -> None:
@@ -80,7 +81,7 @@ def test_a_cause_is_right_or_among_its_like_or_left_open_or_wrong() -> None:
     assert judged("cv_leak", "unexplained") is Judgement.OPEN
     assert judged("cv_leak", "none") is Judgement.WRONG
     assert judged("cv_leak", "none", confidence=0.6) is Judgement.OPEN
-    # A cause beside another one that explains more is not the answer.
+    # A cause that is named after another one with a larger share is wrong.
     assert judged("cv_leak", "evp_lag", also=[{"cause": "cv_leak"}]) is Judgement.WRONG
 
 
@@ -206,7 +207,7 @@ def test_reliability_and_brier() -> None:
     assert brier(stated) == pytest.approx((0.03**2 + 0.96**2 + 0.3**2 + 0.5**2) / 5)
 
 
-def test_an_error_on_unseen_data_is_told_in_units_of_noise() -> None:
+def test_an_error_on_unseen_data_is_reported_in_units_of_noise() -> None:
     errors = {"nrmse_before": 0.2, "nrmse_after": 0.011, "noise_floor": 0.01}
     one = outcome("cv_leak", "cv_leak", held_out=errors)
     assert one.said is not None and over_noise(one.said) == pytest.approx(1.1)
@@ -229,13 +230,13 @@ def test_a_file_that_was_cut_off_is_gone_on_with(tmp_path: Path) -> None:
 def test_another_file_is_refused_and_left_alone(text: str, tmp_path: Path) -> None:
     file = tmp_path / "notes.txt"
     file.write_text(text, encoding="utf-8")
-    with pytest.raises(ResultsError, match=r"notes\.txt:1: is no outcome"):
+    with pytest.raises(ResultsError, match=r"notes\.txt:1: is not an outcome"):
         begun(file)
     assert file.read_text(encoding="utf-8") == text
 
 
 def ran(*arguments: str) -> int:
-    """The script is loaded by its path, because a folder of the tests has the same name."""
+    """Loads the script by its path, because a folder of the tests has the same name."""
     status: int = runpy.run_path(str(BENCHMARKS / "discrepancy.py"))["main"](arguments)
     return status
 
@@ -274,9 +275,11 @@ def test_the_tables_come_from_a_file_alone(tmp_path: Path, capsys: pytest.Captur
     of = "several 1 1/1 (21% … 100%) 1/2 (9% … 91%) 1/2 (9% … 91%) 1/1 (21% … 100%) – – 4 s"
     assert of in lines
     assert "a cause 50% to 80% 1 55.0% 0.0% 0% … 79% 0.3113" in lines
-    assert "a cause with more than 50%: 1/1 (21% … 100%); with `none`: 0/1" in report
-    assert "something is seen where nothing is 0/1 (0% … 79%) 1/1 (21% … 100%)" in lines
-    assert "false names a case, of what is in the catalogue 0.00 2.00" in lines
+    assert "a cause was named with more than 50%: 1/1 (21% … 100%); with `none`: 0/1" in " ".join(
+        report.split()
+    )
+    assert "nothing hidden, and not `none` 0/1 (0% … 79%) 1/1 (21% … 100%)" in lines
+    assert "wrong names per case, without effects outside the catalogue 0.00 2.00" in lines
     assert "failed: diagnose on hard 1: ValueError: broken" in lines
 
 

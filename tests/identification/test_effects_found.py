@@ -22,7 +22,7 @@ Valves = tuple[float, float, float, float]
 
 
 class Found(NamedTuple):
-    """An effect, what else could be suspected, and a recording that shows it."""
+    """An effect, other possible causes, and a recording that shows it."""
 
     cause: str
     values: Mapping[str, float]

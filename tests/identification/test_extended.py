@@ -50,7 +50,7 @@ def test_that_nothing_else_is_there_is_in_the_file_too() -> None:
     assert rig.nominal.cv == ControlVolume(0.495)
 
 
-def test_what_is_unexplained_stays_as_it_was_believed() -> None:
+def test_an_unexplained_case_keeps_its_nominal_rig() -> None:
     rig = written(verdict(UNEXPLAINED))
     assert rig.nominal == BELIEVED
     assert not rig.complete

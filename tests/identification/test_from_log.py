@@ -40,7 +40,7 @@ REST = Telemetry(0, Mode.VENT, Fault.NONE, 1, 0.0, 0.0, 600.0, 0.0, 0.0, True)
 
 
 def flown(parent: Path, causes: dict[str, dict[str, float]], moves: Sequence[tuple[float, int]]) -> Path:
-    """The log of switch moves (until when, position) on embedded fakes, with causes in the rig."""
+    """The log of switch moves (end time, position) with the fakes and these causes in the rig."""
     phlosar = SimulatedPhlosar(TrueRig(Rig(), causes), {"telemetry_Hz": 1000})
     recorder = Recorder(parent, BEGAN, t=0.0)
     fly(SimulatedFlight(CONFIG, FakeAutopilot("ardupilot"), phlosar), recorder, moves)
@@ -55,7 +55,7 @@ def leaky(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def messages(*stretches: tuple[int, int, Mode], period_ms: int = 5) -> Iterator[Telemetry]:
-    """From, until (ms of the firmware's clock), mode; the inflation valve opens when it regulates."""
+    """(begin, end in ms of the firmware's clock, mode); the inflation valve opens while it regulates."""
     for first, last, mode in stretches:
         for ms in range(first, last, period_ms):
             busy = mode is Mode.REGULATE
@@ -83,7 +83,7 @@ def written(parent: Path, telemetry: Iterator[Telemetry], air_kPa: float | None 
 
 
 def rewritten(path: Path, to: Path, change: Callable[[LogEntry], bytes | None]) -> Path:
-    """A log in which some messages have another JSON, or are missing."""
+    """A log in which some messages are changed or missing."""
     to.parent.mkdir(exist_ok=True)
     with to.open("wb") as file:
         log = McapFile(file, TOPICS, "test")
@@ -113,7 +113,7 @@ def test_an_ideal_rig_is_not_accused(tmp_path: Path) -> None:
     assert diagnose(case).cause == "none"
 
 
-def test_what_the_valves_did_is_kept_to_the_millisecond(leaky: Path) -> None:
+def test_valve_movements_keep_their_milliseconds(leaky: Path) -> None:
     telemetry = [entry.fields for entry in FlightLog(leaky).entries(("phlosar/telemetry",))]
     first_ms = next(entry["device_time_ms"] for entry in telemetry if entry["mode"] == Mode.REGULATE)
     began_ms = first_ms - LEAD_MS
@@ -197,7 +197,7 @@ def test_a_fake_sends_no_more_often_than_it_regulates(capsys: pytest.CaptureFixt
     for rate in ("9", "1001"):
         with pytest.raises(SystemExit) as exit_:
             main(["fake", "phlosar", "--telemetry-Hz", rate])
-        assert exit_.value.code == 2 and "--telemetry-Hz is from 10 to 1000" in capsys.readouterr().err
+        assert exit_.value.code == 2 and "--telemetry-Hz must be from 10 to 1000" in capsys.readouterr().err
 
 
 def test_slow_telemetry_is_said_to_be_slow(tmp_path: Path) -> None:
@@ -244,7 +244,7 @@ def _without(path: Path, topic: str, to: Path) -> Path:
     return rewritten(path, to, lambda entry: None if entry.topic == topic else entry.data)
 
 
-def test_what_cannot_be_used_is_one_line_and_status_2(
+def test_an_unusable_log_gives_one_line_and_status_2(
     leaky: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "empty.mcap").touch()
@@ -278,7 +278,7 @@ def test_a_rig_file_stands_in_for_what_the_log_lacks(leaky: Path, tmp_path: Path
             read_flight(leaky, rig)
 
 
-def test_a_rig_in_the_log_that_is_none_is_refused(leaky: Path, tmp_path: Path) -> None:
+def test_an_invalid_rig_in_the_log_is_refused(leaky: Path, tmp_path: Path) -> None:
     bottle = msgspec.json.encode({"t": 0.0, "believed": {"bottle": {}}})
     rewritten(leaky, tmp_path / MCAP, lambda entry: bottle if entry.topic == "start" else entry.data)
     with pytest.raises(CaseError, match="unknown table 'bottle'"):

@@ -1,4 +1,4 @@
-"""Import of recordings of any layout: the guesses on real files, known runs in random layouts, bad input."""
+"""Import of recordings of any layout: guesses for real files, known runs in random layouts, bad input."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_the_guess_on_real_files(path: Path, guess: tuple[dict[str, str], str], 
 
 @cache
 def known() -> Run:
-    """A recorded run of a known layout, 200 rows of it."""
+    """200 rows of a known run."""
     rows = slice(0, 2000, 10)
     table = np.genfromtxt(RECORDED / "run_3_bends.csv", delimiter=",", names=True)
     return {
@@ -136,7 +136,7 @@ TITLES = ("", "Rig 3, second try\n", "Fri Nov 29 2019 14:38:23 GMT-0800\n\n", "#
 
 @dataclass(frozen=True)
 class Written:
-    """A layout."""
+    """A random layout."""
 
     marks: tuple[str, str]
     names: tuple[str, ...]
@@ -170,7 +170,7 @@ written = st.builds(
 
 
 def text_of(run: Run, how: Written) -> str:
-    """A run as a lab would write it."""
+    """The run in this layout, as a lab would write it."""
     separator, decimal = how.marks
     unit = dict(zip(("cv_pressure", "reservoir_pressure"), how.units, strict=True))
     columns = []
@@ -376,12 +376,12 @@ def test_spikes_of_a_disturbed_sensor_are_left_out(tmp_path: Path) -> None:
     there = one_run(found)["reservoir_pressure"]
     assert np.isnan(there).sum() == 4
     assert "4 spikes of reservoir_pressure" in "".join(found.notes)
-    # Nothing reads below vacuum, though a noisy sensor hides its spikes.
+    # Pressures below vacuum are impossible, even if a noisy sensor hides its spikes.
     noise = np.random.default_rng(1).normal(0.0, 60.0, 200)
     noisy = "\n".join(f"{i / 10},{600 + noise[i] if i != 90 else -200:.0f}" for i in range(200))
     there = one_run(proposed(tmp_path / "c.csv", f"t,tank kPa\n{noisy}"))["reservoir_pressure"]
     assert np.flatnonzero(np.isnan(there)).tolist() == [90]
-    # Where readings are too far apart to follow the pressure, a single one may be true.
+    # If readings are too far apart to follow the pressure, a single high one may be true.
     moves = "\n".join(f"{i},{600 * (i % 12 in (5, 8, 9, 10)) + 2 * i}" for i in range(100))
     assert not np.isnan(
         one_run(proposed(tmp_path / "b.csv", f"t,tank kPa\n{moves}"))["reservoir_pressure"]
@@ -468,7 +468,7 @@ def test_the_outlet_of_a_vessel_alone(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("late", [0.0, 0.2, 0.5, 0.8])
 def test_an_outlet_opens_before_the_first_reading_that_has_fallen(late: float, tmp_path: Path) -> None:
-    """However late between two readings it opens."""
+    """At any time between two readings."""
     t, p = fall(600.0, 0.1)
     p = np.concatenate([np.full(8, 600.0), np.interp(t + 0.1 * (1.0 - late), t, p)])
     rows = "\n".join(f"{0.1 * i:.2f},{kPa:.1f}" for i, kPa in enumerate(p[:100]))
@@ -485,7 +485,7 @@ def test_the_filling_of_a_vessel_alone_is_left_out(tmp_path: Path) -> None:
     found = proposed(tmp_path / "a.csv", f"t (s),cuff kPa\n{rows}", Answers())
     assert one_run(found)["time"][0] == pytest.approx(2.9)
     assert "a: the vessel is filled until 2.9 s; these rows are left out" in found.notes
-    # A vessel that was full at the start is not cut.
+    # A vessel that is full at the start is not cut.
     held = "\n".join(f"{0.05 * i:.2f},{300.0 - i * 0.01 + i % 2}" for i in range(100))
     assert one_run(proposed(tmp_path / "b.csv", f"t (s),cuff kPa\n{held}"))["time"][0] == 0.0
 

@@ -41,7 +41,7 @@ def test_a_bound_is_an_end() -> None:
     assert _crossing(lambda x: (x - 7.0) ** 2, 7.0, -1.96, 6.5) == 6.5
 
 
-def test_what_jumps_is_closed_in_on() -> None:
+def test_a_jump_is_bracketed() -> None:
     """The data only show that the stall pressure is between two pressures."""
     end = _crossing(lambda x: 0.0 if x < 451.3 else 900.0, 450.0, 1.0, 900.0)
     assert 451.3 <= end < 452.5
@@ -54,5 +54,5 @@ def test_an_interval_does_not_end_before_a_wall(wall: float) -> None:
     assert _crossing(lambda x: 0.0 if x < wall else 9e4, 420.0, 0.17, 900.0) >= wall
 
 
-def test_what_never_rises_ends_at_the_bound() -> None:
+def test_a_flat_profile_ends_at_the_bound() -> None:
     assert _crossing(lambda x: 0.0, 420.0, 0.17, 900.0) == 900.0

@@ -42,7 +42,7 @@ def test_the_rest_moves_as_in_a_fit_of_everything_at_once(unread: bool) -> None:
     assert jacobian.initial_step(step).ravel() == pytest.approx(best[NUMBERS:], rel=1e-6, abs=1e-9)
 
 
-def test_what_initial_pressures_can_do_leaves_nothing() -> None:
+def test_effects_of_initial_pressures_are_eliminated() -> None:
     random = np.random.default_rng(2)
     initial = random.standard_normal((2, 2, SAMPLES))
     jacobian = RunJacobian(initial, np.zeros((2, SAMPLES)), np.zeros((0, 2, SAMPLES)), START)

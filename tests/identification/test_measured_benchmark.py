@@ -1,4 +1,4 @@
-"""The benchmark on measured rigs: independent fits find what made synthetic readings."""
+"""The benchmark on measured rigs: independent fits find the parameters of synthetic readings."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_a_viscous_leak_is_found_by_its_law_and_number() -> None:
 
 
 def fired(critical: float, wall_s: float, cold_flow: bool) -> Readings:
-    """A plenum of 30 cm³ that is fired between two samples, in small Euler steps."""
+    """A plenum of 30 cm³ that is fired between two samples, integrated by small Euler steps."""
     time_s = np.arange(0.0, 4.0, 0.1)
     air, warmth, step_s = 760.0, 1.0, 2e-4
     read = np.full(time_s.size, air)
@@ -117,7 +117,7 @@ SAID: dict[str, Any] = {
 }
 
 
-def test_what_no_room_and_no_interval_can_be_is_impossible() -> None:
+def test_impossible_values_and_intervals_are_found() -> None:
     assert measured.impossible(SAID) == [
         "ambient_drop rate_kPa_per_s 0.3",
         "reservoir_cooling time_constant_s 5",
@@ -149,7 +149,8 @@ def test_every_recording_is_imported_by_its_answers(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_three_discharges_give_the_ratio_and_the_wall_of_an_independent_fit() -> None:
-    """No cause pays alone there. The valve opens between two readings, and readings are rounded."""
+    """No single cause improves this fit enough. The valve opens between two readings, and readings are
+    rounded."""
     *_, (name, files) = measured.cases(["plenum_discharge"])
     looked = measured.look(name, files)
     parameters = {one["cause"]: one["parameters"] for one in measured.named(looked.said)}

@@ -1,4 +1,4 @@
-"""Two discharges of a real plenum, outside the measured benchmark: the causes that a physicist names."""
+"""Two discharges of a real plenum, outside the measured benchmark: the causes that a physicist expects."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ def verdict_on(recording: str, folder: Path) -> Verdict:
 
 @pytest.mark.long
 def test_a_value_on_its_bound_says_that_a_cause_is_missing(tmp_path: Path) -> None:
-    """Without cooling the critical pressure ratio is 0, which no nozzle has. CO2 has 0.55 at most."""
+    """Without cooling, the critical pressure ratio is 0, which is impossible for a nozzle. CO2 has at most
+    0.55."""
     verdict = verdict_on("20191129_144248", tmp_path)
     assert verdict.cause == "compressible_flow"
     assert {named.cause for named in verdict.also} == {"reservoir_cooling", "reservoir_sensor_offset"}

@@ -1,4 +1,4 @@
-"""The next experiment after a verdict that leaves something open is computed for the rig."""
+"""If a verdict leaves something open, the next experiment is computed for the rig."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
 
 
 def others(case: Case, *also_without: str) -> list[Cause]:
-    """The catalogue without the hidden cause: an effect that nobody has named."""
+    """The catalogue without the hidden cause, which is then an unknown effect."""
     hidden = {draw("short", 1).hidden[0].name, *also_without}
     return [cause for cause in causes_of(case.rig) if cause.name not in hidden]
 
@@ -55,7 +55,7 @@ def test_unexplained_data_ask_for_the_runs_that_separate_the_nearest_causes(
     ((doubt, limits),) = asked
     assert {cause.name for cause in doubt} <= {"evp_lag", "line_delay", "none"}
     assert all(cause.name in verdict.next_experiment for cause in doubt)
-    # The rig has been at these pressures before.
+    # The rig has already been at these pressures.
     assert limits["full_kPa"] == max(run.reservoir_kPa.max() for run in case.runs)
     assert limits["most_kPa"] == max(run.cv_kPa.max() for run in case.runs)
 
@@ -94,7 +94,7 @@ def test_leaks_of_two_laws_are_separated_by_what_the_pump_can_do() -> None:
 
 
 def test_the_error_of_a_known_parameter_is_at_most_that_of_its_range(case: Case) -> None:
-    """A scale that the data do not fix once moved by e^18, and its simulation did not end."""
+    """A scale that the data do not determine once moved by e^18, and its simulation did not end."""
     hidden = draw("short", 1).hidden[0].name
     problem = FitProblem(case, stated_noise(case.rig))
     (cause,) = [cause for cause in causes_of(case.rig) if cause.name == hidden]

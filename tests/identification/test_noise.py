@@ -19,7 +19,7 @@ def white(seed: int, std_kPa: float = 0.15, count: int = 2250) -> list[Array]:
 
 
 def correlated(seed: int, rho: float, std_kPa: float = 0.15) -> list[Array]:
-    """As a first-order filter in the sensor makes it."""
+    """Noise as after a first-order filter in the sensor."""
     drive = white(seed, std_kPa * np.sqrt(1.0 - rho**2), 3000)
     return [np.asarray(lfilter([1.0], [1.0, -rho], run))[750:] for run in drive]
 
@@ -49,7 +49,7 @@ def test_a_mean_over_many_readings_has_the_error_of_the_slow_standard_deviation(
 
 
 def test_a_slope_and_jumps_of_the_residuals_are_no_noise() -> None:
-    """A model that lacks something: 20 kPa/s at 50 readings a second, and a jump each second."""
+    """An incomplete model: 20 kPa/s at 50 readings a second, and a jump each second."""
     time_s = np.arange(2250) / 50.0
     wrong = [run + 20.0 * time_s + 5.0 * np.floor(time_s) for run in white(3)]
     found = measured_noise(wrong, STATED)
@@ -63,7 +63,7 @@ def test_a_vibration_is_not_taken_for_more_noise_than_the_residuals_have() -> No
     assert found.std_kPa < 1.2 * np.sqrt(1.4**2 / 2.0 + 0.15**2) + 1e-9
 
 
-def test_few_readings_are_believed_less_than_the_rig_file() -> None:
+def test_few_readings_count_less_than_the_rig_file() -> None:
     assert measured_noise([white(4, 3.0)[0][:50]], STATED) == STATED
 
 

@@ -1,4 +1,4 @@
-"""A researcher's own cause: from a file or a package, beside the catalogue, and back into the simulation."""
+"""A researcher's own cause: from a file or a package, together with the catalogue, and in the simulation."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def test_an_error_in_the_file_is_one_line_with_its_place(
     assert (f"mine.py:{line}:" if line else "mine.py: ") in error and says in error
 
 
-def test_an_error_at_some_values_only_is_told_with_the_values(tmp_path: Path) -> None:
+def test_an_error_at_some_values_only_is_reported_with_the_values(tmp_path: Path) -> None:
     mine = tmp_path / "mine.py"
     mine.write_text(
         GOOD.replace("    seam =", "    assert opens_at_kPa < 20.0, 'too stiff'\n    seam ="),

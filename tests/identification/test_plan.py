@@ -38,8 +38,8 @@ from flying_vines.simulation.scenario import load_scenario, parse_scenario, simu
 from flying_vines.simulation.scenario.kinds import BendsRun, ProfileRun, RunKind, StepsRun
 
 HALF = Rig(cv=ControlVolume(0.5), venturi=Venturi(rated_supply_kPa=900.0))
-"""Below the Venturi's rated supply all is homogeneous in pressure: a gain g of one sensor is 1/g of the
-other's."""
+"""Below the Venturi's rated supply everything is proportional to pressure: a gain g of one sensor looks like
+a gain 1/g of the other one."""
 GAINS = CausePair("cv_sensor_gain", "reservoir_sensor_gain")
 
 
@@ -80,7 +80,7 @@ def _same(kind: RunKind, count: int) -> RunKind:
 
 
 def worst(matrix: Array, but: CausePair | None = None) -> float:
-    """Δχ² of the pair that is told apart worst; `but` does not count."""
+    """Δχ² of the pair with the worst separation, without the pair `but`."""
     names = [cause.name for cause in causes_of(HALF)]
     counts = ~np.eye(*matrix.shape, dtype=np.bool_)
     for pair in (but, but[::-1]) if but else ():
@@ -107,7 +107,7 @@ def test_a_plan_beats_what_one_would_record_without_it(made: RecordingPlan, layo
 
 @pytest.mark.long
 def test_it_settles_what_the_example_scenario_leaves_open(short: RecordingPlan) -> None:
-    """With a sixth of its three minutes, and a third of its pressure; the two gains stay open."""
+    """With a sixth of its three minutes and a third of its pressure. The two gains remain open."""
     layout = layout_of(short.rig, causes_of(short.rig))
     example = parts(layout, list(load_scenario("case").runs))
     assert worst(apart(layout, gram_of(layout, example))) < 1.0
@@ -134,7 +134,7 @@ def test_a_plan_keeps_its_budgets(short: RecordingPlan) -> None:
 
 
 @pytest.mark.long
-def test_what_no_run_can_tell_is_reported(made: RecordingPlan) -> None:
+def test_pairs_that_no_run_separates_are_reported(made: RecordingPlan) -> None:
     assert made.never == made.best.open == (GAINS,)
     row, column = made.names.index(GAINS.first), made.names.index(GAINS.second)
     assert made.matrix[row, column] < 0.1 < SETTLED < made.matrix[row, -1]
@@ -306,7 +306,7 @@ def test_the_command_on_a_rig_without_control_volume(
         (["{rig}", "--minutes", "2"], "--minutes"),
     ],
 )
-def test_what_cannot_be_planned_is_one_line(
+def test_an_impossible_plan_gives_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], named: str
 ) -> None:
     rig = tmp_path / "rig.toml"

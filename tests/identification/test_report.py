@@ -259,7 +259,7 @@ def test_a_baseline_that_explains_all_has_no_profiles_and_no_extended_model(noth
     assert "(−1.00 %)" in seen.text and "nominal" in seen.text
 
 
-def test_what_is_left_unexplained_stands_in_front(unexplained: Diagnosed) -> None:
+def test_the_unexplained_remainder_comes_first(unexplained: Diagnosed) -> None:
     verdict = unexplained.verdict
     text = page_of(unexplained, "unseen", "run-1").text
     front = text[: text.index("Measured and simulated")]

@@ -56,7 +56,7 @@ def test_noise_is_noise(seed: int) -> None:
     assert np.sum(strongest.count) > 100
 
 
-def test_what_depends_on_the_temperature_is_seen_to() -> None:
+def test_a_dependence_on_the_temperature_is_found() -> None:
     problem, fit = fitted(0)
     (run,) = problem.case.runs
     assert run.ambient_C is not None
@@ -66,19 +66,19 @@ def test_what_depends_on_the_temperature_is_seen_to() -> None:
     assert found[0].log_p > STRUCTURE
 
 
-def test_what_depends_on_the_opening_is_seen_to() -> None:
+def test_a_dependence_on_the_opening_is_found() -> None:
     problem, fit = fitted(1)
     (run,) = problem.case.runs
     before = np.concatenate((run.evp_opening[:1], run.evp_opening[:-1]))
     found = patterns(problem, with_left(fit, 0, np.where(before == 0.5, 0.7, 0.0)))
-    # The opening determines the rate, so either may be the strongest.
+    # The opening determines the rate, so either one may be the strongest.
     strongest = [(pattern.channel, pattern.feature) for pattern in found[:3]]
     assert ("control volume", "opening of the inflation valve") in strongest
     assert found[2].log_p > STRUCTURE
 
 
 def test_a_rounding_error_that_stays_is_no_pattern() -> None:
-    """Readings in steps of three standard deviations: on a constant pressure the error is constant."""
+    """Readings in steps of three standard deviations: at a constant pressure the error is constant."""
     problem, fit = fitted(3)
     step_kPa = 3.0 * NOISE_KPA[0]
     (data,) = problem.data
@@ -132,7 +132,7 @@ def test_blocks_have_several_readings_of_a_slow_logger() -> None:
 
 
 def test_a_short_recording_has_short_blocks() -> None:
-    """A discharge misfits for a second of twelve: with few blocks its error is in one or two of them."""
+    """A discharge misfits for one second of twelve. With few blocks, the error is in one or two of them."""
     (short,) = blocks([np.arange(0.0, 12.0, 0.05)])
     assert max(short) >= 23
     assert [max(run) for run in blocks([np.arange(0.0, 45.0, 0.05)] * 4)] == [11] * 4

@@ -1,4 +1,4 @@
-"""A rig is a description: some lines of rig.toml are simulated, recorded, read and fitted."""
+"""A few lines of rig.toml describe a rig, which is simulated, recorded, read and fitted."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_a_described_rig_is_simulated_and_fitted(name: str, tmp_path: Path) -> N
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", RIGS)
-def test_what_is_wrong_with_a_described_rig_is_found(name: str, tmp_path: Path) -> None:
+def test_the_fault_of_a_described_rig_is_found(name: str, tmp_path: Path) -> None:
     rig, reservoir_kPa, valves, cause = RIGS[name]
     value = 2e3 if cause.endswith("leak") else 1.3
     parameter = cause_named(cause).parameters[0].name

@@ -1,4 +1,4 @@
-"""Fits of several causes reach their minimum, and a set has one law of each leak."""
+"""Fits of several causes reach their minimum, and a set has only one law for each leak."""
 
 from __future__ import annotations
 
@@ -29,8 +29,11 @@ def problem_of(case: Case) -> FitProblem:
 
 @pytest.mark.long
 def test_a_fit_of_six_causes_reaches_the_noise_in_any_order(tmp_path: Path) -> None:
-    """The reservoir starts near the pressure at which the Venturi stalls, so its initial pressure is no
-    linear number: a fit that shortens its steps there stops far above the minimum."""
+    """The reservoir starts near the pressure at which the Venturi stalls, so its initial pressure acts
+    nonlinearly.
+
+    A fit that shortens its steps there stops far above the minimum.
+    """
     truth = draw("several", 7000)
     write(tmp_path / "case", truth)
     problem = problem_of(read_case(tmp_path / "case"))
@@ -45,7 +48,8 @@ def test_a_fit_of_six_causes_reaches_the_noise_in_any_order(tmp_path: Path) -> N
 
 @pytest.mark.long
 def test_a_number_without_effect_does_not_keep_the_others_from_their_minimum(tmp_path: Path) -> None:
-    """No reading tells stalls of 416 to 421 kPa apart. Rounding errors once moved it as far as its bound."""
+    """The readings are the same for stalls of 416 to 421 kPa. Rounding errors once moved the parameter to its
+    bound."""
     drawn = draw("several", 660_004)
     write(tmp_path / "case", drawn)
     problem = problem_of(read_case(tmp_path / "case"))
@@ -62,7 +66,7 @@ def test_a_number_without_effect_does_not_keep_the_others_from_their_minimum(tmp
 
 
 def test_a_set_has_one_law_of_each_leak() -> None:
-    """A leak between two laws would otherwise be fitted by both."""
+    """Otherwise both laws would be fitted to a leak between them."""
     time_s = np.arange(0.0, 60.0)
     shut, unread_kPa = np.zeros(len(time_s)), np.full(len(time_s), np.nan)
     fall_kPa = 450.0 * np.exp(-time_s / 30.0) + 240.0 / (1.0 + time_s / 20.0)
@@ -85,7 +89,7 @@ def test_the_laws_of_a_leak_exclude_each_other() -> None:
 
 
 def test_a_lower_minimum_of_the_chosen_set_leaves_a_confidence() -> None:
-    """The search may first have ended on a far higher minimum of the same causes."""
+    """The search may first have ended at a far higher minimum of the same causes."""
     higher, chosen, null = (
         SimpleNamespace(names=names, score=score, possible=True)
         for names, score in ((("a", "b"), 5000.0), (("a", "b"), 0.0), ((), 9000.0))

@@ -48,13 +48,13 @@ def test_a_twin_is_alike_and_a_stranger_is_not(case: Case) -> None:
     assert np.allclose(alike.cosine, alike.cosine.T) and (alike.seen > 5.0).all()
 
 
-def test_what_a_number_may_do_within_its_tolerance_is_no_evidence(case: Case) -> None:
+def test_changes_within_the_tolerance_of_a_number_are_no_evidence(case: Case) -> None:
     scale, key = BY_NAME["evp_restriction"], "evp.flow_resistance_kPa_s_per_SL"
     sure, unsure = (found(with_tolerance(case, key, percent), scale).seen[0] for percent in (0.1, 100.0))
     assert sure > 10.0 and sure > 3.0 * unsure
 
 
-def test_what_is_there_is_taken_out(case: Case) -> None:
+def test_present_causes_are_removed(case: Case) -> None:
     cause = BY_NAME["dead_volume"]
     weaker = replace(cause.parameters[0], seeds=(1e-5,))
     assert found(case, cause, there="dead_volume").seen[0] > 10.0

@@ -28,7 +28,7 @@ START_KPA = (640.0, 0.0)
 STARTS = np.array([START_KPA])
 LENGTH_S = 12.0
 KNOWN_TO_BOTH = [cause for cause in catalogue() if cause.name in EFFECTS]
-"""Causes that the independent simulator has, too."""
+"""Causes that the independent simulator also has."""
 
 
 def random_run(seed: int) -> RecordedRun:
@@ -56,7 +56,7 @@ def strength(name: str) -> float:
     """A strength between the weakest and the strongest clear one."""
     effect = EFFECTS[name]
     if name == "venturi_stall":
-        # These runs are short: their reservoirs stay full.
+        # These runs are short, so their reservoirs stay full.
         return 610.0
     return effect.value(math.sqrt(effect.low * effect.high), TrueRig(cv_L=0.25))
 
@@ -87,7 +87,7 @@ def test_a_valve_much_quicker_than_the_samples_is_simulated_as_well(lag_s: float
     """Otherwise it would look like a delay, which is nearly the same at this sampling."""
     (cause,) = (cause for cause in catalogue() if cause.name == "evp_lag")
     run = random_run(6)
-    # Solenoid and valve in turns, at each sample: air that comes early has more time to leave again.
+    # Solenoid and valve alternate at each sample, so early air has more time to leave.
     run.evp_opening[::2], run.solenoid[::2] = 1.0, 0.0
     run.evp_opening[1::2], run.solenoid[1::2] = 0.0, 1.0
     inputs = np.column_stack((run.evp_opening, run.dvp_opening, run.solenoid))
@@ -247,7 +247,7 @@ def test_without_causes_it_is_the_baseline() -> None:
 
 
 def test_all_causes_together_are_what_the_truth_says_they_are() -> None:
-    """In the order in which the effects of one part act."""
+    """In the order of the effects of each part."""
     names = [
         cause.name for cause in KNOWN_TO_BOTH if cause.name not in ("compressible_flow", "venturi_stall")
     ]
@@ -289,7 +289,7 @@ def test_the_pressures_are_free_after_a_valve_moved_at_an_unknown_time() -> None
 
 
 def test_an_emptying_vessel_has_smooth_derivatives() -> None:
-    """Flow by ISO 6358 ends as steep as a root. Rough readings there stop a fit in a wrong place."""
+    """By ISO 6358 the flow ends like a square root. Noisy derivatives there stop a fit in a wrong place."""
     time_s = np.arange(0.0, 6.0, 0.09)
     shut = np.zeros(len(time_s))
     run = RecordedRun("fired", time_s, None, shut + 1.0, shut, shut, shut, shut, None, None, True)

@@ -1,4 +1,4 @@
-"""docs/install.md says what the command and its unit do."""
+"""docs/install.md agrees with the command and its unit."""
 
 from __future__ import annotations
 

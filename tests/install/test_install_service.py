@@ -20,11 +20,11 @@ from flying_vines.install import files, program
 from flying_vines.install.program import FileReader, InstalledProgram, InstallError, check_reachable
 
 MOST_EXPOSED = 2.0
-"""Of 10, as systemd-analyze counts; it calls up to 2 safe."""
+"""Of 10, as systemd-analyze counts; up to 2 is safe."""
 
 
 def installed(capsys: pytest.CaptureFixture[str], root: Path, *more: object) -> str:
-    """What it says when all goes well."""
+    """The output if all goes well."""
     status, said, wrong = run(capsys, "install-service", "--root", root, "--yes", *more)
     assert status == 0, wrong
     return said
@@ -147,7 +147,7 @@ def test_removing_what_is_not_there_is_no_fault(capsys: pytest.CaptureFixture[st
     assert "nothing to remove" in installed(capsys, tmp_path, "--remove")
 
 
-def test_what_somebody_else_wrote_stays(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_files_of_others_are_not_changed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     installed(capsys, tmp_path)
     unit = tmp_path / files.UNIT.relative_to("/")
     unit.write_text("[Service]\nExecStart=/usr/bin/true\n", encoding="utf-8")
@@ -170,7 +170,7 @@ def test_it_asks(
     assert len(there(tmp_path)) == written
 
 
-def test_where_nobody_answers_nothing_is_written(tmp_path: Path) -> None:
+def test_without_an_answer_nothing_is_written(tmp_path: Path) -> None:
     command = (sys.executable, "-m", "flying_vines", "install-service", "--root", str(tmp_path))
     ran = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
     assert (ran.returncode, ran.stderr) == (
@@ -180,9 +180,7 @@ def test_where_nobody_answers_nothing_is_written(tmp_path: Path) -> None:
     assert there(tmp_path) == set()
 
 
-def test_who_is_not_root_is_told_so(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_root_it_says_so(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     status, _, wrong = run(capsys, "install-service")
     assert status == 2
@@ -198,7 +196,7 @@ def test_who_is_not_root_is_told_so(
         (("--config", "none.toml"), "none.toml: no such file"),
     ],
 )
-def test_what_cannot_be_installed_is_one_line(
+def test_an_impossible_installation_gives_one_line(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, more: tuple[str, ...], wrong: str
 ) -> None:
     status, _, said = run(capsys, "install-service", "--root", tmp_path, "--yes", *more)
@@ -243,7 +241,7 @@ def test_a_profile_of_ones_own_is_flown_with_where_it_is(
     assert f'ReadWritePaths="{named}"\n' in unit, "parameters are kept beside it"
 
 
-def test_what_the_profile_names_in_a_home_opens_homes(
+def test_files_of_the_profile_in_a_home_make_homes_readable(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     profile = tmp_path / "vine.toml"
@@ -276,7 +274,7 @@ def test_the_rule_names_the_board_as_udev_writes_it() -> None:
 
 
 class TestReachable:
-    """Files of root's under /usr stand for an installation that everybody may read."""
+    """Files of root below /usr stand for an installation that everybody may read."""
 
     def test_a_program_of_the_system_is(self) -> None:
         check_reachable((Path("/usr/bin/env"),), FileReader("flying-vines"))

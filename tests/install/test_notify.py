@@ -1,4 +1,4 @@
-"""What the service tells systemd, over real datagram sockets."""
+"""The service's messages to systemd, over real datagram sockets."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ WATCHDOG_S = 0.4
 
 
 class Listener:
-    """Systemd's end: a socket with a name, as a file or without one."""
+    """Systemd's end: a socket with a name, as a file or abstract."""
 
     def __init__(self, address: str) -> None:
         self.address = address
@@ -42,7 +42,7 @@ class Listener:
         self.socket.settimeout(10.0)
 
     def heard(self) -> list[str]:
-        """All that has come."""
+        """All received messages."""
         found = []
         self.socket.setblocking(False)
         with contextlib.suppress(BlockingIOError):
@@ -51,7 +51,7 @@ class Listener:
         return found
 
     def manager(self, watchdog_s: float = WATCHDOG_S) -> ServiceManager:
-        """Ours, as the environment would have it."""
+        """Our manager, with this environment."""
         environment = {"NOTIFY_SOCKET": self.address, "WATCHDOG_USEC": f"{watchdog_s * 1e6:.0f}"}
         (manager,) = service_manager(environment)
         assert isinstance(manager, ServiceManager)
@@ -67,7 +67,7 @@ def listener(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Listene
         yield listener
 
 
-def test_who_is_started_by_hand_tells_nobody() -> None:
+def test_a_service_started_by_hand_notifies_nobody() -> None:
     assert service_manager({"HOME": "/"}) == ()
 
 
@@ -97,7 +97,7 @@ def test_without_a_watchdog_of_ours_it_says_that_it_is_ready_and_no_more(
     assert listener.heard() == ["READY=1"]
 
 
-def test_what_was_not_taken_is_told_again(listener: Listener) -> None:
+def test_a_status_that_was_not_accepted_is_sent_again(listener: Listener) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as crowd:
         crowd.connect("\0" + listener.address[1:] if listener.address[0] == "@" else listener.address)
         with pytest.raises(BlockingIOError):
@@ -118,7 +118,7 @@ def test_a_manager_that_is_gone_stops_nothing(tmp_path: Path) -> None:
     manager.event(Stop(1.0))
 
 
-def test_the_status_is_told_when_it_changes_and_not_more_than_once_a_second(listener: Listener) -> None:
+def test_the_status_is_reported_when_it_changes_and_not_more_than_once_a_second(listener: Listener) -> None:
     manager = listener.manager()
     snapshot = Core(config.default()).snapshot(0.0)
     for tenth in range(50):
@@ -145,7 +145,7 @@ async def test_a_loop_that_hangs_does_not_say_that_it_is_alive(tmp_path: Path) -
         while listener.socket.recv(4096) != b"STOPPING=1":
             heard_at.append(time.monotonic())
 
-    # Of another thread: it hears while the loop hangs.
+    # Another thread, which receives while the loop hangs.
     ear = threading.Thread(target=listen)
     ear.start()
     profile = config.parse(between(free_port(), str(tmp_path / "none")), "test")
@@ -179,4 +179,4 @@ def test_the_command_says_that_it_is_ready_alive_and_stopping(tmp_path: Path) ->
     listener.socket.close()
     assert service.returncode == 0
     assert said[0] == "READY=1"
-    assert any(line.startswith("STATUS=vehicle none heard") for line in said)
+    assert any(line.startswith("STATUS=vehicle not found") for line in said)

@@ -33,27 +33,27 @@ import flying_vines.cli.main, flying_vines.cli.link, flying_vines.service.runner
 import flying_vines.simulation.demo, flying_vines.simulation.replay
 import flying_vines.gateway.page.server
 """
-"""No module of these names can be imported."""
+"""Modules of these names cannot be imported."""
 NEEDS_MORE = {
     r"demo --page|run|fake": "goes on until it is interrupted; tests/docs runs it",
     r"link|doctor --config": "needs a board, an autopilot and a pilot who moves the switch",
     r"mission upload": "needs an autopilot",
 }
-"""Commands of ours that do not run by themselves in an empty folder, and why."""
+"""Our commands that do not run alone in an empty folder, and the reason."""
 SNIPPET = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LITERAL = re.compile(r'"([\w./-]+)"')
 ELSEWHERE = "import clr"
-"""A script for Mission Planner's own Python."""
+"""Marks a script for Mission Planner's own Python."""
 NOT_SOURCES = shutil.ignore_patterns(".*", "__pycache__", "build", "*.egg-info")
 
 
 def snippets(page: Path) -> list[str]:
-    """The Python of a page. A snippet may build on those before."""
+    """The Python of a page. A snippet may use earlier ones."""
     return [code for code in SNIPPET.findall(page.read_text(encoding="utf-8")) if ELSEWHERE not in code]
 
 
 def outcome(*command: str | Path, cwd: Path, **environment: str) -> str:
-    """What a command says that must end well."""
+    """The output of a command that must succeed."""
     ran = subprocess.run(
         command,
         cwd=cwd,
@@ -69,7 +69,7 @@ def outcome(*command: str | Path, cwd: Path, **environment: str) -> str:
 
 @pytest.fixture(scope="module")
 def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy: what builds leaves folders behind."""
+    """A copy, because a build leaves folders there."""
     copy = tmp_path_factory.mktemp("sources")
     for name in (*PACKAGES, *OTHERS):
         path = ROOT / name
@@ -92,7 +92,7 @@ def built(sources: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def installed(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel in a folder of its own; what it needs is taken from the environment that tests it."""
+    """The wheel in a folder of its own; the test environment provides its dependencies."""
     (wheel,) = built.glob("*.whl")
     folder = tmp_path_factory.mktemp("installed")
     pip = (sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check")
@@ -123,7 +123,7 @@ def test_the_sdist_holds_the_tests_and_all_that_they_need(sources: Path, built: 
     assert wanted - names == set()
 
 
-def test_what_flies_needs_nothing_that_is_not_installed_with_it(built: Path, installed: Path) -> None:
+def test_the_service_needs_only_its_own_dependencies(built: Path, installed: Path) -> None:
     (wheel,) = built.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         (metadata,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
@@ -143,7 +143,7 @@ def test_what_flies_needs_nothing_that_is_not_installed_with_it(built: Path, ins
 
 
 def needed_by(wanted: Iterable[str]) -> set[str]:
-    """The distributions that an installer brings for these, and for what they need in turn."""
+    """The distributions that an installer brings for these, with all their dependencies."""
     found: set[str] = set()
     for requirement in map(Requirement, wanted):
         name = canonicalize_name(requirement.name)
@@ -152,7 +152,7 @@ def needed_by(wanted: Iterable[str]) -> set[str]:
     return found
 
 
-def test_what_a_registry_would_check_is_good(built: Path) -> None:
+def test_the_checks_of_a_registry_pass(built: Path) -> None:
     pytest.importorskip("twine", reason="needs twine: pip install twine")
     outcome(sys.executable, "-m", "twine", "check", "--strict", *built.iterdir(), cwd=built)
 
@@ -192,7 +192,7 @@ def test_commands_run_as_printed_in_an_empty_folder(page: str, installed: Path, 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if snippets(page)], ids=lambda page: page.name)
 def test_snippets_run_as_printed_in_an_empty_folder(page: Path, installed: Path, tmp_path: Path) -> None:
-    """All snippets of a page are one script; files that it reads are there."""
+    """All snippets of a page are one script; the files that it reads exist."""
     script = "".join(snippets(page))
     for word in LITERAL.findall(script):
         if (make := maker(word)) is not None:
@@ -202,7 +202,7 @@ def test_snippets_run_as_printed_in_an_empty_folder(page: Path, installed: Path,
     outcome(sys.executable, "-P", "snippets.py", cwd=tmp_path, PYTHONPATH=str(installed))
 
 
-def test_what_is_left_out_is_still_printed() -> None:
+def test_commands_that_do_not_run_are_still_on_a_page() -> None:
     pages = (ROOT / "README.md", ROOT / "docs/tutorial.md")
     printed = [" ".join(said.ours) for page in pages for said in blocks_and_spans(page)[0]]
     assert [pattern for pattern in NEEDS_MORE if not any(re.match(pattern, text) for text in printed)] == []

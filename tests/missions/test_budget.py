@@ -23,7 +23,7 @@ from missions.timeline import timeline
 
 CONFIG = configuration.default()
 IDEAL = TrueRig(Rig(), effects=Effects())
-"""Quick, and as good as any where only the decision counts."""
+"""Fast, and good enough if only the decision matters."""
 REACH = HEAD + waypoint("{ profile = 'reach' }")
 SHORT = HEAD.replace("10", "5") + waypoint(
     "{ bend_deg = 30, hold_s = 2 }, { profile = 'straight' }", "north_m = 5"
@@ -53,7 +53,7 @@ def test_a_bend_has_the_pressure_of_the_curve_and_takes_air() -> None:
     assert bend.motion is not None
     assert bend.motion.top_kPa == pytest.approx(CONFIG.vine.bend_curve().pressure_kPa(45.0))
     assert bend.ends_s - bend.step.t_s == pytest.approx(5.0)
-    # 0.1 L to 16 kPa out of 2 L: 0.8 kPa if the vine were rigid, and several times that for a real one.
+    # 0.1 L to 16 kPa from 2 L: 0.8 kPa for a rigid vine, and several times that for a real one.
     assert 0.8 < bend.air_kPa < 10.0
     assert bend.after.expected == pytest.approx(bend.before.expected - bend.air_kPa)
     assert bend.after.high - bend.after.low > bend.before.high - bend.before.low
@@ -70,7 +70,7 @@ def test_more_bends_take_more_air_and_leave_fewer_cycles() -> None:
     assert ends[0] - ends[2] > 5.0
 
 
-def test_without_a_vine_item_only_the_believed_leak_takes_air() -> None:
+def test_without_a_vine_item_only_the_assumed_leak_takes_air() -> None:
     report = reviewed(built(HEAD + waypoint("", "north_m = 100"), "px4"), "px4")
     leak = nominal(CONFIG.pneumatics).leak.mean
     lost = report.budget.begins.expected - report.budget.ends.expected

@@ -80,7 +80,7 @@ def test_speed_take_off_actions_and_return() -> None:
 
 def test_a_hold_that_nobody_gave_lasts_until_the_vine_rests() -> None:
     items = built(HEAD + waypoint("{ profile = 'reach' }, { profile = 'straight' }"), "px4")
-    # reach takes 1.5 + 2 + 1.5 s; straight nothing any more.
+    # `reach` takes 1.5 + 2 + 1.5 s; the last `straight` takes no time.
     assert [item.params[0] for item in items if item.command == DELAY] == [5.5, 0.5]
 
 
@@ -94,7 +94,7 @@ def test_every_wrong_action_is_named_with_its_line() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_no_rule_carries_comes_with_the_rule_to_add(kind: AutopilotKind) -> None:
+def test_an_action_without_a_rule_gives_the_rule_to_add(kind: AutopilotKind) -> None:
     config = with_items(ItemConfig(command="gripper", match={"param2": 0.0}, profile="bend-full"))
     with pytest.raises(MissionError) as error:
         built(HEAD + waypoint("{ profile = 'wave' }, { bend_deg = 20 }"), kind, config)
@@ -110,7 +110,7 @@ def test_what_no_rule_carries_comes_with_the_rule_to_add(kind: AutopilotKind) ->
 def test_the_preferred_carrier_is_the_one_that_survives() -> None:
     winch = ItemConfig(command="winch", bend="param1")
     gripper = ItemConfig(command="gripper", bend="param1", scale=0.5)
-    # ArduPilot keeps whole numbers of both; only the gripper's scale makes 30.5 one.
+    # ArduPilot stores both as whole numbers; only the scale of the gripper makes 30.5 possible.
     item = carrier(BendTo(30.5), with_items(winch, gripper), "ardupilot")
     assert item is not None and item.command == GRIPPER and item.params[0] == 61.0
     item = carrier(BendTo(30.0), with_items(gripper, winch), "ardupilot")
@@ -157,7 +157,7 @@ def test_any_mission_passes_its_own_check_and_means_the_same_once_stored(
         wanted += [intent for (_, intent), _ in actions]
     items = built(text, kind)
     report = reviewed(items, kind)
-    # Only how long it stays bent is the mission's own business: legs are as long as they are drawn.
+    # Only the time of the bend depends on the mission, because legs may have any length.
     assert [text for text in said(report) if "max_bent_s" not in text] == []
     rules = Rules(DEFAULT)
     stored = [AUTOPILOTS[kind].store(over_the_wire(item)) for item in items]

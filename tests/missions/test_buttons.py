@@ -19,8 +19,8 @@ TEXTS = {"label", "description"}
 
 
 def as_qgroundcontrol_reads(text: str) -> list[dict[str, Any]]:
-    """By its rules (MavlinkActionManager, JsonHelper): three keys must be there, all must be of their type,
-    and a command or component that is not a whole number would count as 0 or as not given."""
+    """The buttons by QGroundControl's rules (MavlinkActionManager, JsonHelper): three keys are required, all
+    have a type, and a command or component that is not a whole number counts as 0 or as missing."""
     file = json.loads(text)
     assert file["fileType"] == "MavlinkActions"
     assert type(file["version"]) is int
@@ -37,7 +37,7 @@ def as_qgroundcontrol_reads(text: str) -> list[dict[str, Any]]:
 
 
 def asked(config: Config, action: dict[str, Any]) -> Intent | None:
-    """What our component makes of the command that QGroundControl sends for a button."""
+    """The intent that our component derives from QGroundControl's command of a button."""
     params = [float(action.get(f"param{n}", 0.0)) for n in range(1, 8)]
     found = direct_intent(action["mavCmd"], params) or Rules(config).for_command(action["mavCmd"], params)
     return found[0]
@@ -102,7 +102,7 @@ def test_a_rule_that_never_applies_gets_no_button() -> None:
     assert "Vine reach" not in labels
 
 
-def test_a_profile_that_is_called_like_another_button_can_be_told_from_it() -> None:
+def test_a_profile_that_is_called_like_another_button_can_be_distinguished_from_it() -> None:
     config = changed(("[profiles.reach]", "[profiles.vent]"), ('profile = "reach"', 'profile = "vent"'))
     wanted = {
         action["label"]: asked(config, action) for action in json.loads(actions_text(config))["actions"]

@@ -60,7 +60,7 @@ def test_a_carrier_that_the_autopilot_refuses_comes_with_the_one_it_takes() -> N
     ]
 
 
-def test_what_no_autopilot_takes_and_means_nothing_is_to_be_left_out() -> None:
+def test_an_item_without_meaning_that_no_autopilot_accepts_must_be_removed() -> None:
     assert errors("px4", (TAKEOFF,), (WP,), (RELAY, 1), (WP,), (LAND,)) == [
         "item 2 (relay (1), waypoint 1): PX4 refuses MAV_CMD 181; remove it"
     ]
@@ -79,7 +79,7 @@ def test_not_a_number_is_named() -> None:
     assert errors("px4", (TAKEOFF, 0, 0, 0, NAN), (WP, 0, 0, 0, NAN), (ACTUATOR, 0.5), (WP,), (LAND,)) == []
 
 
-def test_numbers_that_storage_changes_are_told_with_what_they_then_mean() -> None:
+def test_numbers_that_storage_changes_are_reported_with_what_they_then_mean() -> None:
     config = msgspec.structs.replace(
         configuration.default(),
         items=(
@@ -221,7 +221,7 @@ def test_a_place_that_is_none() -> None:
     assert "item 1 (waypoint): 147.5, 8.5 is not a place on earth" in found
 
 
-def test_what_takes_for_ever_is_cut() -> None:
+def test_an_endless_mission_is_cut() -> None:
     found = errors("px4", (TAKEOFF,), (DELAY, 1e9), (WP,), (ACTUATOR, 0.5), (LAND,))
     assert any("more than 6 h" in text for text in found)
 
@@ -245,7 +245,7 @@ ANY_ITEM = st.tuples(COMMANDS, st.tuples(*[ANY_NUMBER] * 7), st.sampled_from((0,
 
 @settings(max_examples=20)
 @given(st.lists(ANY_ITEM, min_size=1, max_size=12), st.sampled_from(KINDS))
-def test_whatever_is_in_a_file_is_checked_without_a_crash(
+def test_any_file_is_checked_without_a_crash(
     entries: list[tuple[int, tuple[float, ...], int]], kind: AutopilotKind
 ) -> None:
     given = [

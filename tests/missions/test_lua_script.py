@@ -1,4 +1,4 @@
-"""The script for ArduPilot in Lua of the same version, with a stand-in for ArduPilot's interface."""
+"""The script for ArduPilot in the same version of Lua, with a stand-in for ArduPilot's interface."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ except ImportError:
 
 SCRIPT = (Path(__file__).parents[2] / "missions" / "ardupilot" / "vine_items.lua").read_bytes()
 US, TELEMETRY = 2, 0
-"""The channels on which the companion and a ground station are."""
+"""The channels of the companion and of a ground station."""
 
 STAND_IN = b"""
 local host = ...
@@ -60,10 +60,10 @@ function Parameter(name) return {get = function() return host.get(name) end} end
 
 
 class ArduPilot:
-    """The part of ArduPilot that the script talks to; times are its milliseconds."""
+    """The part of ArduPilot that the script uses; times are its milliseconds."""
 
     def __init__(self, **params: float) -> None:
-        self.now_ms = 4_294_967_295 - 3_000  # the clock's 32 bits end on the way
+        self.now_ms = 4_294_967_295 - 3_000  # the 32-bit clock wraps during the test
         self.params: dict[str, float] = {"SYSID_THISMAV": 1.0}
         self.texts: list[str] = []
         self.sent: list[tuple[int, MavlinkMessage]] = []
@@ -80,7 +80,7 @@ class ArduPilot:
         self.interval_ms = 0
         self.run(1)
 
-    # What the script calls.
+    # Functions that the script calls.
 
     def millis(self) -> int:
         if self.broken:
@@ -118,7 +118,7 @@ class ArduPilot:
         self.sent.append((channel, message.parse_char(header + payload + struct.pack("<H", crc.crc))))
         return True
 
-    # What happens to it.
+    # Events.
 
     def run(self, for_ms: int) -> None:
         end_ms = self.now_ms + for_ms
@@ -135,7 +135,7 @@ class ArduPilot:
             self.items.append((self.now_ms & 0xFFFFFFFF, p1, p2, p3, p4))
 
     def hear(self, message: MavlinkMessage, system: int = 1, component: int = 191, channel: int = US) -> None:
-        """A message comes in; what the script gets is ArduPilot's own structure of it."""
+        """A message arrives. The script gets ArduPilot's own structure of it."""
         if message.get_msgId() not in self.registered:
             return
         packed = message.pack(mavlink.MAVLink(None, system, component))
@@ -154,7 +154,7 @@ class ArduPilot:
         self.run(20)
 
     def commands(self) -> list[tuple[float, ...]]:
-        """Target and numbers of what was sent, without repeats."""
+        """Target and numbers of the sent commands, without repeats."""
         return [
             (m.target_system, m.target_component, m.command, m.param1, m.param2, m.param3, m.param4)
             for _, m in self.sent
@@ -222,7 +222,7 @@ def test_acknowledgements_of_others_and_of_other_commands_are_not_for_it(autopil
     assert [m.confirmation for _, m in autopilot.sent] == [0, 1]
 
 
-def test_before_the_companion_was_heard_nothing_is_sent_anywhere() -> None:
+def test_nothing_is_sent_before_a_message_of_the_companion() -> None:
     autopilot = ArduPilot()
     autopilot.hear(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), 255, 190, TELEMETRY)
     autopilot.hear(mavlink.MAVLink_heartbeat_message(26, 8, 0, 0, 4, 3), 1, 154, TELEMETRY)
@@ -233,7 +233,7 @@ def test_before_the_companion_was_heard_nothing_is_sent_anywhere() -> None:
     assert [(channel, m.param2) for channel, m in autopilot.sent] == [(US, 40.0)]
 
 
-def test_what_is_too_old_is_not_sent_any_more() -> None:
+def test_an_old_item_is_not_sent() -> None:
     autopilot = ArduPilot()
     autopilot.item(1, 40.0)
     autopilot.run(3000)

@@ -119,7 +119,7 @@ def test_a_profile_changes_what_carries_an_angle(mission: Path, capsys: Captured
 @pytest.mark.parametrize(
     ("text", "more", "says"),
     [
-        (GOOD, (), 'for which autopilot? autopilot = "ardupilot" or "px4" in the file, or --autopilot'),
+        (GOOD, (), 'names no autopilot: write autopilot = "ardupilot" or "px4" in it, or give --autopilot'),
         (
             GOOD.replace("bend_deg", "bent"),
             ("--autopilot", "px4"),
@@ -152,7 +152,7 @@ def test_a_wrong_option_is_named(wrong: tuple[str, str], mission: Path, capsys: 
     assert wrong[0] in err.splitlines()[-1] and "Traceback" not in err
 
 
-def test_what_is_built_already_is_checked_not_built(mission: Path, capsys: Captured) -> None:
+def test_a_built_mission_is_checked_and_not_built_again(mission: Path, capsys: Captured) -> None:
     run(capsys, "mission", "build", mission, "--autopilot", "px4")
     plan = mission.parent / "one-px4.plan"
     status, _, err = run(capsys, "mission", "build", plan)

@@ -22,7 +22,7 @@ pytest.importorskip(
 )
 
 GLOBAL_INT = {0: 5, 5: 5}
-"""Two names of one frame: with 7 decimals as MISSION_ITEM_INT has them, or without."""
+"""Two numbers for one frame: with 7 decimals as in MISSION_ITEM_INT, or without."""
 
 
 @pytest.mark.parametrize("kind", KINDS)

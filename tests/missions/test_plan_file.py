@@ -1,4 +1,4 @@
-"""QGroundControl's .plan files are written and read as QGroundControl does it."""
+""".plan files are written and read like by QGroundControl."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_a_plan_has_what_qgroundcontrol_asks_for(kind: AutopilotKind) -> None:
 def test_its_items_are_simple_ones_numbered_from_1(kind: AutopilotKind) -> None:
     entries = content(kind)["mission"]["items"]
     assert [entry["doJumpId"] for entry in entries] == list(range(1, len(entries) + 1))
-    assert entries[0]["command"] == 22  # home is no item there, whatever the autopilot
+    assert entries[0]["command"] == 22  # home is not an item there, for either autopilot
     for entry in entries:
         assert entry["type"] == "SimpleItem" and entry["autoContinue"] is True
         assert len(entry["params"]) == 7
@@ -60,13 +60,14 @@ def test_its_items_are_simple_ones_numbered_from_1(kind: AutopilotKind) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_is_written_reads_back_equal(kind: AutopilotKind, tmp_path: Path) -> None:
+def test_written_items_are_read_back_equal(kind: AutopilotKind, tmp_path: Path) -> None:
     made = built(TEXT, kind)
     path = tmp_path / "m.plan"
     write_plan(path, made, kind, HOMES[kind])
     plan = read_plan(path)
     assert plan.kind == kind and plan.home == HOMES[kind]
-    assert [repr(item) for item in plan.items] == [repr(item) for item in made]  # as texts NaN equals NaN
+    # As texts, because NaN is not equal to itself.
+    assert [repr(item) for item in plan.items] == [repr(item) for item in made]
     assert load_items(path).items == plan.items or kind == "px4"
 
 
@@ -146,7 +147,7 @@ def test_any_text_is_a_plan_or_an_error(text: str) -> None:
             read_plan(path)
 
 
-def test_where_home_is_not_known_the_first_place_stands_for_it() -> None:
+def test_without_a_home_the_first_place_is_used() -> None:
     plan = json.loads(plan_text(built(TEXT, "px4"), "px4"))
     assert plan["mission"]["plannedHomePosition"] == [
         HOMES["px4"].latitude_deg,

@@ -1,4 +1,4 @@
-"""What an upload checks before and after the vehicle has the mission."""
+"""The checks of an upload before and after the vehicle has the mission."""
 
 from __future__ import annotations
 
@@ -31,7 +31,9 @@ def held(kind: AutopilotKind, seq: int, command: int, params: Params, frame: int
         ((1.9, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0), 0, 1),
     ],
 )
-def test_what_is_kept_is_compared_with_what_was_expected(kept: Params, changed: int, unexpected: int) -> None:
+def test_the_stored_mission_is_compared_with_the_sent_one(
+    kept: Params, changed: int, unexpected: int
+) -> None:
     sent = held("ardupilot", 1, 217, (1.9, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0), 3)
     found = compare("ardupilot", sent, held("ardupilot", 1, 217, kept, 0))
     assert (len(found.changed), len(found.unexpected)) == (changed, unexpected)
@@ -67,7 +69,7 @@ def test_a_mission_for_the_other_autopilot_is_not_sent(
 
 
 def as_read_from_a_vehicle(items: list[MissionItem]) -> list[MissionItem]:
-    """As ArduCopter 4.6 gave them back."""
+    """The items as ArduCopter 4.6 returned them."""
     held = [AUTOPILOTS["ardupilot"].store(over_the_wire(item)) for item in items]
     return [
         replace(item, frame=0)
@@ -80,7 +82,7 @@ def as_read_from_a_vehicle(items: list[MissionItem]) -> list[MissionItem]:
 
 
 @pytest.mark.parametrize("last", [20, 21])
-def test_what_ardupilot_fills_into_a_return_and_a_landing_is_no_difference(last: int) -> None:
+def test_values_that_ardupilot_adds_to_a_return_and_a_landing_are_no_difference(last: int) -> None:
     path = EXAMPLES / "canopy_sampling-ardupilot.waypoints"
     *items, _ = load_items(path, "ardupilot").items
     sent = [*items, MissionItem(len(items), last, (0.0,) * 7, frame=3)]

@@ -23,7 +23,7 @@ ACTIONS = pytest.mark.parametrize(
 
 
 def said(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """The one line on standard error of a command that fails."""
+    """The only line on standard error of a failing command."""
     status, _, error = command_line.run(capsys, "mission", *arguments)
     assert status == 2
     assert error.startswith("flying-vines: ") and error.count("\n") == 1, error

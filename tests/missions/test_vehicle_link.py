@@ -15,7 +15,7 @@ from missions.link import MAX_WAITING, MessageQueue, mavsdk_url
 
 
 class Direct:
-    """What mavsdk's plugin is to a listener: it calls back on a thread of its own."""
+    """Replaces mavsdk's plugin: it calls the listener on a thread of its own."""
 
     def __init__(self) -> None:
         self.subscribed: dict[str, Callable[[Any, object], None]] = {}
@@ -39,7 +39,7 @@ class Direct:
         thread.join()
 
 
-async def test_what_is_said_on_a_thread_is_heard_in_order() -> None:
+async def test_messages_of_a_thread_arrive_in_order() -> None:
     direct = Direct()
     ears = MessageQueue(direct, ["A", "B"])
     direct.say("A", '{"n": 1}', '{"n": 2}', "{ no json")

@@ -102,7 +102,7 @@ items_strategy = st.lists(
 
 @settings(deadline=None)
 @given(items_strategy)
-def test_what_is_written_reads_back_equal(items: list[MissionItem]) -> None:
+def test_written_items_are_read_back_equal(items: list[MissionItem]) -> None:
     numbered = [
         MissionItem(seq, item.command, item.params, item.frame, item.current, item.autocontinue)
         for seq, item in enumerate(items)

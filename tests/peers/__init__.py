@@ -1,1 +1,1 @@
-"""Other people's programs as peers of the service."""
+"""Other programs as peers of the service."""

@@ -1,4 +1,4 @@
-"""MAVProxy as a process that is typed to and read."""
+"""MAVProxy as a process with typed input."""
 
 from __future__ import annotations
 
@@ -30,28 +30,28 @@ class MavProxy:
         self._read_to = 0
 
     async def read(self) -> None:
-        """Take in what it prints until it ends."""
+        """Read its output until it ends."""
         assert self._process.stdout
         while printed := await self._process.stdout.read(4096):
             self.text += printed.decode(errors="replace")
 
     def type(self, line: str) -> None:
-        """Give a command. What was printed before is not seen by `sees` any more."""
+        """Type a command. `sees` ignores earlier output."""
         assert self._process.stdin
         self._read_to = len(self.text)
         self._process.stdin.write(f"{line}\n".encode())
 
     @property
     def answer(self) -> str:
-        """What was printed since the last command."""
+        """The output since the last command."""
         return self.text[self._read_to :]
 
     def printed(self, pattern: str) -> re.Match[str] | None:
-        """The first match in what was printed since the last command."""
+        """The first match in the output since the last command."""
         return re.compile(pattern).search(self.text, self._read_to)
 
     async def sees(self, pattern: str, again: str = "") -> re.Match[str]:
-        """Wait until it prints what matches; with `again`, type that each second meanwhile."""
+        """Wait for matching output; with `again`, type this every second meanwhile."""
         deadline = asyncio.get_running_loop().time() + PATIENCE_S
         typed_at = -1.0
         while (match := self.printed(pattern)) is None:
@@ -65,14 +65,14 @@ class MavProxy:
         return match
 
     async def answers(self, line: str, pattern: str, again: str = "") -> re.Match[str]:
-        """Type a line and wait for what matches."""
+        """Type a line and wait for matching output."""
         self.type(line)
         return await self.sees(pattern, again)
 
 
 @asynccontextmanager
 async def mavproxy(port: int, folder: Path) -> AsyncIterator[MavProxy]:
-    """MAVProxy listening on a UDP port of this machine; it keeps its files in `folder`."""
+    """Run MAVProxy, which listens on a UDP port of this machine and writes its files to `folder`."""
     script = Path(sys.executable).with_name("mavproxy.py")
     program = str(script) if script.exists() else shutil.which("mavproxy.py")
     assert program, HOW_TO_INSTALL

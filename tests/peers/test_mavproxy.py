@@ -1,6 +1,7 @@
-"""MAVProxy with typed commands behind the simulated autopilot that the service is connected to.
+"""MAVProxy with typed commands, behind the simulated autopilot to which the service is connected.
 
-One MAVProxy for each kind of autopilot, as it takes seconds to start; every test says first whom it talks to.
+One MAVProxy for each kind of autopilot, because it takes seconds to start. Every test first selects the
+addressed component.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ NUMBER = r"(-?[\d.]+(?:e-?\d+)?)"
 
 @dataclass
 class Flight:
-    """What is there, and the ground station that sees it through the autopilot."""
+    """The running programs, and the ground station that sees them through the autopilot."""
 
     kind: AutopilotKind
     autopilot: FakeAutopilot
@@ -54,7 +55,7 @@ class Flight:
     ground: MavProxy
 
     async def value(self, name: str, wanted: Callable[[float], bool]) -> float:
-        """What MAVProxy shows of a named value, once it is as wanted."""
+        """Wait until MAVProxy shows such a number of a named value."""
         async with asyncio.timeout(PATIENCE_S):
             while True:
                 self.ground.type(f"status *{name}*")
@@ -126,7 +127,7 @@ async def test_disarmed_pneumatics_bend_for_nobody_until_they_are_armed(flight: 
     await ground.answers("long 31013 0", "Got COMMAND_ACK: USER_4: ACCEPTED")
 
 
-async def test_what_is_for_the_autopilot_is_not_for_us(flight: Flight) -> None:
+async def test_commands_for_the_autopilot_are_not_for_us(flight: Flight) -> None:
     """MAVProxy addresses the autopilot unless told otherwise."""
     flight.ground.type("vehicle 1:1")
     await flight.ground.answers("long 31011 30", "Got COMMAND_ACK: USER_2: UNSUPPORTED")
@@ -136,7 +137,7 @@ async def test_what_is_for_the_autopilot_is_not_for_us(flight: Flight) -> None:
 
 
 async def test_texts_are_printed_when_mavproxy_looks_at_all_components(flight: Flight) -> None:
-    """By default it looks at the autopilot only, and does not print our texts."""
+    """By default it shows only the autopilot's texts, not ours."""
     ground = flight.ground
     ground.type("set target_component 0")
     flight.phlosar.reset_firmware()
@@ -183,7 +184,7 @@ async def test_parameters_are_fetched_set_and_kept_within_their_bounds(flight: F
 
 
 async def test_signed_commands_are_obeyed_and_those_of_another_key_are_not(tmp_path: Path) -> None:
-    """The passphrase in our key file and the one typed into MAVProxy make the same key."""
+    """The passphrase in our key file and the one typed into MAVProxy give the same key."""
     file = tmp_path / "key"
     file.write_text("passphrase: vines-over-the-lake\n")
     file.chmod(0o600)

@@ -50,13 +50,13 @@ VINE_ITEMS = {"ardupilot": [3, 5, 7, 9], "px4": [2, 4, 6, 8]}
 
 
 def recorded(kind: AutopilotKind) -> Path:
-    """The vine mission that a real autopilot of this kind was recorded with."""
+    """The recorded vine mission of a real autopilot of this kind."""
     return RECORDINGS / f"{kind}_vine_mission.waypoints"
 
 
 @dataclass
 class Scene:
-    """A service and what it lives between, and a link for whoever else comes."""
+    """A service with its peers, and a link for one more."""
 
     autopilot: FakeAutopilot
     service: Service
@@ -105,7 +105,7 @@ def written(console: Console) -> str:
 
 
 async def hear(ears: MessageQueue, what: Callable[[ReceivedMessage], bool]) -> ReceivedMessage:
-    """The first message like this."""
+    """The first matching message."""
     async with asyncio.timeout(PATIENCE_S):
         while True:
             for heard in await ears.receive(1.0):
@@ -151,7 +151,7 @@ async def test_values_texts_and_acknowledgements_of_the_vine_come_through_the_au
         while not names >= {"RES_KPA", "CYC_LEFT", "CV_KPA", "CMD_KPA", "BEND_DEG"}:
             value = await hear(ears, lambda m: m.component == COMPANION and m.name == "NAMED_VALUE_FLOAT")
             names.add(value.fields["name"])
-        # On the ground and disarmed the vine must not bend: refused, and the reason is said.
+        # On the ground and disarmed the vine must not bend: the command is refused with a reason.
         assert await peer.command(BEND_TO, 30.0, component=COMPANION) == 2
         refusal = await hear(ears, lambda m: m.component == COMPANION and m.name == "STATUSTEXT")
         assert refusal.fields["text"].startswith("Vine: ")
@@ -160,7 +160,7 @@ async def test_values_texts_and_acknowledgements_of_the_vine_come_through_the_au
         await until(lambda: flight.service.core.snapshot(flight.service.now).altitude_m > 7.0, "it knows")
         assert await peer.command(BEND_TO, 30.0, component=COMPANION) == 0
         await until(lambda: flight.decided("command")[-1].safety == "accepted", "its decision is told")
-        # mavsdk repeats what is answered late, and does not count: each is a command of its own.
+        # mavsdk repeats a command that is answered late, but does not count: each repeat is a new command.
         decided = [key for key, _ in itertools.groupby(a.safety for a in flight.decided("command"))]
         assert decided == ["refused", "accepted"]
         await hear(
@@ -174,7 +174,7 @@ async def test_values_texts_and_acknowledgements_of_the_vine_come_through_the_au
 
 
 @KINDS
-async def test_a_refused_mission_is_told_by_item_and_what_is_left(
+async def test_a_refused_mission_is_reported_by_item_and_what_is_left(
     kind: AutopilotKind, tmp_path: Path
 ) -> None:
     unknown = {"ardupilot": ("\t217\t2\t-25", "\t31010\t2\t-25"), "px4": ("\t42600\t", "\t31010\t")}[kind]
@@ -195,7 +195,7 @@ async def test_a_refused_mission_is_told_by_item_and_what_is_left(
         assert [line.split()[1] for line in rest[1:]] == ["new"] * 7 + ["old"] * 5
 
 
-async def test_what_storage_changes_is_told(tmp_path: Path) -> None:
+async def test_changes_by_the_storage_are_reported(tmp_path: Path) -> None:
     path = tmp_path / "rounded.waypoints"
     path.write_text(recorded("ardupilot").read_text().replace("\t217\t1\t40", "\t217\t1.9\t40"))
     assert path.read_text() != recorded("ardupilot").read_text()
@@ -211,8 +211,8 @@ async def test_nobody_there_is_said_in_one_line() -> None:
             pass
 
 
-async def test_what_mavsdk_may_still_call_outlives_it() -> None:
-    """Otherwise the process crashes sometimes: 8 of 300 interrupted runs on a busy computer."""
+async def test_objects_that_mavsdk_may_still_call_outlive_it() -> None:
+    """Otherwise the process sometimes crashes: in 8 of 300 interrupted runs on a busy computer."""
     async with bare(FakeAutopilot("px4")) as link, vehicle(link) as peer:
         assert await peer.command(511, 42.0, 200_000.0) == 0
         answer = weakref.ref(peer._direct._callbacks[-1])
@@ -231,7 +231,7 @@ async def test_several_clients_have_a_port_of_the_autopilot_each() -> None:
 
 @asynccontextmanager
 async def bare(autopilot: FakeAutopilot) -> AsyncIterator[str]:
-    """An autopilot alone, and the link to it."""
+    """An autopilot alone. Yields the link to it."""
     server = AutopilotServer(autopilot, None, listen=[("127.0.0.1", 0)])
     running = asyncio.create_task(server.run())
     await server.ready.wait()

@@ -1,4 +1,4 @@
-"""The bounds of the causes are physics: limits that no lab rig of any size exceeds."""
+"""The bounds of the causes are physical limits, for lab rigs of any size."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def parameter(name: str) -> Parameter:
 
 
 @pytest.mark.parametrize("name", CAUSES)
-def test_what_the_hidden_truth_draws_lies_within_the_bounds(name: str) -> None:
+def test_strengths_of_the_independent_simulator_are_within_the_bounds(name: str) -> None:
     effect, own = EFFECTS[name], cause_named(name).parameters[0]
     assert effect.parameter == own.name
     for cv_L in (0.05, 1.0):
@@ -60,7 +60,7 @@ def test_a_sensor_is_off_by_a_share_of_its_span() -> None:
 
 def test_no_valve_loses_all_its_flow_to_heat() -> None:
     assert parameter("evp_heating.share").high < 1.0
-    # The parts of a warming valve must be longer than a tick.
+    # The time of each part of a warming valve must be longer than a tick.
     assert HEATED_PART * parameter("evp_heating.time_constant_s").low > 0.001
 
 

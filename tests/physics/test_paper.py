@@ -162,7 +162,7 @@ def test_stated_numbers_have_a_place_and_a_unit() -> None:
 
 
 @pytest.mark.parametrize("name", ["", "frequency_baseline3", "../paper_data/frequency_baseline1", "stated"])
-def test_what_the_paper_does_not_print_is_named(name: str) -> None:
+def test_numbers_that_the_paper_does_not_print_are_listed(name: str) -> None:
     with pytest.raises(PaperDataError, match="prints no curve"):
         curve(name)
 

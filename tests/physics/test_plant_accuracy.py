@@ -21,7 +21,7 @@ from flying_vines.physics.plant.volume import Compliant
 from flying_vines.physics.rig import ControlVolume, Rig
 
 STEADY_COIL = Coil(thermal_resistance_K_per_W=0.0)
-"""Without warming the targets only change with the command, so scipy can solve pieces."""
+"""Without warming, the targets change only with the command, so scipy can solve piecewise."""
 EVERYTHING = dataclasses.replace(
     likely_effects(), evp_coil=STEADY_COIL, dvp_coil=STEADY_COIL, ambient=Climb(0.05)
 )

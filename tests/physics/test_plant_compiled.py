@@ -95,7 +95,7 @@ def told(ticks: int, seed: int) -> list[Inputs]:
 
 
 def differs_kPa(run: CompiledRun, plant: Plant, inputs: list[Inputs], state: State | None = None) -> float:
-    """The largest difference of any condition from the Simulator's, at every tick and at the end."""
+    """The largest difference of any state from the Simulator's, at every tick and at the end."""
     simulator = Simulator(plant, state)
     rows = []
     for command in inputs:
@@ -201,7 +201,7 @@ def test_finer_steps_change_little_whatever_the_rig(monkeypatch: pytest.MonkeyPa
             fine = replay(plant, inputs).table
         worst.append(max(np.abs(usual[name] - fine[name]).max() for name in Conditions._fields[:3]))
     print(f"median {np.median(worst):.1e}, largest {max(worst):.1e} kPa")
-    # The largest: a flat pouch of 7 mL that returns from a vacuum in three ticks.
+    # The worst case: a flat pouch of 7 mL that returns from a vacuum in three ticks.
     assert max(worst) < 0.1
     assert np.quantile(worst, 0.95) < 0.01
     assert np.median(worst) < 1e-3
@@ -276,7 +276,7 @@ def test_what_cannot_be_replayed() -> None:
         replay(Plant(), [SHUT], record_every=0)
 
 
-def test_what_was_compiled_is_kept_under_the_name_of_its_sources(
+def test_compiled_code_is_cached_under_a_digest_of_its_sources(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
@@ -285,18 +285,16 @@ def test_what_was_compiled_is_kept_under_the_name_of_its_sources(
     assert list(folder.rglob("*.nbi"))
     assert compiler._cache_folder(dead_zone) == folder
     assert compiler._cache_folder(tick) != folder
-    # A constant of a callee is a part of the cache key.
+    # A constant of a called function is a part of the cache key.
     before = compiler._cache_folder(tick)
     monkeypatch.setattr("flying_vines.physics.plant.wall._PER_K", 0.0)
     assert compiler._cache_folder(tick) != before
-    # So is a module's name: the cached code of a renamed one cannot be loaded.
+    # So is the name of a module: cached code of a renamed module cannot be loaded.
     monkeypatch.setattr(dead_zone, "__module__", "flying_vines.physics.plant.motion")
     assert compiler._cache_folder(dead_zone) != folder
 
 
-def test_where_nothing_can_be_kept_it_is_compiled_all_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_cache_it_is_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     assert compiler.compiled.__wrapped__(dead_zone)(0.65, 0.3) == dead_zone(0.65, 0.3)

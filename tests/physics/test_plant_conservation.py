@@ -90,7 +90,7 @@ def effects_with(walls: st.SearchStrategy[Wall | None]) -> st.SearchStrategy[Eff
 
 plants = st.builds(Plant, rigs, effects_with(st.one_of(st.none(), walls)))
 warm_plants = st.builds(Plant, rigs, effects_with(walls))
-# Emptying (no pressure left), a full bottle, and a control volume above the reservoir.
+# An empty and a full reservoir, and a control volume above the reservoir's pressure.
 reservoirs_kPa = st.one_of(st.just(0.0), st.floats(0.0, 5.0), st.floats(0.0, 760.0))
 cvs_kPa = st.one_of(st.just(0.0), st.floats(-40.0, 30.0), st.floats(0.0, 800.0))
 ratios = st.floats(0.8, 1.2)
@@ -142,7 +142,8 @@ def test_the_first_law_at_every_instant(
     warm: float,
     cold: float,
 ) -> None:
-    """m c_v T of gas and walls changes by enthalpy that passes, heat, and work at the moving wall. In SI."""
+    """The change of m c_v T of gas and walls is enthalpy of flows, heat, and work at the moving wall. In
+    SI."""
     numbers, t_s = numbers_of(plant, TICK_S), 0.02
     air = air_at(plant.ambient, t_s)
     state = at_rest(plant, reservoir_kPa, cv_kPa, t_s=t_s, pouch_volume_L=0.03)
@@ -199,7 +200,7 @@ def test_the_first_law_at_every_instant(
         found = conditions(numbers, air_at(plant.ambient, t_s + moment_s), moved)
         return found.cv_volume_L, found.cv_kPa + found.ambient_kPa
 
-    # Small against everything that moves; where a pouch becomes full or flat the two sides differ.
+    # Shorter than all time constants. Where a pouch becomes full or flat, both sides differ.
     moment_s = 1e-7
     (volume_before, p_before), (_, p), (volume_after, p_after) = at(-moment_s), at(0.0), at(moment_s)
     work_W = p * (volume_after - volume_before) / (2.0 * moment_s)
@@ -255,7 +256,9 @@ def test_a_closed_rig_keeps_its_energy(
 
 @settings(max_examples=examples(60), deadline=None)
 @given(warm_plants, st.floats(100.0, 760.0), commands)
-def test_what_is_vented_is_what_flowed(plant: Plant, reservoir_kPa: float, told: list[Inputs]) -> None:
+def test_the_vented_air_is_the_sum_of_the_flows(
+    plant: Plant, reservoir_kPa: float, told: list[Inputs]
+) -> None:
     """The balances agree with the independently summed flows."""
     simulator = Simulator(plant, at_rest(plant, reservoir_kPa))
     total = 0.0

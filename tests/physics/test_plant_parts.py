@@ -207,7 +207,7 @@ def test_tubing_has_the_volume_and_resistance_of_its_size() -> None:
 
 
 def test_the_pressure_at_the_valves_is_above_the_one_in_the_volume() -> None:
-    """By R Q while air flows, as much as is stored on the way aside; the same when it stands still."""
+    """By R Q while air flows; a part of the flow is stored in the tube. Without flow both are equal."""
     plant = Plant(Rig(), Effects(tubing=Tubing(0.005, 8.0)))
     simulator = Simulator(plant)
     for _ in range(50):
@@ -257,7 +257,7 @@ def test_valve_and_nozzle_pass_the_same(valve: float, nozzle: float, supply: flo
 
 
 def test_the_nozzle_takes_most_of_the_pressure() -> None:
-    """Computed elsewhere with b = 0.3: 45.7 SLPM at 643 kPa before the nozzle; b = 0 gives 7 % less."""
+    """Computed independently with b = 0.3: 45.7 SLPM at 643 kPa before the nozzle; b = 0 gives 7 % less."""
     flow, between = nozzle_supply(DVP.sonic_conductance_SL_per_s_kPa, 1.185e-3, 791.325, 101.325)
     assert 60.0 * flow == pytest.approx(45.7, rel=0.08)
     assert between == pytest.approx(643.0, rel=0.06)
@@ -283,7 +283,7 @@ def test_an_ejector_draws_what_its_characteristic_says(
     ejector = Ejector(passage_resistance_kPa_s_per_SL=passage)
     law = Iso6358(3e-3, b)
     quick = drawn(ejector, law, p, theta, vacuum, free)
-    # With an index other than 1/2 the pressure between is found by iteration.
+    # With an index other than 1/2 the pressure in between is found by iteration.
     slow = drawn(ejector, dataclasses.replace(law, subsonic_index=0.5 + 1e-12), p, theta, vacuum, free)
     assert quick == pytest.approx(slow, rel=1e-5, abs=1e-7)
     ohmic = drawn(ejector, Ohm(70.0), p, theta, vacuum, free)

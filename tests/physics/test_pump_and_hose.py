@@ -53,7 +53,7 @@ def test_the_pumps_causes_scale_its_two_numbers() -> None:
 
 
 def test_a_pump_takes_its_air_from_ambient() -> None:
-    """Also where gas has its own temperature: it enters at ambient temperature."""
+    """Also if the gas has its own temperature: the air enters at ambient temperature."""
     warming = Recorded((0.0, 2.0), (101.3, 101.0), (290.0, 310.0))
     effects = Effects(reservoir_wall=Wall(), reservoir_leak=Ohm(100.0), cv_wall=Wall(2.0), ambient=warming)
     plant = Plant(replace(PUMPED, hose=Hose(0.05, 20.0)), effects)
@@ -80,7 +80,7 @@ def test_without_effects_a_rig_with_a_pump_is_the_baseline() -> None:
 
 
 def test_two_vessels_come_to_one_pressure_through_a_hose() -> None:
-    """The difference falls with τ = R / (α (1/V₁ + 1/V₂)), and the air stays."""
+    """The difference falls with τ = R / (α (1/V₁ + 1/V₂)), and the amount of air is constant."""
     plant = Plant(Rig(cv=ControlVolume(0.3), hose=Hose(0.1, 40.0)))
     start = at_rest(plant, cv_kPa=10.0)
     simulator = Simulator(plant, start._replace(line_air_SL=start.line_air_SL * 1.5))

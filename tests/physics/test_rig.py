@@ -81,14 +81,14 @@ def test_tolerances_may_be_written_as_dotted_keys(path: Path) -> None:
     [
         (
             "[reservoir]\nvolume = 2.0",
-            "unknown key 'reservoir.volume' of a rig: possible are reservoir.volume_L.",
+            "unknown key 'reservoir.volume' of a rig: use reservoir.volume_L.",
         ),
-        ("[venturi]\nfull_vacum_kPa = 50", "possible are venturi.full_vacuum_kPa, venturi.rated"),
+        ("[venturi]\nfull_vacum_kPa = 50", "use venturi.full_vacuum_kPa, venturi.rated"),
         (
             "[sensors]\ntank_noise_std_kPa = 1",
-            "possible are sensors.cv_noise_std_kPa, sensors.reservoir_noise",
+            "use sensors.cv_noise_std_kPa, sensors.reservoir_noise",
         ),
-        ("[bottle]\nvolume_L = 2.0", "unknown table 'bottle' of a rig: possible are reservoir, cv, "),
+        ("[bottle]\nvolume_L = 2.0", "unknown table 'bottle' of a rig: use reservoir, cv, "),
         ("[resevoir]", "did you mean reservoir?"),
         ("reservoir = 2.0", "reservoir must be a table: write [reservoir], and its keys on the lines below."),
         ("tolerance_percent = 2.0", "tolerance_percent must be a table"),
@@ -110,11 +110,11 @@ def test_tolerances_may_be_written_as_dotted_keys(path: Path) -> None:
             "[cv]\n[pump]\n[reservoir]",
             "a rig with a [pump] has no [reservoir], the pump takes its place",
         ),
-        ("[pump]", "a pump or a hose needs a [cv] that it leads to: add [cv] with its volume_L."),
-        ("[hose]", "a pump or a hose needs a [cv]"),
+        ("[pump]", "a pump or a hose needs a control volume: add [cv] with its volume_L."),
+        ("[hose]", "a pump or a hose needs a control volume"),
         ("[gas]\nname = 'steam'", "gas: 'steam' is not a known gas: the gases are air, N2,"),
         ("[gas]\ngamma = 1.3", "gas: a gas with its own numbers needs both gamma and molar_mass_g_per_mol."),
-        ("[gas]\ngamma = 0.9\nmolar_mass_g_per_mol = 4", "gas: gamma of a gas lies between 1 and 5/3"),
+        ("[gas]\ngamma = 0.9\nmolar_mass_g_per_mol = 4", "gas: gamma of a gas must be between 1 and 5/3"),
         ("[reservoir", "cannot be read"),
     ],
 )

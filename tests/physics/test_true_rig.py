@@ -159,7 +159,7 @@ def test_everything_is_read_and_written_again() -> None:
     assert rig_of(true_rig_text(rig)) == rig
 
 
-def test_a_plain_file_is_what_is_believed(tmp_path: Path) -> None:
+def test_a_plain_file_is_the_nominal_rig(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     path.write_text("[cv]\nvolume_L = 0.5\n")
     rig = load_true_rig(path)
@@ -172,7 +172,7 @@ def test_a_plain_file_is_what_is_believed(tmp_path: Path) -> None:
     assert rig_of(true_rig_text(TrueRig(Rig(cv=None)))) == TrueRig(Rig(cv=None))
 
 
-def test_who_reads_what_is_believed_is_not_told_the_rest(tmp_path: Path) -> None:
+def test_a_reader_of_the_nominal_rig_does_not_get_the_true_one(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(EVERYTHING)
     with pytest.raises(RigError, match="unknown table 'causes' of a rig"):
@@ -185,7 +185,7 @@ def test_who_reads_what_is_believed_is_not_told_the_rest(tmp_path: Path) -> None
         ("[cv]\n[causes.cv_leek]", "causes.cv_leek is not a cause: the causes are none, ambient_drop,"),
         ("[cv]\n[causes.cv_leak]", "causes.cv_leak.flow_resistance_kPa_s_per_SL is missing."),
         ("[cv]\n[causes.cv_leak]\nR = 3", "causes.cv_leak.R is not a parameter: the parameters are flow_"),
-        ("[cv]\n[causes.none]\nR = 3", "causes.none.R is not a parameter: there are none."),
+        ("[cv]\n[causes.none]\nR = 3", "causes.none.R is not a parameter: it has none."),
         (
             "[cv]\n[causes.cv_leak]\nflow_resistance_kPa_s_per_SL = -1",
             "causes.cv_leak: a flow resistance must be positive.",
@@ -231,7 +231,7 @@ def test_who_reads_what_is_believed_is_not_told_the_rest(tmp_path: Path) -> None
         ("[bottle]", "unknown table 'bottle' of a rig"),
     ],
 )
-def test_what_is_wrong_is_one_line(text: str, says: str, tmp_path: Path) -> None:
+def test_an_error_gives_one_line(text: str, says: str, tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(text)
     with pytest.raises(RigError) as caught:

@@ -1,4 +1,4 @@
-"""Logs that are cut off or damaged are read as far as they are intact."""
+"""Cut or damaged logs are read as far as they are intact."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_the_names_of_topics_are_in_more_than_one_place(
     assert found and found == entries[-len(found) :]
 
 
-def test_what_is_no_log_is_said_in_one_line(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_log_gives_one_line(tmp_path: Path) -> None:
     cases = {"nothing": None, "empty": b"", "noise": bytes(range(256)) * 64, "text": b"zstd" * 5000}
     for name, data in cases.items():
         path = tmp_path / f"{name}.mcap"

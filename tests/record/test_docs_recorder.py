@@ -1,4 +1,4 @@
-"""The page on the recorder names every topic and no other."""
+"""The page on the recorder names all topics, and only these."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The core gives a recorded flight's answers again, and differences are reported."""
+"""The core gives the answers of a recorded flight again, and differences are reported."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from flying_vines.record.topics import NUMBERS, TOPICS, topic_of
 from flying_vines.simulation.replay import replay_flight
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.supply import Features, ReservoirEstimate
-from flying_vines.supply.known_rig import load_calibration
+from flying_vines.supply.known_rig import load_known_rig
 from flying_vines.vine.intent import BendTo
 
 
@@ -71,7 +71,7 @@ def test_all_that_the_core_began_with_counts(
 ) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text(true_rig_text(TrueRig(Rig(), {"cv_leak": {"flow_resistance_kPa_s_per_SL": 8000.0}})))
-    belief = load_calibration(rig, CONFIG.pneumatics).belief
+    belief = load_known_rig(rig, CONFIG.pneumatics).belief
     stored = StoredState({"VINE_RATE_HZ": 5.0}, **kept)
     began = replace(BEGAN, pneumatics=belief.pneumatics, rig=rig.read_text(), stored=stored)
     flight = new_flight()
@@ -99,7 +99,7 @@ def test_a_log_from_before_faults_were_stored_comes_out_the_same(flown: Path, tm
     assert not replay_flight(old).differences
 
 
-def test_what_a_page_asked_is_asked_again(tmp_path: Path) -> None:
+def test_requests_of_a_page_are_replayed(tmp_path: Path) -> None:
     flight, recorder = new_flight(), Recorder(tmp_path, BEGAN, t=0.0)
     fly(flight, recorder, ((3.0, LOW),))
     actions = flight.core.handle(Asked(3.0, "page", BendTo(33.3)))
@@ -133,7 +133,7 @@ def test_a_shutdown_is_in_the_log_and_comes_out_the_same(
 
 
 def fly_on(flight: SimulatedFlight, recorder: Recorder, until_s: float) -> None:
-    """Of a flight that is watched already."""
+    """Continue a flight that is already recorded."""
     flight.run(until_s)
     recorder.snapshot(flight.core.snapshot(until_s))
 

@@ -65,13 +65,13 @@ def test_show_tells_the_story(flights: Path, run: Runner) -> None:
     out, _ = run("show", "last", "--in", flights)
     assert out == run("show", flights / "last")[0]
     assert "switch ch9 position 2 → bend-full: accepted" in out
-    assert "phloSAR ready" in out and "firmware 1.0 host" in out
+    assert "phloSAR ready" in out and "firmware 1.1 host" in out
     said = json.loads(run("show", folder.name, "--in", flights, "--json")[0])
     assert [entry["intent"] for entry in said["story"] if entry["topic"] == "decision"] == [
         "bend-full",
         "straight",
     ]
-    assert said["about"]["firmware"]["build"] == "1.0 host"
+    assert said["about"]["firmware"]["build"] == "1.1 host"
 
 
 def test_plot_draws_for_screens_and_papers(flights: Path, run: Runner, tmp_path: Path) -> None:
@@ -153,7 +153,7 @@ def test_a_damaged_log_is_shown_and_said_to_be_damaged(flights: Path, run: Runne
     assert "bend-full: accepted" in out and "is incomplete" in err
 
 
-def test_what_is_not_there_is_one_line_and_status_2(run: Runner, tmp_path: Path) -> None:
+def test_a_missing_flight_gives_one_line_and_status_2(run: Runner, tmp_path: Path) -> None:
     for arguments, why in (
         (("show", "nowhere"), "nowhere: is not a flight"),
         (("plot", "last", "--in", tmp_path), "contains no flight"),

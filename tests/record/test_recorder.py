@@ -1,4 +1,4 @@
-"""What the recorder writes, and what happens if the disk fails."""
+"""The recorder's files, and the behaviour if the disk fails."""
 
 from __future__ import annotations
 
@@ -207,7 +207,7 @@ def test_a_message_that_the_dialect_lacks_is_kept(tmp_path: Path) -> None:
     assert [frame for _, frame in TlogReader(recorder.folder / "flight.tlog").frames()] == [raw]
 
 
-def test_what_cannot_be_written_ends_the_log_and_nothing_else(tmp_path: Path) -> None:
+def test_a_write_error_ends_only_the_log(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path, BEGAN, t=0.0)
     recorder.action(dataclasses.replace(DECISION, what={"no JSON": object()}))
     recorder.close()
@@ -297,7 +297,7 @@ def test_a_full_disk_ends_the_log_and_nothing_else(tmp_path: Path, monkeypatch: 
 
 
 def write_until(recorder: Recorder, t: float, condition: Callable[[], bool]) -> float:
-    """Seconds of ticks, one after another, until it is so; when that was."""
+    """Tick until the condition is true. Returns the time."""
     for _ in range(60):
         for _ in range(50):
             t += 0.02
@@ -315,7 +315,9 @@ def ticks(folder: Path) -> list[float]:
 
 
 @pytest.mark.parametrize("what", ["the folder", "all folders", "the file"])
-def test_a_folder_that_vanishes_is_told_and_the_log_goes_on_in_another(tmp_path: Path, what: str) -> None:
+def test_a_folder_that_vanishes_is_reported_and_the_log_continues_in_another(
+    tmp_path: Path, what: str
+) -> None:
     flights = tmp_path / "flights"
     recorder = Recorder(flights, BEGAN, t=0.0)
     first = recorder.folder
@@ -339,7 +341,7 @@ def test_a_folder_that_vanishes_is_told_and_the_log_goes_on_in_another(tmp_path:
     assert json.loads((recorder.folder / "about.json").read_text())["firmware"]["boot_id"] == 77
 
 
-def test_a_disk_that_is_read_only_for_a_while_is_told_once_and_leaves_no_litter(
+def test_a_disk_that_is_read_only_for_a_while_is_reported_once_and_leaves_no_litter(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tries = [0]
@@ -404,7 +406,7 @@ def test_little_room_ends_the_log_before_the_disk_is_full(
         "the flight log ends here: the disk has 150 MB left, and log.least_free_MB is 200"
     )
     log = FlightLog(recorder.folder)
-    assert len(list(log.entries())) > 100  # what 20 kB hold, at least
+    assert len(list(log.entries())) > 100  # 20 kB hold at least this
     assert not log.damage, "it was brought to its end"
 
 

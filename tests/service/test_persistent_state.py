@@ -1,4 +1,4 @@
-"""What survives a restart of the service: parameters, disarming, latched faults, the signing clock."""
+"""State that survives a restart of the service: parameters, disarming, latched faults, the signing clock."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ async def bench() -> AsyncIterator[Bench]:
 
 
 class Served:
-    """A service on the bench, with files of its own, and what it said."""
+    """A service on the bench with its own files, and its texts."""
 
     def __init__(self, bench: Bench, folder: Path, key: str = "") -> None:
         self.profile = folder / "vine.toml"
@@ -87,7 +87,7 @@ async def test_a_parameter_that_was_set_is_there_again_after_a_restart(bench: Be
     assert Served(bench, tmp_path).service.core.config.limits.max_rate_kPa_per_s == 30.0
 
 
-async def test_what_cannot_be_kept_is_said_and_in_force_all_the_same(bench: Bench, tmp_path: Path) -> None:
+async def test_state_that_cannot_be_saved_is_reported_and_active(bench: Bench, tmp_path: Path) -> None:
     async with serving(bench, tmp_path) as served:
         served.kept.parameters.mkdir()
         await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
@@ -115,7 +115,7 @@ async def test_disarmed_pneumatics_stay_so_over_restarts_until_a_person_arms_the
     for _ in range(2):
         async with serving(bench, tmp_path) as served:
             await until(lambda: any("disarmed before" in text for text in served.texts), "it is said")
-            await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+            await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
             bench.autopilot.set_rc(9, 2000)
             await until(
                 lambda: any("the pneumatics are disarmed" in text for text in served.texts), "refused"
@@ -123,12 +123,12 @@ async def test_disarmed_pneumatics_stay_so_over_restarts_until_a_person_arms_the
             assert bench.vented() and doing(served) == "pneumatics disarmed"
             bench.autopilot.set_rc(9, 1000)
     async with serving(bench, tmp_path) as served:
-        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
         command(bench, STOP, ARM)
         await until(lambda: not served.kept.disarmed, "it is forgotten")
         assert doing(served) == "vented"
     async with serving(bench, tmp_path) as served:
-        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
         assert doing(served) == "vented" and not any("disarmed" in text for text in served.texts)
 
 
@@ -148,11 +148,11 @@ def test_disarmed_is_a_file_that_says_what_it_is_for_and_that_may_be_taken_away(
     profile.write_text(config.default_text().replace('folder = ""', 'folder = "state/of"'))
     kept = PersistentState.of(profile, config.load(profile))
     assert not kept.disarmed
-    kept.store_disarmed(False)  # it is not there, and neither is its folder
+    kept.store_disarmed(False)  # neither the file nor its folder exists
     kept.store_disarmed(True)
     (file,) = (tmp_path / "state" / "of").iterdir()
     assert kept.disarmed and "disarmed" in file.read_text()
-    file.write_bytes(b"")  # by whatever means it came there, nothing bends
+    file.write_bytes(b"")  # a file with any content disarms
     assert kept.disarmed
     kept.store_disarmed(False)
     assert not kept.disarmed and list(file.parent.iterdir()) == []
@@ -168,7 +168,7 @@ async def test_a_latched_fault_stays_so_over_a_restart_until_a_person_clears_it(
     async with serving(bench, tmp_path) as served:
         await until(lambda: any("latched before restart" in text for text in served.texts), "it is said")
         assert "firmware_reset" in served.service.core.snapshot(0.0).safe_state
-        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
         command(bench, MORE, CLEAR)
         await until(lambda: not served.kept.latched.exists(), "it is forgotten")
         assert served.service.core.snapshot(0.0).safe_state == {}
@@ -198,7 +198,7 @@ def private_key(folder: Path, key: bytes) -> str:
 async def test_a_signed_vehicle_bends_the_vine_and_the_clock_is_kept(tmp_path: Path) -> None:
     autopilot = FakeAutopilot("ardupilot", signing_key=KEY, unix_s=time.time())
     async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
-        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
         bench.autopilot.set_rc(9, 2000)
         await until(bench.bent, "the vine bends")
         await until(served.kept.signing_timestamp.exists, "the clock is kept")
@@ -210,28 +210,26 @@ async def test_a_signed_vehicle_bends_the_vine_and_the_clock_is_kept(tmp_path: P
 
 
 @pytest.mark.parametrize("theirs", [None, bytes(32 * [7])], ids=["unsigned", "another key"])
-async def test_whoever_lacks_the_key_is_not_believed_and_that_is_said(
-    tmp_path: Path, theirs: bytes | None
-) -> None:
+async def test_senders_without_the_key_are_refused_and_reported(tmp_path: Path, theirs: bytes | None) -> None:
     autopilot = FakeAutopilot("ardupilot", signing_key=theirs, unix_s=time.time())
     async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
         await until(lambda: any("refused messages" in text for text in served.texts), "it is said")
-        assert served.service.core.snapshot(0.0).vehicle == "none heard"
+        assert served.service.core.snapshot(0.0).vehicle == "not found"
         assert bench.vented()
 
 
-async def test_a_kept_timestamp_of_2040_is_set_right_and_told(tmp_path: Path) -> None:
+async def test_a_kept_timestamp_of_2040_is_set_right_and_reported(tmp_path: Path) -> None:
     autopilot = FakeAutopilot("ardupilot", signing_key=KEY, unix_s=time.time())
     (tmp_path / "vine.signing-timestamp").write_text("078890880000000 191\n255 001 001 078890880000000\n")
     async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
-        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
+        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
         await until(lambda: any("ahead: corrected" in text for text in served.texts), "it is said")
     memory, _ = TimestampFile(served.kept.signing_timestamp).load()
     assert memory.link_id == 192
     assert memory.timestamp < (time.time() + 120 - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S
 
 
-async def test_what_was_recorded_before_a_stop_is_refused_after_it(tmp_path: Path) -> None:
+async def test_frames_from_before_a_stop_are_refused_after_it(tmp_path: Path) -> None:
     pilot, key = Signing(KEY), private_key(tmp_path, KEY)
     pilot.advance(time.time())
     station = MavlinkCodec(255, 190, pilot)
@@ -240,8 +238,8 @@ async def test_what_was_recorded_before_a_stop_is_refused_after_it(tmp_path: Pat
     async with on_bench(FakeAutopilot("ardupilot", signing_key=KEY, unix_s=time.time())) as bench:
         for expected in (1, 0):
             async with serving(bench, tmp_path, key) as served:
-                await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is believed")
-                # As whoever recorded it sends it: to the same port, the second time after the restart.
+                await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
+                # The recorder sends it to the same port, the second time after the restart.
                 served.service._vehicle_bytes(recorded)
                 await until(bench.bent if expected else bench.vented, "what is due")
                 asked = [a for a in served.seen if isinstance(a, Decision) and a.trigger == "command"]

@@ -42,7 +42,7 @@ async def test_a_switch_bends_the_vine_and_the_ground_station_sees_it(bench: Ben
     seen: list[Action] = []
     service = Service(config.parse(bench.profile, "test"), (EachAction(seen.append),))
     serving = asyncio.create_task(service.run())
-    await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is believed")
+    await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is accepted")
     bench.autopilot.set_rc(9, 2000)
     await until(bench.bent, "the vine bends")
     await until(lambda: bench.ground.values.get("CV_KPA", 0.0) > 15.0, "the ground station sees it")
@@ -55,7 +55,7 @@ async def test_a_switch_bends_the_vine_and_the_ground_station_sees_it(bench: Ben
     assert not bench.phlosar.firmware.faults
 
 
-async def test_what_moves_the_vine_is_sent_before_anybody_is_told(
+async def test_what_moves_the_vine_is_sent_before_any_text(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done: list[str] = []
@@ -73,14 +73,14 @@ async def test_what_moves_the_vine_is_sent_before_anybody_is_told(
 
 
 async def test_a_stranger_on_the_network_bends_nothing(bench: Bench) -> None:
-    # A whole autopilot in the air, from another address than the one that is named, and a command as well.
+    # A whole autopilot in the air, from another address than the configured one, and a command.
     seen: list[Action] = []
     link = config.parse(bench.profile, "test").vehicle.link
     port = int(link.rpartition(":")[2])
     profile = bench.profile.replace(link, f"udpin:0.0.0.0:{port}?peer=127.0.0.1")
     service = Service(config.parse(profile, "test"), (EachAction(seen.append),))
     serving = asyncio.create_task(service.run())
-    await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is believed")
+    await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is accepted")
     stranger, station = (mavlink.MAVLink(None, srcSystem=system, srcComponent=1) for system in (1, 255))
     loop = asyncio.get_running_loop()
     transport, _ = await loop.create_datagram_endpoint(
@@ -216,7 +216,7 @@ async def test_garbage_on_both_links_changes_nothing(bench: Bench) -> None:
     seen: list[Action] = []
     service = Service(config.parse(bench.profile, "test"), (EachAction(seen.append),))
     serving = asyncio.create_task(service.run())
-    await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is believed")
+    await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is accepted")
     for i in range(200):
         service._vehicle_bytes(bytes((i * 7 + k * 31) % 256 for k in range(64)))
         service._firmware_bytes(bytes((i * 11 + k * 17) % 256 for k in range(64)))

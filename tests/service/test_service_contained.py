@@ -52,7 +52,7 @@ class Serving:
             await asyncio.sleep(0.4)
         answer = self.service.ask("page", BendTo(20.0))
         assert (answer.safety, self.bench.vented()) == ("refused", True)
-        assert not self.bench.phlosar.firmware.faults  # the dead-man had nothing to do
+        assert not self.bench.phlosar.firmware.faults  # the dead-man did not act
         assert self.bench.ground.texts.count(SHUTDOWN_TEXT) == 1
         assert [a for a in self.seen if isinstance(a, InternalError) and "unexpected" in a.trace]
 
@@ -64,7 +64,7 @@ async def serving() -> AsyncIterator[Serving]:
         seen: list[Action] = []
         service = Service(config.parse(bench.profile, "test"), (EachAction(seen.append),))
         running = asyncio.create_task(service.run())
-        await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is believed")
+        await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is accepted")
         await bench.bend()
         yield Serving(bench, service, seen, box)
         service.stop()
@@ -76,7 +76,7 @@ def raising(*arguments: object, **named: object) -> Any:
 
 
 def break_callback(service: Service, patch: pytest.MonkeyPatch) -> None:
-    """Of the link, called by the loop as for a datagram."""
+    """Break the link's callback for a datagram."""
     link = service._vehicle
     assert isinstance(link, UdpLink)
     patch.setattr(link, "_on_bytes", raising)
@@ -112,14 +112,14 @@ async def test_an_error_on_the_flying_way_is_a_commanded_shutdown(
     assert to_safe_ms <= allowed_ms
 
 
-async def test_a_link_that_ends_is_a_commanded_shutdown_and_begins_anew(serving: Serving) -> None:
+async def test_a_link_that_ends_is_a_commanded_shutdown_and_starts_again(serving: Serving) -> None:
     (task,) = (task for task in asyncio.all_tasks() if task.get_name() == "vehicle link")
     task._fut_waiter.set_exception(RuntimeError("unexpected"))  # type: ignore[attr-defined]
     await serving.shut_down()
     await until(lambda: "CV_KPA" in serving.bench.ground.values, "the values are back")
 
 
-async def test_values_that_cannot_be_sent_are_only_told(
+async def test_values_that_cannot_be_sent_are_only_reported(
     serving: Serving, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     encode = serving.service._mavlink.encode
@@ -134,14 +134,14 @@ async def test_values_that_cannot_be_sent_are_only_told(
     assert serving.bench.ground.texts.count("Vine: named values failed, flight goes on") == 1
 
 
-async def test_a_task_that_fails_behind_the_flight_is_told_and_begins_anew(
+async def test_a_task_that_fails_behind_the_flight_is_reported_and_starts_again(
     serving: Serving, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     service = serving.service
     monkeypatch.setattr("flying_vines.service.service.RESTART_S", 0.1)
     written = asyncio.Event()
     service._store("whatever", raising)
-    await until(lambda: "Vine: keeping files failed, flight goes on" in serving.texts(), "told")
+    await until(lambda: "Vine: file storage failed, flight goes on" in serving.texts(), "told")
     await asyncio.sleep(0.2)
     service._store("whatever", written.set)
     await until(written.is_set, "kept by the task that began anew")

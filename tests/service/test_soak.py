@@ -37,7 +37,7 @@ def test_every_trigger_of_a_flight_is_a_motion(
 
 
 def judged(motion_of_the_plant: dict[float, float], until_s: float = 12.0, angle_deg: float = 30.0) -> Tally:
-    """A bend at 1 s, by a plant with these pressures from these times on."""
+    """The judgement of a bend at 1 s, with the plant's pressures from these times on."""
     tally = Tally()
     cv_kPa = 0.0
     for tenth in range(round(until_s * 10)):

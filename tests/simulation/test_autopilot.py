@@ -1,4 +1,4 @@
-"""The simulated autopilot behaves as real ones were observed to."""
+"""The simulated autopilot behaves like real ones in recordings."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def streaming(autopilot: FakeAutopilot, for_s: float) -> World:
     return world
 
 
-# ArduPilot's mission quirks
+# Quirks of ArduPilot's missions.
 
 
 def test_of_two_do_items_the_second_text_comes_after_the_next_nav_item() -> None:
@@ -62,7 +62,7 @@ def test_of_two_do_items_the_second_text_comes_after_the_next_nav_item() -> None
         # After the last waypoint only the first DO item runs, and none after the landing.
         ((TAKEOFF, WAYPOINT, (217, 1), (217, 2)), [3]),
         ((TAKEOFF, LAND, (217, 1)), []),
-        # A payload item in front runs on the ground, and twice more after the landing.
+        # A payload item before the take-off runs on the ground, and twice more after the landing.
         (((217, 1, 40), TAKEOFF, LAND), [1, 1, 1]),
         # DO_JUMP runs an item again under the same number.
         ((TAKEOFF, WAYPOINT, (217, 1, 40), (93, 1), (177, 2, 2), LAND), [3, 3, 3]),
@@ -106,7 +106,7 @@ def test_loiter_and_back_restarts_only_the_nav_item_and_set_current_fires_a_do_i
         ((183, 9.0, 1900.0), (9.0, 1900.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
     ],
 )
-def test_what_survives_ardupilots_storage(sent: tuple[float, ...], kept: tuple[float, ...]) -> None:
+def test_params_after_ardupilots_storage(sent: tuple[float, ...], kept: tuple[float, ...]) -> None:
     stored = FakeAutopilot("ardupilot", mission=plan(sent)).items[1]
     assert stored.params == kept
     assert stored.frame == 0
@@ -199,13 +199,13 @@ def test_px4_stops_rc_channels_when_rc_is_lost_and_flies_on() -> None:
 
 
 def px4_plan(*commands: tuple[float, ...]) -> list[MissionItem]:
-    """Up, and then the given (command, param1, …) one after the other."""
+    """Take-off, and then the given (command, param1, …) in order."""
     takeoff = item(0, 22, 0, 0, 0, 0, 0, 0, 5)
     return [takeoff, *(item(seq, int(c[0]), *c[1:], frame=2) for seq, c in enumerate(commands, start=1))]
 
 
 def commands_187(world: World) -> list[tuple[float, int]]:
-    """What was asked of the actuator, and which copy it was."""
+    """The values for the actuator, and the number of the copy."""
     asked = [message for message in world.companion.of("COMMAND_LONG") if message.command == 187]
     return [(round(message.param1, 1), message.confirmation) for message in asked]
 
@@ -221,7 +221,7 @@ def test_px4_takes_an_acknowledgement_for_the_oldest_command_of_that_number() ->
     world.companion.say(acknowledge)
     world.on(1.1)
     assert commands_187(world)[2:] == [(0.2, 1)], "both were acknowledged, but only one is known to be"
-    # One acknowledgement too many, for whatever: the other one is not repeated any more.
+    # One acknowledgement too many: the other command is then not repeated.
     world.companion.say(acknowledge)
     world.on(3.0)
     assert len(commands_187(world)) == 3
@@ -244,7 +244,7 @@ def test_ardupilot_does_not_tell_of_another_mission_of_the_same_length() -> None
     world = World(FakeAutopilot("ardupilot", mission=plan(TAKEOFF, (217, 1, 40), (93, 9), LAND)))
     world.gcs.hello()
     world.request_streams()
-    world.on(2.0)  # The count of its seconds is told every 31 s.
+    world.on(2.0)  # The count of the seconds is sent every 31 s.
     before = len(world.companion.heard)
     world.autopilot.replace_mission(plan(TAKEOFF, (217, 1, 11), (93, 9), LAND))
     world.on(1.0)
@@ -289,7 +289,7 @@ def test_a_stalled_link_delivers_all_at_once(both_ways: bool) -> None:
 @pytest.mark.parametrize(
     ("kind", "kinds"), [("ardupilot", {"HEARTBEAT", "TIMESYNC"}), ("px4", {"HEARTBEAT"})]
 )
-def test_a_link_that_never_spoke_hears_little(kind: AutopilotKind, kinds: set[str]) -> None:
+def test_a_link_that_never_sent_gets_little(kind: AutopilotKind, kinds: set[str]) -> None:
     world = World(FakeAutopilot(kind))
     world.gcs.hello()
     world.autopilot.takeoff(5.0)
@@ -299,7 +299,7 @@ def test_a_link_that_never_spoke_hears_little(kind: AutopilotKind, kinds: set[st
     assert len(world.companion.of("HEARTBEAT")) in (21, 22)
 
 
-def test_ardupilot_does_itself_what_is_for_a_component_it_never_heard() -> None:
+def test_ardupilot_executes_a_command_for_an_unknown_component_itself() -> None:
     world = World(FakeAutopilot("ardupilot"))
     world.gcs.hello()
     world.gcs.command(183, 9, 1900, to=(1, 191))
@@ -316,7 +316,7 @@ def test_ardupilot_does_itself_what_is_for_a_component_it_never_heard() -> None:
     assert len(world.gcs.of("COMMAND_ACK")) == 1
 
 
-def test_px4_ignores_a_command_for_a_component_it_never_heard() -> None:
+def test_px4_ignores_a_command_for_an_unknown_component() -> None:
     world = World(FakeAutopilot("px4"))
     world.gcs.hello()
     world.gcs.command(187, 0.5, to=(1, 191))
@@ -542,7 +542,7 @@ def test_time_may_be_cut_in_any_way() -> None:
     assert run([40.0]) == run([*randomly, 40.0])
 
 
-# Whatever arrives
+# Any input.
 
 
 KINDS = st.sampled_from(["ardupilot", "px4"])

@@ -38,7 +38,7 @@ GPS_HZ = {24: 1}
 VINE_MISSION_HZ = {0: 1, 65: 10, 1: 2, 33: 5, 30: 5, 74: 2, 42: 2}
 PX4_HZ = {1: 2, 30: 5, 33: 5, 42: 1, 74: 5, 4: 1, 29: 1, 87: 10, 242: 0.5, 245: 5}
 SBUS_SEED, CRSF_SEED = 11, 1
-"""With which PX4 tells of each loss as soon or as late as it did."""
+"""With these seeds PX4 reports each loss with the same delay as in the recording."""
 ONLY_SIMULATED = {"RELAY_STATUS", "CAMERA_FEEDBACK"}
 
 
@@ -157,7 +157,7 @@ def test_px4_mission_as_recorded() -> None:
     reached = [
         changes(m.seq for _, m in heard if m.get_type() == "MISSION_ITEM_REACHED") for heard in (fake, real)
     ]
-    # The real one polls: which of two items reached at once is hidden is chance.
+    # The real one polls, so chance decides which of two items reached at once is hidden.
     assert set(reached[1]) <= set(reached[0])
     assert set(reached[0]) - set(reached[1]) <= {item.seq - 1 for item in items if item.frame == 2}
     totals = [
@@ -171,7 +171,7 @@ def north(metres: float) -> tuple[float, ...]:
 
 
 def px4_mission() -> list[MissionItem]:
-    """The items that the recording's notes name, at places of our own: each leg takes seconds, as there."""
+    """The items of the recording's notes at other places; each leg takes seconds, as there."""
     places = {0: (22, north(0)), 12: (21, north(300))}
     places |= {seq: (16, north(25 * (seq + 1))) for seq in range(1, 13, 2)}
     dos = {
@@ -255,7 +255,7 @@ def test_px4_sbus_losses_as_recorded() -> None:
 
 
 def test_px4_crsf_losses_as_recorded() -> None:
-    # The companion's process stood still at 4.4 s.
+    # The companion's process paused at 4.4 s.
     real = [heard for heard in recording("px4_crsf_loss") if heard[0] >= 6.0]
     low, high = 1012, 1988
     world = World(FakeAutopilot("px4", receiver="crsf", rc_failsafe_mode="HOLD", seed=CRSF_SEED))
@@ -289,7 +289,7 @@ def test_px4_crsf_losses_as_recorded() -> None:
     def values(message: Any) -> tuple[int, ...]:
         return rc_values(message)[:-1]
 
-    # Whether the first frame after a loss still lacks its rssi is chance, so that is looked at apart.
+    # Chance decides if the first frame after a loss lacks its rssi, so it is tested separately.
     assert_same_radio(fake, until_90, 0.2, 0.6, values)
     for heard in (fake, until_90):
         shown = [rssi for _, rssi in timed_changes(heard, "RC_CHANNELS", lambda m: m.rssi)]
@@ -412,7 +412,7 @@ def test_an_override_that_expires_and_a_link_that_stalls_as_recorded() -> None:
         assert [what for _, what in late][:10] == first + first + held_back
         assert all(t == pytest.approx(67.5, abs=0.1) for t, _ in late[:4])
         assert all(t == pytest.approx(79.06, abs=0.1) for t, _ in late[4:])
-        # What came with it says how old it is.
+        # The messages that arrived with it show its age.
         boots_ms = [m.time_boot_ms for t, m in heard if m.get_type() == "RC_CHANNELS" and 79.0 < t < 79.12]
         assert boots_ms[-1] - boots_ms[0] > 8000
     assert "Flight plan received" in world.gcs.texts()
@@ -515,7 +515,7 @@ def test_two_reboots_as_recorded() -> None:
     world.to(64.5)
 
     assert kinds(fake) == kinds(real)
-    # What has no stream asked for it: nobody is known any more, until the companion speaks and asks again.
+    # Streams must be requested again: nobody is known until the companion sends and requests them.
     for since_s, until_s in ((21.0, 30.0), (51.0, 54.0)):
         spontaneous = kinds(fake, since_s, until_s), kinds(real, since_s, until_s)
         assert spontaneous[0] == spontaneous[1] - {"PARAM_VALUE"}
@@ -545,7 +545,7 @@ def test_two_reboots_as_recorded() -> None:
 
 
 def gaps(heard: list[Heard], longer_than_s: float) -> list[tuple[float, float]]:
-    """When nothing was heard for so long, and how long."""
+    """The start and length of silences."""
     return [(a, b - a) for (a, _), (b, _) in pairwise(heard) if b - a > longer_than_s]
 
 

@@ -20,7 +20,7 @@ pytestmark = real_time
 
 
 class Listener(asyncio.DatagramProtocol):
-    """A companion that listens, and answers to where frames come from."""
+    """A companion that answers to the sender of the frames."""
 
     def __init__(self, system: int, component: int) -> None:
         self.messages: list[Any] = []
@@ -32,7 +32,7 @@ class Listener(asyncio.DatagramProtocol):
         self.transport: asyncio.DatagramTransport | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        # Before Python 3.12 the transport does not say so by its class.
+        # Before Python 3.12 the class of the transport does not show this.
         self.transport = cast("asyncio.DatagramTransport", transport)
         self.port = transport.get_extra_info("sockname")[1]
 
@@ -91,7 +91,7 @@ async def test_a_companion_asks_for_a_stream_and_gets_it() -> None:
     assert server.frames_unsent == 0
 
 
-async def test_a_ground_station_hears_what_the_companion_says() -> None:
+async def test_a_ground_station_gets_the_messages_of_the_companion() -> None:
     async with listening(1, 191) as companion, listening(255, 190) as gcs:
         server = AutopilotServer(FakeAutopilot(), ("127.0.0.1", companion.port), ("127.0.0.1", gcs.port))
         async with serving(server):
@@ -122,7 +122,7 @@ async def test_a_script_moves_the_sticks_in_time() -> None:
     assert high[-1] - high[0] == pytest.approx(200, abs=30)
 
 
-async def test_what_a_stimulus_raises_ends_the_run() -> None:
+async def test_an_error_in_a_stimulus_ends_the_run() -> None:
     async with listening(1, 191) as companion:
         server = AutopilotServer(
             FakeAutopilot(), ("127.0.0.1", companion.port), script=[(0.0, lambda fake: fake.set_mode("NONE"))]

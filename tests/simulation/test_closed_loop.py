@@ -1,4 +1,4 @@
-"""The compiled closed loop gives the same floats as the regulator on the Simulator."""
+"""The compiled closed loop gives the same floats as the regulator on the `Simulator`."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_it_is_the_regulator_on_the_simulator(name: str) -> None:
 
 
 def test_it_holds_what_the_whole_firmware_holds() -> None:
-    """The firmware has frames, telemetry, a converter and single precision, on the same rig."""
+    """On the same rig, the firmware has frames, telemetry, a converter and single precision."""
     run = closed_loop(PLANTS["baseline"], [SetpointChange(0.1, 12.0, 60.0)], 1.5, record_every=1)
     phlosar = SimulatedPhlosar(TrueRig(Rig()))
     host, pressures = Codec(), []
@@ -104,7 +104,7 @@ def test_it_holds_what_the_whole_firmware_holds() -> None:
         pressures.append(phlosar.cv_kPa)
         phlosar.advance((tick + 1) / 1000)
     apart_kPa = np.abs(run.table["cv_kPa"] - np.array(pressures))
-    # A puff more or less.
+    # They may differ by one puff.
     assert apart_kPa.max() < 0.8
     assert apart_kPa[-500:].max() < 0.3
 
@@ -116,7 +116,7 @@ def test_the_table_tells_what_is_wanted_and_held() -> None:
     assert np.isnan(table["target_kPa"][:2]).all()
     assert np.isnan(table["setpoint_kPa"][90:110]).all()
     assert (table["solenoid"][90:110] == 1.0).all()
-    # On its way up from 0 at 60 kPa/s: 10 ms after it began.
+    # Rising from 0 at 60 kPa/s: 10 ms after the start.
     assert table["setpoint_kPa"][3] == pytest.approx(0.66, abs=0.07)
     assert table["setpoint_kPa"][45] == 12.0
     assert table["cv_kPa"][45] == pytest.approx(12.0, abs=0.5)

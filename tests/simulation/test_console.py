@@ -1,4 +1,4 @@
-"""Typed lines that fly the simulated autopilot and break the simulated phloSAR."""
+"""Typed lines that fly the simulated autopilot and inject faults into the simulated phloSAR."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def test_lines_fly_the_vehicle() -> None:
 
 
 @pytest.mark.parametrize("line", ["help", "takeoff", "rc 9", "land now"])
-def test_what_is_not_understood_gets_the_list(line: str) -> None:
+def test_an_unknown_line_gets_the_list(line: str) -> None:
     assert obey(FakeAutopilot("ardupilot"), line) == HELP
 
 
 @pytest.mark.parametrize("line", ["takeoff high", "rc nine 1500", "mode NONSENSE"])
-def test_what_is_wrong_is_said(line: str) -> None:
+def test_an_error_is_reported(line: str) -> None:
     assert obey(FakeAutopilot("ardupilot"), line).startswith(line.split()[0] + ": ")
 
 
@@ -47,7 +47,7 @@ def test_what_is_wrong_is_said(line: str) -> None:
         ("board unpowered", "board", Unpowered()),
     ],
 )
-def test_lines_break_the_phlosar_and_mend_it(line: str, place: str, kind: MishapKind) -> None:
+def test_lines_inject_faults_and_end_them(line: str, place: str, kind: MishapKind) -> None:
     phlosar = SimulatedPhlosar(effects=Effects())
     for mending in (f"{place} well", "well"):
         assert inject_typed(phlosar, line) == ""
@@ -75,13 +75,13 @@ def test_lines_fill_the_bottle() -> None:
         ("evp stuck open", "stuck open: could not convert string to float: 'open'"),
     ],
 )
-def test_what_cannot_break_so_is_said(line: str, said: str) -> None:
+def test_an_impossible_fault_is_reported(line: str, said: str) -> None:
     phlosar = SimulatedPhlosar(effects=Effects())
     assert inject_typed(phlosar, line) == said
     assert phlosar.mishaps == Mishaps()
 
 
-def test_where_nobody_can_type_nothing_is_waited_for(
+def test_without_a_terminal_nothing_is_waited_for(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with Path("/dev/null").open() as nobody:

@@ -37,11 +37,11 @@ from flying_vines.simulation.phlosar.regulator import SAFE, standard_tuning
 from flying_vines.simulation.phlosar.regulator import Regulator as CoreRegulator
 
 RELIEF = Inputs(0.0, 1.0, True)
-"""Over the limit the Venturi helps."""
+"""Above the limit the Venturi helps."""
 
 
 class Bench:
-    """A firmware with its sensors in our hands and a host's codec."""
+    """A firmware whose sensors the test sets, and a host's codec."""
 
     def __init__(self, firmware: Firmware) -> None:
         self.firmware = firmware
@@ -82,7 +82,7 @@ def cold() -> Bench:
 
 @pytest.fixture
 def bench(cold: Bench) -> Bench:
-    """One that has met its host."""
+    """A board after the handshake."""
     cold.greet()
     return cold
 
@@ -121,7 +121,7 @@ def test_another_version_is_refused_and_so_are_its_setpoints(cold: Bench) -> Non
     assert answers[1:] == [Refusal(0, RefusalReason.VERSION), Refusal(4, RefusalReason.NO_HANDSHAKE)]
 
 
-def test_before_the_handshake_only_vent_and_ping_are_heard(cold: Bench) -> None:
+def test_before_the_handshake_only_vent_and_ping_are_executed(cold: Bench) -> None:
     bench = cold
     bench.send(bend(number=3), ClearFaults(0xFFFF), Vent(8), Ping(123))
     assert bench.answers() == [
@@ -270,7 +270,7 @@ def test_a_setpoint_that_was_overtaken_undoes_nothing(bench: Bench, newer: int) 
     bench.send(bend(older), Vent(newer), bend(older))
     assert bench.refusals() == [Refusal(older, RefusalReason.OVERTAKEN)]
     assert bench.run(1) == SAFE
-    # The host counts on past 65535 with 1, and a new handshake starts anew.
+    # The host counts from 65535 to 1, and a new handshake starts again.
     bench.send(bend(newer % 65535 + 1))
     bench.run(1)
     assert bench.firmware.mode is Mode.REGULATE
@@ -325,7 +325,7 @@ def test_faults_vent_within_three_readings_and_latch(
     assert bench.firmware.mode is Mode.VENT
 
 
-def test_readings_that_cannot_be_believed_do_not_hide_that_the_limit_is_passed(bench: Bench) -> None:
+def test_invalid_readings_do_not_hide_an_over_pressure(bench: Bench) -> None:
     bench.send(bend())
     bench.run(1)
     for cv_kPa in (40.0, 40.0, 300.0, 300.0, 40.0):
@@ -334,7 +334,7 @@ def test_readings_that_cannot_be_believed_do_not_hide_that_the_limit_is_passed(b
     assert bench.firmware.faults == Fault.CV_OVERPRESSURE
 
 
-def test_a_glitch_ends_nothing_and_is_not_told(bench: Bench) -> None:
+def test_a_glitch_ends_nothing_and_is_not_reported(bench: Bench) -> None:
     bench.cv_kPa = 5.0
     bench.send(bend())
     bench.run(20)
@@ -348,7 +348,7 @@ def test_a_glitch_ends_nothing_and_is_not_told(bench: Bench) -> None:
     assert set(told) <= {5.0, 35.0}
 
 
-def test_telemetry_of_a_broken_sensor_is_the_last_reading_believed(bench: Bench) -> None:
+def test_telemetry_of_a_broken_sensor_is_the_last_valid_reading(bench: Bench) -> None:
     bench.cv_kPa = 4.0
     bench.run(1)
     bench.cv_kPa = math.nan
@@ -397,7 +397,7 @@ def test_output_that_nobody_takes_is_bounded(bench: Bench) -> None:
     bench.run(10)
     bench.answers()
     assert bench.codec.bad_frames == 0
-    # What was dropped is missing from the numbers of the frames.
+    # The numbers of dropped frames are missing.
     assert bench.codec.lost_frames == 100 - frames
 
 
@@ -405,7 +405,7 @@ def test_output_that_nobody_takes_is_bounded(bench: Bench) -> None:
 
 
 def setting(bench: Bench, name: str) -> Setting:
-    """The answer to a question for it."""
+    """The answer to a request of a setting."""
     for number in range(100):
         bench.send(GetSetting(number))
         (answer,) = [answer for answer in bench.answers() if isinstance(answer, Setting)]
@@ -493,11 +493,11 @@ def test_a_sensors_zero_is_taken_off() -> None:
     assert telemetry.cv_kPa == pytest.approx(0.0, abs=0.003)
 
 
-# The regulator, by itself.
+# The regulator alone.
 
 
 class Regulator:
-    """One regulation on a full bottle, stepped at 1 kHz by what the sensor reads."""
+    """One regulation on a full reservoir, stepped at 1 kHz with given readings."""
 
     def __init__(
         self, cv_kPa: float, target_kPa: float, rate_kPa_per_s: float = 1000.0, **tuning: float
@@ -536,7 +536,7 @@ def test_near_the_setpoint_it_is_proportional() -> None:
     for target_kPa in (10.5, 11.0):
         regulator = Regulator(10.0, target_kPa)
         openings.append([regulator.step(10.0) for _ in range(2)][-1])
-    # A little of it is the integral, which is near 0.2 in both.
+    # A small part of it is the integral, which is near 0.2 in both.
     assert openings[1].evp - openings[0].evp == pytest.approx(0.5 * 0.03, rel=0.1)
     assert not any(drive.solenoid for drive in openings)
 
@@ -544,7 +544,7 @@ def test_near_the_setpoint_it_is_proportional() -> None:
 def test_on_less_supply_it_opens_more() -> None:
     def opening(reservoir_kPa: float) -> float:
         regulator = Regulator(10.0, 11.0, integral_per_kPa_s=0.0)
-        # The opening at which air is believed to flow at first.
+        # The initial estimate of the opening at which air begins to flow.
         return [regulator.step(10.0, reservoir_kPa) for _ in range(2)][-1].evp - 0.2
 
     assert opening(100.0) == pytest.approx(opening(690.0) * 791.0 / 201.0)
@@ -560,7 +560,7 @@ def test_the_integral_learns_where_the_valve_opens_and_keeps_it() -> None:
     regulator = Regulator(10.0, 10.5)
     while regulator.step(10.0).evp < 0.4:
         pass
-    # Then air flows, and soon there is enough of it.
+    # Then air flows, and soon it is enough.
     assert [regulator.step(10.6) for _ in range(20)][-1].evp == 0.0
     assert [regulator.step(10.3) for _ in range(20)][-1].evp == pytest.approx(0.4, abs=0.05)
 
@@ -573,7 +573,7 @@ def test_the_integral_does_not_wind_up() -> None:
     assert [regulator.step(10.9) for _ in range(20)][-1] == Inputs(0.0, 0.0, False)
 
 
-def test_what_runs_towards_the_setpoint_is_braked_before_it() -> None:
+def test_a_fast_rise_is_braked_before_the_setpoint() -> None:
     regulator = Regulator(0.0, 20.0)
     drives = [regulator.step(0.3 * ms) for ms in range(60)]
     assert drives[20].evp > 0.3
@@ -609,7 +609,7 @@ def test_on_the_way_down_nothing_is_filled_up_again() -> None:
 
 
 def _falling(cv_slope_kPa_per_s: float, reservoir_kPa: float) -> list[Inputs]:
-    """What the valves are told while the setpoint falls from 20 kPa to 0 at 200 kPa/s."""
+    """The valve commands while the setpoint falls from 20 kPa to 0 at 200 kPa/s."""
     regulator = Regulator(20.0, 0.0, 200.0)
     return [
         regulator.step(max(5.0, 20.0 - cv_slope_kPa_per_s * ms / 1000), reservoir_kPa) for ms in range(150)
@@ -619,7 +619,7 @@ def _falling(cv_slope_kPa_per_s: float, reservoir_kPa: float) -> list[Inputs]:
 def test_air_that_leaves_fast_enough_leaves_by_itself() -> None:
     drives = _falling(cv_slope_kPa_per_s=190.0, reservoir_kPa=690.0)
     assert any(drive.solenoid for drive in drives)
-    # Near the end the vessel stands still, at 5 kPa: only there is there a reason to help.
+    # Near the end the pressure stays at 5 kPa: only there the Venturi may help.
     assert not any(drive.dvp for drive in drives[:79])
 
 
@@ -635,7 +635,7 @@ def test_no_air_is_spent_on_a_venturi_that_would_not_work() -> None:
     assert not any(drive.dvp for drive in drives)
 
 
-# What must never happen, whatever is said and measured.
+# Guarantees for any input.
 
 wild = st.one_of(st.floats(width=32), st.floats(-20.0, 40.0, width=32))
 said: st.SearchStrategy[HostMessage | bytes] = st.one_of(
@@ -670,7 +670,7 @@ def test_it_never_inflates_when_it_must_not(story: Story) -> None:
     for messages, cv_kPa, reservoir_kPa, steps in story:
         for message in messages:
             if isinstance(message, bytes):
-                # Ended, so that rubbish does not swallow the message after it.
+                # Ended by a zero byte, so that garbage does not join the next message.
                 bench.firmware.receive(message + b"\x00")
                 continue
             told += bench.answers()

@@ -1,4 +1,4 @@
-"""Each simulated hardware fault has its described effect, and none makes or loses air."""
+"""Each simulated hardware fault has its described effect, and none creates or loses air."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ SHUT, INFLATING = Inputs(0.0, 0.0, False), Inputs(1.0, 0.0, False)
 AMBIENT_KPA = 101.325
 QUIET = Rig(sensors=Sensors(0.0, 0.0))
 WARM = Effects(reservoir_wall=Wall(conductance_W_per_K=1.0), cv_wall=Wall(0.5), cv_shape=Pouch())
-"""Without tubing, but with all that makes it hard to cut off a piece."""
+"""All effects that make it hard to separate a part, but no tubing."""
 
 likely_and_ideal = pytest.mark.parametrize("effects", [None, Effects()], ids=["likely", "ideal"])
 of_either_sensor = pytest.mark.parametrize(
@@ -60,7 +60,7 @@ of_either_sensor = pytest.mark.parametrize(
 def rigged(
     drive: Inputs, effects: Effects | None = None, *, cv_kPa: float = 0.0, rig: Rig = QUIET
 ) -> tuple[SimulatedPhlosar, StillBoard]:
-    """A phloSAR whose valves are told always the same, and what tells them."""
+    """A phloSAR with constant valve commands, and the board that gives them."""
     board = StillBoard(drive)
     return SimulatedPhlosar(rig, board, effects=effects, cv_kPa=cv_kPa), board
 
@@ -76,7 +76,7 @@ def air_SL(phlosar: SimulatedPhlosar) -> float:
 def read_with(
     place: str, column: int, kind: SensorMishap, *, seed: int = 1, rig: Rig = QUIET
 ) -> tuple[list[float], list[float]]:
-    """What a sensor reads in the half second after a mishap began, and what it would have read."""
+    """The readings of a sensor in the half second after a mishap began, and the readings without it."""
     found = []
     for suffered in (kind, None):
         board = StillBoard(INFLATING)
@@ -219,7 +219,7 @@ def test_a_solenoid_may_stick_either_way(
     assert vented or phlosar.cv_kPa < 1.0
 
 
-# What holds air.
+# Volumes.
 
 
 @pytest.mark.parametrize("effects", [None, Effects(), WARM], ids=["likely", "ideal", "warm"])
@@ -254,7 +254,7 @@ def test_a_hose_that_comes_off_or_a_burst_empties_the_vine_and_it_is_not_fed(
     board.drive = INFLATING
     before_SL = phlosar.state.vented_SL
     phlosar.advance(1.0)
-    # What the open valve passes leaves again, and the sensor at the valves sees next to nothing of it.
+    # Air through the open valve leaves again, and the sensor at the valves shows hardly any of it.
     assert board.steps[-1][1] < 5.0
     assert phlosar.cv_kPa < 3.0
     assert phlosar.state.vented_SL - before_SL > 0.1
@@ -295,7 +295,7 @@ def test_a_hole_in_the_bottle_empties_it_as_the_textbook_says() -> None:
 
 
 def test_a_hole_has_the_flow_of_its_size() -> None:
-    # 4 mm with 0.65 of it counting: 1.65 dm³/(s·bar), by p A √(γ/(R T)) (2/(γ+1))^3 over 1.185 kg/m³.
+    # 4 mm, of which 0.65 counts: 1.65 dm³/(s·bar), by p A √(γ/(R T)) (2/(γ+1))^3 over 1.185 kg/m³.
     dm3_per_s_bar = Hole(4.0).opening.conductance_SL_per_s_kPa * 101.325
     assert dm3_per_s_bar == pytest.approx(1.63, abs=0.03)
 
@@ -361,7 +361,7 @@ def test_a_bottle_in_the_sun_has_more_pressure(effects: Effects | None) -> None:
     warm_kPa_abs = (690.0 + AMBIENT_KPA) * (1.0 + 30.0 / 293.15)
     assert phlosar.reservoir_kPa + AMBIENT_KPA == pytest.approx(warm_kPa_abs)
     phlosar.advance(5.0)
-    # The likely bottle's wall is as warm as its air; WARM's is at ambient, the ideal one has none.
+    # The likely reservoir's wall is as warm as its air; WARM's is at ambient, the ideal one has none.
     left = (phlosar.reservoir_kPa + AMBIENT_KPA - 791.325) / (warm_kPa_abs - 791.325)
     assert left == pytest.approx({None: 0.96, Effects(): 1.0, WARM: 0.69}[effects], abs=0.03)
 
@@ -384,14 +384,14 @@ def hold(phlosar: SimulatedPhlosar, host: Codec, seconds: float, target_kPa: flo
     return sent
 
 
-def test_a_board_without_power_hears_and_says_nothing_and_its_valves_shut() -> None:
+def test_a_board_without_power_does_not_communicate_and_its_valves_shut() -> None:
     phlosar = SimulatedPhlosar(effects=Effects())
     host = greeted(phlosar)
     phlosar.mishaps.board = Unpowered()
     before_kPa = phlosar.cv_kPa
     assert hold(phlosar, host, 1.0) == b""
     assert phlosar.drive == SHUT
-    # Its outlet needs power to open: what is in the vine stays there.
+    # Its outlet needs power to open, so the vine keeps its air.
     assert phlosar.cv_kPa == pytest.approx(before_kPa, abs=0.01) == pytest.approx(20.0, abs=0.5)
     phlosar.mishaps.board = None
     sent = phlosar.advance(phlosar.now_s + 0.5)
@@ -443,7 +443,7 @@ def test_a_reset_is_over_at_once(kind: MishapKind, watchdog: bool) -> None:
     assert phlosar.mishaps == Mishaps()
 
 
-def test_what_was_never_wrong_is_the_same_to_the_last_bit() -> None:
+def test_without_a_fault_the_run_is_the_same_to_the_last_bit() -> None:
     def flown(mishap: MishapKind | None) -> tuple[bytes, float]:
         phlosar = SimulatedPhlosar()
         host = greeted(phlosar)
@@ -511,7 +511,7 @@ def test_a_rig_without_a_vine_has_nothing_to_burst() -> None:
         ("bottle", HoseOff(), r"bottle cannot have HoseOff\(\)"),
     ],
 )
-def test_what_cannot_happen_there_is_refused(place: str, kind: MishapKind, sentence: str) -> None:
+def test_a_fault_at_an_impossible_place_is_refused(place: str, kind: MishapKind, sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
         SimulatedPhlosar(effects=Effects()).inject(place, kind)
 

@@ -62,7 +62,7 @@ class Flight:
 def test_it_goes_where_it_is_told_and_stays(volume_L: float, effects: Effects | None) -> None:
     flight = Flight(SimulatedPhlosar(Rig(cv=ControlVolume(volume_L=volume_L)), effects=effects))
     flight.command(Regulate(20.7, 20.0))
-    # A pouch is filled before it has any pressure.
+    # A pouch fills before its pressure rises.
     flight.fly(1.5 + 3.0 * volume_L)
     assert max(flight.pressures) < 21.5
     flight.pressures.clear()
@@ -70,7 +70,7 @@ def test_it_goes_where_it_is_told_and_stays(volume_L: float, effects: Effects | 
     assert 20.2 < min(flight.pressures) <= max(flight.pressures) < 21.2
     flight.command(Regulate(5.0, 20.0))
     flight.fly(2.0)
-    # As air that was let out warms, a last vent may come at any time; it dips, and is made good.
+    # Vented air cools the rest, so a last vent may come at any time. The pressure dips, and is corrected.
     assert median(flight.pressures[-60:]) == pytest.approx(5.0, abs=0.6)
     flight.command(VENTING)
     flight.fly(0.1)
@@ -90,7 +90,7 @@ def test_holding_costs_no_air(likely: bool) -> None:
     without = ("reservoir_leak", "cv_leak", "reservoir_wall") if likely else ()
     flight = Flight(SimulatedPhlosar(TrueRig(likely=likely, without=without)))
     flight.command(Regulate(20.0, 50.0))
-    # Warm from being filled, the vine's air cools for a while, and that is made good.
+    # Warm after filling, the vine's air cools for some time, and this is corrected.
     flight.fly(4.0)
     before_kPa = flight.phlosar.reservoir_kPa
     flight.vented = False
@@ -140,7 +140,7 @@ def test_a_reset_keeps_the_air() -> None:
     assert flight.session.welcome.boot_id == 2
 
 
-def test_what_is_filled_in_has_come_from_outside() -> None:
+def test_added_air_comes_from_outside() -> None:
     phlosar = SimulatedPhlosar(effects=Effects())
     phlosar.fill(500.0)
     phlosar.advance(1.0)
@@ -214,7 +214,7 @@ class FakeClock:
 
 
 def telemetry_through(path: str) -> int:
-    """Open the port as a stranger would, and count whole telemetry frames for a moment."""
+    """Open the port like another program, and count whole telemetry frames for a moment."""
     codec = Codec()
     with serial.Serial(path, 115200, timeout=0.1, exclusive=True) as port:
         messages = [message for _ in range(3) for message in codec.decode(port.read(300))]
@@ -259,7 +259,7 @@ async def test_an_hour_of_not_being_read_is_dropped_not_kept() -> None:
     with PtyPhlosar(SimulatedPhlosar(), clock=clock) as board:
         for minute in range(20):
             board._turn(minute * 0.5)
-        # A terminal holds some tens of kilobytes at most; from there on all is dropped.
+        # A terminal holds some tens of kilobytes at most; then everything is dropped.
         full = board.dropped_bytes
         assert full > 0
         board._turn(11.0)

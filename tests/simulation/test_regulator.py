@@ -27,7 +27,7 @@ BEND_KPA = 20.7
 
 @dataclass(frozen=True)
 class Trace:
-    """A millisecond a row."""
+    """One row for each millisecond."""
 
     setpoint_kPa: NDArray[np.float64]
     cv_kPa: NDArray[np.float64]
@@ -91,7 +91,7 @@ def likely(volume_L: float, *, pouch: bool, leaks: bool = True, **evp: float) ->
 
 @dataclass(frozen=True)
 class Drawn:
-    """A rig that nobody tuned for."""
+    """A random rig for which nobody tuned the regulator."""
 
     plant: Plant
     reservoir_kPa: float
@@ -114,14 +114,14 @@ def drawn(seed: int) -> Drawn:
         ),
         reservoir_kPa,
         r.choice((30.0, 60.0, 200.0, 1e6)),
-        # A bottle at 100 kPa may take seconds to fill a large pouch.
+        # A reservoir at 100 kPa may take seconds to fill a large pouch.
         2.0 + volume_L * (3.0 if pouch else 1.0) * 690.0 / reservoir_kPa,
         seed,
     )
 
 
 def complaints(rig: Drawn, tuning: Tuning | None = None) -> list[str]:
-    """What is wrong with how it bends, and then bends less."""
+    """Problems while it bends the vine, and then bends it less."""
     bend_s = rig.bend_s
     flown = fly(
         rig.plant,
@@ -143,7 +143,7 @@ def complaints(rig: Drawn, tuning: Tuning | None = None) -> list[str]:
         found.append(f"up to {np.abs(held.error_kPa).max():.2f} kPa off while it holds")
     if np.abs(np.median(less.error_kPa)) > 0.6:
         found.append(f"{np.median(less.error_kPa):.2f} kPa off after bending less")
-    # Air that was let out is cold, and as it warms a little more of it has to go.
+    # The gas is cold after a vent. As it warms, a little more must be vented.
     if less.vents > 2:
         found.append(f"{less.vents} vents a second after bending less")
     return found
@@ -176,7 +176,7 @@ def test_holding_the_vine_costs_no_air(pouch: bool) -> None:
     flown = fly(likely(0.1, pouch=pouch, leaks=False), lambda t_s: BEND_KPA, 10.0)
     held = flown.between(4.0, 10.0)
     assert held.vents == flown.vents == 0
-    # The last of the heat of filling it: 0.5 mSL are 0.5 kPa of the vine, 0.03 kPa of the bottle.
+    # The last heat of the filling: 0.5 mSL are 0.5 kPa of the vine, 0.03 kPa of the reservoir.
     assert held.reservoir_air_SL[0] - held.reservoir_air_SL[-1] < 0.0005
     assert np.abs(held.error_kPa).max() < 0.5
 
@@ -187,11 +187,11 @@ def test_the_vine_follows_a_sine(pouch: bool) -> None:
         return 0.5 * BEND_KPA * (1.0 - math.cos(2.0 * math.pi * 0.55 * t_s))
 
     flown = fly(likely(0.1, pouch=pouch), sine, 3.0 / 0.55, rate_kPa_per_s=200.0)
-    # In the first cycle the pouch is filled, and the valve's dead zone learned.
+    # In the first cycle the pouch fills, and the valve's dead zone is learned.
     settled = flown.between(1.0 / 0.55, 3.0 / 0.55)
     rising = np.gradient(settled.setpoint_kPa) > 0.0
     assert np.sqrt(np.mean(settled.error_kPa[rising] ** 2)) < 0.6
-    # Down it goes by stairs: the least that a solenoid lets out is a quarter of what is in.
+    # The pressure falls in steps: a solenoid lets out at least a quarter of the air.
     assert np.sqrt(np.mean(settled.error_kPa**2)) < 1.3
     assert settled.vents <= 2 * 8
     assert np.ptp(settled.cv_kPa) > 0.95 * BEND_KPA

@@ -68,7 +68,7 @@ def rms(values: NDArray[np.float64]) -> float:
 def replay(
     rig: Rig, file: dict[str, NDArray[np.float64]], start: BaselineState, parts: int
 ) -> NDArray[np.float64]:
-    """The baseline told what the file says was told, each sample until the next: reservoir and CV."""
+    """The baseline with the commands of the file, each sample until the next: reservoir and CV."""
     state = start
     states = []
     time_s = file["time_s"]
@@ -150,7 +150,7 @@ def test_without_a_control_volume_the_reservoir_falls_exponentially() -> None:
 @pytest.mark.parametrize(
     "kind", [BendsRun(cycles=1), OpeningsRun(valves=(Valves(for_s=1.0, evp=1.0, until_kPa=3.0),))]
 )
-def test_what_needs_a_control_volume_says_so(kind: RunKind) -> None:
+def test_runs_that_need_a_control_volume_say_so(kind: RunKind) -> None:
     with pytest.raises(ScenarioError, match=rf"runs\[0\]: {kind.label} needs a control volume"):
         simulate(NO_CV, kind)
 
@@ -160,7 +160,7 @@ def test_openings_do_without_one() -> None:
     assert run.true_reservoir_kPa[-1] == run.true_reservoir_kPa[50] < 690.0
 
 
-def test_what_is_really_there_is_simulated_and_what_is_believed_decides() -> None:
+def test_the_true_rig_is_simulated_and_the_nominal_one_decides() -> None:
     rig = replace(HALF_LITRE, sensors=QUIET)
     true = TrueRig(rig, causes={"reservoir_leak": {"flow_resistance_kPa_s_per_SL": 20_000.0}})
     shut = OpeningsRun(valves=(Valves(for_s=5.0),))
@@ -172,7 +172,7 @@ def test_what_is_really_there_is_simulated_and_what_is_believed_decides() -> Non
     fill = OpeningsRun(valves=(Valves(for_s=0.5, evp=1.0), Valves(for_s=0.5)))
     ratio = simulate(doubled, fill).true_cv_kPa[-1] / simulate(rig, fill).true_cv_kPa[-1]
     assert ratio == pytest.approx(0.5, rel=0.02)
-    # The regulator's gains are those of the rig that is believed: its first word is the same.
+    # The regulator's gains are those of the nominal rig, so its first command is the same.
     up = StepsRun(pressures_kPa=(20.0,), hold_s=0.1)
     assert simulate(doubled, up).evp_opening[0] == simulate(rig, up).evp_opening[0]
 
@@ -186,7 +186,7 @@ def test_sensors_read_what_they_are_said_to_read() -> None:
     }
     run = simulate(TrueRig(rig, causes=causes), OpeningsRun(valves=(Valves(for_s=0.5, evp=1.0),)))
     assert run.reservoir_pressure_kPa == pytest.approx(1.02 * run.true_reservoir_kPa)
-    # Behind a ramp a lag is behind by its time constant.
+    # Behind a ramp, a lag is a delay of its time constant.
     slope_kPa_per_s = (run.true_cv_kPa[-1] - run.true_cv_kPa[-6]) / 0.1
     behind_kPa = run.true_cv_kPa[-1] + 0.4 - run.cv_pressure_kPa[-1]
     assert behind_kPa == pytest.approx(0.05 * slope_kPa_per_s, rel=0.02)
@@ -200,13 +200,13 @@ def test_a_likely_rig_regulates_all_the_same() -> None:
     for end_s, wanted_kPa in ((4.0, 20.0), (8.0, 10.0), (12.0, 35.0)):
         settled = run.true_cv_kPa[(run.time_s >= end_s - 1.0) & (run.time_s < end_s)]
         assert settled == pytest.approx(wanted_kPa, abs=1.0)
-    # Behind the converter there are only so many readings.
+    # A converter has a limited number of readings.
     lsb_kPa = 206.84 / 4.0 * 3.3 / 4096
     steps = run.cv_pressure_kPa / lsb_kPa
     assert np.ptp(steps - np.round(steps)) < 1e-6
 
 
-def test_what_the_firmware_latches_is_told() -> None:
+def test_latched_faults_of_the_firmware_are_reported() -> None:
     true = TrueRig(VINE, causes={"cv_sensor_offset": {"offset_kPa": 203.0}})
     run = simulate(true, BendsRun(cycles=1))
     assert run.faults == "cv overpressure"

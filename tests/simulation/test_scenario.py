@@ -154,7 +154,7 @@ PRBS = RUN + 'kind = "prbs"\nduration_s = 1\n'
         ),
     ],
 )
-def test_what_is_wrong_is_one_line_with_file_and_key(text: str, says: str) -> None:
+def test_an_error_gives_one_line_with_file_and_key(text: str, says: str) -> None:
     with pytest.raises(ScenarioError) as raised:
         parse_scenario(text, "mine.toml")
     sentence = str(raised.value)

@@ -84,7 +84,7 @@ def test_the_command_makes_a_case_folder(
     run("--rig", rig, "--scenario", scenario, "--out", other, "--seed", 5)
     assert contents(again) == files
     assert all(contents(other)[name] != files[name] for name in files if name.endswith(".csv"))
-    # The same folder once more is renewed.
+    # The same folder is written again.
     assert run("--rig", rig, "--scenario", scenario, "--out", other, "--seed", 4) == 0
     assert contents(other) == files
 

@@ -1,4 +1,4 @@
-"""The actuators alone: closed forms, virtual work, and more force at more pressure."""
+"""The actuators without body: closed forms, virtual work, and more force at more pressure."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def test_pull_rises_with_pressure_and_falls_with_contraction(
     pull = float(force_N(actuator, pressure_kPa, less))
     assert float(force_N(actuator, times * pressure_kPa, less)) >= pull - 1e-6 * abs(pull) - 1e-9
     assert float(force_N(actuator, pressure_kPa, more)) <= pull + 1e-6 * abs(pull) + 1e-9
-    # A film that stretches may give up volume as it relaxes, but never more than its energy pays for.
+    # A film that stretches may lose volume as it relaxes, but never more than its energy allows.
     before, after = (held_at(actuator, pressure_kPa, at) for at in (less, more))
     spent_J = pressure_kPa * (after.volume_L - before.volume_L) - (after.elastic_J - before.elastic_J)
     assert float(spent_J) >= -1e-9

@@ -112,7 +112,7 @@ def test_for_any_body_the_limits_keep_their_order(body: Body, name: str, load_N:
     assert 0.0 < body.wrinkling_N < body.collapse_N < body.axial_N
     assert np.all(found.force_N < body.collapse_N)
     assert np.all(found.tip_load_N > 0.0)
-    # The outer side never gets shorter.
+    # The outer side never becomes shorter.
     assert np.all(
         np.radians(found.angle_deg) * (body.lever_m + body.radius_m)
         >= vine.actuator.length_m * found.contraction * (1.0 - 1e-5) - 1e-12
@@ -204,7 +204,7 @@ def test_the_drawn_axis_fits_the_sides_that_were_computed() -> None:
         ("[body]", "[body", "my.toml:8: not TOML"),
     ],
 )
-def test_a_description_that_is_none_is_one_line(old: str, new: str, says: str) -> None:
+def test_an_invalid_description_gives_one_line(old: str, new: str, says: str) -> None:
     text = example_text("pouch")
     assert old in text
     with pytest.raises(VineError) as caught:
@@ -213,6 +213,6 @@ def test_a_description_that_is_none_is_one_line(old: str, new: str, says: str) -
     assert "\n" not in str(caught.value)
 
 
-def test_what_is_neither_file_nor_example_names_the_examples() -> None:
+def test_an_unknown_name_gives_the_names_of_the_examples() -> None:
     with pytest.raises(VineError, match="no such file, nor an example; those are pouch, cpam, fpam"):
         load_vine("octopus")

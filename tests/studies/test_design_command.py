@@ -32,7 +32,7 @@ def test_the_page_shows_what_it_says(
     page = (Path(__file__).parents[2] / "docs" / "design.md").read_text(encoding="utf-8")
     (shown,) = (block for block in page.split("```") if block.startswith("\nvine of the demonstration"))
     lines = shown.strip().split("\n")
-    # The page shows the first table; the choices of the catalogue follow it.
+    # The page shows the first table; then the command prints the choices of the catalogue.
     assert lines == said[: len(lines)]
     assert len(lines) > 20
 

@@ -79,7 +79,7 @@ def test_passive_venting_doubles_the_cycles(demo: Evaluation) -> None:
 def test_the_mass_is_the_papers_and_its_printed_part_is_known(demo: Evaluation) -> None:
     assert demo.mass_kg == pytest.approx(0.84)
     assert demo.total_kg == pytest.approx(1.4)
-    # EVP, DVP and bottle are all that the paper prints.
+    # The paper prints only the masses of EVP, DVP and reservoir.
     assert demo.mass_by_origin_kg["printed"] == pytest.approx(0.077 + 0.139 + 0.070)
     assert sum(demo.mass_by_origin_kg.values()) == pytest.approx(demo.mass_kg)
 
@@ -120,7 +120,7 @@ def test_parts_limit_the_fill() -> None:
     assert evaluate(robot(fill_kPa=2000.0), PROTOTYPE).fill_kPa == 690.0
 
 
-def test_wishes_that_are_not_met_are_said() -> None:
+def test_requirements_that_are_not_met_are_listed() -> None:
     wishes = robot(inflation_rate_kPa_per_s=5000.0, frequency_Hz=None, least_cycles=1e5, payload_kg=1.0)
     found = " ".join(evaluate(wishes, PROTOTYPE).shortfalls)
     for word in ("inflation", "deflation", "cycles", "payload"):
@@ -160,7 +160,7 @@ def test_a_larger_robot_is_slower_and_has_fewer_cycles(factor: float) -> None:
     frequency_Hz=st.floats(1e-6, 1e6),
     kind=st.sampled_from(["rigid", "pouch"]),
 )
-def test_whatever_the_robot_the_results_are_finite(
+def test_the_results_are_finite_for_any_robot(
     volume_L: float, pressure_kPa: float, frequency_Hz: float, kind: str
 ) -> None:
     wild = robot(cv_volume_L=volume_L, pressure_kPa=pressure_kPa, frequency_Hz=frequency_Hz, cv_kind=kind)

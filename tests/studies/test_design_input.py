@@ -106,7 +106,7 @@ def test_a_folder_adds_and_replaces_parts(tmp_path: Path) -> None:
         catalogue(tmp_path / "none")
 
 
-def test_what_ships_says_where_each_number_is_from() -> None:
+def test_every_built_in_number_has_a_source() -> None:
     numbers = [
         (name, key, value)
         for name, part in catalogue().parts.items()

@@ -1,4 +1,4 @@
-"""The diagnosis of the paper's data finds what it must, and leaves open what it must."""
+"""The diagnosis of the paper's data finds the known cause, and leaves the others open."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_no_second_cause_is_sure(found: Discharges) -> None:
     for each in found.second[:3]:
         assert each.unseen_nrmse < found.verdict.held_out.nrmse_after
     assert all(each.gain[0] < 0.0 for each in found.second)
-    # Worse for sure: an offset, and choked flow.
+    # Certainly worse: an offset, and choked flow.
     assert second["reservoir_sensor_offset"].gain[1] < 0.0
     assert second["compressible_flow"].gain[1] < 0.0
     (time_constant_s,) = second["reservoir_cooling"].values
@@ -142,7 +142,7 @@ def test_a_discharge_with_rests_is_recommended(found: Discharges) -> None:
     assert found.recommended.pairs[0][1] > 10.0
 
 
-def test_the_gains_speak_for_a_tail_and_for_no_cause_of_the_catalogue(responses: Responses) -> None:
+def test_the_gains_show_a_tail_and_no_cause_of_the_catalogue(responses: Responses) -> None:
     null, floor, tube = responses.of(), responses.of(FLOOR), responses.of("tube")
     assert null.rms_dB == pytest.approx((3.33, 6.93), abs=0.1)
     assert floor.rms_dB == floor.unseen_dB == pytest.approx((0.84, 0.96), abs=0.1)

@@ -117,7 +117,7 @@ def test_verdicts(rows: dict[str, PaperRow], key: str, verdict: str) -> None:
     assert rows[key].verdict == verdict
 
 
-def test_whatever_does_not_agree_says_why(comparison: PaperComparison) -> None:
+def test_every_difference_has_a_reason(comparison: PaperComparison) -> None:
     assert len({row.key for row in comparison.rows}) == len(comparison.rows)
     for row in comparison.rows:
         assert row.verdict == "agrees" or row.note, row.key
@@ -181,7 +181,7 @@ def test_crossings() -> None:
 
 @pytest.mark.parametrize("ratio", [0.55, 0.8, 1.25, 1.45])
 def test_window_of_two_ramps(ratio: float) -> None:
-    """The nRMSE of two ramps over that window, sampled."""
+    """The nRMSE of two sampled ramps over that window."""
     window = window_s(1.0, ratio, 0.1)
     t = np.linspace(0.0, window, 200_001)
     off = np.minimum(ratio * t, 1.0) - np.minimum(t, 1.0)
@@ -257,7 +257,7 @@ def test_the_page_has_todays_distances(comparison: PaperComparison) -> None:
             line = next(line for line in page.split("\n") if line.startswith(f"| {name}, {part} |"))
             assert [float(cell) for cell in line.split("|")[2:5]] == pytest.approx(distances, abs=0.03), name
     for finding in comparison.findings:
-        # The first words of each; where a plant's numbers follow they are in the table.
+        # The first words of each finding. The numbers of a plant that follow are in the table.
         assert " ".join(finding.split()[:12]) in " ".join(page.split())
 
 

@@ -103,7 +103,7 @@ def test_bad_input_is_one_line_and_status_2(tmp_path: Path, capsys: pytest.Captu
             assert word in captured.err
 
 
-def test_what_flies_needs_no_numpy() -> None:
+def test_the_service_needs_no_numpy() -> None:
     code = (
         "import sys; sys.modules['numpy'] = None\n"
         "import flying_vines.core.core, flying_vines.terminal.vine_sketch\n"

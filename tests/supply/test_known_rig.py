@@ -32,7 +32,7 @@ from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_l
 from flying_vines.simulation.scenario import parse_scenario, simulate_scenario, write_case
 from flying_vines.simulation.simulated_world import SimulatedWorld
 from flying_vines.supply import Belief, ReservoirEstimate, TelemetryReader, nominal
-from flying_vines.supply.known_rig import belief_of, load_calibration
+from flying_vines.supply.known_rig import belief_of, load_known_rig
 
 P = PneumaticsConfig()
 RIG = Rig(Reservoir(2.0), ControlVolume(0.1))
@@ -115,19 +115,19 @@ SOME_USED = {
 def test_it_lists_used_and_unused_causes(tmp_path: Path) -> None:
     file = tmp_path / "extended.toml"
     file.write_text(true_rig_text(TrueRig(RIG, SOME_USED)))
-    calibration = load_calibration(file, P)
+    calibration = load_known_rig(file, P)
     assert calibration.used == ("cv_leak", "dead_volume")
     assert calibration.unused == ("ambient_drop", "venturi_stall")
     assert "0.12 L" in calibration.summary and "cv_leak, dead_volume" in calibration.summary
     file.write_text(true_rig_text(TrueRig(RIG, none_found=True)))
-    assert load_calibration(file, P).belief == known()
+    assert load_known_rig(file, P).belief == known()
 
 
 def test_a_rig_without_a_control_volume_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "discharge.toml"
     file.write_text("[reservoir]\nvolume_L = 2\n")
     with pytest.raises(RigError, match=r"discharge\.toml: .*no \[cv\]"):
-        load_calibration(file, P)
+        load_known_rig(file, P)
 
 
 # The cycles left in flight.
@@ -291,8 +291,8 @@ def test_reading_a_rig_needs_no_analysis_package(tmp_path: Path) -> None:
         "from flying_vines.service import service\n"
         "from flying_vines.terminal import screen\n"
         "from flying_vines.record import recorder\n"
-        "from flying_vines.supply.known_rig import load_calibration\n"
-        "load_calibration(pathlib.Path(sys.argv[1]), config.default().pneumatics)\n"
+        "from flying_vines.supply.known_rig import load_known_rig\n"
+        "load_known_rig(pathlib.Path(sys.argv[1]), config.default().pneumatics)\n"
         "heavy = {'numpy', 'scipy', 'numba', 'matplotlib', 'flying_vines.identification'}\n"
         "sys.exit(', '.join(heavy & set(sys.modules)) or 0)\n"
     )

@@ -55,7 +55,7 @@ def checks_of(cv_volume_L: float = 0.1, checks: ChecksConfig | None = None) -> W
 
 
 class Flying:
-    """A simulated phloSAR under setpoints, watched by the checks."""
+    """A simulated phloSAR with setpoints, and the checks."""
 
     def __init__(
         self, phlosar: SimulatedPhlosar, checks: Watch, lost: Callable[[], bool] = lambda: False
@@ -69,7 +69,7 @@ class Flying:
         phlosar.receive(self._codec.encode(Hello(PROTOCOL_VERSION, 1)))
 
     def run(self, seconds: float, target_kPa: float | None) -> Found:
-        """What was found in so long, regulating to a pressure, or vented."""
+        """The findings in this time, while regulating to a pressure, or vented."""
         before = len(self.found)
         for _ in range(round(seconds / HOST_TICK_S)):
             self._tick += 1
@@ -102,7 +102,7 @@ def test_a_healthy_rig_is_not_accused(cv_volume_L: float, bottle_kPa: float, bel
 REST, BEND, HOLD, RELEASE = "rest", "bend", "hold", "release"
 
 MISHAPS: Sequence[tuple[str, MishapKind, str, str, float]] = (
-    # Where, what, when, the check that finds it, within how many seconds.
+    # Place, mishap, phase of the flight, the check that finds it, maximum time in s.
     ("evp", StuckAt(0.0), BEND, "filling", 2.0),
     ("hose", HoseOff(), BEND, "filling", 2.0),
     ("cv_sensor", Stuck(), BEND, "vine_sensor", 0.6),
@@ -135,7 +135,7 @@ def test_a_mishap_is_found_in_time(
 
 
 def slowly_told(seed: int, loses: float, cv_volume_L: float = 0.1) -> Flying:
-    """Telemetry of 10 Hz, of which this share is lost."""
+    """Telemetry at 10 Hz, of which this share is lost."""
     chance = random.Random(seed)
     rig, settings = Rig(cv=ControlVolume(cv_volume_L)), {"telemetry_Hz": 10}
     return Flying(
@@ -174,7 +174,7 @@ def test_a_healthy_rig_is_not_accused_by_telemetry_of_10_Hz(cv_volume_L: float, 
 
 
 def test_readings_that_are_the_same_by_chance_are_no_stuck_sensor() -> None:
-    """Three equal readings at 10 Hz last 0.2 s."""
+    """Three equal readings at 10 Hz take 0.2 s."""
     checks = checks_of()
     opening = dataclasses.replace(HELD, setpoint_kPa=19.0, evp_opening=0.7)
     told = [
@@ -206,7 +206,7 @@ def test_the_sentence_says_where_the_air_went() -> None:
         assert flying.run(6.0, TOP_KPA)[0][1].sentence == sentence
 
 
-def test_an_inflation_valve_stuck_open_is_told_from_a_shut_outlet() -> None:
+def test_an_inflation_valve_stuck_open_is_distinguished_from_a_shut_outlet() -> None:
     sentences: dict[str, str] = {}
     for place, kind in (("evp", StuckAt(1.0)), ("solenoid", StuckAt(0.0))):
         flying = Flying(likely(0.3, 300.0), checks_of(0.3))
@@ -227,7 +227,7 @@ def test_glitches_of_single_readings_are_no_fault() -> None:
     assert [finding for _, finding in flying.found if finding.level == "fault"] == []
 
 
-# Telemetry by hand: what no rig does that quickly.
+# Handmade telemetry, faster than any rig.
 
 VENTED = Telemetry(0, Mode.VENT, Fault.NONE, 0, 0.0, 0.0, 600.0, 0.0, 0.0, True)
 HELD = dataclasses.replace(VENTED, mode=Mode.REGULATE, setpoint_kPa=20.0, cv_kPa=20.0, solenoid=False)
@@ -236,7 +236,7 @@ HELD = dataclasses.replace(VENTED, mode=Mode.REGULATE, setpoint_kPa=20.0, cv_kPa
 def stream(
     checks: Watch, told: Callable[[float], Telemetry], seconds: float, from_ms: int = 0
 ) -> Iterator[tuple[float, PhysicsFinding]]:
-    """What is found in telemetry of 100 Hz; `told` by seconds."""
+    """The findings in telemetry at 100 Hz; `told` gives it by time in s."""
     for ms in range(0, round(1000 * seconds), 10):
         message = dataclasses.replace(told(ms / 1000.0), device_time_ms=(from_ms + ms) & 0xFFFFFFFF)
         for finding in checks.watch(message):
@@ -274,7 +274,7 @@ def test_the_zero_of_the_vine_sensor(offset_kPa: float, within_s: float) -> None
     assert checks.faults == {}
 
 
-def test_what_a_sound_sensor_reads_is_no_fault() -> None:
+def test_readings_of_a_good_sensor_are_no_fault() -> None:
     for offset_kPa in (-3.1, 3.1):
         off = dataclasses.replace(VENTED, cv_kPa=offset_kPa)
         assert list(stream(checks_of(), lambda _, off=off: off, 20.0)) == []  # type: ignore[misc]
@@ -289,11 +289,11 @@ def test_a_check_can_be_set_to_warn_and_is_counted() -> None:
     assert checks.counts == {"vine_zero": 1}
 
 
-def test_a_gap_or_another_boot_begins_anew() -> None:
+def test_a_gap_or_another_boot_starts_again() -> None:
     checks = checks_of()
     blocked = dataclasses.replace(VENTED, cv_kPa=20.0)
     assert [f.name for _, f in stream(checks, lambda _: blocked, 3.0)] == ["venting"]
-    # Nobody knows whether the outlet was open meanwhile.
+    # Nobody knows if the outlet was open in the gap.
     assert list(stream(checks, lambda _: blocked, 0.5, 3_200)) == []
     assert checks.faults == {}
     assert list(stream(checks, lambda _: blocked, 0.5, 0)) == []
@@ -306,7 +306,7 @@ def test_the_devices_clock_may_wrap() -> None:
     assert [finding.name for _, finding in found] == ["venting"]
 
 
-def test_readings_that_the_firmware_does_not_believe_accuse_nobody() -> None:
+def test_readings_that_the_firmware_refuses_give_no_finding() -> None:
     blind = dataclasses.replace(VENTED, mode=Mode.FAULT, faults=Fault.CV_SENSOR, cv_kPa=20.0)
     assert list(stream(checks_of(), lambda _: blind, 5.0)) == []
 

@@ -1,4 +1,4 @@
-"""The air that a person reads: no jump without an event, and nothing learned from half a movement."""
+"""The reported air: no jump without an event, and nothing learned from half a movement."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BELIEF = nominal(DEMONSTRATION)
 
 
 class Told:
-    """A bench whose predictions are told every two seconds."""
+    """A bench with a report every two seconds."""
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
@@ -135,7 +135,7 @@ def test_a_slower_rhythm_with_a_leak_says_why_the_number_falls() -> None:
 
 
 def test_intervals_of_two_minutes_have_a_value_in_common_with_no_event() -> None:
-    """A bend suddenly takes half as much air again, while the filter is sure of less."""
+    """A bend suddenly takes 1.5 times the air, while the filter has a small uncertainty."""
     told = Told(Bench(cost_kPa=6.1))
     told.rest(6.0)
     lefts = told.bend(12)
@@ -166,7 +166,7 @@ def test_below_the_floor_0_stays_0_without_an_event() -> None:
     assert len(told.events) == events
 
 
-def test_a_refill_and_a_burst_are_told_once_each() -> None:
+def test_a_refill_and_a_burst_are_reported_once_each() -> None:
     told = Told(Bench(start_kPa=500.0))
     told.rest(6.0)
     told.bend(5)
@@ -180,7 +180,7 @@ def test_a_refill_and_a_burst_are_told_once_each() -> None:
 
 
 def test_the_number_after_a_jump_agrees_with_that_at_the_jump() -> None:
-    """With the leak unknown the number at a burst may be far too low, but the next one agrees with it."""
+    """With an unknown leak the number at a burst may be far too low, but the next one agrees with it."""
     bench = Bench()
     told = Told(bench)
     told.rest(6.0)
@@ -254,7 +254,7 @@ def test_a_restart_keeps_what_was_learned_of_this_rig_only() -> None:
     assert learned_from(text, other) == (None, "another rig or changed numbers: air is learned again")
 
 
-def test_a_restart_with_what_was_learned_is_told_once() -> None:
+def test_a_restart_with_what_was_learned_is_reported_once() -> None:
     told = Told(Bench())
     told.rest(6.0)
     told.bend(8)
@@ -269,7 +269,7 @@ def test_a_restart_with_what_was_learned_is_told_once() -> None:
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"rig": 3}', "\0", '{"rig":"x","learned":{}}'])
-def test_a_damaged_file_is_told_and_not_used(text: str) -> None:
+def test_a_damaged_file_is_reported_and_not_used(text: str) -> None:
     learned, problem = learned_from(text, BELIEF)
     assert learned is None
     assert "learned again" in problem

@@ -1,4 +1,4 @@
-"""The reservoir estimate alone, on telemetry with known truth."""
+"""The reservoir estimate without the other parts, on telemetry with known truth."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_partial_cycles_count_as_partial() -> None:
     assert left.cost_kPa == pytest.approx(6.1, rel=0.1)
 
 
-def test_what_the_venturi_takes_is_learned_and_ends_where_the_firmware_leaves_it_off() -> None:
+def test_the_venturis_air_is_learned_and_ends_where_the_firmware_keeps_it_off() -> None:
     bench = Bench(cost_kPa=2.0)
     bench.venturi_kPa_per_s = 40.0
     bench.rest(3.0)
@@ -235,12 +235,12 @@ def test_a_regulation_that_begins_where_the_sensor_has_its_zero_begins_no_inflat
             estimate.update(reader.read(t, told_now))
     left = estimate.cycles_left()
     assert left is not None
-    # Six were begun, the last has not ended, the first does not count.
+    # Six cycles began. The last one has not ended, and the first one does not count.
     assert left.measured_cycles == pytest.approx(4 * (20.4 - 1.2) / 20.7, abs=0.05)
     assert left.floor_kPa < 0.5 * reservoir_kPa
 
 
-def test_what_a_rise_takes_scales_with_it() -> None:
+def test_the_air_of_a_rise_is_proportional_to_it() -> None:
     bench = Bench()
     bench.fly(10)
     assert bench.estimate.spending_kPa(20.7) == pytest.approx(6.1, rel=0.15)
@@ -265,7 +265,7 @@ def test_what_a_rise_takes_scales_with_it() -> None:
         max_size=30,
     ),
 )
-def test_whatever_comes_the_numbers_stay_numbers(
+def test_any_telemetry_gives_finite_numbers(
     belief: Belief, told: list[tuple[float, float, float, float, float, float, bool, int]]
 ) -> None:
     reader, estimate = TelemetryReader(belief), ReservoirEstimate(belief)

@@ -39,10 +39,10 @@ class Flight:
     cycle_s: float = 3.0
     up_s: float = 0.6
     until_s: float = math.inf
-    """The vine is vented from then on."""
+    """From this time on the vine is vented."""
 
     def setpoint_kPa(self, t_s: float) -> float:
-        """Up, a second at the top, down, and a rest."""
+        """The setpoint rises, stays at the top for a second, falls, and rests."""
         phase = (t_s - WAIT_S) % self.cycle_s
         down = (phase - self.up_s - 1.0) / self.up_s
         return TOP_KPA * max(0.0, min(1.0, phase / self.up_s, 1.0 - down))
@@ -108,7 +108,7 @@ def test_an_early_prediction_holds(flight: Flight) -> None:
             assert left is not None
             predicted[cycle] = left, by_paper(estimate.reservoir_kPa)
         best_kPa = max(best_kPa, telemetry.cv_kPa)
-        # The later cycles are only counted: they are the true number.
+        # The later cycles are only counted, for the true number.
         if cycle <= 15:
             estimate.update(reader.read(t, telemetry))
     assert missed == 3, "the bottle lasted too long for this test"

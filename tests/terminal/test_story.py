@@ -1,4 +1,4 @@
-"""How the page's messages are shown on a terminal, message by message."""
+"""The page's messages on a terminal, message by message."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_a_snapshot_is_what_the_service_had() -> None:
     assert story.snapshot_age_s(2.1) == pytest.approx(2.0)
 
 
-def test_the_past_is_told_once() -> None:
+def test_the_past_is_reported_once() -> None:
     story = Story()
     first, second, third = notice(5.0), decision(6.0), notice(8.0, "Vine: RC lost")
     assert story.take(0.0, hello(7.0, first, second)) == [first, second]
@@ -76,7 +76,7 @@ def test_a_machine_that_was_started_anew_begins_a_new_story() -> None:
     assert story.began == 3.0
 
 
-def test_what_else_may_come_is_passed_over() -> None:
+def test_other_messages_are_skipped() -> None:
     story = Story()
     assert story.take(0.0, '{"kind": "beat"}') == []
     assert story.take(0.0, '{"kind": "missed", "count": 3}') == []
@@ -87,7 +87,7 @@ def test_what_else_may_come_is_passed_over() -> None:
 @pytest.mark.parametrize(
     "text", ["", "nonsense", "[]", "{}", '{"kind": "hello"}', '{"kind": "snapshot", "snapshot": {"t": "x"}}']
 )
-def test_what_is_not_understood_says_so(text: str) -> None:
+def test_an_unknown_message_is_reported(text: str) -> None:
     with pytest.raises(StrangeMessageError):
         Story().take(0.0, text)
 

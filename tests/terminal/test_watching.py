@@ -32,7 +32,7 @@ async def bench() -> AsyncIterator[Bench]:
 
 
 async def watch(*arguments: str, status: int) -> tuple[str, str]:
-    """To its end; what it printed."""
+    """Run it to its end. Returns the output."""
     process = await asyncio.create_subprocess_exec(
         sys.executable,
         *("-m", "flying_vines", "watch", *arguments),
@@ -118,7 +118,7 @@ async def test_a_page_on_the_network_wants_its_token(tmp_path: Path) -> None:
 
 
 class Terminal:
-    """A process on a pseudo-terminal, and all that it wrote there."""
+    """A process on a pseudo-terminal, and its output."""
 
     def __init__(self, process: asyncio.subprocess.Process, number: int) -> None:
         self.process = process
@@ -136,7 +136,7 @@ class Terminal:
         os.write(self._number, keys.encode())
 
     async def shows(self, text: str) -> None:
-        """From now on."""
+        """Wait until it shows this from now on."""
         self.screen = ""
         await until(lambda: text in self.screen, text)
 
@@ -183,7 +183,7 @@ async def test_on_a_terminal_it_is_live_and_v_twice_vents(bench: Bench) -> None:
             assert await terminal.process.wait() == 0
 
 
-async def test_a_link_that_is_lost_is_told_and_comes_back(bench: Bench) -> None:
+async def test_a_link_that_is_lost_is_reported_and_comes_back(bench: Bench) -> None:
     async with on_terminal(bench) as terminal:
         async with showing(bench):
             await terminal.shows("bend-half")

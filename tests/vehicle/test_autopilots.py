@@ -1,4 +1,4 @@
-"""What each autopilot's parameters say of its RC failsafe."""
+"""The RC failsafe of each autopilot, derived from its parameters."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_a_heartbeat_names_the_autopilot() -> None:
         ({"RC_OPTIONS": 4.0}, "RC_OPTIONS 4"),
     ],
 )
-def test_what_lets_ardupilot_hide_a_loss(values: dict[str, float], hides: str) -> None:
+def test_parameters_with_which_ardupilot_hides_a_loss(values: dict[str, float], hides: str) -> None:
     assert ARDUPILOT.hides_rc_loss(values) == hides
 
 
@@ -49,7 +49,7 @@ def test_px4_sends_whole_numbers_as_their_bytes() -> None:
     assert PX4.hides_rc_loss({"COM_RC_IN_MODE": value}) == "COM_RC_IN_MODE 1"
 
 
-def test_px4_shows_a_loss_as_late_as_it_is_told_to() -> None:
+def test_px4_shows_a_loss_after_the_configured_delay() -> None:
     assert PX4.rc_loss_shows_within_s({}) == pytest.approx(1.6)
     assert PX4.rc_loss_shows_within_s({"COM_RC_LOSS_T": 0.5}) == pytest.approx(1.6)
     assert PX4.rc_loss_shows_within_s({"COM_RC_LOSS_T": 3.0}) == pytest.approx(4.1)

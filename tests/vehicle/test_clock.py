@@ -15,7 +15,7 @@ UP_S = 500.0
 
 
 class Line:
-    """An autopilot that was up for some time at t = 0, behind a link that may hold frames back."""
+    """An autopilot that started before t = 0, behind a link that may delay frames."""
 
     def __init__(self) -> None:
         self.clock = AutopilotClock()
@@ -50,7 +50,7 @@ def test_on_a_good_link_nothing_waits() -> None:
     assert line.age_s(line.item(5.05), 5.05) == 0.0
 
 
-def test_where_no_clock_is_heard_nothing_is_late() -> None:
+def test_without_a_clock_nothing_is_late() -> None:
     line = Line()
     for t in (1.0, 9.0):
         mark = line.item(t)
@@ -59,8 +59,8 @@ def test_where_no_clock_is_heard_nothing_is_late() -> None:
 
 
 @pytest.mark.parametrize("stamp_first", [True, False])
-def test_what_was_sent_before_we_were_started_is_as_old_as_its_neighbours(stamp_first: bool) -> None:
-    """The first message may have waited as long as those that come with it."""
+def test_messages_from_before_our_start_are_as_old_as_their_neighbours(stamp_first: bool) -> None:
+    """The first message may have waited as long as the messages that arrive with it."""
     line = Line()
     if stamp_first:
         line.stamp(-3.0, 0.0)
@@ -72,7 +72,7 @@ def test_what_was_sent_before_we_were_started_is_as_old_as_its_neighbours(stamp_
 
 
 @pytest.mark.parametrize("every_s", [0.1, 1.0])
-def test_what_a_stalled_link_delivers_at_once_is_as_old_as_its_neighbours(every_s: float) -> None:
+def test_messages_of_a_stalled_link_are_as_old_as_their_neighbours(every_s: float) -> None:
     line = Line()
     line.stream(10.0, every_s)
     marks = []
@@ -93,7 +93,7 @@ def test_the_first_of_a_burst_waits_for_the_stamp_behind_it() -> None:
 
 
 def test_of_a_burst_whose_end_was_lost_the_beginning_is_still_old() -> None:
-    """A process paused for longer than its buffer lasts."""
+    """A process paused for longer than its buffer can store."""
     line = Line()
     line.stream(10.0)
     line.stamp(10.1, 16.0)
@@ -102,14 +102,14 @@ def test_of_a_burst_whose_end_was_lost_the_beginning_is_still_old() -> None:
     assert line.age_s(mark, 16.01) > 4.0
 
 
-def test_what_comes_first_after_a_link_was_cut_is_new() -> None:
+def test_the_first_message_after_a_cut_link_is_new() -> None:
     line = Line()
     line.stream(10.0)
     mark = line.item(14.0, lost=30)
     assert line.clock.age_s(mark, 14.0) is None
     line.stamp(14.05)
     assert line.age_s(mark, 14.05) == pytest.approx(0.05)
-    # And where no stamp comes, nobody knows.
+    # Without a time stamp the age is unknown.
     line = Line()
     line.stream(10.0)
     mark = line.item(14.0, lost=30)
@@ -173,7 +173,7 @@ def test_a_stall_in_an_autopilots_first_minute_is_no_reboot() -> None:
     assert clock.time_boot_ms(16.0) == pytest.approx(36_000, abs=50)
 
 
-def test_a_time_that_stands_still_is_no_reboot() -> None:
+def test_a_time_that_stops_is_no_reboot() -> None:
     line = Line()
     line.stream(10.0)
     for i in range(600):
@@ -203,8 +203,8 @@ def test_a_clock_that_begins_at_zero_again_after_49_days_is_no_reboot() -> None:
     assert clock.time_boot_ms(20.0) == pytest.approx(10_000, abs=100)
 
 
-def test_what_another_sends_after_a_silence_may_be_as_old_as_that() -> None:
-    """The autopilot's own frames, which tell the age, come after it."""
+def test_a_message_of_another_sender_may_be_as_old_as_the_silence_before() -> None:
+    """The autopilot's own frames, which show the age, come after it."""
     line = Line()
     line.stream(10.0)
     mark = line.clock.mark(17.0)

@@ -22,7 +22,7 @@ from flying_vines.vehicle.mavlink.frames import MAX_FRAME_SIZE
 
 
 class Sender:
-    """One component that sends frames of whichever protocol version."""
+    """One component that sends frames of either protocol version."""
 
     def __init__(self, system_id: int = 1, component_id: int = 1) -> None:
         self.mav = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
@@ -92,7 +92,7 @@ def test_random_bytes_never_raise_and_good_frames_are_read_after_them(garbage: l
     codec, sender = MavlinkCodec(1, 191), Sender()
     for chunk in garbage:
         codec.decode(chunk)
-    # Garbage may look like the start of the longest frame, which then swallows what follows.
+    # Garbage may look like the start of the longest frame, which then includes the following bytes.
     for _ in range(-(-2 * MAX_FRAME_SIZE // len(sender.frame(clock(1))))):
         codec.decode(sender.frame(clock(2)))
     assert texts_of(codec.decode(sender.frame(text("still here")))) == ["still here"]
@@ -164,7 +164,7 @@ def test_equal_frames_of_two_senders_are_no_copies() -> None:
 
 @pytest.mark.parametrize("unseen", [0, 15, 20, 31, 63])
 def test_a_sender_that_is_forwarded_in_part_is_not_taken_for_copies(unseen: int) -> None:
-    # A ground station's heartbeats are all alike, and its other frames do not come to us.
+    # A ground station's heartbeats are all equal, and its other frames do not reach us.
     codec, station = MavlinkCodec(1, 191), Sender(255, 190)
     heartbeat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
     for _ in range(600):
@@ -229,7 +229,7 @@ def test_signed_frames_are_read_without_a_key() -> None:
     assert texts_of(codec.decode(b"".join(frames) + frames[1])) == ["signed 0", "signed 1", "signed 2"]
 
 
-def test_what_we_send_bears_our_names_and_counts_up() -> None:
+def test_our_frames_have_our_ids_and_counting_sequence_numbers() -> None:
     ours, peer = MavlinkCodec(0, 191), mavlink.MAVLink(None)
     peer.robust_parsing = True
     received = [peer.parse_char(ours.encode(text("hi"), 42)) for _ in range(258)]
@@ -247,7 +247,7 @@ def test_our_own_frames_that_come_back_do_not_come_out() -> None:
     assert ours.lost_frames == 0
 
 
-def test_another_that_has_our_ids_is_heard() -> None:
+def test_frames_of_another_sender_with_our_ids_are_read() -> None:
     ours, twin = MavlinkCodec(1, 191), Sender(1, 191)
     ours.encode(text("Vine: ours"), 1)
     assert texts_of(ours.decode(twin.frame(text("Vine: theirs")))) == ["Vine: theirs"]

@@ -69,7 +69,7 @@ def broadcast(
 
 
 class Bench:
-    """A receiver whose triggers are decided at once. Keeps triggers and answers."""
+    """A receiver whose triggers are decided at once. It stores triggers and answers."""
 
     def __init__(
         self, items: Sequence[MissionItem] = (), kind: AutopilotKind = "px4", accepts: bool = True
@@ -99,7 +99,7 @@ class Bench:
 def repeats(
     confirmations: Sequence[int], every_s: float = 0.5, params: Sequence[float] = (0.5,)
 ) -> list[tuple[float, MavlinkMessage]]:
-    """As PX4 repeats a mission item."""
+    """The repeats of a mission item by PX4."""
     return [(10.0 + every_s * one, broadcast(params=params, confirmation=one)) for one in confirmations]
 
 

@@ -1,4 +1,4 @@
-"""What we send unasked is steady, spread out, short and never repeated."""
+"""Our own messages are steady, spread out, short and never repeated."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def component(**telemetry: Any) -> Component:
 def run(
     ours: Component, for_s: float, values: dict[str, float] | None = None, start_s: float = 0.0
 ) -> list[tuple[float, MavlinkMessage]]:
-    """What is sent, as a receiver has it."""
+    """The sent messages, as a receiver decodes them."""
     sender, receiver, received = MavlinkCodec(1, US), MavlinkCodec(255, 190), []
     for i in range(round(for_s / TICK_S)):
         t = start_s + i * TICK_S
@@ -91,7 +91,7 @@ def test_five_values_each_twice_a_second_never_two_at_once() -> None:
 def test_named_values_come_at_the_rate_that_is_asked(
     rate_Hz: float, jitter_s: float, known: int, seed: int
 ) -> None:
-    """With intervals counted from tick to tick, 1.84 a second came instead of 2."""
+    """With intervals counted from tick to tick, only 1.84 a second were sent instead of 2."""
     values, random = NamedValues(1.0 / rate_Hz), Random(seed)
     told = {name: value if i < known else math.nan for i, (name, value) in enumerate(VALUES.items())}
     sent = Counter(
@@ -167,7 +167,7 @@ def said(texts: list[str], for_s: float = 20.0) -> list[tuple[float, MavlinkMess
 
 
 def joined(sent: list[tuple[float, MavlinkMessage]]) -> list[str]:
-    """Texts put together as a ground station does it: a chunk that is full is followed by another."""
+    """Assemble texts like a ground station: a full chunk is followed by another one."""
     texts: list[str] = []
     for _, message in sent:
         if message.id == 0 or message.chunk_seq == 0:
@@ -226,7 +226,7 @@ def test_two_long_texts_have_different_ids() -> None:
     assert len({message.id for _, message in sent}) == 2
 
 
-def test_the_same_text_is_news_only_after_a_while() -> None:
+def test_the_same_text_is_sent_again_only_after_a_while() -> None:
     ours = component()
     heard = []
     for i in range(1000):
@@ -257,7 +257,7 @@ def test_a_flood_does_not_tear_a_text_that_is_half_told() -> None:
     assert joined([(0.0, message) for message in sent])[0] == long
 
 
-# All of it together.
+# All messages together.
 
 
 def heard(message: MavlinkMessage, sender: tuple[int, int]) -> MavlinkMessage:
@@ -286,7 +286,7 @@ class Link:
         self.sent += [(self.t, message) for message in self.ours.leaving(self.t)]
 
     def wait(self, for_s: float, station: int = 0, autopilot: bool = True) -> None:
-        """Time passes, in which the autopilot and a ground station are heard once a second."""
+        """Let time pass. The autopilot and a ground station send a heartbeat once a second."""
         for _ in range(round(for_s / TICK_S)):
             tick = round(self.t / TICK_S)
             if autopilot and tick % 50 == 0:
@@ -297,10 +297,10 @@ class Link:
             self.t = round(self.t + TICK_S, 6)
 
 
-def test_the_autopilot_hears_us_as_soon_as_it_speaks_again() -> None:
+def test_the_autopilot_gets_our_messages_as_soon_as_it_sends_again() -> None:
     link = Link()
     link.t = 0.3
-    link.wait(0.4, autopilot=False)  # one of ours is out before the autopilot is there
+    link.wait(0.4, autopilot=False)  # one of our messages is sent before the autopilot appears
     link.t = 1.0
     link.wait(10.0)
     assert [t for t, _ in of("HEARTBEAT", link.sent)][:3] == pytest.approx([0.3, 1.0, 2.0])
@@ -345,7 +345,7 @@ def test_a_list_under_way_goes_on_when_a_ground_station_appears() -> None:
     link.wait(1.0)
     link.wait(7.0, station=255)
     link.take(mavlink.MAVLink_param_request_list_message(1, US))
-    link.wait(10.0, station=255)  # the station's seven seconds are over while the list runs
+    link.wait(10.0, station=255)  # the seven seconds of the station end while the list is sent
     assert [message.param_index for _, message in of("PARAM_VALUE", link.sent)] == list(range(15))
 
 
@@ -356,7 +356,7 @@ def test_parameters_are_not_shown_unasked_on_a_px4() -> None:
 
 
 def test_under_load_all_leaves_in_pairs() -> None:
-    """A parameter list, many commands, a text and the values, all at once."""
+    """A parameter list, many commands, a text and the values at the same time."""
     link = Link()
     link.wait(2.0)
     link.sent.clear()
@@ -399,7 +399,7 @@ def test_in_flight_all_that_we_send_leaves_in_pairs(
     def ask(message: MavlinkMessage) -> None:
         flight.autopilot.receive(flight.world.now, "gcs", station.encode(message, 255))
 
-    for quarter in range(4, 80):  # one at a time: an autopilot loses what a station sends in a burst
+    for quarter in range(4, 80):  # one at a time, because an autopilot loses messages of a burst
         flight.run(quarter / 4)
         if quarter == 20:
             ask(mavlink.MAVLink_param_request_list_message(1, US))
@@ -418,11 +418,11 @@ def test_in_flight_all_that_we_send_leaves_in_pairs(
     assert flight.core._vehicle.component.dropped == 0
 
 
-# A key that somebody gives the vehicle.
+# A signing key that a ground station gives the vehicle.
 
 
 def told_of_key(profile: config.Config, target_system: int, times: int = 1) -> list[str]:
-    """What people read when a ground station gives a vehicle its key."""
+    """The texts when a ground station gives a vehicle its key."""
     core, codec = Core(profile), MavlinkCodec(0, US)
     autopilot, station = mavlink.MAVLink(None, 1, 1), mavlink.MAVLink(None, 255, 190)
     setup = mavlink.MAVLink_setup_signing_message(target_system, 1, list(range(32)), 1)
@@ -439,12 +439,12 @@ def told_of_key(profile: config.Config, target_system: int, times: int = 1) -> l
 
 
 @pytest.mark.parametrize("target_system", [0, 1])
-def test_a_key_for_a_vehicle_without_one_in_its_profile_is_told_once(target_system: int) -> None:
+def test_a_key_for_a_vehicle_without_one_in_its_profile_is_reported_once(target_system: int) -> None:
     told = told_of_key(config.default(), target_system, times=3)
     assert told == ["Vine: SETUP_SIGNING ignored: no key in profile"]
 
 
-def test_a_key_for_another_vehicle_or_beside_our_own_is_not_told() -> None:
+def test_a_key_for_another_vehicle_or_beside_our_own_is_not_reported() -> None:
     assert told_of_key(config.default(), 2) == []
     profile = config.default()
     with_key = msgspec.structs.replace(profile.vehicle, signing_key="key.txt")

@@ -1,4 +1,4 @@
-"""The page on MAVLink has every command and every value."""
+"""The page on MAVLink lists every command and every value."""
 
 from __future__ import annotations
 

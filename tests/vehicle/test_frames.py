@@ -1,4 +1,4 @@
-"""Where frames begin and end: in noise, after lost bytes, and with a wrong length."""
+"""The start and end of frames: in noise, after lost bytes, and with a wrong length."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def packed(count: int, version_1: bool = False) -> list[bytes]:
 
 
 def unknown(frame: bytes) -> bytes:
-    """The frame as if of a message that the dialect lacks."""
+    """The frame with the number of a message that the dialect lacks."""
     return frame[:7] + (50_000).to_bytes(3, "little") + frame[10:]
 
 
@@ -49,7 +49,7 @@ def test_version_1_has_a_shorter_header() -> None:
 
 @pytest.mark.parametrize("marker", [b"\xfd", b"\xfe"])
 def test_a_stray_marker_costs_no_frame(marker: bytes) -> None:
-    # It makes the bytes behind it look like a header, mostly that of a frame longer than the good one.
+    # The bytes behind it look like a header, mostly of a frame longer than the good one.
     good = packed(12)
     frames = Frames()
     assert raws(frames.take(good[0] + marker + b"".join(good[1:]))) == good
@@ -69,13 +69,13 @@ def test_bytes_that_a_serial_line_loses_cost_hardly_more_than_the_frames_they_we
     peer = mavlink.MAVLink(None)
     peer.robust_parsing = True
     theirs = sum(message.get_msgId() == 30 for message in peer.parse_buffer(received) or [])
-    # Where a frame misses bytes most readers, pymavlink among them, lose the next one with it.
+    # After a frame with missing bytes most readers, also pymavlink, lose the next frame.
     assert theirs < whole - 400
     assert len(found) >= whole - 10
 
 
 def test_a_frame_of_an_unknown_message_is_passed_over_as_a_whole() -> None:
-    # Its payload may well hold what looks like a frame, as a tunnel's or a file's does.
+    # Its payload may contain bytes like a frame, for example in a tunnel or a file.
     inner, before, after = packed(3)
     header = bytes((0xFD, len(inner), 0, 0, 7, 1, 1)) + (50_000).to_bytes(3, "little")
     outer = header + inner + b"\x12\x34"
@@ -84,7 +84,7 @@ def test_a_frame_of_an_unknown_message_is_passed_over_as_a_whole() -> None:
     assert [frame.known for frame in found] == [True, False, True]
 
 
-def test_what_follows_tells_whether_an_unknown_message_was_one() -> None:
+def test_the_next_bytes_show_if_an_unknown_message_was_a_frame() -> None:
     good = packed(3)
     frames = Frames()
     assert raws(frames.take(good[0] + unknown(good[1]))) == [good[0]]
@@ -141,7 +141,7 @@ def test_each_broken_frame_counts() -> None:
 
 
 def test_behind_a_flood_of_false_headers_every_frame_is_found() -> None:
-    # All claim the greatest length, so the last of them reach far into the good frames.
+    # All state the maximum length, so the last ones reach far into the good frames.
     hostile = b"".join(bytes((0xFD, 0xFF, 0, 0, i % 0xFD, 1, 1, 30, 0, 0)) for i in range(3000))
     frames, good = Frames(), packed(20)
     assert frames.take(hostile) == []

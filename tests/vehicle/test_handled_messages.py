@@ -1,4 +1,4 @@
-"""The list of messages that are handled is complete; all others are skipped early."""
+"""The list of handled messages is complete; all others are skipped early."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ NAMES = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
 ROOM = Path(handled.__file__).parents[1]
 RECORDINGS = sorted((Path(__file__).parents[1] / "data" / "recordings").glob("*.tlog"))
 QUICK = ("ardupilot_vine_mission", "px4_vine_mission", "rc_switch")
-"""These are replayed by `make test`, too."""
+"""`make test` also replays these."""
 
 
-def test_whatever_is_looked_for_by_name_is_heard() -> None:
+def test_messages_that_the_code_names_are_handled() -> None:
     looked_for = {
         node.value
         for source in ROOM.rglob("*.py")
@@ -35,7 +35,7 @@ def test_whatever_is_looked_for_by_name_is_heard() -> None:
     assert looked_for <= handled.ALL
 
 
-def test_whatever_is_asked_of_us_is_heard() -> None:
+def test_requests_to_us_are_handled() -> None:
     assert {NAMES[number] for number in (*Requests.MESSAGES, *Parameters.MESSAGES)} <= handled.ALL
 
 

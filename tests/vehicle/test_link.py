@@ -45,7 +45,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Watched:
-    """A link under way, what came of it, and a way to wait until it is as wished."""
+    """A running link and its events, with a function that waits for a condition."""
 
     def __init__(self, address: Address) -> None:
         self.data = b""
@@ -112,7 +112,7 @@ async def udp_peer(
 
 
 class Server:
-    """A TCP server that can be shut down, with its connections, and opened again on the same port."""
+    """A TCP server that can be shut down with its connections, and opened again on the same port."""
 
     def __init__(self) -> None:
         self.port = 0
@@ -150,7 +150,7 @@ async def tcp_server() -> AsyncIterator[Server]:
         await server.close()
 
 
-async def test_udp_that_listens_answers_whom_it_hears() -> None:
+async def test_udp_that_listens_answers_the_senders() -> None:
     port = free_port()
     async with running(NetworkAddress("udpin", HOST, port)) as watched:
         await watched.until(lambda: watched.up)
@@ -193,7 +193,7 @@ AUTOPILOT = frame_of(1)
 async def serving(
     address: NetworkAddress, codec: MavlinkCodec | None = None
 ) -> AsyncIterator[tuple[Watched, list[tuple[int, int]]]]:
-    """A vehicle's link as the service has it, and who said something that was believed."""
+    """A vehicle's link as in the service, and the senders whose messages were accepted."""
     believed: list[tuple[int, int]] = []
     codec = codec or MavlinkCodec(0, 191)
 
@@ -220,13 +220,13 @@ async def serving(
 
 
 async def settled(watched: Watched, datagrams: int) -> None:
-    """Until so many datagrams were read; each leaves a dot."""
+    """Wait until this number of datagrams was read; each leaves a dot."""
     async with asyncio.timeout(TIMEOUT_S):
         while len(watched.data) < datagrams:
             await asyncio.sleep(0.001)
 
 
-async def test_the_autopilot_keeps_its_answers_however_many_others_speak() -> None:
+async def test_the_autopilot_gets_its_answers_however_many_others_send() -> None:
     port = free_port()
     async with (
         serving(NetworkAddress("udpin", HOST, port)) as (watched, _),
@@ -250,7 +250,7 @@ async def test_the_autopilot_keeps_its_answers_however_many_others_speak() -> No
         assert len(watched.link._peers) == MAX_PEERS
 
 
-async def test_who_is_no_autopilot_is_read_and_not_answered() -> None:
+async def test_senders_that_are_not_the_autopilot_are_read_and_not_answered() -> None:
     port = free_port()
     async with (
         serving(NetworkAddress("udpin", HOST, port)) as (watched, believed),
@@ -331,7 +331,7 @@ async def test_on_an_open_port_only_a_signature_opens() -> None:
         assert not watched.link.write(b"for nobody")
         to_us.sendto(signed)
         await settled(watched, 4)
-        from_stranger.sendto(signed)  # recorded, and sent again from elsewhere
+        from_stranger.sendto(signed)  # recorded, and sent again from another address
         await settled(watched, 5)
         assert watched.link.write(b"for the autopilot")
         assert (await autopilot.next())[0] == b"for the autopilot"
@@ -356,7 +356,7 @@ moments = st.lists(st.tuples(st.integers(0, 12), st.booleans(), st.floats(0.0, 1
 
 @given(moments)
 @settings(max_examples=examples(200), deadline=None)
-def test_who_speaks_often_enough_never_loses_his_place(
+def test_a_sender_that_sends_often_keeps_its_place(
     others: list[tuple[int, bool, float]],
 ) -> None:
     peers, t = Peers(), 0.0
@@ -384,7 +384,7 @@ def test_a_router_that_restarts_with_another_port_is_answered_again_soon() -> No
     assert peers.present(19.0 + PEER_FORGOTTEN_S + 1.0) == []
 
 
-async def test_udp_that_sends_speaks_first_and_hears_the_answer() -> None:
+async def test_udp_that_sends_begins_and_gets_the_answer() -> None:
     async with (
         udp_peer() as (peer, transport, port),
         running(NetworkAddress("udpout", HOST, port)) as watched,
@@ -409,7 +409,7 @@ async def test_udp_to_nobody_goes_on_until_somebody_is_there() -> None:
         try:
             async with asyncio.timeout(TIMEOUT_S):
                 while peer.received.empty():
-                    # What was refused before is reported instead of the next datagram being sent.
+                    # The error of the previous datagram is reported instead of sending the next one.
                     watched.link.write(b"and now?")
                     with contextlib.suppress(TimeoutError):
                         await asyncio.wait_for(peer.received.get(), 0.05)
@@ -496,7 +496,7 @@ async def test_udp_does_not_queue_without_end_for_a_network_that_takes_nothing()
     ):
         await watched.until(lambda: watched.up)
         assert isinstance(watched.link, UdpLink)
-        # As asyncio's transport says it; no loopback is ever full.
+        # As asyncio's transport does; a loopback is never full.
         watched.link.pause_writing()
         assert not watched.link.write(b"stale") and watched.link.dropped_bytes == 5
         watched.link.resume_writing()

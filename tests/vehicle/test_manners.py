@@ -1,4 +1,4 @@
-"""Behaviour towards other programs: own texts only, no reaction to echoes, a notice about a taken id."""
+"""Behaviour towards other programs: only own texts, no reaction to echoes, a notice about an id in use."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ READ_BY_OTHERS = (
     "copter", "rover", "plane", "frame", "prearm", "arm:", "tuning:", "mission:", "radio failsafe",
     "flight plan received", "ardupilot ready", "#", "\t", "\n",
 )  # fmt: skip
-"""What ground stations, autopilots and other companions look for, in small letters."""
+"""Texts that ground stations, autopilots and other companions search for, in lower case."""
 
 
 def problems(text: str) -> list[str]:
@@ -102,7 +102,7 @@ SPEAKING += ["vehicle/commands.py", "vehicle/component/*.py", "vine/intent.py"]
 
 
 def sentences() -> list[str]:
-    """All that the code says to people, and more: each text in it that is no documentation."""
+    """All texts for people in the code: each string that is not documentation."""
     found = []
     here = Path(flying_vines.__file__).parent
     for pattern in SPEAKING:
@@ -112,7 +112,7 @@ def sentences() -> list[str]:
             tree = ast.parse(file.read_text())
             passed_over = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
             for node in ast.walk(tree):
-                # What is compared with, or looked for, is what others say.
+                # Strings of comparisons and searches are texts of others.
                 looks = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
                 if looks and node.func.attr in ("startswith", "compile"):  # type: ignore[attr-defined]
                     passed_over |= {id(part) for part in ast.walk(node)}
@@ -127,13 +127,13 @@ def test_nothing_that_the_code_says_has_to_be_broken() -> None:
     said = sentences()
     assert len(said) > 50
     assert any("autopilot rebooted, vented" in text for text in said)
-    assert any("is taken by another" in text for text in said)
+    assert any("another program has" in text for text in said)
     broken = {text for text in [*said, *(row.name for row in SETTINGS)] if problems(text)}
     assert broken <= {"radio failsafe"}  # of the RC link, as the pilot knows it
 
 
-def test_notices_begin_with_who_speaks() -> None:
-    """This holds for the texts in the code and for those sent."""
+def test_notices_begin_with_their_sender() -> None:
+    """This is true for the texts in the code and for the sent ones."""
     here = Path(flying_vines.__file__).parent
     notices = []
     for file in [*here.glob("core/*.py"), *here.glob("vehicle/**/*.py")]:
@@ -148,7 +148,7 @@ def test_notices_begin_with_who_speaks() -> None:
     assert all(str(text).startswith("Vine: ") for text in notices)
 
 
-# Our id, and what comes back to us.
+# Our id, and echoes of our messages.
 
 
 def heard(message: MavlinkMessage, sender: tuple[int, int]) -> MavlinkMessage:
@@ -156,10 +156,10 @@ def heard(message: MavlinkMessage, sender: tuple[int, int]) -> MavlinkMessage:
 
 
 HEARTBEAT = mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 3, 3)
-TAKEN = "Vine: component id 191 is taken by another: set vehicle.component_id"
+TAKEN = "Vine: another program has component id 191: set vehicle.component_id"
 
 
-def test_a_second_component_with_our_id_is_told_once_a_minute() -> None:
+def test_a_second_component_with_our_id_is_reported_once_a_minute() -> None:
     clash = Clash(191)
     assert clash.heard(10.0) == []
     assert clash.heard(11.0) == [Notice(11.0, Severity.ERROR, TAKEN)]

@@ -1,4 +1,4 @@
-"""The stored mission is read over a poor link, and read again whenever it may have changed."""
+"""The stored mission is read over a bad link, and read again whenever it may have changed."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def count_message(count: int, mission_type: int = 0) -> MavlinkMessage:
 
 
 class Autopilot:
-    """Serves a mission to a book, over a link that loses a share of the frames in both directions."""
+    """Serves a mission to a book, on a link that loses a share of the frames in both directions."""
 
     def __init__(self, items: Sequence[MissionItem], loss: float = 0.0, seed: int = 1) -> None:
         self.items = list(items)
@@ -114,7 +114,7 @@ class Autopilot:
 def test_a_mission_is_read_at_once_and_then_left_alone(size: int) -> None:
     autopilot = Autopilot(mission(size))
     autopilot.reads_within(2.0)
-    assert autopilot.acknowledged == 1  # PX4 tells every ground station where it is missing, at none as well
+    assert autopilot.acknowledged == 1  # PX4 shows on every ground station if it is missing
     assert autopilot.requests == size + 1
     autopilot.run(60.0)
     assert autopilot.requests == size + 1
@@ -176,7 +176,7 @@ def test_degrees_and_metres_come_out_of_their_integers() -> None:
 
 def read(size: int = 12) -> Autopilot:
     autopilot = Autopilot(mission(size))
-    autopilot.total = size - 1  # as ArduPilot counts, without home
+    autopilot.total = size - 1  # ArduPilot's count, without home
     autopilot.reads_within(10.0)
     return autopilot
 
@@ -206,7 +206,7 @@ def test_the_same_total_with_another_mission_id() -> None:
     autopilot = Autopilot(mission(9))
     autopilot.mission_id = 419266506
     for angle_deg in (1.0, 2.0, 3.0):
-        autopilot.run(2.0)  # also soon after a reading
+        autopilot.run(2.0)  # also soon after a download
         assert autopilot.has_read()
         autopilot.items, autopilot.mission_id = mission(9, angle_deg), autopilot.mission_id + 1
     autopilot.reads_within(2.0)
@@ -229,7 +229,7 @@ def test_another_text_tells_nothing() -> None:
     assert autopilot.book.fresh
 
 
-def test_a_total_that_is_told_after_the_reading_is_no_change() -> None:
+def test_a_total_that_is_reported_after_the_reading_is_no_change() -> None:
     autopilot = Autopilot(mission(12))
     autopilot.total = 0
     autopilot.run(1.0)
@@ -284,7 +284,7 @@ def test_a_mission_given_beforehand_serves_until_one_was_read() -> None:
 
 
 def flying(autopilot: Autopilot, seq: int, for_s: float) -> None:
-    """Fly towards item `seq` of ArduPilot's mission, which is told five times a second."""
+    """Fly towards item `seq` of ArduPilot's mission, which is reported five times a second."""
     for _ in range(round(for_s / 0.2)):
         message = mavlink.MAVLink_mission_current_message(seq, len(autopilot.items) - 1, 3, 1)
         autopilot.deliver(sent(message))
@@ -333,7 +333,7 @@ def test_a_change_that_shows_while_the_book_is_read_again_starts_the_reading_ane
     autopilot.reads_within(3.0)
 
 
-def test_what_runs_soon_is_read_first() -> None:
+def test_items_that_run_soon_are_read_first() -> None:
     book = MissionBook()
     book.handle(0.0, current(11, 0, 6))
     book.handle(0.1, count_message(12))
@@ -377,7 +377,7 @@ def test_a_count_beyond_reason_is_not_asked_for() -> None:
 
 
 def test_px4_is_asked_strictly_in_turn_and_again_from_the_start_where_it_breaks_off() -> None:
-    """PX4 gives the next item or the last one again; any other request ends the transfer."""
+    """PX4 sends the next item or the last one again; any other request ends the transfer."""
     items = mission(12)
     book = MissionBook()
     dice = random.Random(4)
@@ -393,7 +393,7 @@ def test_px4_is_asked_strictly_in_turn_and_again_from_the_start_where_it_breaks_
             elif next_seq is None:
                 continue
             elif broken_off == 0 and request.seq == 8:
-                # It forgot the transfer, for instance because another ground station began one.
+                # It forgot the transfer, for example because another ground station started one.
                 next_seq, answer, broken_off = None, mavlink.MAVLink_mission_ack_message(1, 191, 1, 0), 1
             else:
                 assert request.seq in (next_seq, next_seq - 1)

@@ -1,4 +1,4 @@
-"""Missions over bad links, with interference: each item is seen once or missed."""
+"""Missions on bad links, with disturbances: each item is seen once or missed."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_on_a_good_link_nothing_is_missed(kind: AutopilotKind, seed: int, late_s
 @given(seed=st.integers(0, 2**32))
 @settings(max_examples=5, deadline=None)
 def test_of_frames_lost_one_by_one_none_makes_an_item_miss(kind: AutopilotKind, seed: int) -> None:
-    # The bound: one frame lost at a time, in each direction, four seconds apart; an item and then a waypoint.
+    # The bound: one lost frame at a time, in each direction, four seconds apart; an item and then a waypoint.
     dice = random.Random(seed)
     storm = Storm(kind, dice, Link(loss=0.5, spare_s=4.0), mission(kind, dice, wild=False))
     storm.run(10.0)
@@ -71,7 +71,7 @@ def test_a_service_that_starts_in_mid_mission_sees_what_comes_and_nothing_else(
     storm.start_service(down_s=RESTART_S)
     storm.run(35.0)
     assert compare(storm).extra == []
-    # One that runs before the autopilot was found and its streams were asked for can only be missed.
+    # An item that runs before the streams of the autopilot were requested can only be missed.
     assert compare(storm, since=up_at + 2.0).missed == []
     assert [one for one in storm.seen if one.t < down_at] == []
 

@@ -46,7 +46,7 @@ def mission(*commands: int) -> list[MissionItem]:
 
 
 PLAN = mission(WP, TAKEOFF, WP, SCRIPT, GRIPPER, WP, SCRIPT, WP, LAND)
-"""Home, take-off, and two legs that end in payload items: 3 and 4 behind waypoint 2, 6 behind waypoint 5."""
+"""Home, take-off, and two legs that end in payload items: 3 and 4 after waypoint 2, 6 after waypoint 5."""
 
 
 def item_message(one: MissionItem) -> MavlinkMessage:
@@ -71,7 +71,7 @@ def _frame(payload: bytes, sequence: int) -> bytes:
 
 
 class Air:
-    """What an ArduPilot sends, frame by frame, some of them lost."""
+    """An ArduPilot's frames, some of them lost."""
 
     def __init__(self, items: list[MissionItem], given_beforehand: bool = True) -> None:
         self.book = MissionBook(items) if given_beforehand else MissionBook()
@@ -79,7 +79,7 @@ class Air:
         self.watch = ArduPilotWatch(self.book, PAYLOAD, self.clock)
         self.asked: list[int] = []
         self.stored: dict[int, MissionItem] = {}
-        """What the autopilot answers with."""
+        """The mission that the autopilot sends."""
         self.t = 100.0
         self.found: list[Execution] = []
         self._mav = mavlink.MAVLink(None, 1, 1)
@@ -132,13 +132,13 @@ class Air:
             self.send(item_message(one))
 
     def stores(self, items: list[MissionItem]) -> None:
-        """The autopilot has this mission, and gives any item of it."""
+        """The autopilot has this mission, and sends any item of it."""
         self.stored = {one.seq: one for one in items}
 
     def wait(self, for_s: float) -> None:
         for _ in range(round(for_s / TICK_S)):
             self.t += TICK_S
-            if self.t - self._awake_at > 1.0:  # other messages come meanwhile
+            if self.t - self._awake_at > 1.0:  # other messages come in this time
                 self._awake_at = self.t
                 self.clock.stamp(self.t, int(self.t * 1000))
                 self.clock.frame(self.t, (self._mav.seq - 1) % 256)
@@ -149,7 +149,7 @@ class Air:
         return [execution.seq for execution in self.found if execution.command in PAYLOAD]
 
     def tell(self, story: str) -> None:
-        """`at 2`: the item that is flown. `gap`: a lost frame. `runs 3 lost`: its text does not arrive."""
+        """`at 2`: the current item. `gap`: a lost frame. `runs 3 lost`: its text does not arrive."""
         for step in story.split(", "):
             match step.split():
                 case ["at", seq]:
@@ -167,7 +167,7 @@ class Air:
 
 
 def having_read(items: list[MissionItem]) -> Air:
-    """The book was read from the autopilot."""
+    """The mission was read from the autopilot."""
     air = Air([], given_beforehand=False)
     air.give_book(items)
     return air
@@ -186,7 +186,7 @@ def test_each_text_is_one_execution_with_its_numbers() -> None:
     air.runs(3)
     (found,) = [execution for execution in air.found if execution.command in PAYLOAD]
     assert (found.seq, found.command, found.params, found.item) == (3, SCRIPT, PLAN[3].params, PLAN[3])
-    # The second item's text comes behind the next waypoint's.
+    # The second item's text comes after the next waypoint's.
     air.runs(5)
     air.wait(0.006)
     air.runs(4)
@@ -239,39 +239,39 @@ TOO_LATE = f"{WAIT_FOR_TEXT_S + 0.1} s"
 @pytest.mark.parametrize(
     ("items", "story", "ran"),
     [
-        # DO_JUMP, or a pilot's choice of the item: what runs again is told again.
+        # DO_JUMP, or a pilot's choice of the item: an item that runs again is reported again.
         (PLAN, "runs 3, 5 s, runs 3, 5 s, runs 3, 5 s, runs 3, runs 3", [3] * 5),
-        # A jump to and fro does not make up for an item again.
+        # After a jump and back, an item is not added again.
         (
             PLAN,
             "at 2, reached 2, runs 3, runs 4 lost, at 5, "
             f"{TOO_LATE}, runs 2, at 2, 0.5 s, runs 5, at 5, 0.5 s, 10 s",
             [3, 4],
         ),
-        # Only the lost one of two is made up for.
+        # Of two items only the lost one is added.
         (PLAN, "at 2, reached 2, runs 3, runs 4 lost, 0.2 s, at 5, 10 s", [3, 4]),
-        # A text that comes late is not made up for.
+        # An item is not added if its text only comes late.
         (PLAN, "at 2, reached 2, gap, at 5, 0.9 s, runs 3, runs 4, 10 s", [3, 4]),
-        # Without a lost frame an item that was not told did not run.
+        # Without a lost frame, an item without text did not run.
         (PLAN, "at 2, reached 2, at 5, 10 s", []),
-        # A jump runs nothing between; right after a waypoint only what the waypoint ran; later nothing.
+        # A jump runs nothing between; right after a waypoint only its own items ran; later nothing.
         (PLAN, "at 2, 5 s, gap, runs 7, at 7, 10 s", []),
         (PLAN, "at 2, 5 s, reached 2, runs 3, runs 4, 0.1 s, runs 7 lost, at 7, 10 s", [3, 4]),
         (PLAN, "at 2, reached 2, 3.5 s, gap, at 5, 10 s", []),
-        # What comes to light after a later vine item is history; other items make no history.
+        # An item that is found after a later vine item is too old; other items do not matter.
         (PLAN, "at 2, reached 2, runs 3 lost, runs 4, at 5, 10 s", [4]),
         (BEFORE_A_SPEED, "at 2, reached 2, runs 3 lost, runs 4, at 5, 10 s", [3]),
-        # The second pass of a loop is made up for, too.
+        # An item of the second pass of a loop is also added.
         (PLAN, ", ".join((PASS, LOST_PASS, LOST_PASS, PASS)), [3, 4] * 4),
-        # A loop is left and taken after what stands before its jump.
+        # A loop is left and entered after the items before its jump.
         (
             LOOP,
             "at 3, 10 s, reached 3, runs 4 lost, at 2, 10 s, at 3, 10 s, reached 3, runs 4 lost, at 7, 10 s",
             [4, 4],
         ),
-        # Of a waypoint that was left at once only the first item is certain.
+        # If a waypoint was left at once, only its first item is certain.
         (PLAN, "at 2, reached 2, runs 3 lost, runs 4 lost, at 5, 0.2 s, at 7, 10 s", [3]),
-        # The end of a waypoint that is told again moves nothing.
+        # A repeated end of a waypoint changes nothing.
         (PLAN, "at 2, reached 2, runs 3, runs 4, 0.8 s, reached 2, gap, at 5, 10 s", [3, 4]),
     ],
 )
@@ -318,7 +318,7 @@ def handed_over(air: Air, params: tuple[float, ...]) -> Execution | None:
     return air.watch.command(air.t, CARRIERS["user_1"], params, 0)
 
 
-def test_what_a_script_handed_over_is_not_made_up_for() -> None:
+def test_an_item_from_the_script_is_not_added_again() -> None:
     air = Air(PLAN)
     air.tell("at 2, reached 2, runs 3 lost")
     air.found.append(certain(handed_over(air, PLAN[3].params)))
@@ -394,7 +394,7 @@ def test_a_mission_of_the_same_length_that_nobody_told_of_gives_its_own_numbers(
     air.runs(4)
     assert [(e.seq, e.params, e.changed) for e in air.found] == [
         (3, other[3].params, True),
-        (4, other[4].params, False),  # the book is marked as outdated already
+        (4, other[4].params, False),  # the stored mission is already marked as outdated
     ]
     assert not air.book.fresh
 
@@ -452,7 +452,7 @@ def test_a_mission_with_an_identity_lends_its_numbers_where_no_answer_comes() ->
 
 
 @pytest.mark.parametrize("replaced", [False, True])
-def test_what_was_made_up_for_is_confirmed_as_well(replaced: bool) -> None:
+def test_an_added_item_is_also_confirmed(replaced: bool) -> None:
     air = having_read(PLAN)
     other = [replace(one, params=(1.0, -11.0, 0.0, 0.0, 0.0, 0.0, 0.0)) for one in PLAN]
     air.stores(other if replaced else PLAN)
@@ -473,7 +473,7 @@ def test_a_text_that_comes_after_its_item_was_made_up_for_is_no_second_execution
     assert air.payloads() == [3, 4, 3]
 
 
-def test_without_an_answer_the_kind_is_told_and_the_numbers_are_not() -> None:
+def test_without_an_answer_the_kind_is_reported_and_the_numbers_are_not() -> None:
     air = Air([], given_beforehand=False)
     air.runs(3, "Scripting")
     air.runs(7, "SetHome")
@@ -505,7 +505,7 @@ def test_a_waypoints_name_on_a_payload_items_number_runs_no_payload() -> None:
     assert air.payloads() == []
 
 
-def test_a_name_that_stays_against_the_book_is_told_without_numbers_and_asked_about_once() -> None:
+def test_a_name_that_stays_against_the_book_is_reported_without_numbers_and_asked_about_once() -> None:
     air = having_read(PLAN)
     air.runs(3, "Winch")
     air.wait(0.6)
@@ -516,7 +516,7 @@ def test_a_name_that_stays_against_the_book_is_told_without_numbers_and_asked_ab
     assert [(e.command, e.seq, e.params) for e in air.found] == [(WINCH, 3, None)]
 
 
-def test_a_name_that_nobody_knows_is_believed_when_the_autopilot_confirms_it() -> None:
+def test_an_unknown_name_is_accepted_when_the_autopilot_confirms_it() -> None:
     air = having_read(PLAN)
     air.runs(3, "ScriptMsg")
     assert air.found == []
@@ -535,12 +535,12 @@ def test_a_given_mission_of_another_flight_lends_no_numbers() -> None:
     ]
 
 
-# A whole flight, with a model of how ArduPilot runs a mission, over a bad link.
+# A whole flight on a bad link, with a model of how ArduPilot runs a mission.
 
 
 @dataclass
 class Flight:
-    """The truth, and the frames that tell of it."""
+    """The executed items, and the frames that report them."""
 
     items: list[MissionItem]
     dice: random.Random
@@ -616,7 +616,7 @@ class Flight:
         return True
 
     def go(self, first: int, nav: int) -> None:
-        """Run what stands before the waypoint `nav`, whose own text comes behind the first of them."""
+        """Run the items before the waypoint `nav`, whose own text comes after the first of them."""
         self.nav = nav
         acts = [seq for seq in range(first, nav) if self.items[seq].command != JUMP]
         for seq in acts[:1]:
@@ -624,7 +624,7 @@ class Flight:
         self.start(nav)
         for i, seq in enumerate(acts[:1]):
             if self.items[seq].command == CONDITION_DELAY:
-                if self.dice.random() < 0.5:  # the next waypoint comes first: what waits is dropped
+                if self.dice.random() < 0.5:  # the next waypoint comes first: waiting items are dropped
                     return
                 self.let_pass(1.5)
             assert i == 0
@@ -655,7 +655,7 @@ def plan(dice: random.Random) -> list[MissionItem]:
 
 
 def received(flight: Flight, loss: float, copies: float, late_s: float) -> list[tuple[float, MavlinkMessage]]:
-    """The flight's messages behind a link that loses, doubles and delays frames."""
+    """The flight's messages after a link that loses, copies and delays frames."""
     dice = flight.dice
     arriving: list[tuple[float, int, bytes]] = []
     for t, frame in flight.frames:
@@ -739,7 +739,7 @@ def actuator(seq: int, value: float) -> MissionItem:
 def test_a_command_of_px4_is_the_item_with_its_numbers() -> None:
     nan = float("nan")
     watch = px4(actuator(2, 0.5), actuator(4, -0.1))
-    found = ran(watch, 187, (-0.10000000149, nan, nan, nan))  # as a float of 32 bits has it
+    found = ran(watch, 187, (-0.10000000149, nan, nan, nan))  # as a 32-bit float
     assert (found.command, found.seq) == (187, 4)
     assert found.item is not None
     assert found.item.seq == 4
@@ -763,7 +763,7 @@ def test_a_command_that_the_book_does_not_have_keeps_its_own_numbers() -> None:
 
 @pytest.mark.parametrize(("confirmation", "late"), [(0, False), (1, False), (2, True), (3, True)])
 def test_how_old_the_first_copy_is_that_arrives(confirmation: int, late: bool) -> None:
-    """PX4's repeats are half a second apart, the first one a second."""
+    """PX4's repeats are half a second apart, the first one comes after a second."""
     execution = px4(actuator(3, 0.5), current=3).command(10.0, 187, actuator(3, 0.5).params, confirmation)
     assert execution is not None
     assert (execution.age_s > LATE_S) == late
@@ -773,9 +773,9 @@ def test_a_repeat_of_an_item_that_ran_before_anybody_listened_or_asked_for_anoth
     watch = px4(actuator(3, 0.5), current=3)
     watch.forget(10.0)
     params = actuator(3, 0.5).params
-    # The third frame of a command is the first that is heard: it was sent a second ago.
+    # The third frame of a command arrives first: the command was sent a second ago.
     assert watch.command(10.3, 187, params, confirmation=2) is None
-    # It began after that only if its first repeat came as soon as it can.
+    # It began after that only if its first repeat came as early as possible.
     assert watch.command(10.9, 187, params, confirmation=2) is None
     assert watch.command(12.2, 187, params, confirmation=2) is not None
 
@@ -787,7 +787,7 @@ def test_a_repeat_of_an_item_that_a_later_one_of_its_burst_overtook_is_history()
     assert certain(watch.command(10.0, 187, (-0.1, nan, nan, nan), 0)).seq == 3
     assert watch.command(11.0, 187, (0.5, nan, nan, nan), 1) is None
     assert certain(watch.command(12.0, 187, (0.9, nan, nan, nan), 1)).seq == 5
-    assert certain(watch.command(12.5, 187, (0.5, nan, nan, nan), 1)).seq == 2  # a waypoint lies between
+    assert certain(watch.command(12.5, 187, (0.5, nan, nan, nan), 1)).seq == 2  # a waypoint is between them
     assert watch.command(12.8, 187, (0.9, nan, nan, nan), 1) is None  # it began before the last one
     assert certain(watch.command(12.9, 187, (0.9, nan, nan, nan), 0)).seq == 5
 
@@ -803,11 +803,11 @@ def test_the_model_flight_really_runs_what_it_should() -> None:
     assert counts[2] > 10  # loops and jumps run items again
 
 
-# PX4, where the command of an item is lost.
+# PX4, with lost commands of items.
 
 
 class Px4Air:
-    """What a PX4 sends, with the commands that come and those that do not."""
+    """A PX4's messages. Some of its commands do not arrive."""
 
     def __init__(self, *items: MissionItem, mission_id: int = 77) -> None:
         self.clock, self.book = AutopilotClock(), MissionBook()
@@ -832,7 +832,7 @@ class Px4Air:
         self._mav.seq = (self._mav.seq + 3) % 256
 
     def reaches(self, seq: int, for_s: float = 0.0) -> None:
-        """And this time passes."""
+        """Reach an item, and let this time pass."""
         self.send(mavlink.MAVLink_mission_item_reached_message(seq))
         self.wait(for_s)
 
@@ -876,7 +876,7 @@ def test_a_straightening_whose_command_was_lost_comes_after_all_and_once() -> No
     air.wait(0.4)
     assert air.seqs() == [2, 4]
     assert air.found[1].item == air.book.items[4]
-    for confirmation in (1, 2, 3):  # its repeats are that item
+    for confirmation in (1, 2, 3):  # its repeats are the same item
         air.wait(0.5)
         air.command(STRAIGHT, confirmation)
         air.reaches(4)
@@ -895,7 +895,7 @@ def test_an_item_whose_command_came_is_not_carried_out_again(reached_first: bool
     assert air.seqs() == [2, 4]
 
 
-def test_a_winch_is_told_as_reached_long_after_its_command() -> None:
+def test_a_winch_is_reported_as_reached_long_after_its_command() -> None:
     air = Px4Air(*PX4_PLAN)
     air.command(PX4_PLAN[6])
     air.reaches(5, 20.0)
@@ -914,19 +914,19 @@ def test_a_second_pass_whose_command_was_lost_counts() -> None:
     assert air.seqs() == [4, 4]
 
 
-def test_what_a_later_item_has_overtaken_is_not_made_up_for() -> None:
+def test_an_item_before_a_later_one_is_not_added() -> None:
     nan = float("nan")
     burst = MissionItem(3, GRIPPER, (1.0, 1.0, nan, nan, 0.0, 0.0, 0.0), frame=2)
     air = Px4Air(PX4_PLAN[0], PX4_PLAN[1], BENT, burst, MissionItem(4, WP, (0.0,) * 7))
     air.reaches(1)
     air.command(burst)
-    air.reaches(2)  # as a gripper's command comes before what was reached in front of it
+    air.reaches(2)  # a gripper's command comes before the report of the item before it
     air.wait(0.02)
     air.reaches(3, 5.0)
     assert air.seqs() == [3]
 
 
-def test_what_waits_for_its_command_is_overtaken_by_a_later_one_and_by_a_person() -> None:
+def test_a_waiting_item_is_dropped_after_a_later_one_or_a_person() -> None:
     air = Px4Air(*PX4_PLAN)
     air.reaches(2, 0.1)
     air.command(STRAIGHT)
@@ -938,7 +938,7 @@ def test_what_waits_for_its_command_is_overtaken_by_a_later_one_and_by_a_person(
     assert air.seqs() == [4]
 
 
-def test_what_was_reached_before_we_listened_is_history() -> None:
+def test_items_reached_before_our_start_do_not_count() -> None:
     air = Px4Air(*PX4_PLAN)
     late = Px4Watch(air.book, {187}, air.clock)
     for _ in range(9):
@@ -947,7 +947,7 @@ def test_what_was_reached_before_we_listened_is_history() -> None:
         air.t += 1.0
 
 
-def test_what_was_reached_before_the_mission_was_read_is_not_told_by_its_repeat() -> None:
+def test_an_item_reached_before_the_mission_was_read_is_not_reported_by_its_repeat() -> None:
     air = Px4Air(*PX4_PLAN)
     air.send(identified(len(PX4_PLAN), 78))
     air.command(STRAIGHT)
@@ -969,10 +969,10 @@ def test_a_mission_that_may_be_another_one_lends_no_numbers() -> None:
     air = Px4Air(*PX4_PLAN)
     air.send(identified(len(PX4_PLAN), 78))
     air.reaches(4, 4.0)
-    assert air.found == []  # nor is it known what item 4 is
+    assert air.found == []  # and item 4 is unknown
 
 
-def test_how_late_what_was_reached_may_be_is_told_where_frames_were_lost() -> None:
+def test_the_possible_delay_of_a_reached_item_is_given_if_frames_were_lost() -> None:
     air = Px4Air(*PX4_PLAN)
     air.reaches(1, 1.0)
     air.reaches(1)
@@ -983,7 +983,7 @@ def test_how_late_what_was_reached_may_be_is_told_where_frames_were_lost() -> No
     assert air.found[0].age_s == pytest.approx(3.3, abs=0.05)
 
 
-def test_the_number_of_a_repeated_item_is_told_where_it_was_reached_first() -> None:
+def test_the_number_of_a_repeated_item_is_reported_where_it_was_reached_first() -> None:
     again = actuator(6, 0.5)
     air = Px4Air(*PX4_PLAN[:6], again, PX4_PLAN[7])
     air.command(BENT)

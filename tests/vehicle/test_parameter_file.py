@@ -30,7 +30,7 @@ VINE_MAX_KPA = 18.1
 """
 
 
-def test_what_is_written_is_read_again(tmp_path: Path) -> None:
+def test_written_parameters_are_read_back(tmp_path: Path) -> None:
     path = tmp_path / "vine-parameters.toml"
     write(path, VALUES, PROFILE)
     assert path.read_text() == TEXT
@@ -107,7 +107,7 @@ def test_a_file_that_cannot_be_used_is_named_with_the_line(tmp_path: Path, text:
 @pytest.mark.parametrize(
     "content", [b"VINE_MAX_KPA = 18\nVINE_MA", b"\x00" * 40, b"\xff\xfe", b"[limits]\nmax_kPa = 18\n"]
 )
-def test_what_is_no_parameter_file_is_never_overwritten(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_not_a_parameter_file_is_never_overwritten(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "parameters.toml"
     path.write_bytes(content)
     with pytest.raises(ParameterFileError):

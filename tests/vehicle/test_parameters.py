@@ -53,7 +53,7 @@ def setting(
 
 
 class Bench:
-    """A parameter set, and what came of each message."""
+    """A parameter set, and the results of each message."""
 
     def __init__(self, of: Config = PROFILE, values: dict[str, float] | None = None) -> None:
         self.parameters = Parameters(of, values)
@@ -69,7 +69,7 @@ class Bench:
     def set(
         self, name: str, value: float, param_type: int = REAL32
     ) -> tuple[float, list[str], list[Changed]]:
-        """The value in the answer, what people are told, and the change."""
+        """Set a parameter. Returns the value in the answer, the texts, and the change."""
         (answer,), texts, changes = self.take(setting(name, value, param_type))
         assert (answer.param_type, answer.param_count) == (REAL32, len(SETTINGS))
         assert SETTINGS[answer.param_index].name == answer.param_id == name
@@ -103,7 +103,7 @@ def test_each_row_has_a_key_of_the_profile_and_bounds_around_its_value(row: Any)
     assert least < most
 
 
-def test_what_must_not_be_changed_in_the_field_is_no_parameter() -> None:
+def test_settings_that_must_not_change_in_the_field_are_no_parameters() -> None:
     keys = {(row.table, row.key) for row in SETTINGS}
     for key in ("bench_mode", "armed_at_start"):
         assert ("interlocks", key) not in keys
@@ -139,7 +139,7 @@ def test_asked_again_while_it_runs_the_list_starts_again_and_does_not_double() -
 
 
 @pytest.mark.parametrize("target", [(1, 1), (2, 191), (2, 0), (1, 190), (0, 191)])
-def test_what_is_for_others_is_met_with_silence(target: tuple[int, int]) -> None:
+def test_messages_for_others_are_not_answered(target: tuple[int, int]) -> None:
     bench = Bench()
     assert bench.take(mavlink.MAVLink_param_request_list_message(*target)) == ([], [], [])
     assert bench.wait(1.0) == []
@@ -175,7 +175,7 @@ def test_read_by_name_and_by_index() -> None:
     ("name", "index"),
     [(b"_HASH_CHECK", -1), (b"VINE_NOTHING", -1), (b"", -1), (b"VINE_SW_CHAN", 16), (b"VINE_SW_CHAN", -2)],
 )
-def test_what_we_do_not_have_is_not_answered(name: bytes, index: int) -> None:
+def test_unknown_parameters_are_not_answered(name: bytes, index: int) -> None:
     bench = Bench()
     assert bench.take(mavlink.MAVLink_param_request_read_message(*US, name, index)) == ([], [], [])
     assert bench.take(setting("_HASH_CHECK", 1.0)) == ([], [], [])
@@ -229,7 +229,7 @@ def test_the_value_in_force_again_changes_nothing() -> None:
 def test_back_to_the_profiles_value_is_the_profile_again() -> None:
     bench = Bench()
     bench.set("VINE_MAX_KPA", 15.0)
-    bench.set("VINE_MAX_KPA", 20.7)  # on the way a 32-bit float, which is above 20.7
+    bench.set("VINE_MAX_KPA", 20.7)  # as a 32-bit float it is above 20.7
     assert bench.parameters.config == PROFILE
     assert bench.parameters.values == {}
 
@@ -256,7 +256,9 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("name", "value", "reason"), REFUSED)
-def test_what_is_refused_stays_and_the_sender_is_told_both(name: str, value: float, reason: str) -> None:
+def test_after_a_refusal_the_sender_gets_the_old_value_and_the_reason(
+    name: str, value: float, reason: str
+) -> None:
     bench = Bench()
     answer, texts, changes = bench.set(name, value)
     before = value_of(BY_NAME[name], PROFILE)
@@ -322,7 +324,7 @@ ANY = st.floats(width=32) | st.floats(0, 130, width=32) | st.integers(0, 20).map
 
 @given(st.lists(st.tuples(st.sampled_from(SETTINGS), ANY, st.booleans()), max_size=25))
 @settings(max_examples=examples(150), deadline=None)
-def test_whatever_is_sent_the_configuration_stays_one_that_the_profile_allows(
+def test_any_parameters_give_a_configuration_within_the_profile(
     sets: list[tuple[Any, float, bool]],
 ) -> None:
     bench = Bench(PROFILE)

@@ -1,4 +1,4 @@
-"""Payloads become the same messages as with pymavlink, for every type of the dialect."""
+"""Payloads are decoded like by pymavlink, for every type of the dialect."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def ours(frame: bytes) -> MavlinkMessage:
 
 def assert_same(message: MavlinkMessage, expected: MavlinkMessage) -> None:
     assert type(message) is type(expected)
-    # As text, because what is not a number is not equal to itself.
+    # As text, because NaN is not equal to itself.
     assert str(message.to_dict()) == str(expected.to_dict())
     assert message.get_header().__dict__ == expected.get_header().__dict__
     assert bytes(message.get_msgbuf()) == bytes(expected.get_msgbuf())

@@ -1,4 +1,4 @@
-"""The pilot's switch on a radio with known truth: what bends the vine, what does not, and how late."""
+"""The pilot's switch on a radio with known truth: which moves bend the vine, and after which time."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from flying_vines.vine.intent import StartProfile
 PERIOD_S = 0.05
 PULSES_US = (1000, 1500, 2000)
 BITS_AFTER_S = 1.4
-"""The latest that PX4's RC status was seen to follow a loss."""
+"""Maximum delay of PX4's RC status after a loss, as observed."""
 BITS_BACK_S = 0.3
 
 
@@ -34,7 +34,7 @@ class Radio:
     autopilot: Literal["ardupilot", "px4"] = "px4"
     failsafe: Literal["unknown", "hold", "hidden"] | int = "unknown"
     preset: dict[int, int] | None = None
-    """What the receiver makes of its channels in a loss; None: it holds them."""
+    """The receiver's channels in a loss; None: it holds them."""
     bits_after_s: float = BITS_AFTER_S
     rssi: int = NO_RSSI
     rssi_when_lost: int = NO_RSSI
@@ -45,7 +45,7 @@ class Radio:
     outputs: list[tuple[float, PilotOutput]] = field(default_factory=list)
     steps: int = 0
     sensors: int = 0
-    """Health that is not RC's."""
+    """Health of other sensors."""
     lost_at: float | None = None
     good_bits_at: float = 0.0
     sticks: list[int] = field(default_factory=lambda: [1500, 1500, 1400, *[1500] * 5, 1000, *[1500] * 9])
@@ -72,7 +72,7 @@ class Radio:
         return self.steps * PERIOD_S
 
     def override(self, pulse_us: int) -> None:
-        """A ground station says this of the switch's channel."""
+        """A ground station overrides the switch's channel."""
         channels_us = [65535] * 18
         channels_us[self.channel - 1] = pulse_us
         self.pilot.override(self.now_s, mavlink.MAVLink_rc_channels_override_message(1, 1, *channels_us))
@@ -152,7 +152,7 @@ def test_a_bend_on_px4_waits_until_the_status_would_have_told_of_a_loss() -> Non
 
 
 def test_a_bend_waits_longer_where_px4_has_just_reported_its_health() -> None:
-    """It reports its health at most every 2 s, so a loss in between is reported later."""
+    """PX4 reports its health at most every 2 s, so a loss in between is reported later."""
     radio = Radio(preset={9: 2000}, bits_after_s=2.6)
     radio.sensors = 0x20
     radio.run(0.3)
@@ -281,7 +281,7 @@ def test_a_receiver_that_reports_no_signal_is_lost_whatever_the_status_says() ->
 
 
 def test_a_receiver_without_a_failsafe_flag_must_not_bend_the_vine() -> None:
-    """PX4 shows no loss at all then; `flying-vines doctor --radio` finds it."""
+    """PX4 then shows no loss at all; `flying-vines doctor --radio` finds this."""
     radio = Radio(failsafe="hidden", preset={9: 2000}, bits_after_s=100.0)
     radio.lose(5.0)
     assert radio.bends == []
@@ -319,7 +319,7 @@ def test_a_slow_stick_beside_the_switch_is_the_pilot() -> None:
     assert len(radio.bends) == 1
 
 
-def test_where_ardupilot_hides_a_loss_the_switch_straightens_only() -> None:
+def test_if_ardupilot_hides_losses_the_switch_only_straightens() -> None:
     radio = Radio("ardupilot")
     radio.hear(param_value("FS_THR_ENABLE", 0.0))
     assert radio.told == ["Vine: FS_THR_ENABLE 0 hides RC loss: switch cannot bend"]
@@ -369,7 +369,7 @@ def test_sooner_than_an_override_can_end_it_was_the_pilot() -> None:
     assert len(radio.bends) == 2
 
 
-def test_an_override_that_we_hear_end_is_no_move_in_either_direction() -> None:
+def test_an_override_whose_end_is_reported_is_no_move() -> None:
     radio = Radio("ardupilot")
     radio.override(1000)
     radio.run(3.0)
@@ -408,7 +408,7 @@ def test_a_switch_that_comes_back_from_a_preset_bends_nothing_again(
     assert len(radio.bends) == 2, "a fresh move counts"
 
 
-def test_what_came_after_a_straightening_is_not_seen_to_by_it() -> None:
+def test_a_straightening_clears_only_faults_up_to_its_move() -> None:
     radio = Radio()
     radio.move(2, 3.0)
     radio.move(0)
@@ -436,7 +436,7 @@ def test_without_a_status_a_bend_is_refused_and_said() -> None:
 
 def test_a_gap_that_nobody_saw_is_a_loss() -> None:
     radio = Radio("ardupilot")
-    radio.steps += 120  # our process stood still
+    radio.steps += 120  # our process paused
     radio.move(2, 3.0)
     assert radio.bends == []
     assert "moved while RC was lost" in radio.told[-1]
@@ -452,8 +452,8 @@ def test_a_switch_that_moves_as_its_override_is_released_was_not_moved(channel: 
 
 
 @pytest.mark.parametrize(("channel", "pulse_us"), [(9, 0), (9, 65535), (8, 65535), (8, 1000)])
-def test_what_releases_no_override_leaves_the_pilots_moves_to_him(channel: int, pulse_us: int) -> None:
-    """0 releases the first eight channels only, and an override that continues ends later."""
+def test_values_that_release_no_override_do_not_affect_the_pilots_moves(channel: int, pulse_us: int) -> None:
+    """0 releases only the first eight channels, and an override that continues ends later."""
     radio = Radio("ardupilot", channel=channel)
     radio.override(pulse_us)
     radio.move(2, 1.0)
@@ -506,7 +506,7 @@ def test_a_preset_does_not_bring_back_a_bend_that_was_overtaken() -> None:
     assert radio.bends == []
 
 
-def test_where_nothing_is_heard_the_switch_stands_nowhere_and_no_bend_waits() -> None:
+def test_without_messages_the_switch_has_no_position_and_no_bend_waits() -> None:
     radio = Radio()
     radio.move(2, 1.0)
     for _ in range(200):
@@ -539,7 +539,7 @@ def test_a_receiver_that_px4_does_not_use_is_refused_and_a_ground_station_is_not
         assert len(radio.bends) == bends
 
 
-def test_what_hides_a_loss_is_told_once() -> None:
+def test_a_parameter_that_hides_losses_is_reported_once() -> None:
     radio = Radio("ardupilot")
     radio.hear(param_value("RC_OVERRIDE_TIME", 4.0))
     assert radio.told == []
@@ -549,7 +549,7 @@ def test_what_hides_a_loss_is_told_once() -> None:
 
 
 def test_a_single_message_with_the_throttle_in_failsafe_is_a_loss() -> None:
-    """What the switch read in this message counts for nothing."""
+    """The switch's value in this message does not count."""
     radio = Radio("ardupilot")
     radio.move(2)
     radio.sticks[2] = 900
@@ -638,7 +638,7 @@ def test_the_status_that_tells_of_a_loss_confirms_no_bend(steps: int) -> None:
     assert all(t < lost_s + BITS_AFTER_S for t in radio.bends)
 
 
-def test_before_the_switch_is_believed_others_may_ask() -> None:
+def test_before_the_switch_is_accepted_others_may_ask() -> None:
     radio = Radio("ardupilot")
     radio.pilot.forget()
     radio.pilot.others_asked(straightened=True)

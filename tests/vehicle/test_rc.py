@@ -1,4 +1,4 @@
-"""Every sign that RC is lost, alone and as real autopilots show it."""
+"""Every sign of an RC loss, alone and in recordings of real autopilots."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def good(at_s: float = 0.0) -> RadioLink:
     return link
 
 
-def test_nothing_heard_yet() -> None:
+def test_before_any_message() -> None:
     link = radio()
     assert link.problem(0.0) == "no RC_CHANNELS yet"
     link.handle(0.0, health(True))
@@ -136,7 +136,7 @@ def test_a_pulse_that_no_receiver_makes(pulse_us: int) -> None:
 
 
 @pytest.mark.parametrize("pulse_us", [800, 874, 2134, 2200])
-def test_trims_at_their_ends_are_believed(pulse_us: int) -> None:
+def test_trims_at_their_ends_are_accepted(pulse_us: int) -> None:
     link = good()
     link.handle(0.1, channels(pulse_us))
     assert link.problem(0.1) is None
@@ -160,7 +160,7 @@ def test_a_throttle_that_is_not_there_says_nothing(throttle_us: int) -> None:
     assert link.problem(0.0) is None
 
 
-def test_forgetting_leaves_nothing_to_believe_and_nothing_to_hold_against_it() -> None:
+def test_forgetting_removes_good_and_bad_signs() -> None:
     link = good()
     link.handle(0.1, text("Radio Failsafe"))
     link.handle(0.1, health(False))
@@ -189,7 +189,7 @@ def recorded(name: str) -> Iterator[tuple[float, MavlinkMessage]]:
 
 
 def judged(name: str) -> list[tuple[float, str]]:
-    """When the judgement of a recording's radio changed, and to what."""
+    """The times at which the judgement of a recording's radio changed, and the new judgements."""
     link, changes, last = radio(), [], "no RC_CHANNELS yet"
     now = 0.0
     for t, message in recorded(name):
@@ -212,13 +212,13 @@ def test_a_frozen_and_a_jumping_receiver_as_recorded() -> None:
     lost = [t for t, said in changes if said != "good"]
     back = [t for t, said in changes if said == "good"][1:]
     assert changes[0][1] == "good"
-    # No pulses from 39.02: the failsafe's text comes a second later, while the channels stay as they were.
+    # No pulses from 39.02 on: the text of the failsafe comes a second later, and the channels do not change.
     assert lost[0] == pytest.approx(40.05, abs=0.05)
     assert dict(changes)[lost[0]] == "radio failsafe"
     first_back = min(back)
     assert first_back == pytest.approx(49.2, abs=0.5)
     assert not [t for t in back if 40.1 < t < 49.0]
-    # A receiver that makes channels up from 62.04: it is its throttle that says so, before any text.
+    # A receiver with false channels from 62.04 on: its throttle shows the loss before any text.
     second = min(t for t in lost if t > 55)
     assert second == pytest.approx(62.1, abs=0.06)
     assert "throttle at 950" in dict(changes)[second]

@@ -1,4 +1,4 @@
-"""Repeats of a command and copies of a frame are told apart from a new equal command."""
+"""Repeats of a command and copies of a frame are distinguished from a new equal command."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from flying_vines.vehicle.repeats import (
 
 
 class Line:
-    """Frames of one command, each with a sequence number of its own."""
+    """Frames of one command, each with its own sequence number."""
 
     def __init__(self, repeat_s: float = PX4_REPEAT_S) -> None:
         self.repeats = Repeats()

@@ -1,4 +1,4 @@
-"""What we answer any component: identity, a message, a rate, a ping."""
+"""Our answers to any component: identity, a message, a rate, a ping."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def command(
 
 
 class Bench:
-    """Requests, and the telemetry that they steer."""
+    """Requests, and the telemetry that they control."""
 
     def __init__(self) -> None:
         self.heartbeat = Heartbeat()
@@ -55,7 +55,8 @@ class Bench:
     def ask(
         self, number: int, *params: float, sender: tuple[int, int] = STATION
     ) -> tuple[int, list[MavlinkMessage]]:
-        """The result in the acknowledgement, which goes to who asked and comes first; and what else came."""
+        """The result in the acknowledgement, which is sent first and to the sender; and the other
+        messages."""
         answers = self.take(command(number, params), sender)
         assert answers is not None
         acknowledgement, *rest = answers
@@ -66,7 +67,7 @@ class Bench:
         return acknowledgement.result, rest
 
     def wait(self, for_s: float) -> list[tuple[float, str]]:
-        """The named values that leave."""
+        """The named values that are sent."""
         sent = []
         for _ in range(round(for_s / TICK_S)):
             sent += [(self.t, message.name) for message in self.values.due(self.t, 0, VALUES)]
@@ -74,7 +75,7 @@ class Bench:
         return sent
 
 
-# Who are you.
+# Identity.
 
 
 @pytest.mark.parametrize("asked", [(REQUEST_MESSAGE, 148), (REQUEST_CAPABILITIES, 1)])
@@ -144,7 +145,7 @@ def test_the_protocol_version_is_read_by_a_dialect_that_has_it(
     assert ProtocolVersion.id == answer.get_msgId() == 300
 
 
-# Send me that.
+# Request of a message.
 
 
 def test_a_heartbeat_on_request_is_the_next_thing_that_leaves() -> None:
@@ -173,7 +174,7 @@ def test_messages_that_are_not_ours_are_unsupported(asked: tuple[float, ...]) ->
 
 @pytest.mark.parametrize("number", [REQUEST_MESSAGE, SET_INTERVAL, GET_INTERVAL])
 @pytest.mark.parametrize("message_id", [math.nan, math.inf, -math.inf, 251.5])
-def test_what_is_no_message_id_is_denied(number: int, message_id: float) -> None:
+def test_an_invalid_message_id_is_denied(number: int, message_id: float) -> None:
     assert Bench().ask(number, message_id, 1e6) == (DENIED, [])
 
 
@@ -183,7 +184,7 @@ def test_a_request_that_requests_nothing_is_denied(number: int, param: float) ->
     assert Bench().ask(number, param) == (DENIED, [])
 
 
-# How often.
+# Rates.
 
 
 def test_the_interval_of_values_is_set_told_and_kept() -> None:
@@ -222,20 +223,20 @@ def test_values_too_fast_or_too_slow_are_denied_and_go_on_as_before(interval_us:
     ("interval_us", "result"),
     [(0.0, ACCEPTED), (1e6, ACCEPTED), (-1.0, DENIED), (2e6, DENIED), (5e5, DENIED)],
 )
-def test_the_heartbeat_is_nobodys_to_change(interval_us: float, result: int) -> None:
+def test_nobody_can_change_the_heartbeat(interval_us: float, result: int) -> None:
     bench = Bench()
     assert bench.ask(SET_INTERVAL, 0, interval_us) == (result, [])
     _, (told,) = bench.ask(GET_INTERVAL, 0)
     assert told.interval_us == 1_000_000
 
 
-def test_the_interval_of_what_we_never_send_is_told_as_such() -> None:
+def test_the_interval_of_what_we_never_send_is_reported_as_such() -> None:
     result, (told,) = Bench().ask(GET_INTERVAL, 65)
     assert (result, told.message_id, told.interval_us) == (ACCEPTED, 65, 0)
     assert Bench().ask(GET_INTERVAL, 70_000) == (DENIED, [])
 
 
-# What is not for us, or not for here.
+# Requests that are not for us, or not supported.
 
 
 @pytest.mark.parametrize("target", [(1, 0), (0, 0), (1, 1), (2, 191), (0, 191)])
@@ -256,7 +257,7 @@ def test_a_request_of_the_autopilot_itself_is_answered_too() -> None:
     assert Bench().ask(REQUEST_MESSAGE, 148, sender=AUTOPILOT)[0] == ACCEPTED
 
 
-# Are you there.
+# Pings and clock.
 
 
 @pytest.mark.parametrize("target", [(0, 0), (1, 0), US])
@@ -324,7 +325,7 @@ def test_a_question_about_the_clock_of_somebody_else_is_left_alone(
     assert bool(Bench().requests.handle(0.0, received, 1)) is answered
 
 
-def test_the_clock_is_told_once_a_second_however_often_it_is_asked() -> None:
+def test_the_clock_is_reported_once_a_second_however_often_it_is_asked() -> None:
     bench, answered = Bench(), 0
     for _ in range(600):  # PX4 asks ten times a second
         answered += len(bench.take(mavlink.MAVLink_timesync_message(0, 1234), AUTOPILOT) or [])

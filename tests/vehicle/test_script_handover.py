@@ -1,4 +1,4 @@
-"""A script on ArduPilot hands over an item that a status text announces as well: one execution."""
+"""A script on ArduPilot sends an item that a status text also reports: it is executed once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Signing: which frames are believed, and timestamps that never fall or repeat."""
+"""Signing: accepted frames, and timestamps that never fall or repeat."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def signed_by_hand(
     component: int = 1,
     sequence: int = 0,
 ) -> bytes:
-    """A STATUSTEXT as MAVLink's documentation describes a signed frame; it needs only a hash."""
+    """A signed STATUSTEXT as in MAVLink's documentation; it needs only a hash."""
     statustext, crc_extra = 253, 83
     header = bytes((len(payload), 1, 0, sequence, system, component)) + statustext.to_bytes(3, "little")
     crc = crc_by_hand(header + payload + bytes((crc_extra,)))
@@ -64,7 +64,7 @@ def signed_by_hand(
 
 
 class Peer:
-    """One component with a key, by hand."""
+    """One component with a key, implemented by hand."""
 
     def __init__(self, timestamp: int = NOW, system: int = 1, component: int = 1, link_id: int = 3) -> None:
         self.timestamp = timestamp
@@ -101,7 +101,7 @@ def text(words: str) -> MavlinkMessage:
     return mavlink.MAVLink_statustext_message(6, words.encode(), 0, 0)
 
 
-def test_what_we_sign_is_what_the_specification_says_byte_by_byte() -> None:
+def test_our_signed_frames_follow_the_specification_byte_by_byte() -> None:
     ours = Ours(link_id=7)
     frame = ours.codec.encode(text("Vine: ready"), 1)
     payload = b"\x06Vine: ready"
@@ -111,7 +111,7 @@ def test_what_we_sign_is_what_the_specification_says_byte_by_byte() -> None:
     )
 
 
-def test_what_is_signed_by_hand_is_heard_and_by_pymavlink_too() -> None:
+def test_frames_signed_by_hand_and_by_pymavlink_are_accepted() -> None:
     ours, theirs = Ours(), mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
     theirs.signing.secret_key, theirs.signing.timestamp, theirs.signing.sign_outgoing = KEY, NOW, True
     assert ours.hears(Peer().say("by hand")) == ["by hand"]
@@ -123,7 +123,7 @@ def test_what_is_signed_by_hand_is_heard_and_by_pymavlink_too() -> None:
 
 @pytest.mark.parametrize("name", ["px4_mission.tlog", "px4_vine_mission.tlog"])
 def test_frames_that_a_real_px4_signed(name: str) -> None:
-    # It signs with a key of zeros until it is given one, and counts timestamps from its start.
+    # It signs with a key of zeros until it gets one, and counts timestamps from its start.
     signing = Signing(bytes(32))
     codec = MavlinkCodec(0, 191, signing)
     frames = [frame for _, frame in TlogReader(RECORDINGS / name).frames()]
@@ -162,7 +162,7 @@ clocks = st.lists(
 
 @given(st.integers(0, 2**47), clocks)
 @settings(max_examples=examples(200), deadline=None)
-def test_whatever_the_clock_does_no_timestamp_comes_twice_on_one_link_id(
+def test_with_any_clock_no_timestamp_is_used_twice_on_one_link_id(
     kept: int, steps: list[tuple[float, float | None, bool] | int | None]
 ) -> None:
     signing, at_s = Signing(KEY, memory=SigningMemory(kept)), 0.0
@@ -184,7 +184,7 @@ def test_whatever_the_clock_does_no_timestamp_comes_twice_on_one_link_id(
 
 
 def test_without_a_clock_what_was_saved_goes_on() -> None:
-    # A Raspberry Pi starts in the past; its clock is right a minute later.
+    # A Raspberry Pi starts with an old time; a minute later its clock is right.
     ours = Ours(timestamp=NOW, clock_s=0.0)
     assert ours.signing.next_timestamp() == NOW + 1
     ours.signing.advance(NOW_S + 90)
@@ -211,21 +211,21 @@ def test_messages_that_the_dialect_lacks_are_refused_as_well() -> None:
     unknown[4], unknown[7:10] = 90, (50_000).to_bytes(3, "little")
     assert ours.hears(bytes(unknown) + peer.say("again")) == ["again"]
     assert ours.refused == RefusedFrames(unsigned=1)
-    assert ours.codec.lost_frames == 0  # not even its sequence number was believed
+    assert ours.codec.lost_frames == 0  # not even its sequence number was used
 
 
-def test_a_telemetry_radio_may_say_how_well_it_hears() -> None:
+def test_radio_status_of_a_telemetry_radio_is_accepted() -> None:
     ours = Ours()
     status = mavlink.MAVLink_radio_status_message(200, 200, 90, 30, 30, 0, 0)
     radio = mavlink.MAVLink(None, srcSystem=51, srcComponent=68)
     assert [m.get_type() for m in ours.codec.decode(status.pack(radio))] == ["RADIO_STATUS"]
-    # The same in the autopilot's name is none of a radio's; nor is a radio's other message.
+    # A RADIO_STATUS in the autopilot's name is not from a radio; other messages of a radio are not accepted.
     assert ours.codec.decode(status.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=1))) == []
     assert ours.codec.decode(text("obey").pack(radio)) == []
     assert ours.refused == RefusedFrames(unsigned=2)
 
 
-def test_one_changed_bit_anywhere_and_the_frame_is_not_heard() -> None:
+def test_a_frame_with_one_changed_bit_is_refused() -> None:
     frame = Peer().say("ACC")
     for bit in range(8 * len(frame)):
         changed = bytearray(frame)
@@ -235,13 +235,13 @@ def test_one_changed_bit_anywhere_and_the_frame_is_not_heard() -> None:
 
 @given(st.lists(st.one_of(st.binary(max_size=80), st.text("abc", max_size=20)), max_size=12))
 @settings(max_examples=examples(100), deadline=None)
-def test_random_bytes_never_raise_and_are_never_heard(parts: list[bytes | str]) -> None:
+def test_random_bytes_never_raise_and_are_never_accepted(parts: list[bytes | str]) -> None:
     ours, peer = Ours(), Peer()
     said = [part for part in parts if isinstance(part, str)]
     heard = [
         words for part in parts for words in ours.hears(part if isinstance(part, bytes) else peer.say(part))
     ]
-    # Noise may look like a frame of a message that the dialect lacks, and cover some that are true.
+    # Noise may look like a frame of a message that the dialect lacks, and hide good frames.
     heard += ours.hears(b"".join(peer.say("last") for _ in range(20)))
     assert set(heard) <= {*said, "last"}
     assert heard[-1] == "last"
@@ -260,7 +260,7 @@ def test_a_forged_frame_of_the_far_future_does_not_lock_the_real_one_out() -> No
     assert ours.hears(peer.say("hello")) == ["hello"]
 
 
-def test_what_was_sent_once_is_refused_later() -> None:
+def test_a_frame_is_refused_when_it_is_sent_again() -> None:
     ours, peer = Ours(), Peer()
     said = [peer.say(f"line {i}") for i in range(300)]
     assert len(ours.hears(b"".join(said))) == 300
@@ -268,7 +268,7 @@ def test_what_was_sent_once_is_refused_later() -> None:
     dice.shuffle(said)
     assert ours.hears(b"".join(said)) == []
     assert ours.refused.replayed + ours.codec.repeated_frames == 300
-    assert ours.refused.replayed >= 260  # all but the copies of the last few, which routers make as well
+    assert ours.refused.replayed >= 260  # all but the copies of the last few, which routers also make
 
 
 def test_copies_that_a_network_makes_are_no_attack() -> None:
@@ -301,8 +301,8 @@ def test_a_known_stream_may_lag_by_any_time() -> None:
     assert ours.hears(slow.say("two")) == ["two"]
 
 
-def test_an_autopilot_whose_clock_is_behind_is_heard_once_it_has_heard_us() -> None:
-    # So is a PX4, which counts timestamps from its start: it goes on from the greatest that it has heard.
+def test_an_autopilot_with_a_slow_clock_is_accepted_after_it_received_us() -> None:
+    # PX4, too, counts timestamps from its start. It continues from the largest that it has received.
     ours, px4 = Ours(), Peer(timestamp=2581)
     assert ours.hears(px4.say("hello")) == []
     heartbeat = ours.codec.encode(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 3, 3), 1)
@@ -325,7 +325,8 @@ def test_streams_without_end_do_not_fill_the_memory_nor_take_the_autopilots_plac
     for number in range(3 * MAX_STREAMS):
         ours.hears(Peer(NOW, system=2 + number % 200, link_id=number % 250).say("hello"))
     assert len(ours.signing._streams) <= MAX_STREAMS
-    assert ours.refused.replayed == 2 * MAX_STREAMS + 1  # no room, and that they are new cannot be told
+    # Without free memory it cannot be known that they are new.
+    assert ours.refused.replayed == 2 * MAX_STREAMS + 1
     assert ours.hears(old) == []
     assert ours.hears(autopilot.say("still here")) == ["still here"]
 
@@ -338,7 +339,7 @@ def test_streams_that_fell_silent_make_room_and_stay_refused() -> None:
     assert ours.hears(Peer(NOW + 2 * MINUTE, system=200).say("new")) == ["new"]
     assert len(ours.signing._streams) == 1
     for frame in said:
-        ours.codec._senders.clear()  # as if these copies were not recognised by their sequence number
+        ours.codec._senders.clear()  # as if their sequence numbers did not show these copies
         assert ours.hears(frame) == []
 
 
@@ -362,21 +363,21 @@ def test_one_frame_of_2040_locks_nobody_out(synchronised: bool) -> None:
 
 
 @pytest.mark.parametrize(("hours", "heard"), [(14, True), (23, True), (25, False)])
-def test_a_wrong_time_zone_is_heard_and_moves_no_border(hours: int, heard: bool) -> None:
+def test_a_wrong_time_zone_is_accepted_and_changes_no_limit(hours: int, heard: bool) -> None:
     ours = Ours(clock_s=None)
     ours.signing.advance(NOW_S, 0.0, synchronised=True)
     assert ours.hears(Peer(NOW + hours * HOUR, system=255).say("far east")) == (["far east"] if heard else [])
     assert ours.hears(Peer(NOW - 50 * UNITS_PER_S).say("here")) == ["here"]
 
 
-def test_a_far_future_that_was_kept_is_dropped_and_the_others_hear_us_again() -> None:
+def test_a_saved_timestamp_of_the_far_future_is_dropped_and_others_accept_us_again() -> None:
     poisoned = SigningMemory(IN_2040, 191, (((0, 255, 190), IN_2040), ((3, 1, 1), NOW - HOUR)))
     signing = Signing(KEY, 191, poisoned)
     pilot = mavlink.MAVLink(None, srcSystem=255, srcComponent=230)
     pilot.signing.secret_key, pilot.signing.timestamp = KEY, NOW
     codec = MavlinkCodec(1, 191, signing)
     assert pilot.parse_buffer(codec.encode(text("in 2040"), 1))[0].get_signed()
-    pilot.signing.timestamp = NOW  # it was restarted, but knows our stream, as an autopilot does
+    pilot.signing.timestamp = NOW  # it was restarted, but knows our stream, like an autopilot
     signing.advance(NOW_S, 0.0)
     assert signing.news == ["signing clock was 4849 days ahead: corrected"]
     assert signing.memory == SigningMemory(NOW, 192, (((3, 1, 1), NOW - HOUR),))
@@ -407,7 +408,7 @@ def test_a_clock_that_jumps_back_far_does_not_shut_the_autopilot_out() -> None:
 
 
 def test_the_first_synchronisation_is_followed_and_sets_right_what_was_ahead() -> None:
-    # A year ahead is within what an unsynchronised clock may be behind by: only a synchronised one tells.
+    # An unsynchronised clock may be a year behind. Only a synchronised clock shows a wrong date.
     ours = Ours(clock_s=None)
     ours.signing.advance(NOW_S - 3 * 86400, 0.0)
     year_ahead = Peer(NOW + 365 * 24 * HOUR, system=255)
@@ -426,7 +427,7 @@ def test_a_computer_that_starts_in_the_past_follows_its_autopilot() -> None:
     assert ours.signing.next_timestamp() > NOW
 
 
-def test_what_was_recorded_before_a_restart_is_refused_after_it() -> None:
+def test_frames_recorded_before_a_restart_are_refused_after_it() -> None:
     before, peer = Ours(), Peer()
     recorded = [peer.say(f"bend {i}") for i in range(20)]
     assert len(before.hears(b"".join(recorded))) == 20
@@ -438,7 +439,7 @@ def test_what_was_recorded_before_a_restart_is_refused_after_it() -> None:
     assert [m.text for m in codec.decode(peer.say("live"))] == ["live"]
 
 
-def test_after_a_crash_only_what_was_not_saved_can_come_again_and_not_once_its_sender_speaks() -> None:
+def test_after_a_crash_only_unsaved_frames_can_be_replayed_and_only_before_their_sender_sends() -> None:
     before, peer = Ours(), Peer()
     early = [peer.say(f"early {i}") for i in range(5)]
     before.hears(b"".join(early))
@@ -462,7 +463,7 @@ sendings = st.lists(
 
 @given(sendings)
 @settings(max_examples=examples(200), deadline=None)
-def test_no_frame_is_believed_twice_over_any_restarts(steps: list[tuple[str, int, int]]) -> None:
+def test_no_frame_is_accepted_twice_over_any_restarts(steps: list[tuple[str, int, int]]) -> None:
     signing, now_s = Signing(KEY), NOW_S
     signing.advance(now_s, 0.0, synchronised=True)
     codec, peers, said, believed = (
@@ -500,7 +501,7 @@ Kind = Literal["ardupilot", "px4"]
 
 
 def signed_flight(kind: Kind, key: bytes) -> tuple[Snapshot, RefusedFrames]:
-    """A core that signs with `key`, and an autopilot that signs with `KEY` by pymavlink's own code."""
+    """A core that signs with `key`, and an autopilot that signs with `KEY` by pymavlink's code."""
     flight, signing = SimulatedFlight(config.default(), FakeAutopilot(kind, signing_key=KEY)), Signing(key)
     flight._codec = MavlinkCodec(0, 191, signing)
     flight.run(6.0)
@@ -519,5 +520,5 @@ def test_an_autopilot_with_our_key_serves_us_before_and_after_it_reboots(kind: K
 @pytest.mark.parametrize("kind", ["ardupilot", "px4"])
 def test_an_autopilot_with_another_key_is_not_served(kind: Kind) -> None:
     seen, refused = signed_flight(kind, b"another key of thirty-two bytes.")
-    assert seen.vehicle == "none heard"
+    assert seen.vehicle == "not found"
     assert refused.forged > 5

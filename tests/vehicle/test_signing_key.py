@@ -1,4 +1,4 @@
-"""The key file and the timestamp file: what is accepted, what is refused and how, what survives."""
+"""The key file and the timestamp file: accepted and refused contents, and restarts."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_a_passphrase_in_any_language(tmp_path: Path) -> None:
         b"a line of just 32 characters....",
     ],
 )
-def test_what_is_no_key_is_refused_and_not_shown(tmp_path: Path, content: bytes) -> None:
+def test_an_invalid_key_is_refused_and_not_shown(tmp_path: Path, content: bytes) -> None:
     path = key_file(tmp_path, content)
     with pytest.raises(SigningKeyError) as refused:
         read_key(path)
@@ -137,7 +137,7 @@ def test_it_is_saved_every_half_minute_and_when_the_clock_jumped(file: Path) -> 
 
 @pytest.mark.parametrize("clock_s", [0.0, 1.7e9])
 def test_however_often_it_crashes_no_timestamp_comes_twice(file: Path, clock_s: float) -> None:
-    # Without a clock time stands still, and only what is sent moves the timestamp.
+    # Without a clock only sent frames increase the timestamp.
     used: list[int] = []
     for seconds in (0, 1, 29, 31, 45, 3, 0, 100):
         keeper = TimestampFile(file)

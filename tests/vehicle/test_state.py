@@ -1,4 +1,4 @@
-"""Which autopilot we serve, and what its clock, height and heartbeats say."""
+"""The served autopilot, and its clock, height and heartbeats."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_a_false_autopilot_in_our_autopilots_own_place_changes_nothing() -> None
     assert (state.armed, state.kind, state.heartbeat_at) == (True, "ardupilot", 0.0)
 
 
-def test_messages_before_the_first_heartbeat_are_nobodys() -> None:
+def test_messages_before_the_first_heartbeat_are_ignored() -> None:
     state = VehicleState()
     assert state.handle(0.0, position(5000, 30.0)) == []
     assert state.altitude_m(0.0) is None
@@ -201,7 +201,7 @@ def test_a_reboot_behind_a_silence_is_seen(up_s: float, silent_s: float) -> None
     assert state.handle(silent_s, clock(int((silent_s - 1.3) * 1000))) == [Rebooted()]
 
 
-def test_a_silence_without_a_reboot_is_none() -> None:
+def test_a_silence_is_no_reboot() -> None:
     state = found()
     state.handle(0.0, clock(5000))
     assert state.handle(500.0, clock(505_000)) == []
@@ -212,7 +212,8 @@ def test_ready_is_a_reboot_of_an_autopilot_that_was_up() -> None:
     assert state.handle(0.1, text("ArduPilot Ready")) == []
     state.handle(0.2, clock(100_000))
     assert state.handle(5.0, text("ArduPilot Ready")) == [Rebooted()]
-    # The same reboot is not told again: neither by a second text nor by the clock when its stream returns.
+    # The same reboot is not reported again, neither by a second text nor by the clock when its stream
+    # returns.
     assert state.handle(5.1, text("ArduPilot Ready")) == []
     assert state.time_boot_ms(6.0) == 0
     assert state.handle(15.0, clock(11_000)) == []
@@ -243,7 +244,7 @@ def test_delays_of_a_link_are_no_reboot(delays_s: list[float], up_s: float, peri
     arrives_at = 0.0
     for i, delay_s in enumerate(delays_s):
         at_s = i * period_s
-        arrives_at = max(arrives_at, at_s + delay_s)  # what overtakes is tried below
+        arrives_at = max(arrives_at, at_s + delay_s)  # reordering is tested below
         assert state.handle(arrives_at, clock(int((up_s + at_s) * 1000))) == []
         ours_ms = state.time_boot_ms(arrives_at)
         assert (up_s + arrives_at) * 1000 - 2000 <= ours_ms <= (up_s + arrives_at) * 1000 + 1

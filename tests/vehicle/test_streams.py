@@ -24,7 +24,7 @@ MESSAGES = {
 
 
 class Autopilot:
-    """Ticks a `Streams`; sends what it was asked for, unless it is deaf to that message."""
+    """Ticks a `Streams`, and sends the requested messages, except those that it ignores."""
 
     def __init__(self, deaf_to: set[int] | None = None) -> None:
         self.streams = Streams(20.0)
@@ -38,7 +38,7 @@ class Autopilot:
         return self.ticks * TICK_S
 
     def run(self, for_s: float) -> list[tuple[float, int]]:
-        """What is asked meanwhile: (time, message id)."""
+        """The requests in this time: (time, message id)."""
         before = len(self.asked)
         for _ in range(round(for_s / TICK_S)):
             for request in self.streams.requests(self.now_s, 7):
@@ -75,7 +75,7 @@ def test_never_more_than_one_request_at_a_time() -> None:
     assert all(len(streams.requests(i * 0.001, 1)) <= 1 for i in range(20_000))
 
 
-def test_what_stays_silent_is_asked_for_again_and_named() -> None:
+def test_a_missing_stream_is_requested_again_and_named() -> None:
     autopilot = Autopilot(deaf_to={1, 42})
     asked = autopilot.run(30.0)
     for silent in (1, 42):
@@ -83,7 +83,7 @@ def test_what_stays_silent_is_asked_for_again_and_named() -> None:
         assert 8 <= len(times_s) <= 11
         assert all(b - a >= ASK_AGAIN_S - 1e-9 for a, b in itertools.pairwise(times_s))
     assert [message_id for _, message_id in asked].count(65) == 1
-    # A switch or a mission may be absent; armed, health and height may not.
+    # A switch or a mission may be missing; arming, health and height may not.
     assert autopilot.streams.missing(autopilot.now_s) == ["SYS_STATUS"]
 
 
@@ -131,7 +131,7 @@ def test_nothing_is_missing_before_it_was_asked_for() -> None:
 @pytest.mark.parametrize(
     ("result", "pause_s"), [(0, ASK_AGAIN_S), (2, REFUSED_S), (3, REFUSED_S), (4, REFUSED_S)]
 )
-def test_what_the_autopilot_does_not_have_is_not_asked_for_soon_again(result: int, pause_s: float) -> None:
+def test_an_unsupported_stream_is_not_soon_requested_again(result: int, pause_s: float) -> None:
     streams = Streams(20.0)
     asked: list[tuple[float, int]] = []
     for tick in range(round(100.0 / TICK_S)):
@@ -140,7 +140,7 @@ def test_what_the_autopilot_does_not_have_is_not_asked_for_soon_again(result: in
             asked.append((t, int(request.param1)))
             answer = result if asked[-1][1] in (29, 33) else 0
             streams.handle(t + 0.01, mavlink.MAVLink_command_ack_message(511, answer, 0, 0, 1, 191))
-    # What we cannot do without is asked for as often as ever, whatever the answer.
+    # Required messages are always requested at the same rate, whatever the answer.
     for message_id, expected_s in ((29, pause_s), (33, ASK_AGAIN_S), (42, ASK_AGAIN_S)):
         times_s = [t for t, asked_id in asked if asked_id == message_id]
         gaps_s = [b - a for a, b in itertools.pairwise(times_s)]

@@ -1,4 +1,4 @@
-"""The switch acts on observed moves and on nothing else."""
+"""The switch acts only on observed moves."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Event = SwitchMove | MovedUnseen | SwitchReady
 
 
 class Bench:
-    """A switch, sampled evenly; `hold` leaves the stick at a pulse width for a while."""
+    """A switch with even samples; `hold` keeps the stick at a pulse width for some time."""
 
     def __init__(self, positions: int = 3, rate_Hz: float = 20.0) -> None:
         self.switch = SwitchReader(positions, DEBOUNCE_S, SETTLE_S, HYSTERESIS_US)
@@ -98,7 +98,7 @@ def test_a_move_before_it_is_settled_only_starts_the_settling_anew() -> None:
     assert bench.hold(2000, 0.3) == [SwitchReady(2)]
 
 
-def test_a_move_while_lost_is_told_and_does_nothing() -> None:
+def test_a_move_while_lost_is_reported_and_does_nothing() -> None:
     bench = settled(pulse_us=2000)
     bench.switch.lose()
     assert bench.hold(1000, 5.0) == [MovedUnseen(0, 2)]
@@ -111,7 +111,7 @@ def test_a_loss_without_a_move_only_settles() -> None:
     assert bench.hold(2000, 5.0) == [SwitchReady(2)]
 
 
-def test_what_stood_before_is_remembered_over_several_losses() -> None:
+def test_the_position_is_remembered_over_several_losses() -> None:
     bench = settled(pulse_us=2000)
     for _ in range(3):
         bench.switch.lose()
@@ -128,7 +128,7 @@ def test_a_move_half_debounced_at_a_loss_is_gone() -> None:
 
 
 def test_the_jump_of_a_receiver_in_failsafe_is_no_move() -> None:
-    # The channels jump about 50 ms before the autopilot says so.
+    # The channels jump about 50 ms before the autopilot reports it.
     for rate_Hz in RATES_HZ:
         bench = settled(pulse_us=2000, rate_Hz=rate_Hz)
         assert bench.hold(1500, 0.1) == []
@@ -204,7 +204,7 @@ def test_passing_through_the_middle_is_no_stop_there(rate_Hz: float) -> None:
     ),
 )
 @settings(max_examples=examples(200), deadline=None)
-def test_a_position_that_is_believed_is_the_one_of_the_pulse(
+def test_an_accepted_position_is_that_of_the_pulse(
     positions: int, steps: list[tuple[float, float | None]]
 ) -> None:
     switch = SwitchReader(positions, DEBOUNCE_S, SETTLE_S, HYSTERESIS_US)
@@ -226,7 +226,7 @@ def test_a_position_that_is_believed_is_the_one_of_the_pulse(
 
 
 class Judge(RuleBasedStateMachine):
-    """Whatever happens, a Move has its settling and its debounce behind it, all of it seen."""
+    """Before every Move the switch was seen for the settling time and the debounce time."""
 
     @initialize(positions=st.sampled_from([2, 3, 6]), rate_Hz=st.sampled_from(RATES_HZ))
     def begin(self, positions: int, rate_Hz: float) -> None:
@@ -240,7 +240,7 @@ class Judge(RuleBasedStateMachine):
         self.before_loss: int | None = None
 
     def stayed_s(self, position: int, reach_us: float = HYSTERESIS_US) -> float:
-        """How long the pulses since the last loss have been such that the switch may stand there."""
+        """How long the pulses since the last loss have allowed this position."""
         edges_us = [float("-inf"), *BOUNDARIES_US[self.positions], float("inf")]
         low_us, high_us = edges_us[position] - reach_us, edges_us[position + 1] + reach_us
         since = self.t
@@ -268,7 +268,7 @@ class Judge(RuleBasedStateMachine):
                 assert before == self.before_loss != position
                 self.settle(position)
             case None:
-                # What stands still in the midst of a position is believed at last.
+                # Pulses that stay in the middle of a position are accepted in the end.
                 for position in range(self.positions):
                     if self.stayed_s(position, -HYSTERESIS_US - 1) >= SETTLE_S + self.period_s:
                         assert self.position == position

@@ -1,4 +1,4 @@
-"""Recordings: the real ones to the last byte, and every kind of damage."""
+"""Recordings: the real ones to the last byte, and all kinds of damage."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_garbage_between_records_costs_no_record_around_it(
 
 
 @pytest.mark.parametrize("claimed", [30, 50, 100, 150, 200, 240])
-def test_what_only_looks_like_a_record_hides_none(tmp_path: Path, claimed: int) -> None:
+def test_bytes_that_look_like_a_record_hide_no_record(tmp_path: Path, claimed: int) -> None:
     made = records(12)
     fake = struct.pack(">Q", START_US) + bytes((0xFD, claimed, 0, 0, 9, 1, 1, 0, 0, 0)) + b"?" * 15
     assert read(tmp_path / "x.tlog", raw(made[:3]) + fake + raw(made[3:])) == (as_read(made), len(fake))
@@ -145,7 +145,7 @@ def test_any_file_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, d
 
 
 @pytest.mark.parametrize("data", [b"", b"\0" * 500, b"QGC WPL 110\n0\t1\t0\t16\n" * 30, raw(records(1))[:-1]])
-def test_what_holds_no_frame_is_no_recording(tmp_path: Path, data: bytes) -> None:
+def test_a_file_without_a_frame_is_no_recording(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "flight.tlog"
     with pytest.raises(TlogError, match=r"flight\.tlog: no MAVLink frame in the file") as caught:
         read(path, data)

@@ -1,4 +1,4 @@
-"""The transmit queue sends no bursts, important messages first, and loses nothing without need."""
+"""The transmit queue sends no bursts, sends important messages first, and loses nothing without need."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ def value(number: int = 0) -> MavlinkMessage:
 
 Maker = Callable[[int], MavlinkMessage]
 MAKERS: tuple[Maker, ...] = (answer, text, request, parameter, value)
-"""From what leaves first to what leaves last."""
+"""In the order of sending."""
 
 
-def test_what_matters_leaves_first_and_the_rest_one_at_a_time() -> None:
+def test_important_messages_are_sent_first_and_others_one_at_a_time() -> None:
     queue = TransmitQueue()
     put = [value(), fuel_status(500.0, 690.0), parameter(), request(), text(), answer(), HEARTBEAT]
     for message in put:
@@ -73,7 +73,7 @@ def test_there_is_always_room_for_an_answer_beside_the_rest() -> None:
         assert [message.get_type() for message in queue.due(i * TICK_S + 0.001)] == ["COMMAND_ACK"]
 
 
-def test_whatever_is_asked_for_is_an_answer() -> None:
+def test_every_requested_message_is_sent_as_an_answer() -> None:
     queue = TransmitQueue()
     queue.put(text())
     queue.put(mavlink.MAVLink_timesync_message(1, 2))
@@ -113,7 +113,7 @@ def test_a_flood_of_commands_drops_answers_but_no_heartbeat() -> None:
 
 
 class Line:
-    """An queue that is asked as the core asks it: at each tick, which is never quite on time, and after each
+    """A queue that is read as by the core: at each tick, which is never exactly on time, and after each
     event."""
 
     def __init__(self) -> None:
@@ -165,7 +165,7 @@ def test_never_a_burst_nothing_lost_and_each_rank_in_order(loads: list[tuple[flo
     for kind in {message.get_type() for message in came}:
         those = [id(message) for message in came if message.get_type() == kind]
         put = iter(id(message) for message in line.put)
-        assert all(one in put for one in those)  # an iterator is used up: only in order
+        assert all(one in put for one in those)  # `in` uses up the iterator, so this checks the order
 
 
 @given(LOADS, PAUSES_S)

@@ -1,4 +1,4 @@
-"""The vehicle side as a whole: which autopilot is served, what is requested, and which triggers result."""
+"""The complete vehicle side: the served autopilot, its requests, and its triggers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TICK_S = 0.02
 
 
 class Link:
-    """A vehicle behind a link: frames in, and all that came out, by kind."""
+    """A vehicle behind a link: frames in, and all outputs, by kind."""
 
     def __init__(
         self, settings: config.Config | None = None, mission: list[MissionItem] | None = None
@@ -34,7 +34,7 @@ class Link:
         self.notices: list[Notice] = []
         self.sent: list[tuple[float, MavlinkMessage]] = []
         self.items: dict[int, MavlinkMessage] = {}
-        """What the autopilot answers with when it is asked for an item."""
+        """The items that the autopilot sends on request."""
         self._senders: dict[tuple[int, int], mavlink.MAVLink] = {}
 
     @property
@@ -111,7 +111,7 @@ def test_a_position_without_a_profile_does_nothing() -> None:
     assert [trigger.intent for trigger in link.triggers] == [StartProfile("straight")]
 
 
-def test_a_move_while_the_radio_is_lost_is_only_told() -> None:
+def test_a_move_while_the_radio_is_lost_is_only_reported() -> None:
     link = Link()
     link.run(2.0, 1000)
     link.text("Radio Failsafe")
@@ -132,7 +132,7 @@ def test_silence_of_the_radio_wants_a_fresh_move() -> None:
     assert link.triggers == []
 
 
-def test_two_autopilots_are_told_and_neither_is_served() -> None:
+def test_two_autopilots_are_reported_and_neither_is_served() -> None:
     link = Link()
     link.hear(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3), 1)
     link.wait(0.5)
@@ -158,7 +158,7 @@ def test_nothing_is_said_before_a_vehicle_is_found() -> None:
     assert link.triggers == []
 
 
-def test_what_a_second_vehicle_says_moves_nothing() -> None:
+def test_messages_of_a_second_vehicle_move_nothing() -> None:
     link = Link()
     link.run(4.0, 1000)
     for _ in range(40):
@@ -179,7 +179,7 @@ def test_a_reboot_vents_and_everything_is_asked_anew() -> None:
     link.wait(4.0)
     assert {m.param1 for _, m in link.sent if m.get_type() == "COMMAND_LONG"} == {65, 1, 33, 42, 2, 29}
     link.run(3.0, 2000)
-    assert len(link.triggers) == 1  # where the switch stands now was not seen
+    assert len(link.triggers) == 1  # the move to the present position was not seen
 
 
 def test_missing_streams_are_named_once() -> None:
@@ -197,7 +197,7 @@ def test_one_execution_of_an_ardupilot_item_is_one_trigger() -> None:
     items += [MissionItem(3, 203, (12.0, 0, 0, 0, 0, 0, 0)), MissionItem(4, 16, (0,) * 7)]
     link = Link(settings, items)
     link.run(1.0, 1000)
-    # As with a camera of the type MAVLink: the command goes out to all and the text comes too.
+    # As with a camera of type MAVLink: all components get the command, and the text comes too.
     link.hear(mavlink.MAVLink_command_long_message(0, 0, 203, 0, 12.0, 0, 0, 0, 0, 0, 0))
     link.text("Mission: 3 DigiCamCtrl")
     link.run(5.0, 1000)
@@ -262,7 +262,7 @@ def test_two_reboots_of_a_real_autopilot_are_each_seen_once() -> None:
     assert [t for t, _ in moves] == pytest.approx([12.25, 45.3], abs=0.15)
 
 
-def test_another_mission_of_the_same_length_is_told_with_what_was_carried_out() -> None:
+def test_another_mission_of_the_same_length_is_reported_with_what_was_carried_out() -> None:
     link = Link()
     link.run(1.0, 1000)
     read = [mission_item(0, 16), mission_item(1, 22), mission_item(2, 217, 1.0, 11.0)]

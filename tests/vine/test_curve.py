@@ -93,12 +93,12 @@ def test_it_stays_flat_beyond_its_ends() -> None:
         ([(0, -math.inf), (5, 10)], "must be a finite number"),
     ],
 )
-def test_what_is_no_curve_gives_a_sentence(curve_pairs: list[tuple[float, float]], reason: str) -> None:
+def test_an_invalid_curve_gives_a_sentence(curve_pairs: list[tuple[float, float]], reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         BendCurve(curve_pairs)
 
 
-# Hysteresis: a bend outlasts the pressure that made it.
+# Hysteresis: a bend remains when the pressure falls.
 
 widths = st.floats(0.0, 6.0)
 RISING = ((0.0, 0.0), (2.0, 0.0), (20.7, 60.0))

@@ -1,4 +1,4 @@
-"""Profiles over time are continuous, never too steep, and have the length and end that they state."""
+"""Profiles over time are continuous, never too steep, and have their stated length and end."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_peak_and_rise_are_those_of_the_pressure(
     motion = plan(parts, CURVE, start_kPa, rate_kPa_per_s, MAX_KPA)
     values = [value for _, value in sampled(motion, 6000)]
     risen = sum(max(0.0, b - a) for a, b in pairwise(values))
-    # Between samples a turning point may be missed, by little.
+    # Between samples a turning point may be missed by a little.
     assert motion.rise_kPa == pytest.approx(risen, abs=0.02 * (1 + motion.rise_kPa))
     assert motion.peak_kPa >= max(values) - 1e-9
     assert max(motion.peak_kPa, *values) <= MAX_KPA + 1e-9
@@ -194,7 +194,7 @@ def test_a_wave_that_ends_at_no_pressure_lets_all_air_out(cycles: int) -> None:
 
 
 def bent_along(curve: BendCurve, motion: Motion, bent_kPa: float) -> tuple[float, list[float]]:
-    """Where a vine that rubs ends up, and all the angles that it passes."""
+    """The end of a vine with friction, and all the angles on its way."""
     angles_deg = []
     for _, pressure_kPa in sampled(motion):
         bent_kPa = curve.bent_kPa(pressure_kPa, bent_kPa)
@@ -253,7 +253,7 @@ def test_with_hysteresis_no_limit_is_passed_and_the_bend_is_known(
         assert ended_deg == pytest.approx(min(max(asked[-1], 0.0), 60.0), abs=0.01)
 
 
-# Profiles out of profiles.
+# Nested profiles.
 
 
 def profile(*parts: Segment, repeat: int = 1) -> PressureProfile:

@@ -1,4 +1,4 @@
-"""The table [vine]: hysteresis is checked there, and swings are judged with it."""
+"""The table [vine]: hysteresis is checked, also for swings."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ def parsed(vine: str, limits: str = "") -> config.Config:
         ("hysteresis = 2", "my.toml:3: vine.hysteresis: unknown key; did you mean 'hysteresis_kPa'?"),
     ],
 )
-def test_a_hysteresis_that_is_none_names_its_key(vine: str, says: str) -> None:
+def test_an_invalid_hysteresis_names_its_key(vine: str, says: str) -> None:
     with pytest.raises(ConfigError) as caught:
         parsed(vine)
     assert says in str(caught.value)
 
 
 def test_a_swing_must_be_slow_enough_with_its_hysteresis() -> None:
-    # Angles 15 and 45° lie 8 kPa apart, the swing of the pressure is 11 kPa.
+    # Angles of 15 and 45° are 8 kPa apart; the swing of the pressure is 11 kPa.
     limits = "[limits]\nmax_rate_kPa_per_s = 30\n"
     assert parsed("hysteresis_kPa = 0", limits).vine.hysteresis_kPa == 0.0
     with pytest.raises(

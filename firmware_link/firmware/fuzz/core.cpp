@@ -1,8 +1,8 @@
-// What a hostile line, hostile sensors and a hostile clock may do to the firmware's core, and what must hold.
+// Gives the firmware's core any bytes, readings and times, and checks what must always hold.
 //
-// An input is a program for one board: bytes as they come from a line, frames that are whole, readings, steps
-// of any length, a port that takes what it likes, power cycles. Runs under libFuzzer or driver.cpp, with
-// sanitizers; for these every buffer is as large as it is said to be and no larger.
+// An input is a program for one board: bytes of a line, whole frames, readings, steps of any length, a port that
+// takes any number of bytes, power cycles. Runs under libFuzzer or driver.cpp, with sanitizers. So every buffer
+// has exactly its stated size.
 
 #include <math.h>
 #include <stdio.h>
@@ -60,7 +60,7 @@ private:
     size_t size_;
 };
 
-// Memory of exactly this size, so that a sanitizer sees the first byte beyond it.
+// Memory of exactly this size, so that a sanitizer finds any access beyond it.
 class Bytes {
 public:
     explicit Bytes(size_t size) : at_(static_cast<uint8_t*>(malloc(size))), size_(size) {}
@@ -146,10 +146,10 @@ private:
         return sensor(settings[SettingId::kReservoirSpan_kPa], settings[SettingId::kReservoirZero_kPa]);
     }
 
-    // Over the limit the Venturi helps; never else while it does not regulate.
+    // While the board does not regulate, the Venturi may run only after an over-pressure.
     bool may_help() const { return (firmware_.faults() & kCvOverpressure) != 0; }
 
-    // What a host that says the same would believe.
+    // Follows what the host sends.
     void overhear(Bytes& bytes) {
         for (size_t i = 0; i < bytes.size(); ++i) {
             if (!line_.push(bytes.at()[i])) continue;
@@ -181,7 +181,7 @@ private:
             {true, !seen.supply_good},
             {true, !cv_good},
             {true, !reservoir_good},
-            // What cannot be believed says nothing of a limit.
+            // An invalid reading does not count for a limit.
             {cv_good, seen.cv_kPa > settings[SettingId::kCvLimit_kPa]},
             {reservoir_good, seen.reservoir_kPa > settings[SettingId::kReservoirLimit_kPa]},
         };
@@ -214,7 +214,7 @@ private:
         }
     }
 
-    // What the host hears is whole frames, whatever was lost between them.
+    // The host receives whole frames only, even if frames were lost between them.
     void hear(uint8_t byte) {
         const bool good = host_.push(byte);
         if (byte != 0) return;
@@ -243,7 +243,7 @@ private:
     bool stepped_ = false;
     bool greeted_ = false;
     bool commanded_ = false;
-    // Readings in a row: of the supply, of each sensor, of each limit.
+    // Wrong readings in a row: of the supply, of each sensor, above each limit.
     unsigned wrong_for_[kConditions] = {};
 };
 
@@ -257,7 +257,7 @@ void send(Board& board, const uint8_t* payload, size_t size) {
 
 constexpr size_t kBodySizes[] = {0, 5, 12, 2, 2, 8, 1, 7, 3};
 
-// A message of a kind that there is, of its length or a byte longer or shorter.
+// Sends a message of type 0 to 8, with the right length or one byte more or less.
 void send_message(Input& input, Board& board) {
     const uint8_t kind = input.u8();
     const uint8_t type = kind % 9;
@@ -268,7 +268,7 @@ void send_message(Input& input, Board& board) {
     send(board, payload, 2 + body);
 }
 
-// A host that knows what it does: it greets, clears all faults, and commands what the device takes. Mostly.
+// Sends what a correct host sends, mostly: a greeting, a clearing of all faults, and a valid setpoint.
 void send_command(Input& input, Board& board) {
     const uint8_t hello[] = {1, 0, kProtocolVersion, 1, 2, 3, 4};
     const uint8_t clear[] = {4, 1, 0xFF, 0xFF};
@@ -284,7 +284,7 @@ void send_command(Input& input, Board& board) {
     send(board, setpoint, sizeof setpoint);
 }
 
-// Within the setting's range, mostly.
+// Changes a setting, mostly within its range.
 void send_setting(Input& input, Board& board) {
     const uint8_t id = input.u8() % kSettingCount;
     const SettingRow* row = setting_row(id);
@@ -296,7 +296,8 @@ void send_setting(Input& input, Board& board) {
     send(board, payload, sizeof payload);
 }
 
-// Up to half of the clock's range: a longer one looks as if it went back, and no watchdog lets it happen.
+// Up to half of the clock's range. After a longer pause the clock would seem to go back; the watchdog resets the
+// board before that.
 uint32_t pause_us(Input& input) {
     const uint8_t kind = input.u8();
     if (kind < 0xC0) return 1000;
@@ -304,7 +305,7 @@ uint32_t pause_us(Input& input) {
     return kind < 0xFF ? 64u * input.u16() : input.u32() >> 1;
 }
 
-// Of a rig in good health, mostly.
+// Readings of a rig that is mostly healthy.
 Readings usual_readings(Input& input) {
     const auto counts = [&input](unsigned per_unit) {
         return static_cast<uint16_t>(5958 + per_unit * input.u8());
@@ -381,5 +382,5 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
     return 0;
 }
 
-// Of all inputs so far, into the firmware.
+// Number of bytes that all inputs so far have sent to the firmware.
 extern "C" uint64_t phlosar_fuzz_bytes() { return bytes_received; }

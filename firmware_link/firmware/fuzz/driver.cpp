@@ -1,6 +1,6 @@
 // Random and mutated inputs for core.cpp: driver SEED BYTES, or one input again: driver 0 0 INPUT.
 //
-// Blind to coverage, so it keeps a pool of inputs, and makes each new one out of one or two of them.
+// It does not see the coverage. It keeps a pool of inputs, and makes new ones at random or from one or two of them.
 
 #include <stdint.h>
 #include <stdio.h>
@@ -55,10 +55,10 @@ void mutate(Made& made, Dice& dice) {
             case 1:
                 made.bytes[at] = static_cast<uint8_t>(dice.next());
                 break;
-            case 2:  // a byte less
+            case 2:  // a byte deleted
                 if (made.size > 1) memmove(made.bytes + at, made.bytes + at + 1, most - 1), --made.size;
                 break;
-            case 3: {  // a piece once more
+            case 3: {  // a piece repeated
                 const size_t from = dice.below(made.size);
                 const size_t left = made.size - from;
                 memmove(made.bytes + at, made.bytes + from, most < left ? most : left);
@@ -67,7 +67,7 @@ void mutate(Made& made, Dice& dice) {
             case 4:  // cut off
                 made.size = at + 1;
                 break;
-            default: {  // a piece of another
+            default: {  // a piece of another input
                 const size_t from = dice.below(other.size);
                 const size_t room = kMostBytes - at;
                 const size_t left = other.size - from;
@@ -79,7 +79,7 @@ void mutate(Made& made, Dice& dice) {
     }
 }
 
-// As libFuzzer says it. Of this program alone: what the system counts of a process is also what started it.
+// Prints in libFuzzer's format. getrusage would include the memory of the program that started this one.
 bool tell_peak_memory() {
     FILE* status = fopen("/proc/self/status", "r");
     if (status == nullptr) return false;
@@ -124,6 +124,6 @@ int main(int argc, char** argv) {
         LLVMFuzzerTestOneInput(made.bytes, made.size);
     }
     if (tell_peak_memory()) return 0;
-    fprintf(stderr, "driver: /proc/self/status does not tell the memory that it took\n");
+    fprintf(stderr, "driver: /proc/self/status has no VmHWM\n");
     return 2;
 }

@@ -1,6 +1,6 @@
-// The firmware's core as a library for a host: what flies, called from any language.
+// The firmware's core as a library for a host, for any language.
 //
-// No heap: a caller gives the memory for a board. See flying_vines/simulation/phlosar/core_library.py.
+// No heap: the caller gives the memory for a board. See flying_vines/simulation/phlosar/core_library.py.
 
 #include "../phlosar/src/core/firmware.h"
 
@@ -13,13 +13,13 @@ using phlosar::Outputs;
 
 inline void* operator new(size_t, Firmware* where) noexcept { return where; }
 
-// Of the sources that this was built from.
+// Digest of the sources of this library.
 EXPORTED const char* phlosar_sources() { return PHLOSAR_SOURCES; }
 
-// Of a board in memory, aligned to 8 bytes.
+// Size of a board in memory, aligned to 8 bytes.
 EXPORTED size_t phlosar_size() { return sizeof(Firmware); }
 
-// A board starts in memory of this size. `build` must outlive it.
+// Starts a board in memory of `phlosar_size` bytes. `build` must outlive it.
 EXPORTED void phlosar_start(Firmware* firmware, const char* build, uint32_t boot_id, bool by_watchdog,
                             const uint8_t* stored, size_t stored_size) {
     new (firmware) Firmware(build);
@@ -38,7 +38,7 @@ EXPORTED void phlosar_step(Firmware* firmware, uint32_t now_us, uint16_t cv, uin
     *outputs = firmware->step(now_us, {cv, reservoir, supply});
 }
 
-// The same between sensors and valves.
+// As `phlosar_step`: pressures in, openings out.
 EXPORTED void phlosar_control(Firmware* firmware, uint32_t now_us, float cv_kPa, float reservoir_kPa,
                               bool supply_good, Drive* told) {
     *told = firmware->control(now_us, {cv_kPa, reservoir_kPa, supply_good});
@@ -61,5 +61,5 @@ EXPORTED const phlosar::SettingRow* phlosar_setting_row(uint8_t id) { return phl
 
 EXPORTED size_t phlosar_image_size() { return phlosar::Settings::kImageSize; }
 
-// Settings to be kept over a reset, once; false while there are none.
+// True once after a change of the settings: `image` then has the bytes to store.
 EXPORTED bool phlosar_unsaved(Firmware* firmware, uint8_t* image) { return firmware->unsaved(image); }

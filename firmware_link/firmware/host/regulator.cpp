@@ -1,4 +1,4 @@
-// The core's regulator by itself, for studies: tuned as one likes, and in double precision.
+// The core's regulator alone, for studies: with any tuning, in double precision.
 
 #define PHLOSAR_REAL double
 #define phlosar phlosar_double
@@ -60,7 +60,7 @@ EXPORTED void phlosar_standard_tuning(Tuning* tuning) { *tuning = Tuning{}; }
 
 EXPORTED size_t phlosar_regulator_size() { return sizeof(Regulator); }
 
-// A regulator starts in memory of this size, aligned to 8 bytes.
+// Starts a regulator in memory of `phlosar_regulator_size` bytes, aligned to 8 bytes.
 EXPORTED void phlosar_regulator_start(Regulator* regulator, const Tuning* tuning) {
     new (regulator) Regulator();
     regulator->configure(*tuning);
@@ -68,7 +68,7 @@ EXPORTED void phlosar_regulator_start(Regulator* regulator, const Tuning* tuning
 
 EXPORTED void phlosar_regulator_begin(Regulator* regulator, double cv_kPa) { regulator->begin(cv_kPa); }
 
-// A millisecond. The setpoint goes towards the target, at most at this rate.
+// One step of a millisecond. The setpoint moves towards the target, at most at this rate.
 EXPORTED void phlosar_regulator_step(Regulator* regulator, double target_kPa, double rate_kPa_per_s,
                                      double cv_kPa, double reservoir_kPa, Told* told) {
     const double most_kPa = rate_kPa_per_s * phlosar::kStep_s;

@@ -1,7 +1,7 @@
-// How many instructions something takes, by the emulator's clock.
+// Counts instructions by the emulator's clock.
 //
-// Under `qemu-system-arm -icount shift=8` each instruction takes 256 ns of the clock that SysTick counts, so that
-// a count of ticks is a count of instructions. Without that option it is a time, of the emulating machine.
+// Under `qemu-system-arm -icount shift=8` each instruction takes 256 ns of the clock that SysTick counts, so ticks
+// are proportional to instructions. Without that option ticks measure the time of the emulating machine.
 #pragma once
 
 #include <stdint.h>

@@ -1,7 +1,6 @@
-// The core on an emulated processor: reads `inputs`, runs boards by them, writes what they did to `outputs`.
+// The core on an emulated processor: reads the file `inputs`, runs boards with it, and writes `outputs`.
 //
-// The two files are those of tests/firmware/emulated.py, which makes the one and reads the other. All
-// numbers little-endian.
+// tests/firmware/emulated.py writes the first file and reads the second. All numbers are little-endian.
 
 #include <stddef.h>
 #include <stdint.h>
@@ -20,7 +19,7 @@ using phlosar::Readings;
 using phlosar::Settings;
 using phlosar::Writer;
 
-// What instructions are counted of. Calls, by these names, so that a trace shows what belongs to which.
+// The calls whose instructions are counted. They are functions, so that a trace shows their names.
 extern "C" {
 
 __attribute__((noipa)) void counted_receive(Firmware* firmware, const uint8_t* data, size_t size) {
@@ -47,7 +46,7 @@ constexpr int kBadInputs = 103;
 
 class Inputs {
 public:
-    // False at the end of the file. What ends within a record is no input at all.
+    // False at the end of the file. A file that ends within a record is an error.
     bool next(uint8_t* kind) { return file_.read(kind, 1) == 1; }
 
     Reader fields(size_t size) {
@@ -81,7 +80,7 @@ void make_step(Firmware& firmware, Inputs& inputs, host::File& file) {
         instructions::ticks([&] { counted_step(&firmware, now_us, &readings, &told); });
     const uint32_t take_ticks = instructions::ticks(
         [&] { sent_size = counted_take(&firmware, sent, most < sizeof sent ? most : sizeof sent); });
-    // When a board asks for them, too.
+    // A real board also asks only while it does not regulate.
     uint8_t image[Settings::kImageSize];
     const bool unsaved = firmware.mode() != Mode::kRegulate && firmware.unsaved(image);
 
@@ -103,7 +102,7 @@ void make_step(Firmware& firmware, Inputs& inputs, host::File& file) {
     file.write(sent, sent_size);
 }
 
-// One board, from its power-up, which has just been read, to the next one. True when there is another.
+// Runs one board until the next power-up; its own power-up was just read. True if there is another board.
 bool live(Inputs& inputs, host::File& outputs) {
     Reader fields = inputs.fields(22);
     const uint32_t boot_id = fields.u32();
@@ -124,10 +123,10 @@ bool live(Inputs& inputs, host::File& outputs) {
     return false;
 }
 
-// A thousand instructions with its call and return.
+// A thousand instructions, with call and return.
 __attribute__((naked, noinline)) void thousand() { asm volatile(".rept 998\n nop\n .endr\n bx lr"); }
 
-// What lies between these is a thousand instructions: what a count of ticks is to be divided by.
+// The difference of these two numbers is the ticks of a thousand instructions.
 void tell_ticks(host::File& outputs) {
     uint8_t record[8];
     Writer writer(record);

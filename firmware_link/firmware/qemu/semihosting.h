@@ -26,7 +26,7 @@ class File {
 public:
     enum class Mode : uint32_t { kRead = 1, kWrite = 5 };
 
-    // In the folder in which the emulator runs. Without it there is nothing to do here.
+    // A file in the emulator's working folder. If it cannot be opened, the program ends.
     File(const char* name, Mode mode) {
         const uint32_t arguments[] = {address(name), static_cast<uint32_t>(mode),
                                       static_cast<uint32_t>(strlen(name))};
@@ -40,7 +40,7 @@ public:
         call(Call::kClose, arguments);
     }
 
-    // How many of the bytes were there.
+    // Returns the number of bytes that were read.
     size_t read(void* into, size_t size) {
         const uint32_t arguments[] = {static_cast<uint32_t>(handle_), address(into), size};
         return size - static_cast<size_t>(call(Call::kRead, arguments));

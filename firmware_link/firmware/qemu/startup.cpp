@@ -1,4 +1,4 @@
-// What runs before `main`: vectors, variables, and an end to everything that must not happen.
+// Runs before `main`: vectors, initial values of variables, and a handler that ends the program after a crash.
 
 #include <stddef.h>
 #include <stdint.h>
@@ -38,7 +38,7 @@ union Vector {
     void (*handler)();
 };
 
-// Nothing is interrupted here: only NMI and faults can come.
+// No interrupt is enabled: only NMI and faults can occur.
 __attribute__((section(".vectors"), used)) constexpr Vector kVectors[] = {
     {stack_top}, {.handler = reset}, {.handler = crashed}, {.handler = crashed},
     {.handler = crashed}, {.handler = crashed}, {.handler = crashed},

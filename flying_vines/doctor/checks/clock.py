@@ -20,7 +20,7 @@ class ClockFacts:
     jumped_s: float = 0.0
     """Clock jump during the examination."""
     ahead_s: float | None = None
-    """Lead before the autopilot's clock; None if the autopilot does not know the time."""
+    """Lead over the autopilot's clock; None if the autopilot does not know the time."""
     signing: bool = False
 
 

@@ -15,10 +15,10 @@ MIN_RATE_SHARE = 0.8
 SLOW_ROUND_TRIP_S = 0.1
 MAX_LOST_SHARE = 0.001
 BELOW_ZERO_KPA = 15.0
-"""Offset of a good 15 bar sensor at an open bottle."""
+"""Maximum offset of a good 15 bar sensor at an open reservoir."""
 ABOVE_FULL = 1.05
 FALLS_KPA_PER_S = 0.5
-"""Limit of the bottle's pressure loss with all valves shut."""
+"""Limit of the reservoir's pressure loss with all valves shut."""
 
 NO_PORT = FindingText("phloSAR", "skipped", "not checked: see its port")
 OTHER = FindingText("phloSAR", "skipped", "not checked: firmware.kind is {kind!r}")

@@ -24,7 +24,7 @@ HIDES_LOSS = FindingText(
 BENDS_LATE = FindingText(
     "RC switch",
     "warning",
-    "channel {channel} works, but each bend waits 1.6 s: the receiver's failsafe is unknown",
+    "channel {channel} works, but each bend waits 1.6 s or longer: the receiver's failsafe is unknown",
     "run flying-vines doctor --radio once for this receiver",
 )
 UNSETTLED = FindingText(
@@ -33,10 +33,10 @@ UNSETTLED = FindingText(
     "channel {channel} does not stay in one position ({pulse} µs)",
     "check the transmitter for other inputs mixed to this channel",
 )
-STANDS = FindingText(
+NOT_MOVED = FindingText(
     "RC switch", "good", "channel {channel} at {pulse} µs: position {position}, “{profile}”; it was not moved"
 )
-STANDS_BENT = FindingText(
+AT_BEND = FindingText(
     "RC switch",
     "warning",
     "channel {channel} at {pulse} µs: position {position}, “{profile}”",
@@ -83,7 +83,7 @@ def check(radio: SwitchFacts | None, config: Config, asked: bool) -> DoctorFindi
         return SOME_SEEN(channel=channel, seen=seen, unseen=unseen, bounds=bounds(count))
     if radio.position == 0 and radio.bends_late:
         return BENDS_LATE(channel=channel)
-    line = STANDS if radio.position == 0 else STANDS_BENT
+    line = NOT_MOVED if radio.position == 0 else AT_BEND
     profile = switch.positions[radio.position] or "nothing"
     return line(channel=channel, pulse=radio.pulse_us, position=radio.position + 1, profile=profile)
 
@@ -94,5 +94,5 @@ def _numbers(positions: frozenset[int]) -> str:
 
 
 def bounds(count: int) -> str:
-    """The borders between the positions."""
-    return "the borders are " + ", ".join(f"{boundary:g}" for boundary in BOUNDARIES_US[count]) + " µs"
+    """The boundaries between the positions."""
+    return "the boundaries are " + ", ".join(f"{boundary:g}" for boundary in BOUNDARIES_US[count]) + " µs"

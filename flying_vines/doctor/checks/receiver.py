@@ -89,7 +89,7 @@ BENDS_UNSEEN = FindingText(
     " is not detected, so this bend waits {wait} s",
     "set the receiver's failsafe of channel {channel} to hold, or to position 1; then repeat the test",
 )
-BENDS_TOLD = FindingText(
+BENDS_REPORTED = FindingText(
     "receiver",
     "warning",
     "during RC loss it sends position {position}, “{profile}” ({us} µs); the autopilot reports it in time",
@@ -183,7 +183,7 @@ def _parameters(learned: RadioLearned) -> list[DoctorFinding]:
 
 
 def _first_sign(loss: TransmitterLoss) -> str:
-    return next(sign.said for sign in loss.signs if sign.after_s == loss.shown_after_s and sign.telling)
+    return next(sign.said for sign in loss.signs if sign.after_s == loss.shown_after_s and sign.shows_loss)
 
 
 def _receiver(learned: RadioLearned, config: Config) -> DoctorFinding:
@@ -196,7 +196,7 @@ def _receiver(learned: RadioLearned, config: Config) -> DoctorFinding:
     position = position_of(failsafe, len(switch.positions))
     if not Rules(config).bends(position):
         return HARMLESS(position=position + 1, us=failsafe)
-    told = {
+    values = {
         "position": position + 1,
         "profile": switch.positions[position],
         "us": failsafe,
@@ -206,10 +206,10 @@ def _receiver(learned: RadioLearned, config: Config) -> DoctorFinding:
     after_s = max(late_s, default=0.0)
     unseen = any(loss.seen and loss.shown_after_s is None for loss in learned.losses)
     if _autopilot(learned).needs_rc_status and not unseen and after_s <= learned.shows_within_s:
-        return BENDS_UNSEEN(seconds=f"{after_s:.1f}", wait=f"{learned.shows_within_s:g}", **told)
+        return BENDS_UNSEEN(seconds=f"{after_s:.1f}", wait=f"{learned.shows_within_s:g}", **values)
     if not unseen and after_s <= switch.debounce_s:
-        return BENDS_TOLD(**told)
-    return BENDS(when="never" if unseen else f"only {after_s:.1f} s later", **told)
+        return BENDS_REPORTED(**values)
+    return BENDS(when="never" if unseen else f"only {after_s:.1f} s later", **values)
 
 
 def _autopilot(learned: RadioLearned) -> Autopilot:

@@ -94,7 +94,7 @@ NO_HEARTBEAT = FindingText(
     "check which messages a router forwards",
 )
 STREAM = FindingText("{name}", "good", "{rate:.1f} a second")
-SLOW = FindingText("{name}", "warning", "{rate:.1f} a second of {wanted:g} (for {use})", "{where}")
+SLOW = FindingText("{name}", "warning", "{rate:.1f} a second, not {wanted:g} (for {use})", "{where}")
 TOO_SLOW = FindingText("{name}", "bad", "{rate:.1f} a second; {use} needs {least:.1f}", "{where}")
 MISSING = FindingText("{name}", "bad", "does not arrive; needed for {use}", "{where}")
 MISSED = FindingText("{name}", "warning", "does not arrive; used for {use}", "{where}")
@@ -116,7 +116,7 @@ CLASH_ONCE = FindingText(
     "a message came from {id}, our own: another program may have it",
     "repeat this check; if it comes again, set vehicle.component_id to a free one",
 )
-FREE = FindingText("component id", "good", "{id} is free; other senders than the autopilot: {others}")
+FREE = FindingText("component id", "good", "{id} is free; senders besides the autopilot: {others}")
 UNSIGNED = FindingText(
     "signing",
     "bad",
@@ -244,7 +244,7 @@ def _component(facts: VehicleFacts, config: Config, running: Sequence[Process]) 
         return CLASH(id=ours)
     if came_once:
         return CLASH_ONCE(id=ours)
-    return FREE(id=ours, others=_named(facts.others) or "nobody")
+    return FREE(id=ours, others=_named(facts.others) or "none")
 
 
 def _signing(facts: VehicleFacts, wanted: bool) -> DoctorFinding:

@@ -59,7 +59,7 @@ def _unit(folder: Path) -> str:
     return found[1] if found else ""
 
 
-def secretive(process: Process, proc: Path = PROC) -> bool:
+def hides_files(process: Process, proc: Path = PROC) -> bool:
     """True if this user may not read the process's open files."""
     return not os.access(proc / str(process.pid) / "fd", os.R_OK)
 

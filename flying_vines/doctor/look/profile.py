@@ -11,7 +11,7 @@ from flying_vines.doctor.checks.profile import ProfileFacts
 from flying_vines.physics.rig import RigError
 from flying_vines.service.persistent_state import PersistentState
 from flying_vines.supply import Belief, nominal
-from flying_vines.supply.known_rig import load_calibration
+from flying_vines.supply.known_rig import load_known_rig
 from flying_vines.vehicle.component.parameter_file import ParameterFileError
 from flying_vines.vehicle.component.parameters import Parameters
 from flying_vines.vehicle.mavlink.signing import Signing
@@ -52,7 +52,7 @@ def read(path: Path) -> ServiceProfile:
     rig = configuration.rig_named(config, path)
     if rig is not None:
         try:
-            known = load_calibration(rig, config.pneumatics)
+            known = load_known_rig(rig, config.pneumatics)
             belief, rig_said = known.belief, known.summary
         except RigError as error:
             rig_problem = str(error)

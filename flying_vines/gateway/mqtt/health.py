@@ -12,7 +12,7 @@ REPORT_AFTER_S = 5.0
 STABLE_S = 3.0
 """A connection that has lasted this long is stable."""
 SHORT_LIVED = 3
-"""After this number of unstable connections in a row, another client id is suspected."""
+"""After this number of unstable connections in a row, another client with our id is suspected."""
 
 
 class BrokerProblem(NamedTuple):

@@ -53,7 +53,7 @@ def discovery(config: Config, topics: Topics, version: str) -> list[Publication]
     name, prefix = (part.replace("/", "_").replace(".", "_") for part in (topics.name, topics.prefix))
     shared: dict[str, Any] = {
         "availability_topic": topics.status,
-        # "silent" is neither of Home Assistant's words, and would leave the old state.
+        # Home Assistant only knows online and offline: "silent" would leave the old state.
         "availability_template": "{{ 'online' if value_json.status == 'online' else 'offline' }}",
         "device": {
             "identifiers": [f"{prefix}_{name}"],

@@ -60,7 +60,7 @@ class Pending(NamedTuple):
 class Events:
     """Stores up to `max_events` numbered events in order. A `LostEvent` replaces the dropped ones.
 
-    Times are added at the publication: in the field a computer may get its time from the broker's network.
+    Unix times are added when an event is published: a computer may get the time from the broker's network.
     """
 
     def __init__(self, topic: str, run: str, max_events: int) -> None:
@@ -205,7 +205,7 @@ class Publisher:
 
 
 def _rounded(value: Any) -> Any:
-    """Rounds to three digits: no sensor is better, and each digit is sent by radio twice a second."""
+    """Rounds to three decimals: no sensor is better, and each digit is sent by radio."""
     if isinstance(value, float):
         return round(value, 3)
     if isinstance(value, dict):

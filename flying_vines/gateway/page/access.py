@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 from flying_vines.gateway import page_token
 
 MAX_TOKEN_LENGTH = page_token.MAX_LENGTH + 64
-"""As typed, with spaces and hyphens."""
+"""Length of a token as typed, with spaces and hyphens."""
 _HOST = re.compile(r"[A-Za-z0-9.-]+(:\d{1,5})?|\[[0-9A-Fa-f:.]+\](:\d{1,5})?")
 
 

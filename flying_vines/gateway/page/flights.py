@@ -33,7 +33,7 @@ def listed(folder: Path) -> Iterator[FlightFile]:
 
 
 def file_of(folder: Path, flight: str, name: str) -> Path | None:
-    """The file of a flight; None if there is no such one. Links to other places are not followed."""
+    """The file of a flight; None if there is none. Links to other places are not followed."""
     if not _NAME.fullmatch(flight) or name not in FILES:
         return None
     path = folder / flight / name

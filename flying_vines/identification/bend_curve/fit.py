@@ -21,7 +21,7 @@ from flying_vines.vine.curve import BendCurve
 FAR_BETTER = 10.0
 """Difference of the information criterion (BIC) that counts as very strong evidence."""
 POOR = 0.05
-"""Larger residuals, as a share of the range of angles, give a note."""
+"""Residuals above this share of the range of angles give a note."""
 SLOW_KPA_PER_S = 2.0
 """At a faster rate, lag looks like hysteresis."""
 

@@ -1,7 +1,6 @@
-"""The answers file `NAME.import.toml` beside a recording: how it is read, and what was said about the rig.
+"""The answers file `NAME.import.toml` beside a recording: how to read it, and facts about the rig.
 
-It holds all guesses and answers. What a person edits there is used as it stands; what is missing is
-guessed or asked.
+It contains all guesses and answers. Edited values are used unchanged; missing values are guessed or asked.
 """
 
 from __future__ import annotations
@@ -27,15 +26,15 @@ Positive = Annotated[float, msgspec.Meta(gt=0)]
 
 
 class ImportSetup(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
-    """What drives what; None is guessed or asked."""
+    """How the rig was driven. None: guess or ask."""
 
     outlet: Literal["shut", "open", "opens"] | float | None = None
-    """Of a vessel alone: shut (it leaks), open from the start, opens when the pressure begins to fall, or the
-    time in s."""
+    """Outlet of a vessel that was recorded alone: shut (the vessel leaks), open from the start, opens when
+    the pressure begins to fall, or the opening time in s."""
     source: Literal["pump", "reservoir"] | None = None
-    """What the inflation signal lets in, if no reservoir pressure was recorded."""
+    """What fills the chamber, if no reservoir pressure was recorded."""
     sample_Hz: Positive | None = None
-    """Of a file without a time column."""
+    """Sample rate of a file without a time column."""
     gas: str | None = None
     """Its name in a rig.toml; air unless given."""
 
@@ -46,12 +45,12 @@ class Answers(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     text: TextLayout | None = None
     setup: ImportSetup = msgspec.field(default_factory=ImportSetup)
     rig: dict[str, Any] = msgspec.field(default_factory=dict)
-    """Tables of a rig.toml, as far as they are known."""
+    """The known tables of a rig.toml."""
     columns: list[ImportedColumn] = msgspec.field(default_factory=list)
 
 
 class ImportQuestion(NamedTuple):
-    """Something that the file does not say, the key of its answer, and the option that gives it."""
+    """A value that the file does not contain: key of the answer, question, and command-line option."""
 
     key: str
     text: str
@@ -71,7 +70,7 @@ def answers_path(recording: Path) -> Path:
 
 
 def same_answers(one: Answers, other: Answers) -> bool:
-    """True if two answers say the same, whatever the reasons."""
+    """True if two answers are equal except for the reasons of the guesses."""
     a, b = msgspec.to_builtins((one, other))
     for column in [*a.get("columns", ()), *b.get("columns", ())]:
         column["why"] = ""
@@ -120,7 +119,7 @@ def volume_said(text: str) -> tuple[str, float]:
     """The vessel and the litres in `cv=0.5`, or in `0.5` without a vessel."""
     vessel, _, litres = text.rpartition("=")
     if vessel not in ("", "cv", "reservoir"):
-        raise CaseError(f"volume {text!r}: there is no vessel {vessel!r}; it is cv or reservoir")
+        raise CaseError(f"volume {text!r}: there is no vessel {vessel!r}; use cv or reservoir")
     return vessel, volume_L(litres)
 
 
@@ -189,7 +188,7 @@ def write_answers(path: Path, answers: Answers, missing: Sequence[ImportQuestion
 
 
 def _table(name: str, values: Mapping[str, Any]) -> list[str]:
-    """A table as lines; without what is None or empty."""
+    """A table as lines, without values that are None or empty."""
     rows = [f"{value_text(key) if '.' in key else key} = {value_text(value)}" for key, value in values.items()
             if value is not None and value != ""]  # fmt: skip
     return ["", f"[{name}]", *rows] if rows else []

@@ -1,7 +1,7 @@
-"""What each column of a foreign table means: words of its name, its unit and its values give points.
+"""Guesses the meaning of each column of a foreign table by points for the words of its name, unit and values.
 
-Each pair of a column and a meaning has a score. The best pair is taken, then the best of the rest, and each
-meaning once. A column that has no score above zero is ignored.
+Each pair of a column and a meaning has a score. Pairs are taken from the highest score down, each column and
+each meaning once. A column that has no score above zero is ignored.
 """
 
 from __future__ import annotations
@@ -68,11 +68,12 @@ WORDS: Mapping[str, Mapping[str, float]] = {
 _NOT_READ = frozenset({"error", "err", "norm", "integral", "derivative", "flow", "current", "force", "kp",
                        "ki", "kd", "std", "noise", "rate", "dt", "coefficient", "dimensionless", "thrust",
                        "mass", "weight", "load", "humidity"})  # fmt: skip
-"""A name with such a word is of none of these meanings; one of STROKES is neither, without one of these:"""
+"""A column with one of these words in its name is ignored."""
 _DRIVES = frozenset({"valve", "ventil", "vanne", "válvula", "valvola", "throttle", "servo", "motor", "pump",
                      "compressor"})  # fmt: skip
+"""A column with a word of STROKES in its name is ignored, unless the name also has one of these."""
 _OTHER_UNITS = frozenset({"g", "kg", "lb", "lbs", "mm", "cm", "lpm", "slm", "sccm", "ma"})
-"""Units of what is not read, at the end of a name."""
+"""A column whose name ends with one of these units is ignored."""
 QUANTITIES: Mapping[str, Quantity] = {
     "time": "time",
     "command_kPa": "pressure",
@@ -86,7 +87,7 @@ QUANTITIES: Mapping[str, Quantity] = {
 }
 MEANINGS = (*WORDS, IGNORED)
 _ONE_UNIT = ("cv_pressure", "reservoir_pressure", "command_kPa")
-"""If a file names no unit of these, they have the same one. A barometer often has another one."""
+"""Columns of these meanings without a unit share one unit. A barometer often has another unit."""
 
 
 class ImportedColumn(msgspec.Struct, forbid_unknown_fields=True):
@@ -102,7 +103,7 @@ class ImportedColumn(msgspec.Struct, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class _Signal:
-    """A column, as the evidence sees it."""
+    """A column with what the tests of EVIDENCE need."""
 
     name: str
     values: Array
@@ -119,7 +120,7 @@ class _Signal:
         return len(np.unique(self.readings))
 
     def is_rising(self) -> bool:
-        """True for time: nearly all steps go up, but for the start of another run."""
+        """True for time: nearly all steps go up, except at the start of another run."""
         steps = np.diff(self.readings)
         return (
             len(steps) > 0
@@ -155,7 +156,7 @@ def _names_of(name: str) -> list[str]:
 
 
 def _is_read(signal: _Signal) -> bool:
-    """False for a name that says that the column is of none of the meanings."""
+    """False if the name shows that the column has none of the meanings."""
     names = set(_names_of(signal.name))
     if names & _NOT_READ or (names & STROKES and not names & _DRIVES):
         return False
@@ -191,11 +192,12 @@ EVIDENCE: tuple[tuple[str, _Test, Mapping[str, float]], ...] = (
      {"reservoir_pressure": -4, "command_kPa": -2}),
     ("not a whole number", lambda s: bool(np.any(s.readings % 1.0 != 0.0)), {"run": -9}),
 )  # fmt: skip
-"""Evidence in the values: what to say, the test, and its points for meanings."""
+"""Evidence in the values: a text for the user, the test, and its points for meanings."""
 _LONG = 5
 """Minimum letters of a word that is also recognised at either end of a longer one."""
 _VACUUM = 0.003
-"""Lowest over highest reading of a vacuum gauge; a gauge pressure that ends so near zero also reads less."""
+"""Maximum ratio of lowest to highest reading of a vacuum gauge. A gauge pressure so near 0 also has readings
+below 0."""
 _UNIT_FITS, _UNIT_CONTRADICTS = 3.0, -9.0
 _NAMED_ONLY = ("command_kPa", "ambient_pressure")
 """A unit alone does not make a column one of these."""
@@ -299,7 +301,7 @@ def _copies(signals: Sequence[_Signal]) -> dict[int, int]:
     for at, one in enumerate(signals):
         for other in signals[at + 1 :]:
             if not _is_read(one) or not _is_read(other):
-                continue  # an error is the reading with another sign while its target is constant
+                continue  # a control error looks like a copy of the reading while the target is constant
             both = np.isfinite(one.values) & np.isfinite(other.values)
             x, y = one.values[both], other.values[both]
             if len(x) < 8 or one.levels < 8 or one.is_rising() or np.ptp(x) == 0.0 or np.ptp(y) == 0.0:
@@ -316,7 +318,7 @@ def _copies(signals: Sequence[_Signal]) -> dict[int, int]:
 
 
 def _best_meanings(signals: Sequence[_Signal], scores: Mapping[tuple[int, str], float]) -> dict[int, str]:
-    """The meaning with most points of each column that has any, by its number."""
+    """For each column with points: its number, and its meaning with most points."""
     best = {s.number: max(WORDS, key=lambda meaning: scores.get((s.number, meaning), -1.0)) for s in signals}
     return {number: meaning for number, meaning in best.items() if scores.get((number, meaning), 0.0) > 0.0}
 
@@ -326,7 +328,7 @@ def _compare_pressures(
 ) -> None:
     """The higher of two pressures is the reservoir's; a single one is the chamber's if it is driven.
 
-    A pressure that is the only one is measured, not a target.
+    If there is only one pressure, it is a reading, not a target.
     """
     pairs = ("cv_pressure", "reservoir_pressure")
     best = _best_meanings(signals, scores)
@@ -341,7 +343,7 @@ def _compare_pressures(
     for number in level:
         p = signals[number - 1].readings
         first, last = float(np.median(p[: len(p) // 10 + 1])), float(np.median(p[-len(p) // 10 :]))
-        falls = -0.1 * first < last < 0.5 * first  # a vessel that was sucked empty does not supply air
+        falls = -0.1 * first < last < 0.5 * first  # an evacuated vessel does not supply air
         falls |= opening is not None and _empties(signals[number - 1].values, opening.values)
         reservoir = level[number] == max(level.values()) if len(level) > 1 else falls or not driven
         scores[number, pairs[int(reservoir)]] += 1.5
@@ -365,8 +367,8 @@ def _unit(
 ) -> tuple[str, str]:
     """The unit of a column and why; empty if its meaning has none.
 
-    The file's pressures in the rig that have no unit (`unlabelled`, with their meanings) have the same one,
-    probably that of the others (`labelled`).
+    The pressures without a unit (`unlabelled`, with their meanings) share one unit, probably one of the
+    others (`labelled`).
     """
     quantity = QUANTITIES.get(meaning)
     if quantity is None or len(signal.readings) == 0:
@@ -405,7 +407,7 @@ def _unit(
 
 
 def _gauge_or_absolute(signal: _Signal, unit: Unit, meaning: str) -> tuple[str, str]:
-    """An absolute sensor rests at ambient pressure and hardly ever reads less, or is that of a vacuum."""
+    """The unit, made absolute if the readings rest at ambient pressure or are those of a vacuum; and why."""
     if unit.quantity != "pressure" or unit.absolute or meaning not in ("cv_pressure", "reservoir_pressure"):
         return unit.name, ""
     low = rest_kPa(np.sort(signal.readings) * unit.factor + unit.offset)

@@ -32,7 +32,7 @@ _LAYOUTS: tuple[tuple[Separator, Decimal], ...] = (
     (" ", "."),
     (" ", ","),
 )
-"""`" "` stands for one or more blanks. The first of several equally good layouts is used."""
+"""`" "` means one or more blanks. The first of several equally good layouts is used."""
 _GUESS_ROWS = 500
 _MIN_ROWS = 3
 _MAX_COLUMNS = 1000
@@ -117,7 +117,7 @@ def read_foreign(path: Path, layout: TextLayout | None = None) -> ForeignTable:
     kept = {at: row for at, row in data_rows.items() if at >= first and _fits(row, width)}
     last = next(reversed(data_rows), -1)
     if last in kept and len(kept[last]) < width and lines[-1]:
-        del kept[last]  # the recording broke off in this line
+        del kept[last]  # the recording ends within this line
     if len(kept) < _MIN_ROWS or width == 0:
         raise CaseError(f"{path}: there are no {_MIN_ROWS} rows of numbers in it; save the recording as CSV")
     if width > _MAX_COLUMNS:
@@ -234,7 +234,7 @@ def _plain(cell: str, decimal: Decimal) -> str:
 
 
 def _clock(cell: str) -> float | None:
-    """Seconds of `14:38:23.5`, `2019-11-29T14:38:23` or `29.11.2019 2:38:23 PM`, from a fixed day."""
+    """Seconds of `14:38:23.5`, `2019-11-29T14:38:23` or `29.11.2019 2:38:23 PM`; dates from a fixed day."""
     if ":" not in cell:
         return None
     day, rest = 0.0, cell
@@ -284,7 +284,7 @@ def _is_unit_cell(name: str) -> bool:
 
 
 def _names(line: str, width: int, separator: Separator) -> list[str] | None:
-    """The cells of a header line; None if it has not one word for each column."""
+    """The cells of a header line; None if it has no name for each column."""
     line = _COMMENT.sub("", line)
     ways = [_split(line, separator), re.split(r"\t|\s{2,}", line.strip()), *(line.split(s) for s in ",;")]
     ways.append([part[0] for part in re.finditer(r"\S+(\s+[(\[][^)\]]*[)\]])?", line)])

@@ -12,18 +12,18 @@ from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.rig import Pump
 
 PUMP_TOLERANCE_PERCENT = 80.0
-"""Of both numbers: sensors, hoses and leaks change the rise as well."""
+"""Tolerance of both numbers: sensors, hoses and leaks change the rise as well."""
 _SPAN_S = 0.3
-"""Time over which a rise is measured: noise matters less than over a sample."""
+"""Time over which a rise is measured: longer than a sample, so that noise matters less."""
 _FURTHEST = 3.0
-"""The highest stall pressure that is believed, over the highest recorded pressure."""
+"""Maximum stall pressure, as a multiple of the highest recorded pressure."""
 
 
 def guessed_pump(runs: Sequence[Mapping[str, Array]], volume_L: float) -> dict[str, float]:
     """The numbers of `[pump]`, from runs with `time`, `cv_pressure` and `evp_opening` (the pump's signal).
 
-    Least squares of dP/dt = a u − b u P while the pump runs, a = α Q_max/V, b = a/P_max. A leak lowers both,
-    as the tolerance allows. Without a rise the numbers are those of a small pump.
+    Least squares of dP/dt = a u − b u P while the pump runs, a = α Q_max/V, b = a/P_max. A leak lowers both;
+    the tolerance covers this. Without a rise the numbers are those of a small pump.
     """
     rows, rates, top_kPa = [], [], 0.0
     for run in runs:

@@ -57,13 +57,13 @@ _CASE_COLUMNS = {
 _PRESSURES = {"cv_pressure": "cv", "reservoir_pressure": "reservoir"}
 _VALVES = ("evp_opening", "dvp_opening", "solenoid")
 _RESISTANCE_TOLERANCE_PERCENT = 50.0
-"""Of an outlet's flow resistance that was estimated from the time in which the pressure falls."""
+"""Tolerance of an outlet's flow resistance that was estimated from the fall of the pressure."""
 _MAX_VALVE_S = 3.0
-"""Time constant up to which a fall is taken for an outlet that was opened; slower ones are leaks."""
+"""Maximum time constant of a fall through an opened outlet; a slower fall is a leak."""
 _VACUUM_KPA = 130.0
-"""No pressure is lower than ambient by more, whatever the offset of its sensor."""
+"""No reading is further below ambient pressure, even with a sensor offset."""
 _EPOCH_S = 1e8
-"""A time that begins later is a date; runs then begin at zero."""
+"""If the first time is larger, it is a date, and the run's time then starts at 0."""
 
 Run = dict[str, Array]
 """Converted columns of a run, by meaning."""
@@ -76,9 +76,9 @@ class Proposal:
     path: Path
     table: ForeignTable
     answers: Answers
-    """Complete, but for the questions."""
+    """Complete except for `questions`."""
     questions: tuple[ImportQuestion, ...]
-    """What a person should say; some have a guess."""
+    """Questions to the user; some have a guess."""
     notes: tuple[str, ...]
     runs: Mapping[str, Run]
     """By name."""
@@ -95,7 +95,7 @@ def propose(path: Path, said: Answers, volume_L: Mapping[str, float] | None = No
     Args:
         path: the file.
         said: answers so far; they are not changed.
-        volume_L: volumes by vessel, `cv` or `reservoir`; with an empty name, of the vessel that was measured.
+        volume_L: volumes by vessel, `cv` or `reservoir`; an empty name means the vessel that was measured.
 
     Raises CaseError if the file cannot be read, or has no pressure.
     """
@@ -152,7 +152,7 @@ def answers_of_similar(path: Path, before: Proposal) -> Answers:
 
 
 def is_foreign(path: Path) -> bool:
-    """True for a file that is not a run of a case as it stands, or was imported before."""
+    """True for a file that is not in the format of a case, or was imported before."""
     if not path.is_file() or path.suffix.casefold() == ".toml":
         return False
     try:
@@ -177,7 +177,7 @@ def read_imported(path: Path, rig: Path | str | None = None) -> Case:
 
 
 def write_case(proposals: Sequence[Proposal], folder: Path) -> list[Path]:
-    """Write rig.toml and one CSV for each run. The paths of the runs.
+    """Write rig.toml and one CSV for each run. Returns the paths of the CSVs.
 
     Raises CaseError if the files disagree about the rig, or the folder has other runs.
     """
@@ -239,7 +239,7 @@ def _runs(table: ForeignTable, answers: Answers, notes: list[str]) -> Iterator[t
             spikes |= below & (below.mean() < 0.01)
             if spikes.any():
                 run[meaning] = np.where(spikes, np.nan, run[meaning])
-                notes.append(f"{np.sum(spikes)} spikes of {meaning} are left out, as of a disturbed sensor")
+                notes.append(f"{np.sum(spikes)} spikes of {meaning} are left out: the sensor was disturbed")
         yield (table.path.stem if len(kept) == 1 else f"{table.path.stem}_{count}"), run
 
 
@@ -248,7 +248,7 @@ def _long_enough(time_s: Array) -> bool:
 
 
 def _in_order(run: Run, notes: list[str]) -> Array:
-    """Time in rising order; rows with one time stamp, as of a clock without fractions, are spread evenly."""
+    """Time in rising order; rows that share a time stamp (a clock without fractions) are spread evenly."""
     order = np.argsort(run["time"], kind="stable")
     if (order != np.arange(len(order))).any():
         notes.append("some rows were not in order of time; sorted")
@@ -263,7 +263,7 @@ def _in_order(run: Run, notes: list[str]) -> Array:
 
 
 def _doubtful_units(answers: Answers, said: Answers, runs: Mapping[str, Run]) -> Iterator[ImportQuestion]:
-    """Pressures in kPa by the file's own words that behave like psi. What a person said is not doubted."""
+    """Questions for pressures with kPa in the heading that behave like psi, unless the user gave a unit."""
     sure = {column.number for column in said.columns if column.unit}
     for column in answers.columns:
         if column.meaning not in _PRESSURES or column.number in sure or column.unit != "kPa":
@@ -278,7 +278,7 @@ def _doubtful_units(answers: Answers, said: Answers, runs: Mapping[str, Run]) ->
 
 
 def _drives(path: Path, answers: Answers, runs: dict[str, Run], notes: list[str]) -> dict[str, Run]:
-    """The runs with what the case format needs to know about valves; guesses the outlet and the source."""
+    """The runs with the valve columns that the case format needs; guesses the outlet and the source."""
     has = set(next(iter(runs.values())))
     setup, name = answers.setup, path.name
     if has & set(_VALVES) and "cv_pressure" not in has:
@@ -299,8 +299,8 @@ def _drives(path: Path, answers: Answers, runs: dict[str, Run], notes: list[str]
         return runs
     if "reservoir_pressure" in has and "cv_pressure" in has:
         raise CaseError(
-            f"{path}: no column is the inflation valve; say which is: --column N=evp_opening, or that one of "
-            f"the pressures is not read: --column N={IGNORED}{_read_as(answers.columns)}"
+            f"{path}: no column is the inflation valve; say which is: --column N=evp_opening, or leave out "
+            f"one of the pressures: --column N={IGNORED}{_read_as(answers.columns)}"
         )
     if "cv_pressure" in has:
         if any(_rises(run["cv_pressure"]) for run in runs.values()):
@@ -374,7 +374,7 @@ def _filled_time(time_s: Array, pressure_kPa: Array) -> float | None:
 def _opening_time(time_s: Array, pressure_kPa: Array, *, late: bool) -> float | None:
     """When a held pressure begins to fall; None if it never does, or falls from its first reading.
 
-    An outlet may open late between two readings: then the first step of the fall is a small one.
+    With `late`, a smaller first step also belongs to the fall: the outlet opened shortly before a reading.
     """
     there = np.isfinite(pressure_kPa)
     t, p = time_s[there], pressure_kPa[there]
@@ -405,7 +405,7 @@ def _missing_volumes(answers: Answers, runs: Mapping[str, Run]) -> Iterator[Impo
 
 
 def _guessed_setup(said: Answers, answers: Answers) -> Iterator[ImportQuestion]:
-    """What drives what, as far as it is a guess."""
+    """Questions about outlet and source, with the guesses."""
     if said.setup.outlet is None and answers.setup.outlet is not None:
         text = (
             "what the outlet does: shut (the vessel leaks), open, opens (where the pressure begins to fall), "
@@ -418,7 +418,7 @@ def _guessed_setup(said: Answers, answers: Answers) -> Iterator[ImportQuestion]:
 
 
 def _rig_tables(proposal: Proposal) -> dict[str, Any]:
-    """The tables of rig.toml: what was said, the noise of the readings, and the resistance of an outlet."""
+    """The tables of rig.toml: the answers, the noise of the readings, and the resistance of an outlet."""
     tables: dict[str, Any] = {name: dict(table) for name, table in proposal.answers.rig.items()}
     if proposal.answers.setup.gas:
         tables.setdefault("gas", {"name": proposal.answers.setup.gas})
@@ -469,7 +469,7 @@ def _fall_s(run: Run) -> float | None:
 
 
 def _csv(run: Run) -> str:
-    # A laboratory does not climb.
+    # A constant ambient pressure excludes the cause `ambient_drop`: a laboratory does not climb.
     run = {"ambient_pressure": np.full(len(run["time"]), STANDARD_PRESSURE_KPA), **run}
     names = [meaning for meaning in _CASE_COLUMNS if meaning in run]
     cells = [[_cell(meaning, value) for value in run[meaning].tolist()] for meaning in names]

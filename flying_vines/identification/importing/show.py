@@ -47,7 +47,7 @@ def show(proposal: Proposal, console: Console) -> None:
 
 
 def draw(proposal: Proposal, folder: Path) -> Path:
-    """Draw pressures and valve signals of all runs, converted: where the picture is. Needs matplotlib."""
+    """Draw pressures and valve signals of all runs, converted. Returns the path. Needs matplotlib."""
     from matplotlib import pyplot as plt
 
     from flying_vines.plots.style import BLUE, GREEN, GREY, ORANGE, PURPLE, finish, save

@@ -1,4 +1,4 @@
-"""Single readings far from their neighbours, as a disturbed sensor gives them beside a motor or a valve."""
+"""Finds single readings far from their neighbours, which a motor or a valve has disturbed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from flying_vines.physics.arrays import Array, BoolArray
 
 _WIDTH = 5
-"""Readings of the running median: up to two spikes in succession are seen, and steps remain."""
+"""Width of the running median in readings: it finds up to two spikes in succession, and keeps steps."""
 _MIN_SPAN = 0.1
 """Minimum distance of a spike from its neighbours, over the span of the other readings."""
 _MIN_NOISE = 12.0
@@ -15,17 +15,17 @@ _MIN_NOISE = 12.0
 _SMOOTH = 0.98
 """Share of the steps between the other readings that must be smaller than a spike."""
 _MAX_SHARE = 0.1
-"""More spikes than this are no spikes."""
+"""If a larger share of the readings looks like spikes, none of them counts as a spike."""
 
 
 def without_spikes(readings: Array) -> Array:
-    """The readings that are no spikes, without missing ones."""
+    """The readings without spikes and missing ones."""
     kept: Array = readings[np.isfinite(readings) & ~is_spike(readings)]
     return kept
 
 
 def is_spike(readings: Array) -> BoolArray:
-    """True for each spike; none if they are too many. Missing readings are no spikes."""
+    """True for each spike; all False if too many look like spikes. Missing readings are no spikes."""
     found = np.zeros(len(readings), dtype=bool)
     there = np.flatnonzero(np.isfinite(readings))
     few, nearest = _MAX_SHARE * len(there), np.inf
@@ -37,7 +37,7 @@ def is_spike(readings: Array) -> BoolArray:
         noise = 1.48 * float(np.median(distance[distance > 0.0])) if (distance > 0.0).any() else 0.0
         far = distance > max(_MIN_SPAN * float(np.ptp(middle)), _MIN_NOISE * noise)
         if not far.any():
-            # Where the pressure itself moves as far from reading to reading, a single one may be true.
+            # If the pressure itself moves as far between readings, a single far reading may be real.
             smooth = 2.0 * float(np.quantile(np.abs(np.diff(middle)), _SMOOTH)) < nearest
             return found if smooth and found.sum() <= few else np.zeros_like(found)
         nearest = min(nearest, float(np.min(distance[far])))

@@ -1,4 +1,4 @@
-"""Units of measured columns: the table, how a column's name says its unit, and a guess if it does not."""
+"""Units of measured columns: the table, the unit in a column's name, and a guess if the name has none."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Unit(NamedTuple):
     offset: float = 0.0
     absolute: bool = False
     cost: float = inf
-    """-log of how often a column without a unit has this one, against kPa or seconds; inf: never guessed."""
+    """-log of how often a column without a unit has this one, relative to kPa or s; inf: never guessed."""
 
 
 UNITS = (
@@ -75,17 +75,17 @@ _POINTS = re.compile(
 )
 _FULL_SCALE = re.compile(r"0\s*(?:-|–|…|\.\.+|to)\s*(\d+)")
 STROKES = frozenset({"angle", "position", "displacement", "stroke", "speed", "rpm"})
-"""Words of what a valve or pump does."""
+"""Words for the motion of a valve or pump."""
 FULL_SCALES = (1.0, 100.0, 255.0, 1023.0, 4095.0, 65535.0)
 _TYPICAL = {"reservoir_pressure": (600.0, 1.0), "ambient_pressure": (100.0, 0.1)}
 _TYPICAL_KPA = (50.0, 1.5)
 """Largest reading of a pressure column, and the spread of its natural logarithm."""
 AMBIENT_KPA = 85.0, 106.0
-"""Of laboratories; absolute."""
+"""Range of ambient pressure in laboratories, absolute."""
 _RESTS = 1.5
-"""Subtracted from the cost of a unit if readings rest at ambient pressure in it, as of an absolute sensor.
+"""Subtracted from the cost of a unit in which the readings rest at ambient pressure: an absolute sensor.
 
-It is small enough that a chamber that rests at 14 kPa is not taken for one in psi.
+It is so small that a chamber that rests at 14 kPa is not read as 14 psi.
 """
 _SAID = 4.0
 """Subtracted from the cost of a unit that the file names for another pressure."""
@@ -96,7 +96,7 @@ def parse_unit(text: str) -> Unit:
     if unit := _spelled(text):
         return unit
     raise CaseError(
-        f"{text!r} is not a unit; use one of {', '.join(unit.name for unit in UNITS)}, with abs behind an "
+        f"{text!r} is not a unit; use one of {', '.join(unit.name for unit in UNITS)}, bar abs for an "
         "absolute pressure, 0-1023 for a full scale, or V (0.5=0, 4.5=1000) for two points of a calibration"
     )
 
@@ -206,7 +206,7 @@ def _top(readings: Array) -> float:
 
 
 def guess_time(values: Array) -> UnitGuess:
-    """The unit of a time column by its step and its length, or by the present year for seconds since 1970."""
+    """The unit of a time column by its step and its length; times since 1970 are recognised by their size."""
     steps = np.diff(values[np.isfinite(values)])
     step = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 1.0
     length, start = step * len(steps), float(np.nanmin(values))

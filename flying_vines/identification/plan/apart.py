@@ -33,7 +33,7 @@ class _Products(NamedTuple):
     own: Array
     """(traces,) each with itself."""
     cross: Array
-    """(causes, traces) those at typical strength with all."""
+    """(causes, traces) each trace of typical strength with every trace."""
     following: Array
     """(traces - 1,) each with the next one."""
     slack: float

@@ -53,7 +53,7 @@ def gram_of(layout: Layout, parts: Iterable[CandidatePart]) -> Array:
 
 def choose(layout: Layout, parts: Sequence[CandidatePart], budget: RecordingBudget) -> list[CandidatePart]:
     """The runs of a plan, in the order of recording; at most one length of each candidate."""
-    # To lower the reservoir to a low start pressure can cost all the air, so each lowest pressure is tried.
+    # Lowering the reservoir to a low start pressure can use all the air, so each lowest pressure is tried.
     lowest = sorted({part.kind.reservoir_kPa for part in parts})
     plans = [_chosen(layout, [p for p in parts if p.kind.reservoir_kPa >= low], budget) for low in lowest]
     return in_order(min(plans, key=lambda chosen: _open(layout, gram_of(layout, chosen)), default=[]))

@@ -1,4 +1,4 @@
-"""Plans runs for a nominal rig, and recommends the one run that separates some causes."""
+"""Plans runs for a nominal rig, and recommends the runs that separate some causes."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ MAX_S = 60.0
 """Maximum length of a recommended run."""
 MAX_RUNS = 3
 MIN_FALL = 0.2
-"""A further run is recommended if it settles this many pairs."""
+"""A further run is recommended if it separates this many more pairs."""
 _NOTHING: Mapping[str, Values] = {}
 _FULL_FIT = 2.0 * SETTLED
 """Below this Δχ² a full fit replaces the lower bound from the traces."""
@@ -138,7 +138,7 @@ class RecordingPlan:
     by_commands: Recording
     """The best plan that the service can do; it is `best` if no other plan leaves fewer pairs open."""
     names: tuple[str, ...]
-    """Causes: the rows of the matrix, and its columns. A last column is `none`."""
+    """The causes of the matrix's rows and columns; its last column is for no cause."""
     matrix: Array
     """(causes, causes + 1) Δχ² in `best`: the row is in the rig at typical strength, the column is fitted."""
     never: tuple[CausePair, ...]
@@ -227,7 +227,7 @@ def plan(
     most_kPa: float = MAX_KPA,
     progress: Progress = silent,
 ) -> RecordingPlan:
-    """Plan the runs to record of a rig.
+    """Choose the runs to record on a rig.
 
     Args:
         rig: the nominal rig.
@@ -292,8 +292,8 @@ def recommend(
 ) -> Recommendation:
     """The runs that best separate these causes from each other; `none` may be among them.
 
-    Runs that the service can do are preferred if they separate them. A further run is only recommended while
-    no run alone does.
+    Runs that the service can do are preferred if they separate the causes. A further run is only recommended
+    if it separates more.
 
     Args:
         known, fitted, noise: see `layout_of`.
@@ -349,7 +349,7 @@ def _longest(parts: Sequence[CandidatePart]) -> list[CandidatePart]:
 
 
 def _evaluated(layout: Layout, parts: list[CandidatePart]) -> _Evaluation:
-    """Evaluate some runs; full fits replace low lower bounds."""
+    """Evaluate some runs; full fits replace lower bounds below `_FULL_FIT`."""
     matrix = apart(layout, gram_of(layout, parts))
     none = len(layout.causes)
     if parts:
@@ -378,7 +378,7 @@ def _open(layout: Layout, matrix: Array) -> tuple[CausePair, ...]:
 def _open_in_all(
     layout: Layout, parts: Sequence[CandidatePart], pairs: Sequence[CausePair]
 ) -> tuple[CausePair, ...]:
-    """Those of the pairs that all runs together, each at its longest, leave open."""
+    """The pairs that stay open even with all runs, each at its longest."""
     whole = _longest(parts)
     bounds, check = apart(layout, gram_of(layout, whole)), FullFits(layout, whole)
     columns = (*layout.names, NONE)

@@ -36,7 +36,7 @@ def rehearsed(rig: Rig, kind: RunKind) -> RecordedRun:
     time_s = np.arange(samples) / kind.sample_rate_Hz
     valves = valves_of(kind, random.Random(0))
     if valves is not None:
-        # Valves only need the pressure to end early, which does not happen on the nominal rig.
+        # The pressure only matters for closing a valve early, which does not happen on the nominal rig.
         openings = np.array([valves(t, 0.0) for t in time_s.tolist()], dtype=np.float64)
     else:
         openings = _regulated(rig, kind, time_s)

@@ -91,7 +91,7 @@ def _worst(plan: RecordingPlan) -> Table:
 
 def _left(plan: RecordingPlan) -> list[str]:
     if not plan.best.open:
-        lines = ["Every cause is separated from every other, and from none."]
+        lines = ["Every cause is separated from every other, and from no cause."]
     else:
         sooner = [pair for pair in plan.best.open if pair not in plan.never]
         lines = [f"Not separated; more time or air would help: {in_words(sooner)}."] if sooner else []

@@ -66,7 +66,7 @@ def typical(cause: Cause, rig: Rig) -> float:
 
 
 def strengths(cause: Cause, usual: float) -> tuple[float, ...]:
-    """Values of the first parameter, near enough for linear interpolation; the typical one is among them."""
+    """Values of the first parameter, dense enough for linear interpolation; the typical one is among them."""
     parameter = cause.parameters[0]
     neutral = parameter.neutral
     if neutral is None or _is_threshold(parameter):

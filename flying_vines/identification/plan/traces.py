@@ -58,7 +58,7 @@ class Layout:
     keys: tuple[str, ...]
     noise: Noise
     known: Causes
-    """Causes that are in the rig for sure. `Parameter.typical` is what is known of their parameters."""
+    """Causes that are certainly in the rig. `Parameter.typical` is the prior of their parameters."""
 
     @property
     def traces(self) -> int:

@@ -42,7 +42,7 @@ def draw_run(run: Compared, noise_kPa: tuple[float, float], model: str) -> Figur
     """Pressures above openings: the whole run left, the stretch of the largest difference right.
 
     Args:
-        noise_kPa: of the readings of control volume and reservoir.
+        noise_kPa: standard deviations of the noise of control volume and reservoir.
         model: the name of the extended model; empty if it is the baseline.
     """
     read = [row for row in range(len(CHANNELS)) if np.isfinite(run.measured_kPa[row]).any()]

@@ -54,7 +54,7 @@ def numbers(estimate: ParameterEstimate) -> tuple[str, str, str]:
 
 
 def _in_powers(value: float) -> str:
-    """With a power of ten if it is large."""
+    """The number, with a power of ten if it is large."""
     if abs(value) < _HUGE:
         return rounded(value)
     mantissa, exponent = f"{value:.2e}".split("e+")
@@ -71,7 +71,7 @@ def chance(pattern: Pattern) -> str:
 
 
 def signed(number: str) -> str:
-    """With a minus sign instead of a hyphen."""
+    """The number with a minus sign instead of a hyphen."""
     return number.replace("-", "−")
 
 

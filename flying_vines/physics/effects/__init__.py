@@ -53,7 +53,7 @@ def add_causes(causes: Iterable[Cause]) -> None:
 
 
 def causes_of(rig: Rig) -> tuple[Cause, ...]:
-    """The causes that this rig can have: those whose parts it has."""
+    """The causes that this rig can have: it has all parts that they need."""
     return tuple(cause for cause in catalogue() if all(map(rig.has, cause.needs)))
 
 

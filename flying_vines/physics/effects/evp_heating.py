@@ -1,4 +1,4 @@
-"""The inflation valve (EVP) loses flow as its coil warms up: its conductance falls by w times a share.
+"""The inflation valve (EVP) loses flow as its coil warms up: it loses the share w times `share`.
 
 dw/dt = (u − w) / τ, w = 0 at the start of a recording
 """
@@ -24,7 +24,7 @@ CAUSE = Cause(
             high=0.6,
             seeds=(0.02, 0.2),
             neutral=0.0,
-            source="copper 0.39 % per K: 20 % less current at 50 K, which is up to twice that of the opening",
+            source="copper 0.39 % per K: at 50 K 20 % less current, which closes the valve by up to 40 %",
         ),
         Parameter(
             "time_constant_s",

@@ -29,7 +29,7 @@ CAUSE = Cause(
             source="from leaking membrane valves to the strongest pump of a series",
         ),
     ),
-    experiment="Run the pump until the pressure rises no more.",
+    experiment="Run the pump until the pressure no longer rises.",
     apply=apply,
     needs=("pump",),
 )

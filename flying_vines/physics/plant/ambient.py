@@ -34,7 +34,7 @@ class Steady:
 
 
 LOWEST_KPA, HIGHEST_KPA = 47.0, 109.0
-"""Ambient pressures at 6000 m and 600 m below sea level: no rig gets further."""
+"""Ambient pressure 6000 m above and 600 m below sea level: the limits of a climb."""
 
 
 @dataclass(frozen=True)

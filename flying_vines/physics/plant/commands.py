@@ -11,7 +11,7 @@ from flying_vines.physics.compiler import compiled
 from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion, backlash, dead_zone
 
 HEATED_PART = 0.02
-"""Parts in which a warming valve is constant, in time constants: an error of 1e-4 of the loss."""
+"""A warming valve's loss is constant over this share of its time constant. The error is 1e-4 of the loss."""
 
 
 class Steps(NamedTuple):
@@ -53,8 +53,10 @@ def followed(
     solenoid: SolenoidTiming | None,
     until_s: float,
 ) -> Commands:
-    """The openings that follow from commands up to a time, at exact times: delays, backlash, dead zones,
-    heating. The integrator adds the lags."""
+    """The openings after delays, backlash, dead zones and heating, up to `until_s`, at exact times.
+
+    The integrator adds the lags.
+    """
     return Commands(
         _moved(commands.evp, evp, until_s) if evp else commands.evp,
         _moved(commands.dvp, dvp, until_s) if dvp else commands.dvp,

@@ -55,7 +55,7 @@ def replay(
     commands = np.ascontiguousarray(openings, np.float64)
     if commands.ndim != 2 or commands.shape[1] != 3:
         raise ValueError(
-            f"openings need 3 columns (EVP, DVP, solenoid) and a row a tick, not {commands.shape}"
+            f"openings need 3 columns (EVP, DVP, solenoid) and one row per tick, not {commands.shape}"
         )
     table = empty_table(len(commands), record_every)
     final = compiled(run_openings, APART)(

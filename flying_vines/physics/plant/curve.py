@@ -58,7 +58,7 @@ class Curve:
         return CurveNumbers(up_to_kPa, max((q2 - q1) / (p2 - p1) for (p1, p2), (q1, q2) in lines), flow)
 
     def _flow_SL_per_s(self, gauge_kPa: float) -> float:
-        """Between two points."""
+        """The flow at a pressure, interpolated between two points."""
         after = min(bisect_right(self.points, (gauge_kPa, math.inf)), len(self.points) - 1)
         (p1, q1), (p2, q2) = self.points[after - 1 : after + 1]
         return q1 + (q2 - q1) * (gauge_kPa - p1) / (p2 - p1)

@@ -18,7 +18,7 @@ from flying_vines.physics.plant.volume import pressure_and_volume
 
 
 def tubing_per_s(numbers: PlantNumbers, air: Air, state: Floats, held: Held) -> tuple[float, float]:
-    """The rate at which tubing and control volume come into balance, and d(p V)/dp of the latter in L.
+    """The rate at which tubing and control volume balance, and d(p V)/dp of the control volume in L.
 
     The rate is 0 without tubing.
     """
@@ -46,9 +46,9 @@ def exponential_runge_kutta(
 ) -> Floats:
     """A Runge-Kutta step with tubing of any time constant; the last arguments are from `tubing_per_s`.
 
-    The slow variables are the air in tubing and control volume together, and p V of both likewise: what flows
-    between them cancels. So no air is lost, however long the step is. The air in the tubing, less its share
-    `kappa` of p V in balance, decays exponentially (ETDRK4, Cox & Matthews 2002).
+    The slow variables are the sums over tubing and control volume: of their air, and of their p V. The flow
+    between the two cancels in a sum, so no step loses air. The fast variable is the air in the tubing minus
+    its share `kappa` of p V in balance. It decays exponentially (ETDRK4, Cox & Matthews 2002).
     """
     s0, s1, s2, s3, s4, s5, s6, s7, s8, s9 = state
     decay = per_s * dt_s

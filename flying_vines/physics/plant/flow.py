@@ -1,6 +1,6 @@
 """The flow laws of a valve: Ohm's law and ISO 6358.
 
-`numbers()` converts both to the same plain numbers, with which `flow_SL_per_s` computes.
+`numbers()` converts both to an `Opening`, for `flow_SL_per_s`.
 """
 
 from __future__ import annotations

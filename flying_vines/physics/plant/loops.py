@@ -50,9 +50,11 @@ def run_openings(
     every: int,
     table: Table,
 ) -> Floats:
-    """The state after one tick for each row of `commands` (EVP, DVP, solenoid), from rest.
+    """The state after one tick for each row of `commands` (EVP, DVP, solenoid).
 
-    `start` are the commands before the run, which the delays still contain. A row of `table` is filled every
+    Valves and sensors are settled at the start.
+
+    `start` are the commands before the run, for valves with a delay. A row of `table` is filled every
     `every` ticks. `weather` (kPa absolute, temperature ratio) has a row for the start of each tick and one
     for the end, `noise` (CV, reservoir) one for each tick; if they are constant, they have a single row.
     """

@@ -49,9 +49,9 @@ class State(NamedTuple):
     """The integrated state.
 
     `reservoir_pV_J` is absolute pressure times volume, which is (γ − 1) times the internal energy.
-    `cv_energy_J` is pV plus (γ − 1) times the work done on wall and ambient (see `shape`). Numbers of absent
-    effects are constant and have no meaning: pV of isothermal gas, a wall at ambient temperature, the line
-    without tubing, an opening without lag. `vented_SL` is the net air that has left to ambient.
+    `cv_energy_J` is pV plus (γ − 1) times the work done on wall and ambient (see `volume.py`). Numbers of
+    absent effects are constant and have no meaning: pV of isothermal gas, a wall at ambient temperature, the
+    line without tubing, an opening without lag. `vented_SL` is the net air that has left to ambient.
     """
 
     reservoir_air_SL: float

@@ -7,8 +7,8 @@
     dx/dt     = (target − x) / τ                            valves with lag
 
 Every flow has the temperature of its source; throttling does not change it (ideal gas). In the reservoir
-E = p V. In the control volume E = p V + (γ−1) · (work on wall and ambient), see `shape`. So only a change of
-ambient pressure adds a work term.
+E = p V. In the control volume E = p V + (γ−1) · (work on wall and ambient), see `volume.py`. So only a change
+of ambient pressure adds a work term.
 
 These are plain functions over tuples of numbers, so that `compiled` can compile them.
 """
@@ -163,7 +163,7 @@ def _balance(
             near, ratio_near = p_c, ratio_c
         if x_e > 0.0:
             if numbers.pump_stall_kPa > 0.0:
-                # From ambient: what the reservoir loses is taken from there, see `rates`.
+                # The pump draws from ambient; `rates` takes nothing from the reservoir.
                 left_kPa = max(0.0, numbers.pump_stall_kPa - (near - ambient))
                 evp = x_e * left_kPa * numbers.evp.law.conductance_SL_per_s_kPa
             else:

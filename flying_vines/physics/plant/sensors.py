@@ -15,8 +15,8 @@ from typing import NamedTuple
 class Adc:
     """A converter behind a ratiometric sensor, whose output is 10 … 90 % of its supply over the span.
 
-    code = round(V · divider / reference · 2^bits), at most 2^bits − 1. Without a divider the range of the
-    Teensy LC (3.3 V) ends below that of the sensor (4.5 V): 145 of 206.8 kPa, 1050 of 1500 kPa.
+    code = round(V · divider / reference · 2^bits), at most 2^bits − 1. Without a divider the converter of the
+    Teensy LC ends at 3.3 V, where a sensor of 206.8 kPa gives 145 kPa and one of 1500 kPa 1050 kPa.
     """
 
     bits: int = 10
@@ -72,8 +72,8 @@ class Transfer(NamedTuple):
 class Sensor:
     """A gauge pressure sensor. With the defaults it is perfect.
 
-    `span_kPa` is the pressure range of 10 … 90 % output. `lowest_share` and `highest_share` of it are the
-    limits of the readings.
+    `span_kPa` is the pressure range of 10 … 90 % output. Readings are limited to `lowest_share` …
+    `highest_share` of this range.
     """
 
     span_kPa: float = 206.84
@@ -85,7 +85,7 @@ class Sensor:
     highest_share: float | None = None
     adc: Adc | None = None
     drift_kPa_per_min: float = 0.0
-    """Of the offset, from the first reading on."""
+    """Drift of the offset, from the first reading on."""
 
     def __post_init__(self) -> None:
         if not (self.span_kPa > 0.0 and self.noise_std_kPa >= 0.0 and self.time_constant_s >= 0.0):
@@ -118,7 +118,7 @@ HONEYWELL_15BAR = Sensor(
 
 
 _SHORT = 0.02
-"""A step over the lag, below which a quadrature is more accurate than the closed form."""
+"""Below this ratio of step to time constant, Simpson's rule is more accurate than the closed form."""
 
 
 class SensorMemory(NamedTuple):
@@ -189,7 +189,7 @@ def lagged_kPa(
     x = dt_s / time_constant_s
     left = exp(-x)
     if x < _SHORT:
-        # Simpson's rule: the recursion below would lose digits.
+        # The recursion below would lose digits.
         middle_kPa = 0.5 * (from_kPa + to_kPa) + (first - last) / 8.0
         return before_kPa * left + x / 6.0 * (from_kPa * left + 4.0 * middle_kPa * exp(-0.5 * x) + to_kPa)
     one = 1.0 + (left - 1.0) / x

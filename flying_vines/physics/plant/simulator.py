@@ -19,8 +19,8 @@ SHUT = Inputs(0.0, 0.0, False)
 class Simulator:
     """`advance` runs one tick with the firmware's commands; `conditions` are the true values.
 
-    `initial` are the commands before the start, which the delays still contain. Lags start from the state,
-    backlash is closed, coils are at ambient temperature. The same plant, state and commands give the same
+    `initial` are the commands before the start, for valves with a delay. Lags start from the state, backlash
+    from a shut valve, coils from ambient temperature. The same plant, state and commands give the same
     floats. `numbers` and `state` may be replaced between ticks.
     """
 
@@ -79,7 +79,7 @@ class Simulator:
             during = air_between(self._air, air, self.numbers.tick_s)
         open_command = bool(solenoid)
         given = (self.numbers, self.state, evp, dvp, open_command)
-        # The same inputs at rest change nothing again. This saves time, because a vine mostly waits.
+        # This saves time, because a vine mostly waits.
         if given == self._at_rest:
             return False
         memory, state = tick(self.numbers, during, self._memory, self.state, evp, dvp, open_command)

@@ -38,7 +38,7 @@ _JUMP = 0.1
 _ARRIVED = 1e-9
 """An opening nearer than this to its target is set to the target."""
 _GRAZE = 1e-7
-"""A smaller crossing (kPa, kPa·L) is on the edge and does not count as a crossing."""
+"""A change of sign by less than this (kPa, kPa·L) does not count as crossing an edge."""
 _MAX_PARTS = 3
 """How often a tick may be divided at edges: the number of edges of a plant."""
 
@@ -66,7 +66,7 @@ class Memory(NamedTuple):
 
 
 def memory_at_rest(solenoid_open: bool, ambient_K: float) -> Memory:
-    """Valves shut, backlash closed, coils at ambient temperature."""
+    """Valves shut, coils at ambient temperature."""
     valve = ValveMemory(0.0, 0.0, ambient_K, 0.0)
     return Memory(valve, valve, solenoid_open, 0, False, 0)
 
@@ -142,7 +142,7 @@ def tick(
 
 
 def _follow(valve: ValveNumbers, memory: ValveMemory, command: float, air: Air, tick_s: float) -> ValveMemory:
-    """The target of a valve during a tick."""
+    """The valve's memory with its target for this tick."""
     coil_K = memory.coil_K
     if valve.stuck_opening >= 0.0:
         return ValveMemory(valve.stuck_opening, memory.passed_on, coil_K, memory.warmth)

@@ -187,7 +187,7 @@ def _caused(made: Setup, name: str, parameters: Mapping[str, float]) -> Setup:
 
 
 def _parameters(name: str, value: Any) -> dict[str, float]:
-    """The parameters of a cause. RigError if it is defined elsewhere and not known here."""
+    """The parameters of a cause. RigError if its file or package is missing."""
     table = dict(_table(value, f"causes.{name}"))
     outside = table.pop(DEFINED_IN, None)
     if outside is not None and name not in {cause.name for cause in catalogue()}:
@@ -244,7 +244,7 @@ def _numbers(value: Any, where: str) -> dict[str, float]:
 
 
 def _listed(names: Sequence[str]) -> str:
-    return f"the parameters are {', '.join(names)}" if names else "there are none"
+    return f"the parameters are {', '.join(names)}" if names else "it has none"
 
 
 def _as_text(parameters: Mapping[str, float]) -> str:

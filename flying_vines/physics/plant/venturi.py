@@ -39,7 +39,7 @@ class Ejector:
     6358. The vacuum follows the pressure before the nozzle: P_vac = full_vacuum · min(1, P_n / rated_supply).
     `free_suction_per_motive`: suction without vacuum, as a share of the motive flow. It falls linearly to 0
     at full vacuum: Q = Q_free (1 − vacuum at the port / P_vac).
-    `passage_resistance_kPa_s_per_SL`: resistance for flow beyond Q_free, and for backflow while it is off.
+    `passage_resistance_kPa_s_per_SL`: resistance for flow beyond Q_free, and for backflow.
     `scales_with_ambient`: thin air gives less vacuum, P_vac · p_a / 101.325.
 
     The linear characteristic and the passage are assumptions; manufacturers' curves are nearly linear.

@@ -22,7 +22,7 @@ _PER_K = 1.0 / STANDARD_TEMPERATURE_K
 
 
 COOLING_K = (GAMMA - 1.0) * STANDARD_TEMPERATURE_K
-"""(γ−1) T of air: how far it cools for each share of it that flows out."""
+"""(γ−1) T of air. If a small share flows out, the rest cools by this times the share (adiabatic)."""
 
 
 def heat_capacity_J_per_K(kPa_abs: Number, volume_L: float) -> Number:
@@ -73,8 +73,8 @@ def wall_K_per_s(heat: Heat, into_gas_kPa_L_per_s: float, wall_K: float, ambient
 class Wall:
     """A wall. With the defaults it is adiabatic. A volume without a wall is isothermal.
 
-    A wall with an infinite capacity is at ambient temperature. `inflow_at_ambient`: inflowing gas has ambient
-    temperature, from valve and tubing.
+    A wall with an infinite capacity is at ambient temperature. `inflow_at_ambient`: valve and tubing bring
+    inflowing gas to ambient temperature.
     """
 
     time_constant_s: float = inf

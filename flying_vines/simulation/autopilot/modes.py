@@ -58,7 +58,7 @@ def mode_named(kind: AutopilotKind, name: str) -> FlightMode:
     if kind == "px4":
         key = _PX4_ALIASES.get(key, key)
     if key not in modes:
-        raise ValueError(f"{kind} has no mode {name!r} here; it has {', '.join(modes)}")
+        raise ValueError(f"the simulated {kind} has no mode {name!r}; it has {', '.join(modes)}")
     return modes[key]
 
 

@@ -127,7 +127,7 @@ class ParameterServer:
     def change(self, name: str, value: float) -> None:
         """Change a value and send it to all links."""
         if name not in self._values:
-            raise ValueError(f"{self._kind} has no parameter {name} here")
+            raise ValueError(f"the simulated {self._kind} has no parameter {name}")
         self._values[name] = value
         self._tell(self._message(name, NO_INDEX))
 

@@ -45,7 +45,7 @@ class CommandLong:
 
 @dataclass(slots=True)
 class _Sent:
-    """A sent command, until its last repeat, or until a repeat is due and it is acknowledged."""
+    """A sent command. It is listed until its last repeat, or until a repeat is due after the answer."""
 
     command: CommandLong
     acknowledged: bool = False
@@ -56,8 +56,8 @@ class CommandSender:
 
     As recorded, the first repeat comes after 1 s and two more after 0.5 s each. An acknowledgement counts for
     the oldest command of this number, which stays in the list until its next repeat is due. So of two equal
-    commands the second is repeated although it was acknowledged, and an acknowledgement may end a lost
-    command.
+    commands the second is repeated although it was acknowledged, and an acknowledgement may end the repeats
+    of a lost command.
     """
 
     def __init__(self, agenda: Agenda, send: Callable[[CommandLong, int], None]) -> None:
@@ -115,7 +115,7 @@ class Px4Mission:
             total = TOTAL_BEFORE_FIRST_UPLOAD
         state = self._state if self._host.items else NO_MISSION
         mode = _SUBMODE_IN_MISSION if in_mission_mode else _SUBMODE_SUSPENDED
-        # After a jump it reports the item before the jump, until the next one is reached.
+        # After a jump PX4 reports the item before the jump, until the next item is reached.
         seq = self._seq if self._stale_seq is None else self._stale_seq
         return MissionStatus(seq, total, state, mode)
 

@@ -237,6 +237,6 @@ def rc_input(
     """The RC input of this kind of autopilot."""
     if kind == "ardupilot":
         if source not in (None, "pulses"):
-            raise ValueError(f"ardupilot has no receiver {source!r} here")
+            raise ValueError(f"the simulated ardupilot has no receiver {source!r}")
         return ArduPilotRc(present, agenda, parameter, failsafe_changed)
     return Px4Rc(present, source, agenda, random, failsafe_changed)

@@ -43,7 +43,7 @@ class Receiver:
     def __init__(self, kind: AutopilotKind, present: bool = True, source: RcSource | None = None) -> None:
         self.source: RcSource = source or ("pulses" if kind == "ardupilot" else "overrides")
         if (kind == "ardupilot") != (self.source == "pulses"):
-            raise ValueError(f"{kind} has no receiver {self.source!r} here")
+            raise ValueError(f"the simulated {kind} has no receiver {self.source!r}")
         self.sticks_us = list(_AT_REST_US)
         self.lost: RcLoss | None = None
         self.overridden = False

@@ -20,7 +20,7 @@ CV_SENSOR_SPAN_kPa = 206.84
 """Span of the fitted sensor, independent of the firmware's settings: 30 psi."""
 RESERVOIR_SENSOR_SPAN_kPa = 1500.0
 """Span of the fitted sensor: 15 bar."""
-_BUILD = b"1.0 host"
+_BUILD = b"1.1 host"
 _FULL_SCALE = 65535
 _SUPPLY_COUNTS = 59578
 """5 V through a 0.6 divider into a 3.3 V converter."""

@@ -1,6 +1,6 @@
 """Hardware failures (mishaps) of a phloSAR: the kinds, and the places where they may occur.
 
-A kind is a frozen dataclass; its repr creates it again. `Mishaps` has the present failures by place.
+A kind is a frozen dataclass whose repr is valid Python. `Mishaps` has the present failures by place.
 `SimulatedPhlosar` applies them. EVP: inflation valve. DVP: the Venturi's supply valve.
 """
 
@@ -43,7 +43,7 @@ class SensorReading(NamedTuple):
     last_good_kPa: float
     """The last good reading."""
     for_ms: int
-    """Time since then."""
+    """Time since the mishap began."""
     normal: Callable[[], float]
     """A standard normal number."""
 
@@ -138,7 +138,7 @@ class StuckAt:
         _check(0.0 <= self.opening <= 1.0, "an opening must be in 0…1")
 
 
-# What holds air.
+# Reservoir, hose and actuator.
 
 
 @dataclass(frozen=True)

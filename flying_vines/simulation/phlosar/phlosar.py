@@ -59,7 +59,7 @@ class SimulatedPhlosar:
     specifies everything. `firmware` has settings for the simulated firmware, or is a board.
 
     To simulate a hardware failure, call `inject`; or set it in `mishaps`, e.g. `phlosar.mishaps.evp =
-    StuckAt(1.0)`: it acts from the next `advance` on. None repairs it.
+    StuckAt(1.0)`: it acts from the next `advance` on. Set it to None to repair it.
 
     Equal seeds, bytes and times give equal bytes and pressures. `reservoir_kPa` and `cv_kPa` are the true
     pressures. The firmware reads them with noise, and the control volume's pressure at the valve end of its
@@ -89,7 +89,7 @@ class SimulatedPhlosar:
         self._steps = 0
         self._hangs_until: int | None = None
         self._random = random.Random(seed)
-        # An own generator, so that a mishap does not change the other noise.
+        # A separate generator, so that a mishap does not change the other noise.
         noise = partial(random.Random(f"mishaps of {seed}").gauss, 0.0, 1.0)
         self._cv_sensor = _SensorChannel(setup.cv_sensor, cv_kPa, noise)
         self._reservoir_sensor = _SensorChannel(setup.reservoir_sensor, reservoir_kPa, noise)
@@ -139,7 +139,7 @@ class SimulatedPhlosar:
         return b"".join(sent)
 
     def inject(self, place: str, kind: MishapKind | None) -> None:
-        """Apply a mishap at a place now; a lasting one is stored in `mishaps`. None repairs it.
+        """Apply a mishap at a place now; a lasting one is stored in `mishaps`. `kind` None repairs the place.
 
         Raises `ValueError` if this place cannot have it.
         """

@@ -17,7 +17,7 @@ MOST_KPA = 150.0
 """Maximum setpoint, gauge: the control volume's sensor range minus a margin for overshoot."""
 FIRMWARE_HZ = 1000
 _NO_CURVE = BendCurve(((0.0, 0.0), (1.0, 0.0)))
-"""A dummy: profiles in scenarios are in kPa."""
+"""An unused bend curve: profiles in scenarios are in kPa."""
 
 Pressure = Annotated[float, Meta(ge=0, le=MOST_KPA)]
 OpeningFraction = Annotated[float, Meta(ge=0, le=1)]
@@ -202,7 +202,10 @@ class Valves(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class OpeningsRun(Common, tag="openings", frozen=True, kw_only=True):
-    """Valve openings over time, without regulation. The last ones also fill time that others left early."""
+    """Valve openings over time, without regulation.
+
+    If some end early because of `until_kPa`, the last ones hold until the planned end.
+    """
 
     valves: Annotated[tuple[Valves, ...], Meta(min_length=1, max_length=10_000)]
 

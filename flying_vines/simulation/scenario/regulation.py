@@ -18,7 +18,7 @@ _OF_THE_ERROR = 0.4
 _HOLDS_OF_FULL_OPENING = 1.5
 """From this error on, in pressure changes per sample, the valves open fully."""
 _TOLERATED_HOLDS = 0.09
-"""Error above the setpoint, in pressure changes per sample, at which the solenoid stays shut."""
+"""Error above the setpoint, in pressure changes per sample, up to which the solenoid stays shut."""
 
 
 def tuning_for(rig: Rig, cv: ControlVolume, reservoir_kPa: float, sample_rate_Hz: int) -> Tuning:

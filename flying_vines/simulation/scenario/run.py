@@ -178,7 +178,7 @@ class _OpenLoop:
 
 
 class _ClosedLoop:
-    """The firmware's regulator, with a limit that is wide enough for every scenario."""
+    """The firmware's regulator, with an overpressure limit above the pressures of all scenarios."""
 
     def __init__(self, rig: Rig, cv: ControlVolume, run: RunKind, command: OpeningOverTime) -> None:
         self.faults = ""

@@ -8,10 +8,10 @@ this is the curve of a mylar balloon, with complete elliptic integrals of m = p 
     F = p π R² (1/(2m) − 1)             volume π R³ ((1−m) K − (1−2m) E)/(6 m^1.5)
 
 The force is zero at m = 1/2. Up to the film's own radius r₀ each half chamber is one such curve; then a
-cylinder of r₀ grows between the two halves. A chamber that does not reach r₀ shortens by at most 54 %; one
-that reaches it by 1.424 r₀ over its length, which is 30 to 40 % for the usual 0.21 to 0.28. The meridians
-stretch by 𝒯/k. Greer et al. 2017 describe the sPAM, Kübler et al. 2023 compare it as cPAM; the shape is
-computed here.
+cylinder of r₀ grows between the two halves. A chamber that does not reach r₀ shortens by at most 54 %. One
+that reaches r₀ shortens by 1.424 r₀ over its length: 30 to 40 % for the usual ratios of 0.21 to 0.28. The
+meridians stretch by 𝒯/k. Greer et al. 2017 describe the sPAM, Kübler et al. 2023 compare it as cPAM; the
+shape is computed here.
 """
 
 from __future__ import annotations

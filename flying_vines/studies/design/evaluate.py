@@ -34,7 +34,7 @@ class Evaluation:
     inflation_curve_kPa_per_s: Array
     """Eq. 4; for a pouch, scaled to the air that it needs."""
     deflation_curve_kPa_per_s: Array
-    """With the Venturi where it is faster."""
+    """The Venturi is used where it makes deflation faster."""
     passive_kPa_per_s: float
     """Deflation by the solenoid alone, at any reservoir pressure."""
     bandwidth_curve_Hz: Array
@@ -43,7 +43,7 @@ class Evaluation:
     least_kPa: float
     """Minimum reservoir pressure for the wanted inflation speed (Sec. VI-B)."""
     cycles_rigid: float
-    """Eq. 8: a rigid control volume, and a Venturi that uses the same air again. 0 if too slow."""
+    """Eq. 8: a rigid control volume, and a Venturi that uses as much air as the inflation. 0 if too slow."""
     cycles_pouch_air: float
     """Eq. 8 with the air of a pouch, but the minimum pressure of a rigid control volume."""
     cycles_pouch: float
@@ -60,17 +60,17 @@ class Evaluation:
 
     @property
     def inflation_kPa_per_s(self) -> float:
-        """From a full reservoir."""
+        """Inflation speed from a full reservoir."""
         return float(self.inflation_curve_kPa_per_s[-1])
 
     @property
     def deflation_kPa_per_s(self) -> float:
-        """From a full reservoir."""
+        """Deflation speed with a full reservoir."""
         return float(self.deflation_curve_kPa_per_s[-1])
 
     @property
     def bandwidth_Hz(self) -> float:
-        """From a full reservoir."""
+        """Bandwidth with a full reservoir."""
         return float(self.bandwidth_curve_Hz[-1])
 
     @property

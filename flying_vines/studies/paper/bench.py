@@ -28,7 +28,7 @@ AT_ONCE_KPA_PER_S = 1e6
 """Setpoint rate, so fast that a step stays a step."""
 
 SETTLE_S, MEASURE_S = 3.0, 3.0
-"""Of the response to a sine: settling time that is cut off, in whole cycles; minimum time that remains."""
+"""Settling time that is cut off a sine response, in whole cycles; minimum time that remains of it."""
 
 FIXED_SOURCE = Reservoir(volume_L=1e9)
 """A supply with a constant pressure (Sec. V-C)."""
@@ -76,7 +76,7 @@ class Trace:
     """The record of a test."""
 
     table: Array
-    """Rows: time, command, control volume's reading, reservoir, EVP, DVP, solenoid; a column a millisecond.
+    """Rows: time, command, control volume's reading, reservoir, EVP, DVP, solenoid. A column for each ms.
 
     EVP is the inflation valve, DVP the valve that supplies the Venturi.
     """

@@ -23,7 +23,7 @@ STEP_TEST_S = 2.5
 """Long enough for TC1 to TC3 to settle. The paper does not state the length of its time series."""
 
 NEAR_KPA = 1.0
-"""A step has arrived if it is nearer to its target: here the paper's on-off control ends."""
+"""A step has arrived if it is nearer to its target than this. There the paper's on-off control ends."""
 
 DISCHARGE_STEP_S = 0.05
 
@@ -174,7 +174,7 @@ class Curves:
     """On the high-fidelity plant."""
     baselines: tuple[PrintedCurve, PrintedCurve]
     sines: tuple[SineSeries, ...]
-    """On 690 kPa; on half of it."""
+    """With a supply of 690 kPa, and of half of it."""
     likely_sines: tuple[SineSeries, ...]
     """On the high-fidelity plant."""
     rated_sines: tuple[SineSeries, ...]

@@ -1,7 +1,7 @@
 """The bounds of a healthy rig: the prior's numbers, and the allowed deviations from them.
 
 These are bounds, not best guesses. A check that uses the lenient bound finds nothing on any rig within the
-bounds. The docstring of each bound has the reason for its width.
+bounds.
 """
 
 from __future__ import annotations

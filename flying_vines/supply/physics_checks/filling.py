@@ -11,7 +11,7 @@ from flying_vines.supply.physics_checks.expected import Expected
 
 GAIN_KPA = 2.0
 BEHIND_KPA = 1.5
-"""Nearer to its setpoint the vine need not rise."""
+"""A vine that is nearer to its setpoint need not rise."""
 LINE_KPA = 4.0
 """The flow in the tube raises the reading at its near end by this much."""
 OUTLET_SHARE = 0.1
@@ -27,7 +27,7 @@ STUCK_S = 0.2
 STILL_S = 0.4
 """While the valve is commanded open. Perhaps nothing flows; then only noise changes the reading."""
 STUCK_READINGS = 10
-"""Two or three readings of a good sensor are often equal. At 10 Hz that takes 0.2 s."""
+"""Two or three readings of a good sensor are often equal, and at 10 Hz three readings take 0.2 s."""
 
 
 class Filling:

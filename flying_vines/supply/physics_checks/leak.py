@@ -1,4 +1,4 @@
-"""Checks that it costs no air to hold the vine.
+"""Checks that a held vine uses no air.
 
 The openings of the inflation valve show little, because most of a short opening is within its dead zone. The
 reservoir shows a leak: its pressure falls faster while the vine is held than while the vine is vented.

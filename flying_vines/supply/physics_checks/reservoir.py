@@ -21,9 +21,9 @@ HOT = 1.06
 """Limit as a share of the full reservoir's pressure. The error band of a good sensor ends below it."""
 HIGH_S = 1.0
 STUCK_KPA = 1.5
-"""Expected fall while the reading has not changed at all."""
+"""A reading that did not change at all during this expected fall is stuck."""
 BLIND_KPA = 15.0
-"""Expected fall while the reading has fallen by less than a fifth of it."""
+"""A sensor is blind if its reading fell by less than a fifth of this expected fall."""
 TURN_KPA = 2.0
 """A smaller fall is noise, not a turn."""
 VINE_FILTER_S = 0.1

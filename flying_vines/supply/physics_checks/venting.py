@@ -1,9 +1,9 @@
 """Checks that the vine loses its pressure while its outlet is commanded open.
 
-The largest, softest vine behind the narrowest outlet loses a quarter of its gauge pressure in some time. The
-vine must do so within twice that time, and again until it is vented. If it does not, the outlet stays shut or
-the inflation valve stays open. An open valve also lowers the reservoir's pressure. This does not show while
-the Venturi takes air, too.
+The slowest allowed rig (largest and softest vine, narrowest outlet) loses a quarter of its gauge pressure in
+a time T. The vine must lose each quarter within 2 T, until it is vented. If it does not, the outlet stays
+shut or the inflation valve stays open. An open valve also lowers the reservoir's pressure, but this does not
+show while the Venturi takes air, too.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from flying_vines.supply.features import VALVE_LAG_S, Features
 from flying_vines.supply.physics_checks.expected import Expected
 
 DOWN_KPA = 3.0
-"""This far above the largest zero of a good sensor the vine counts as vented. Below, its zero is checked."""
+"""The vine counts as vented up to this far above the largest zero of a good sensor."""
 SHARE_LEFT = 0.75
 OUTLET_LAG_S = 0.15
 """Total lag of solenoid, tube and sensor."""

@@ -58,7 +58,7 @@ class ArduPilot(Autopilot):
         "RC_OPTIONS": "clear bits 0 and 2 of RC_OPTIONS: they ignore the receiver, or its failsafe flag",
     }
     unseen_loss_remedy = (
-        "was it this transmitter? Then FS_THR_ENABLE = 1, and the receiver's failsafe to no pulses,"
+        "was it this transmitter? Then set FS_THR_ENABLE = 1, and the receiver's failsafe to no pulses,"
         " or to a throttle below FS_THR_VALUE"
     )
 
@@ -82,8 +82,8 @@ class ArduPilot(Autopilot):
     def how_to_set_stream(self, message: str, rate_Hz: int) -> str:
         group = STREAM_GROUPS[message]
         return (
-            f"set SRn_{group} = {rate_Hz}, n counting the MAVLink ports from USB = 0 "
-            f"(from 4.7 on MAVn_{group}, from USB = 1), and a baud rate that carries all streams"
+            f"set SRn_{group} = {rate_Hz} (n is the number of the MAVLink port, USB = 0; from 4.7 on "
+            f"MAVn_{group}, USB = 1), and a baud rate that carries all streams"
         )
 
     def store(self, item: MissionItem) -> MissionItem:

@@ -42,7 +42,7 @@ NAMED_COMMANDS = set(COMMAND_OF_NAME.values())
 
 ASK_AGAIN_S = 0.2
 GIVE_UP_S = 0.8
-"""An ArduPilot answers within 6 ms."""
+"""ArduPilot answers within 6 ms."""
 SAME_SCRIPT_ITEM_S = 3.0
 """A script on the autopilot sent an item's params 5 to 17 ms after the item's text. Our script repeats
 unacknowledged params for two seconds."""
@@ -331,7 +331,7 @@ class _Numbers:
 
 
 def _fits(name: str | None, command: int, confirmed: bool = False) -> bool:
-    """True if the name fits the command. `confirmed`: an unknown name fits, it may be of another release."""
+    """True if the name fits the command. `confirmed`: an unknown name, perhaps of another release, fits."""
     expected = COMMAND_OF_NAME.get(name or "")
     if expected is not None:
         return expected == command

@@ -118,7 +118,7 @@ class Autopilot:
         return 0.0
 
     def override_lasts_s(self, values: Mapping[str, float]) -> float:
-        """Time until an RC override expires; 0 if overrides are refused, or end without a step."""
+        """Time until an RC override expires; 0 if overrides are refused, or if their end causes no step."""
         return 0.0
 
     def how_to_set_stream(self, message: str, rate_Hz: int) -> str:

@@ -38,7 +38,7 @@ _MISSION_FRAME = {
     *(530, 531, 532, 534, 1000, 1001, 2000, 2001, 2003, 2500, 2501, 3000, 42600),
 }
 _GLOBAL_FRAMES = {0: 5, 5: 5, 3: 6, 6: 6}
-"""The frames in which it returns items: those of integer coordinates."""
+"""The frames in which PX4 returns items: those with integer coordinates."""
 
 
 class Px4(Autopilot):
@@ -52,7 +52,7 @@ class Px4(Autopilot):
     carriers = ("actuator", "winch", "gripper")
     carrier_match = ", param7 = 1"
     own_rates_Hz: ClassVar = {"MISSION_CURRENT": 1.0}
-    rc_remedies: ClassVar = {"COM_RC_IN_MODE": "set COM_RC_IN_MODE = 0: the receiver is to be used"}
+    rc_remedies: ClassVar = {"COM_RC_IN_MODE": "set COM_RC_IN_MODE = 0, so that the receiver is used"}
 
     def mode_name(self, custom_mode: int) -> str:
         main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF

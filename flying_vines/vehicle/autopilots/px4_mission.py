@@ -18,9 +18,9 @@ from flying_vines.vehicle.repeats import LATE_S, PX4_REPEAT_S
 MIN_REPEAT_S = 0.5
 """The first repeat comes 0.5 s, sometimes 1 s, after its item, plus the link's delay."""
 FIRST_REPEAT_LATER_S = 0.25
-"""The first repeat is 0.5 or 1 s old: 0.5 s plus this is the middle. A third copy is over 1 s old."""
+"""The first repeat is 0.5 or 1 s old. Its assumed age is the middle: 0.5 s plus this."""
 BEFORE_A_REPEAT_S = 0.4
-"""A repeat is at least 0.5 s old, less jitter of the link. So an item seen within this time ran after it."""
+"""A repeat is at least 0.5 s old, less the link's jitter. So an item seen within this time is newer."""
 SAME_BURST_S = 3.0
 """PX4 sends the following items within milliseconds, and the last repeat of an item 2 s after it."""
 
@@ -29,7 +29,7 @@ WAIT_FOR_COMMAND_S = 0.3
 LAST_REPEAT_S = 2.5
 """Wait this long for a repeat of the command: it has its own params, so the book is not needed."""
 REACHED_WITHIN_S = 3.0
-"""PX4 repeats MISSION_ITEM_REACHED every second. It counts up to this time after the command."""
+"""PX4 repeats MISSION_ITEM_REACHED every second. A report counts up to this time after the command."""
 GRIPPER, WINCH = 211, 42600
 TIMEOUT_S = 60.0
 """For a gripper and a winch PX4 waits for MIS_COMMAND_TOUT before it reports them as reached."""
@@ -212,6 +212,6 @@ def _of(item: MissionItem) -> Execution:
 
 
 def _same(a: Execution, b: Execution) -> bool:
-    # x and y are left out: an item may have scaled coordinates there, a command any numbers.
+    # x and y are not compared: an item may have scaled coordinates there, and a command any numbers.
     one, other = ((*params[:4], *params[6:]) for params in (a.params or (), b.params or ()))
     return a.command == b.command and len(one) == len(other) and same_numbers(one, other)

@@ -33,5 +33,5 @@ class Clash:
         if t - self._reported_at < REPORT_AGAIN_S:
             return []
         self._reported_at = t
-        text = f"Vine: component id {self._component_id} is taken by another: set vehicle.component_id"
+        text = f"Vine: another program has component id {self._component_id}: set vehicle.component_id"
         return [Notice(t, Severity.ERROR, text)]

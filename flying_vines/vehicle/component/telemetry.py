@@ -84,12 +84,12 @@ class NamedValues:
         self._once_at = t
 
     def may_send(self, t: float) -> bool:
-        """False if so soon after the last value none can be due."""
+        """False if no value can be due so soon after the last one."""
         spacing_s = min(self.period_s / len(VALUE_NAMES), ONCE_SPACING_S)
         return t >= self._last_at + spacing_s - _TICK_GRAIN_S
 
     def due(self, t: float, time_boot_ms: int, values: Mapping[str, float]) -> list[MavlinkMessage]:
-        """At most one message a call, of the most overdue value. This spreads them over time."""
+        """At most one message per call, of the most overdue value. This spreads them over time."""
         sent = {name: self._due_at.get(name, -math.inf) for name in values if math.isfinite(values[name])}
         name = min(sent, key=lambda name: sent[name], default=None)
         if name is None:

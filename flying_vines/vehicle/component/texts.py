@@ -2,7 +2,7 @@
 
 Ground stations and autopilots parse status texts: some words mean a version, a failed check or a step of the
 mission to them. The name of a profile or of a firmware build may contain such a word. So such words are
-broken up before a text is sent. It stays readable.
+broken up before a text is sent. The text stays readable.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _LABELS = re.compile("(arm|tuning|mission):", re.IGNORECASE)
 def harmless(text: str) -> str:
     """The text as one line of printable ASCII that no other program acts on. The function is idempotent.
 
-    Characters outside ASCII are written out. A word that other programs look for is broken ("cop-ter").
+    Characters outside ASCII are written out. A word that other programs look for gets a hyphen ("cop-ter").
     """
     plain = unicodedata.normalize("NFKD", text.translate(_WRITTEN_OUT)).translate(_WRITTEN_OUT)
     plain = "".join(_sign(sign) for sign in plain if not unicodedata.combining(sign))

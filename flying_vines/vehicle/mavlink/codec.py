@@ -67,7 +67,7 @@ class MavlinkCodec:
         return self._admitted(self._frames.take(data))
 
     def decode_stranger(self, data: bytes) -> tuple[list[MavlinkMessage], bool]:
-        """The messages in one datagram of a new sender, and True if a signature proves it an autopilot.
+        """The messages in one datagram of a new sender, and True if a signature proves an autopilot.
 
         An incomplete frame at the end is dropped, so that it does not mix with other senders' bytes.
         """

@@ -5,8 +5,8 @@ stream's signing timestamp before it has checked the signature, so one forged fr
 It loses good frames next to a damaged one. It is too slow for a small board.
 
 After a damaged frame of a known message the search continues at its second byte. So good frames within its
-claimed length are found. The checksum of a message that the dialect lacks cannot be checked. It counts as a
-frame if another frame begins at its end.
+claimed length are found. The checksum of a message that the dialect lacks cannot be checked. Such a message
+counts as a frame if another frame begins at its end.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class Frames:
             self._bad_until = stop
 
     def _skip_noise(self, data: bytes, at: int) -> int:
-        """The index of the next possible begin of a frame."""
+        """The index at which the next frame may begin."""
         if at > self._bad_until:
             self.bad_frames += 1
         found = _ANY_MARKER.search(data, at)
@@ -120,7 +120,7 @@ def from_autopilot(data: bytes) -> bool:
 
 
 def frame_in(raw: bytes) -> Frame:
-    """The frame in `raw`, which was whole and right when it was received or sent. Checks nothing again."""
+    """The frame in `raw`, which was whole and right when it was received or sent. It is not checked again."""
     frame = _frame_at(raw, 0)
     assert frame is not None
     return frame

@@ -219,7 +219,7 @@ class Signing:
             if timestamp < oldest:
                 return False
             if stream not in self._streams and len(self._streams) >= MAX_STREAMS:
-                # These streams are safe to forget: replayed frames of them are too old for a new stream.
+                # Older streams are safe to forget: their replayed frames are too old for a new stream.
                 self._streams = {known: at for known, at in self._streams.items() if at >= oldest}
             if stream not in self._streams and len(self._streams) >= MAX_STREAMS:
                 return False

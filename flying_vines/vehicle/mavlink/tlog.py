@@ -83,7 +83,7 @@ class TlogReader:
             raise TlogError(f"{self._path}: no MAVLink frame in the file: is it a .tlog?")
 
     def _record_size(self, at: int) -> int | None:
-        """The size of the record that starts at `at`; None if none does."""
+        """The size of the record that starts at `at`; None if no record starts there."""
         data, frame = self._data, at + _TIME.size
         if frame + 3 > len(data) or data[frame] not in _HEADER_SIZE:
             return None

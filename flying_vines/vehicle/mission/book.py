@@ -180,7 +180,7 @@ class MissionBook:
         self.mark_outdated(t)
 
     def requests(self, t: float, system_id: int, in_any_order: bool = False) -> list[MavlinkMessage]:
-        """The next request to the autopilot; at most one message a call.
+        """The next request to the autopilot; at most one message per call.
 
         `in_any_order`: the autopilot sends any item at any time, like ArduPilot. PX4 ends the transfer with a
         text to the pilot, unless the request is for the next item or the previous one again.

@@ -17,7 +17,7 @@ class Jumps:
         self._taken: dict[int, int] = {}
 
     def take(self, item: MissionItem) -> int:
-        """The seq of the next item: the jump's target, or the item after the jump once it is used up."""
+        """The seq of the next item: the jump's target, or the item after it if no repetition is left."""
         target, times = item.params[0], item.params[1]
         taken = self._taken.get(item.seq, 0)
         if not (math.isfinite(target) and target >= 0) or (times != FOR_EVER and not taken < times):

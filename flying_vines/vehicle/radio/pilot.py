@@ -20,7 +20,7 @@ from flying_vines.vehicle.triggers import Rules, Trigger
 CONFIRMED_WITHIN_S = 4.0
 """A move is refused if it is not confirmed within this time after the earliest possible confirmation."""
 HEALTH_REPORTS_APART_S = 2.0
-"""PX4's minimum time between two health reports (min_reporting_interval). It can delay that of an RC loss."""
+"""PX4's minimum time between two health reports (min_reporting_interval). It can delay that of a loss."""
 OVERRIDE_SLACK_S = 0.7
 """Uncertainty of the time at which an override ends."""
 RELEASED_US = 65534
@@ -103,7 +103,7 @@ class Pilot:
         """Somebody other than the pilot moved the vine.
 
         The end of an RC override looks as if the switch returns to its position. If somebody else has
-        straightened the vine, this must not bend it again.
+        straightened the vine, such a return must not bend it again.
         """
         self.overtaken()
         position = self.switch.position

@@ -48,7 +48,7 @@ class RadioParameters:
         return changed
 
     def requests(self, t: float, system_id: int, autopilot: Autopilot) -> list[MavlinkMessage]:
-        """At most one request a call."""
+        """At most one request per call."""
         if t - self._asked_at < ASK_SPACING_S:
             return []
         due = [name for name in autopilot.rc_parameters if self._attempts.get(name, 0) < MAX_ATTEMPTS]

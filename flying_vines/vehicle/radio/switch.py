@@ -60,7 +60,7 @@ class SwitchReader:
 
     @property
     def last_position(self) -> int | None:
-        """The position; during a loss, that before it."""
+        """The position; during a loss, the position before the loss."""
         return self._before_loss if self.position is None else self.position
 
     def lose(self) -> None:

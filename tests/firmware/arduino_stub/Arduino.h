@@ -1,5 +1,5 @@
-// What the board layer uses of Teensyduino, declared as Teensyduino declares it. simulated_teensy.cpp is behind
-// it: pins, converter, timer, memory, USB buffers and watchdogs, as the maker's core and the chips' manuals say.
+// The part of Teensyduino that the board layer uses, with the same declarations. simulated_teensy.cpp implements
+// pins, converter, timer, memory, USB buffers and watchdogs, as in the maker's core and the chips' manuals.
 #pragma once
 
 #include <stddef.h>
@@ -32,7 +32,7 @@ void sim_interrupts(bool on);
 void sim_idle();
 #define PHLOSAR_IDLE() sim_idle()
 
-// A register: what a write does depends on its kind and pin.
+// A register: the effect of a write depends on its kind and pin.
 enum class Kind { kPlain, kPortClear, kPortSet, kDirection, kConfig, kWatchdog, kFeed, kResetCause };
 struct Register {
     Kind kind;

@@ -36,12 +36,12 @@ asyncio.run(serve())
 
 
 def mosquitto() -> str | None:
-    """Its path; Debian keeps it where only root looks."""
+    """Path of mosquitto. Debian installs it where only root searches."""
     return shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
 
 
 class Broker:
-    """That can be killed and started again on the same port."""
+    """A broker that can be killed and started again on the same port."""
 
     def __init__(self, folder: Path, settings: str = "allow_anonymous true", kind: str = "mosquitto") -> None:
         self.port = free_port()
@@ -74,7 +74,7 @@ class Broker:
         path = mosquitto()
         if path is None:
             pytest.skip(f"needs mosquitto: {MOSQUITTO_HOW}")
-        # As root it would become another user, who cannot read what is in the tests' folders.
+        # As root it would change to another user, who cannot read the tests' folders.
         file = self.folder / f"mosquitto-{self.port}.conf"
         file.write_text(f"user root\nlistener {self.port} 127.0.0.1\n{self._settings}\n")
         return [path, "-c", str(file)]
@@ -96,7 +96,7 @@ async def running(broker: Broker) -> AsyncIterator[Broker]:
 
 
 class Line:
-    """Between a vehicle and a broker; while it is cut, nobody answers."""
+    """A line between a vehicle and a broker; while it is cut, nobody answers."""
 
     def __init__(self, broker: Broker) -> None:
         self._broker = broker
@@ -147,7 +147,7 @@ class Line:
 
 
 class Onlooker:
-    """Somebody else on the broker: what he has heard, by topic."""
+    """Another client on the broker, with its received messages by topic."""
 
     def __init__(self, client: aiomqtt.Client) -> None:
         self.client = client
@@ -157,7 +157,7 @@ class Onlooker:
         return [read(message) for message in self.heard if str(message.topic) == topic]
 
     async def until(self, topic: str, count: int = 1, **fields: Any) -> dict[str, Any]:
-        """The latest on a topic of at least `count` that have these fields."""
+        """The latest message on a topic, after at least `count` with these fields."""
         deadline = time.monotonic() + PATIENCE_S
         while True:
             fit = [told for told in self.on(topic) if all(told.get(key) == fields[key] for key in fields)]
@@ -200,7 +200,8 @@ def run_quietly(*command: str, folder: Path | None = None) -> None:
 
 
 def make_certificates(folder: Path) -> None:
-    """`ca` and `another`, signed by themselves; `server`, for the name localhost, and `heron`, by `ca`."""
+    """`ca` and `another` are self-signed; `server`, for the name localhost, and `heron` are signed by
+    `ca`."""
     openssl = need("openssl", "sudo apt install openssl")
 
     def run(*arguments: str) -> None:

@@ -1,4 +1,4 @@
-"""Vehicles on a real broker: what others read and may request, and a broker that goes and returns."""
+"""Vehicles on a real broker: topics, requests, and a broker that disappears and returns."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def ask(id: str, command: str = "vent", **more: Any) -> dict[str, Any]:
     return {"id": id, "unix_s": time.time(), "command": command, **more}
 
 
-async def test_whoever_comes_later_knows_who_is_there(broker: Broker, people: Onlooker) -> None:
+async def test_a_later_subscriber_gets_the_present_vehicles(broker: Broker, people: Onlooker) -> None:
     async with flying(broker=broker.url, name="heron") as vehicle:
         await people.until(f"{BASE}/status", status="online")
         await people.until(f"{BASE}/state", count=2, doing="bend-full")
@@ -57,7 +57,7 @@ async def test_whoever_comes_later_knows_who_is_there(broker: Broker, people: On
         assert not latecomer.on(f"{BASE}/state"), "states are not kept"
 
 
-async def test_what_happens_while_the_broker_is_away_is_told_in_order_and_once(broker: Broker) -> None:
+async def test_events_while_the_broker_is_away_are_sent_once_and_in_order(broker: Broker) -> None:
     async with Line(broker).laid() as line, flying(broker=line.url, name="heron", kept_events=20) as vehicle:
         async with onlooker(broker) as people:
             vehicle.say("before")
@@ -106,7 +106,7 @@ async def test_a_flood_of_asks_holds_up_neither_states_nor_a_vent(broker: Broker
         assert vehicle.troubles == ["MQTT: flying-vines/heron/ask: too many requests, some get no answer"]
 
 
-async def test_what_is_listed_may_be_asked_for_and_is_answered(broker: Broker, people: Onlooker) -> None:
+async def test_listed_commands_are_executed_and_answered(broker: Broker, people: Onlooker) -> None:
     async with flying(broker=broker.url, name="heron", commands=("vent", "profile")) as vehicle:
         await people.until(f"{BASE}/about", commands=["vent", "profile"])
         await people.until(f"{BASE}/status", status="online")
@@ -137,8 +137,10 @@ async def test_nothing_may_be_asked_for_unless_it_is_switched_on(broker: Broker,
         assert not people.on(f"{BASE}/answer")
 
 
-async def test_what_was_asked_before_the_vehicle_came_is_not_done(broker: Broker, people: Onlooker) -> None:
-    """The broker retained the request, or kept it for a client of that name."""
+async def test_a_request_from_before_the_vehicle_connected_is_not_executed(
+    broker: Broker, people: Onlooker
+) -> None:
+    """The broker retained the request, or stored it for a client of that name."""
     await people.say(f"{BASE}/ask", ask("retained"), retain=True)
     async with flying(broker=broker.url, name="heron", commands=("vent",)):
         await people.until(f"{BASE}/status", status="online")
@@ -169,7 +171,7 @@ async def test_a_cancellation_is_not_lost_where_the_library_loses_it() -> None:
     assert done and telling.cancelled()
 
 
-async def test_vehicles_of_a_fleet_are_told_apart(broker: Broker, people: Onlooker) -> None:
+async def test_vehicles_of_a_fleet_are_distinguished(broker: Broker, people: Onlooker) -> None:
     heron = flying(broker=broker.url, name="heron", commands=("vent",))
     egret = flying(broker=broker.url, name="egret", commands=("vent",))
     async with heron as first, egret as second:
@@ -233,14 +235,14 @@ async def test_a_user_and_a_password(tmp_path: Path) -> None:
 
 
 def rights_of_the_page() -> str:
-    """The access control list that docs/mqtt.md recommends; and people may look at what is discovered."""
+    """The access control list of docs/mqtt.md, with access of people to the discovery topics."""
     page = (Path(__file__).parents[3] / "docs" / "mqtt.md").read_text(encoding="utf-8")
     (rights,) = re.findall(r"```\n(pattern write .*?)```", page, re.DOTALL)
     (home,) = re.findall(r"`(pattern write homeassistant/[^`]*)`", page)
     return f"{home}\n{rights}topic read homeassistant/#\n"
 
 
-# Of a handshake that fails the library leaves the socket to the garbage collector.
+# After a failed handshake the library leaves the socket to the garbage collector.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 async def test_tls_with_the_right_certificate_and_with_every_wrong_one(tmp_path: Path) -> None:
     make_certificates(tmp_path)
@@ -279,7 +281,7 @@ async def test_tls_with_the_right_certificate_and_with_every_wrong_one(tmp_path:
     gc.collect()
 
 
-async def test_what_is_no_broker(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_other_servers_than_a_broker(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connection, "TIMEOUT_S", 0.3)
     greetings = (b"", b"HTTP/1.1 400 Bad Request\r\n\r\n", b"\x00" * 1000, b"\x20\x03\x00\x00", b"\xff" * 99)
     greeted: list[bytes] = []

@@ -1,4 +1,4 @@
-"""The page on MQTT shows the topics, payloads and schema that are sent."""
+"""The page on MQTT shows the real topics, payloads and schema."""
 
 from __future__ import annotations
 

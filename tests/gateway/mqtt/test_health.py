@@ -1,4 +1,4 @@
-"""What people read about the broker, once for each kind of failure, and how often it is tried."""
+"""Texts about the broker: one for each kind of failure; and the times of new tries."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_a_broker_that_is_there_is_not_worth_a_word() -> None:
     assert health.lasts(0.3) is health.lasts(60.0) is None
 
 
-def test_a_broker_that_is_away_is_told_once_and_that_it_is_back() -> None:
+def test_a_broker_that_is_away_is_reported_once_and_that_it_is_back() -> None:
     health = Health(0.0, "mqtt://b")
     said = [health.failed(t, AWAY) for t in (0.0, 1.0, 3.0, 7.0, 15.0, 60.0)]
     assert said == [None, None, None, "MQTT: mqtt://b: nothing answers there", None, None]
@@ -42,7 +42,7 @@ def test_a_short_interruption_is_nobody_s_trouble() -> None:
         assert health.wait_s(1.0) == 1.0
 
 
-def test_what_a_person_must_mend_is_told_at_once_and_tried_more_rarely() -> None:
+def test_a_problem_that_needs_a_person_is_reported_at_once_and_tried_more_rarely() -> None:
     health = Health(0.0, "mqtt://b")
     assert health.failed(0.1, LOGIN) == "MQTT: mqtt://b: it does not accept this user and password"
     assert health.wait_s(1.0) == 15.0

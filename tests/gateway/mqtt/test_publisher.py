@@ -1,4 +1,4 @@
-"""What the broker gets: the latest states, and all events in order or the number of lost ones."""
+"""Messages to the broker: the latest states, and all events in order or the number of lost ones."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def teller(**mqtt: Any) -> Publisher:
 
 
 def read(publication: Publication) -> dict[str, Any]:
-    """As its topic's payload must be."""
+    """The payload, which must match its topic."""
     msgspec.json.decode(publication.payload, type=PAYLOADS[publication.topic.rsplit("/", 1)[1]])
     told: dict[str, Any] = msgspec.json.decode(publication.payload)
     return told
@@ -54,7 +54,7 @@ def tell_all(events: Events, t: float = 10.0) -> list[EventPayload]:
     return told
 
 
-def test_a_vehicle_is_silent_until_the_service_speaks_and_when_it_no_longer_does() -> None:
+def test_a_vehicle_is_silent_before_and_after_the_messages_of_its_service() -> None:
     vehicle = teller()
     status, about = vehicle.greeting(now(0.0))
     assert (status.topic, status.retain, status.qos) == ("flying-vines/heron/status", True, 1)
@@ -91,7 +91,7 @@ def test_a_state_has_the_time_of_its_snapshot_and_null_for_what_is_not_known() -
     )
 
 
-def test_the_reservoir_is_told_less_often() -> None:
+def test_the_reservoir_is_reported_less_often() -> None:
     vehicle = teller()
     topics = []
     for tenth in range(101):
@@ -101,7 +101,7 @@ def test_the_reservoir_is_told_less_often() -> None:
     assert topics.count(TOPICS.reservoir) == 1 + 10 / RESERVOIR_S
 
 
-def test_every_kind_of_event_is_told_with_its_time_and_number() -> None:
+def test_every_kind_of_event_is_reported_with_its_time_and_number() -> None:
     vehicle = teller()
     for thing in (decision(1.0, "limited", "to 60 kPa/s"), notice(2.0)):
         vehicle.take(3.0, happened(thing))
@@ -128,7 +128,7 @@ def test_an_event_has_the_time_of_the_clock_as_it_was_set_since() -> None:
     assert msgspec.json.decode(first.publication.payload)["unix_s"] == UNIX_S - 60.0
 
 
-def test_an_event_is_told_again_until_the_broker_has_it() -> None:
+def test_an_event_is_reported_again_until_the_broker_has_it() -> None:
     events = Events("event", "run", 10)
     events.take(happened(notice(1.0)))
     first = events.first(now(1.0))
@@ -152,7 +152,7 @@ def test_more_than_are_kept_are_lost_and_counted() -> None:
 
 
 @given(st.lists(st.sampled_from(["happens", "told", "told meanwhile"]), max_size=60), st.integers(1, 4))
-def test_whatever_happens_every_event_is_told_once_in_order_or_counted(steps: list[str], most: int) -> None:
+def test_every_event_is_sent_once_and_in_order_or_counted(steps: list[str], most: int) -> None:
     """`told meanwhile`: events between sending an event and the broker's receipt."""
     events = Events("event", "run", most)
     made, told, lost = 0, [], 0
@@ -187,7 +187,7 @@ def test_whatever_happens_every_event_is_told_once_in_order_or_counted(steps: li
     assert len(told) + lost == made
 
 
-def test_what_a_later_service_tells_does_not_end_the_connection() -> None:
+def test_messages_of_a_later_service_do_not_end_the_connection() -> None:
     """Unknown fields are left out, and unknown kinds are not published."""
     vehicle = teller()
     vehicle.take(1.0, Happened("stretched", msgspec.Raw(b'{"t": 1.0}')))
@@ -199,7 +199,7 @@ def test_what_a_later_service_tells_does_not_end_the_connection() -> None:
     assert (event.text, event.severity, event.number) == ("x", "info", 1)
 
 
-def test_whatever_a_core_makes_can_be_told() -> None:
+def test_every_output_of_a_core_can_be_published() -> None:
     vehicle = teller()
     world = SimulatedWorld(configured())
     wanted: tuple[Intent, ...] = (
@@ -229,7 +229,7 @@ def test_whatever_a_core_makes_can_be_told() -> None:
     assert read(reservoir)["reservoir_kPa"] > 100.0
 
 
-def test_home_assistant_is_told_only_where_that_is_wanted() -> None:
+def test_home_assistant_is_informed_only_if_wanted() -> None:
     assert discovery(configured(), TOPICS, "1.2.3") == []
 
 
@@ -256,7 +256,7 @@ def test_home_assistant_gets_sensors_and_a_button_only_where_venting_is_allowed(
 
 
 def rendered(template: str, **known: Any) -> str:
-    """As Home Assistant does."""
+    """The template as Home Assistant renders it."""
     at = SimpleNamespace(timestamp=lambda: UNIX_S)
     return jinja2.Environment().from_string(template).render(now=lambda: at, **known)
 

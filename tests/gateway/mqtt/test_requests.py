@@ -1,4 +1,4 @@
-"""Requests over the broker: only listed ones, recent ones, once each, and a vent before all others."""
+"""Requests on the broker: only listed and recent ones, each once, and a vent before all others."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def ask(id: str = "1", command: str = "hold", age_s: float = 0.0, **more: Any) -
 
 
 def waiting(queue: RequestQueue) -> list[list[str]]:
-    """Ids of all that is handed to the service, in order."""
+    """Ids of the requests for the service, in order."""
     handed = []
     while together := queue.next():
         handed.append([one.request.id for one in together])
@@ -42,7 +42,7 @@ def test_nothing_may_be_asked_for_unless_it_is_listed() -> None:
     assert "'bend' is not permitted" in refusal(RequestQueue(("vent",), 5.0), ask(command="bend", value=30))
 
 
-def test_what_is_listed_is_handed_on_with_its_value() -> None:
+def test_a_listed_request_is_passed_on_with_its_value() -> None:
     queue = RequestQueue(ALL, 5.0)
     assert queue.receive(NOW, ask("1", "bend", value=30), False) == []
     assert queue.receive(NOW, ask("2", "profile", name="wave"), False) == []
@@ -53,7 +53,7 @@ def test_what_is_listed_is_handed_on_with_its_value() -> None:
 
 
 @pytest.mark.parametrize("command", ["vent", "hold"])
-def test_what_was_asked_for_long_ago_is_refused(command: str) -> None:
+def test_an_old_request_is_refused(command: str) -> None:
     queue = RequestQueue(ALL, 5.0)
     assert "requested 5.1 s ago by this vehicle's clock" in refusal(queue, ask("1", command, 5.1))
     assert "requested 60.0 s in the future" in refusal(queue, ask("2", command, -60.0))
@@ -62,13 +62,13 @@ def test_what_was_asked_for_long_ago_is_refused(command: str) -> None:
 
 
 @pytest.mark.parametrize("command", ["vent", "hold"])
-def test_what_is_asked_for_twice_is_done_once(command: str) -> None:
+def test_a_repeated_request_is_executed_once(command: str) -> None:
     queue = RequestQueue(ALL, 5.0)
     assert queue.receive(NOW, ask("1", command), False) == []
     (answer,) = queue.receive(NOW, ask("1", command), False)
     assert "repeated: " in answer.reason
     assert waiting(queue) == [["1"]]
-    # As long as it is young enough to be done, its id is known; after that it is too old.
+    # While a request is young enough to be executed, its id is known. After that it is too old.
     for later_s in (1.0, 4.9, 5.1, 400.0):
         later = Now(NOW.t + later_s, NOW.unix_s + later_s)
         assert refusal(queue, ask("1", command), now=later)
@@ -96,7 +96,7 @@ def test_what_is_asked_for_twice_is_done_once(command: str) -> None:
         (ask() + b" " * MAX_REQUEST_LENGTH, "longer than"),
     ],
 )
-def test_what_cannot_be_done_is_refused_with_the_reason(payload: bytes, said: str) -> None:
+def test_an_impossible_request_is_refused_with_the_reason(payload: bytes, said: str) -> None:
     assert said in refusal(RequestQueue(ALL, 5.0), payload)
 
 
@@ -114,7 +114,7 @@ def test_a_vent_overtakes_what_waits_and_that_is_not_done_afterwards() -> None:
     assert waiting(queue) == [["3", "4"], ["5"]]
 
 
-def test_whoever_asks_too_often_is_not_answered_but_may_vent() -> None:
+def test_a_client_that_asks_too_often_gets_no_answer_but_may_vent() -> None:
     queue = RequestQueue(ALL, 5.0)
     answers = [answer for number in range(5000) for answer in queue.receive(NOW, ask(str(number)), False)]
     answers += [answer for _ in range(5000) for answer in queue.receive(NOW, b"{", False)]
@@ -135,7 +135,7 @@ def test_a_flood_of_vents_is_one_vent() -> None:
     assert len(together) == MAX_WAITING
 
 
-def test_what_waits_when_the_broker_goes_is_not_done_when_it_is_back() -> None:
+def test_requests_that_wait_when_the_broker_disappears_are_dropped() -> None:
     queue = RequestQueue(ALL, 5.0)
     queue.receive(NOW, ask("1", "bend", value=30), False)
     queue.disconnected()
@@ -143,7 +143,7 @@ def test_what_waits_when_the_broker_goes_is_not_done_when_it_is_back() -> None:
     assert "repeated: " in refusal(queue, ask("1", "bend", value=30))
 
 
-def test_what_waits_grows_old_whatever_its_senders_clock_says() -> None:
+def test_a_waiting_request_gets_older_with_any_clock_of_its_sender() -> None:
     queue = RequestQueue(ALL, 5.0)
     queue.receive(NOW, ask("1", "bend", 3.0, value=30), False)
     queue.receive(NOW, ask("2", "bend", -3.0, value=30), False)
@@ -172,7 +172,7 @@ def test_no_bytes_make_it_fail(payload: bytes, retained: bool) -> None:
         max_size=40,
     )
 )
-def test_whoever_asks_how_nothing_is_done_twice_or_late(said: list[tuple[str, int, float, float]]) -> None:
+def test_no_request_is_executed_twice_or_late(said: list[tuple[str, int, float, float]]) -> None:
     """Each row: a command, an id, its age and the time since the one before; some are late or repeated."""
     queue = RequestQueue(ALL, 5.0)
     now = NOW

@@ -17,7 +17,7 @@ PATIENCE_S = 10.0
 
 
 class Vehicle:
-    """Its service tells a snapshot ten times a second and does what it is asked for, unless it is deaf."""
+    """Its service sends a snapshot ten times a second and carries out requests, unless it is deaf."""
 
     def __init__(self, **settings: Any) -> None:
         self.feed = Feed(profile(**settings), self._hear)

@@ -94,7 +94,7 @@ def test_from_the_network_only_with_the_token() -> None:
     assert isinstance(access.check(here, cookies={"flying-vines-8018": TOKEN}), Refused)
 
 
-def test_who_may_watch_may_not_ask() -> None:
+def test_a_viewer_may_not_send_requests() -> None:
     watching = page_token.watching(TOKEN)
     assert watching != TOKEN
     assert beyond(watching) == Admitted(may_ask=False, token=watching)

@@ -59,7 +59,7 @@ DRAWN = """() => {
 
 
 class Proxy:
-    """Where a page's browser sends what is not for this machine: nobody answers, but it is written down."""
+    """The proxy for requests that are not for this machine. It records them and does not answer."""
 
     def __init__(self) -> None:
         self.asked: list[str] = []
@@ -94,7 +94,7 @@ async def browser() -> AsyncIterator[Browser]:
 
 
 async def opened(browser: Browser, url: str, device: Mapping[str, Any]) -> tuple[Page, list[str]]:
-    """A new visitor's page, and what went wrong in it."""
+    """A new visitor's page, and its errors."""
     context = await browser.new_context(**device)
     context.set_default_timeout(1000.0 * PATIENCE_S)
     page = await context.new_page()
@@ -172,7 +172,7 @@ async def test_on_a_phone_a_thumb_tries_the_vine_and_vents(
 
 
 async def _fits(page: Page) -> None:
-    """Nothing is wider than the screen, VENT is on it, and all that is pressed is large enough."""
+    """Nothing is wider than the screen, VENT is on it, and all buttons are large enough."""
     assert await page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     assert await page.evaluate(
         "(() => { const r = document.querySelector('#vent').getBoundingClientRect();"
@@ -191,20 +191,20 @@ async def test_a_link_that_is_cut_is_seen_and_comes_back(browser: Browser, tmp_p
         page, wrong = await opened(browser, served.url, DESKTOP)
         await says(page, "#events", "phloSAR ready")
 
-        # The network swallows everything, and nothing is closed.
+        # The network loses everything, but no connection is closed.
         os.kill(served.gateway, signal.SIGSTOP)
         await page.wait_for_selector("body.lost")
         await says(page, "#link", "old")
         os.kill(served.gateway, signal.SIGCONT)
         await page.wait_for_selector(LIVE)
 
-        # The page's own process dies: the service starts it again.
+        # The page's process dies, and the service starts it again.
         os.kill(served.gateway, signal.SIGKILL)
         await page.wait_for_selector("body.lost")
         await says(page, "#link", "No link")
         await page.wait_for_selector(LIVE)
 
-        # The service dies, and somebody wants to vent.
+        # The service dies, and a person wants to vent.
         await served.kill()
         await page.wait_for_selector("body.lost")
         await page.keyboard.press("Escape")
@@ -215,13 +215,13 @@ async def test_a_link_that_is_cut_is_seen_and_comes_back(browser: Browser, tmp_p
         await page.wait_for_selector(LIVE)
         await says(page, "#events", "page → vent: accepted")
 
-        # Space vents wherever the focus is, and presses nothing.
+        # Space always vents, whatever has the focus, and presses no button.
         await page.focus("#bench-mode")
         await page.keyboard.press("Space")
         assert await page.get_attribute("#bench-mode", "aria-checked") == "false"
         await page.wait_for_function("() => document.querySelectorAll('#events .accepted').length >= 2")
 
-        # Whoever loads the page anew sees what was, a few seconds after the service has begun anew.
+        # A page that is loaded anew shows the earlier events, some seconds after the restart of the service.
         hello: dict[str, Any] = {}
         for _ in range(round(PATIENCE_S)):
             hello = await _greeting(page)
@@ -236,7 +236,7 @@ async def test_a_link_that_is_cut_is_seen_and_comes_back(browser: Browser, tmp_p
         assert not wrong
 
 
-async def test_what_is_pressed_says_when_and_what_was_shown(browser: Browser, tmp_path: Path) -> None:
+async def test_a_request_has_its_time_and_the_shown_state(browser: Browser, tmp_path: Path) -> None:
     async with serving(tmp_path) as served:
         page, wrong = await opened(browser, served.url, DESKTOP)
         sent: list[dict[str, Any]] = []
@@ -251,7 +251,7 @@ async def test_what_is_pressed_says_when_and_what_was_shown(browser: Browser, tm
         (pressed,) = sent
         assert time.monotonic() - PATIENCE_S < pressed["seen_at"] <= pressed["made_at"] <= time.monotonic()
 
-        # What it shows stands still, and its clock goes on: a vent says that it knows nothing newer.
+        # The shown state does not change but gets older. A vent reports that there is nothing newer.
         os.kill(served.pid, signal.SIGSTOP)
         await page.wait_for_selector("body.lost")
         await page.click("#vent")
@@ -293,7 +293,7 @@ CUT = """() => {
 
 @contextlib.asynccontextmanager
 async def showing(bench: Bench, shown: Snapshot) -> AsyncIterator[None]:
-    """The service says this again and again."""
+    """The service sends this snapshot repeatedly."""
 
     async def say() -> None:
         while True:
@@ -306,7 +306,7 @@ async def showing(bench: Bench, shown: Snapshot) -> AsyncIterator[None]:
 
 
 @pytest.mark.parametrize("size", [(320, 640), (390, 844), (768, 1024), (1280, 720)], ids=str)
-async def test_what_is_wrong_and_the_air_left_are_whole_without_scrolling(
+async def test_problems_and_cycles_left_are_visible_without_scrolling(
     browser: Browser, size: tuple[int, int]
 ) -> None:
     device = {"viewport": dict(zip(("width", "height"), size, strict=True))}
@@ -338,7 +338,7 @@ async def test_a_confirmed_vent_is_not_shown_for_ever(browser: Browser) -> None:
 
 
 async def _greeting(page: Page) -> dict[str, Any]:
-    """Load the page anew. Returns the first that it is told."""
+    """Load the page anew. Returns the first message."""
     async with page.expect_event("websocket") as told:
         await page.reload()
     frame = await (await told.value).wait_for_event("framereceived")

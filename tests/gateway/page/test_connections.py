@@ -1,4 +1,4 @@
-"""Limits of connections and requests, and what the page remembers."""
+"""Limits of connections and requests, and the page's memory."""
 
 from __future__ import annotations
 
@@ -100,12 +100,12 @@ def test_patience_is_for_thumbs_not_for_floods() -> None:
         "\x00",
     ],
 )
-def test_what_is_no_wish_is_refused(text: str) -> None:
+def test_an_invalid_request_is_refused(text: str) -> None:
     with pytest.raises((msgspec.DecodeError, ValueError)):
         read_request(text)
 
 
-def test_a_wish_is_read() -> None:
+def test_a_request_is_read() -> None:
     assert read_request('{"id": 7, "command": "bend", "value": 30, "name": null}') == PageRequest(
         7, "bend", 30.0
     )

@@ -75,7 +75,7 @@ async def test_no_other_file_can_be_read(bench: Bench, path: str) -> None:
             assert "secret" not in await response.text()
 
 
-async def test_who_may_only_watch_gets_no_flight(folder: Path) -> None:
+async def test_a_viewer_gets_no_flight(folder: Path) -> None:
     statuses = {"": 401, page_token.watching(TOKEN): 403, TOKEN: 200}
     async with served("0.0.0.0", str(folder)) as bench:
         for token, status in statuses.items():
@@ -86,7 +86,7 @@ async def test_who_may_only_watch_gets_no_flight(folder: Path) -> None:
 
 
 async def test_a_service_without_a_log_lists_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It does not read its working directory either."""
+    """It does not read its working directory instead."""
     monkeypatch.chdir(folder)
     async with served() as bench, client() as session:
         for path in ("flights", f"flights/{FLIGHT}/flight.mcap"):

@@ -24,7 +24,7 @@ pytestmark = real_time
 
 
 async def ask(viewing: ClientWebSocketResponse, command: str, **what: Any) -> tuple[str, str]:
-    """What comes of it."""
+    """Send a request. Returns the result."""
     await viewing.send_str(json.dumps({"id": 1, "command": command, **what}))
     answer = await heard(viewing, "answer")
     return answer["safety"], answer["reason"]
@@ -33,7 +33,7 @@ async def ask(viewing: ClientWebSocketResponse, command: str, **what: Any) -> tu
 async def ready(viewing: ClientWebSocketResponse) -> None:
     while True:
         now = (await heard(viewing, "snapshot"))["snapshot"]
-        if now["firmware"] == "ready" and now["vehicle"] != "none heard":
+        if now["firmware"] == "ready" and now["vehicle"] != "not found":
             return
 
 
@@ -80,7 +80,7 @@ async def test_a_page_that_hangs_or_dies_is_back_within_five_seconds(tmp_path: P
                 await until(served.listens, "the page is back")
                 assert served.bench.bent(), "the vine is not moved by it"
                 async with session.ws_connect(served.url + "live") as viewing:
-                    # It tells what it has seen of the service, so it is no page of the past.
+                    # It names the state that it has seen, so it is not an old page.
                     await heard(viewing, "snapshot")
                     assert await ask(viewing, "hold") == ("accepted", "")
         async with session.ws_connect(served.url + "live") as viewing:
@@ -93,7 +93,7 @@ async def test_a_page_that_hangs_or_dies_is_back_within_five_seconds(tmp_path: P
 
 
 async def test_no_page_bends_the_vine_of_an_armed_vehicle(tmp_path: Path) -> None:
-    """The core refuses it, whatever a browser sends."""
+    """The core refuses the request, whatever a browser sends."""
     async with (
         serving(tmp_path, bench_mode=True) as served,
         client() as session,
@@ -117,7 +117,7 @@ async def test_no_page_bends_the_vine_of_an_armed_vehicle(tmp_path: Path) -> Non
         assert await ask(viewing, "vent") == ("accepted", "")
 
 
-async def test_what_was_not_answered_is_not_done_when_the_service_wakes(tmp_path: Path) -> None:
+async def test_an_unanswered_request_is_not_executed_when_the_service_continues(tmp_path: Path) -> None:
     async with (
         serving(tmp_path) as served,
         client() as session,
@@ -145,7 +145,7 @@ async def test_what_was_not_answered_is_not_done_when_the_service_wakes(tmp_path
 
 
 async def _all_well(viewing: ClientWebSocketResponse) -> float:
-    """The time of a fresh state without faults; what the board has latched is cleared once seen."""
+    """Wait for a new state without faults, and return its time. Latched faults of the board are cleared."""
     while True:
         now = (await heard(viewing, "snapshot"))["snapshot"]
         lies_here_s = asyncio.get_running_loop().time() - now["t"]
@@ -159,14 +159,14 @@ async def _another(served: Served, before: int) -> None:
 
 
 def _alive(pid: int, before: int) -> bool:
-    """Whether there is a child, and not the one before."""
+    """True if there is a child process, and not the former one."""
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     return bool(children) and str(before) not in children
 
 
 async def _vents_under_a_flood(viewing: ClientWebSocketResponse, port: int) -> None:
     with contextlib.ExitStack() as stack:
-        # The fakes live in this loop, and are not to be held up.
+        # The fakes run in this loop, which must not be delayed.
         flooding = asyncio.create_task(asyncio.to_thread(_flood, stack, port))
         await asyncio.sleep(0.05)
         assert await ask(viewing, "vent") == ("accepted", "")
@@ -181,7 +181,7 @@ def _flood(stack: contextlib.ExitStack, port: int) -> None:
             connection.send(b"GET / HTTP/1.1\r\n")
 
 
-async def test_its_token_is_made_and_not_told_to_logs(tmp_path: Path) -> None:
+async def test_its_token_is_made_and_never_logged(tmp_path: Path) -> None:
     async with serving(tmp_path, host="0.0.0.0") as served, client() as session:
         file = tmp_path / "vine.page-token"
         token = page_token.read(file)

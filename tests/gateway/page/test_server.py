@@ -1,4 +1,4 @@
-"""The page over real sockets: what it serves, to whom, and under attack."""
+"""The page on real sockets: its content, access, and attacks."""
 
 from __future__ import annotations
 
@@ -105,15 +105,13 @@ async def test_a_viewer_is_told_what_was_and_what_is(bench: Bench, session: Clie
         assert (await heard(viewing, "snapshot"))["snapshot"]["cv_kPa"] == 4.0
 
 
-async def test_a_page_that_is_told_nothing_hears_that_the_link_lives(
-    bench: Bench, session: ClientSession
-) -> None:
+async def test_a_page_without_news_gets_signs_of_life(bench: Bench, session: ClientSession) -> None:
     async with session.ws_connect(bench.url + "/live") as viewing:
         await heard(viewing, "hello")
         await heard(viewing, "beat")
 
 
-async def test_what_is_asked_for_is_answered(bench: Bench, session: ClientSession) -> None:
+async def test_requests_are_answered(bench: Bench, session: ClientSession) -> None:
     async with session.ws_connect(bench.url + "/live") as viewing:
         await viewing.send_str('{"id": 5, "command": "bend", "value": 30}')
         assert await heard(viewing, "answer") == {
@@ -132,9 +130,7 @@ async def test_what_is_asked_for_is_answered(bench: Bench, session: ClientSessio
     ]
 
 
-async def test_a_wish_is_as_old_as_it_says_and_no_younger_than_it_is(
-    bench: Bench, session: ClientSession
-) -> None:
+async def test_a_request_has_at_least_its_stated_age(bench: Bench, session: ClientSession) -> None:
     loop = asyncio.get_running_loop()
     began = loop.time()
     async with session.ws_connect(bench.url + "/live") as viewing:
@@ -147,7 +143,7 @@ async def test_a_wish_is_as_old_as_it_says_and_no_younger_than_it_is(
     assert [ask.seen_at for ask in bench.asked] == [None, 7.5, None]
 
 
-async def test_whoever_waits_for_an_answer_can_still_vent(bench: Bench, session: ClientSession) -> None:
+async def test_a_client_that_waits_for_an_answer_can_still_vent(bench: Bench, session: ClientSession) -> None:
     async with session.ws_connect(bench.url + "/live") as viewing:
         bench.answers = False
         for i in range(5):
@@ -202,7 +198,7 @@ async def test_on_the_network_it_opens_by_token_then_by_cookie() -> None:
             assert (await heard(viewing, "hello"))["may_ask"]
 
 
-async def test_who_may_only_watch_asks_in_vain() -> None:
+async def test_requests_of_a_viewer_are_refused() -> None:
     token = page_token.watching(TOKEN)
     async with served("0.0.0.0") as bench, client(Authorization=f"Bearer {token}") as session:
         async with session.ws_connect(bench.url + "/live") as viewing:
@@ -221,7 +217,7 @@ async def test_who_may_only_watch_asks_in_vain() -> None:
         (b"\x00\x01", 1000),
     ],
 )
-async def test_what_is_not_understood_ends_that_socket_alone(
+async def test_an_invalid_message_ends_only_its_own_socket(
     bench: Bench, session: ClientSession, said: str | bytes, code: int
 ) -> None:
     async with (
@@ -237,7 +233,7 @@ async def test_what_is_not_understood_ends_that_socket_alone(
     assert [ask.command for ask in bench.asked] == ["vent"]
 
 
-async def test_who_asks_too_often_is_cut_off(bench: Bench, session: ClientSession) -> None:
+async def test_a_client_that_asks_too_often_is_disconnected(bench: Bench, session: ClientSession) -> None:
     async with (
         session.ws_connect(bench.url + "/live") as pilot,
         session.ws_connect(bench.url + "/live") as flood,
@@ -265,7 +261,7 @@ async def test_pings_are_answered_but_not_too_many(bench: Bench, session: Client
             async for _ in flood:
                 pass
         assert flood.close_code in (1013, 1006)
-        # Without an answer to its pings a client hangs up.
+        # A client disconnects if its pings are not answered.
         await heard(pilot, "beat")
         await _vents(pilot)
 
@@ -386,7 +382,7 @@ async def _vents(viewing: object, number: int = 1) -> None:
     assert (answer["id"], answer["safety"]) == (number, "accepted")
 
 
-async def test_a_port_that_is_taken_is_told_and_had_later(session: ClientSession) -> None:
+async def test_a_port_that_is_taken_is_reported_and_had_later(session: ClientSession) -> None:
     bench = Bench(PageConfig(port=free_port()))
     taken = "cannot be opened: Address already in use"
     with socket.create_server(("127.0.0.1", bench.page.port)), pytest.raises(OSError, match=taken):

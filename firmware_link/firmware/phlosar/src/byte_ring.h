@@ -10,10 +10,10 @@ namespace phlosar {
 template <size_t kSize>
 class ByteRing {
 public:
-    // How many bytes can be put at least.
+    // Bytes that can be put now. There may be room for more.
     size_t room() const { return kSize - 1 - used(begin_, end_); }
 
-    // All of them: the caller has asked for room.
+    // The caller checks `room` first.
     void put(const uint8_t* data, size_t size) {
         size_t at = end_;
         for (const uint8_t* stop = data + size; data != stop; ++data) {

@@ -13,7 +13,7 @@ namespace {
 
 // One USB packet.
 constexpr size_t kChunk = 64;
-// In one step. Twice as much can keep a Teensy LC busy for a millisecond, if a host asks without end.
+// Maximum bytes received in one step. A Teensy LC may need a whole millisecond to answer twice as many.
 constexpr size_t kReceived = 32;
 
 ByteRing<256> to_core;
@@ -21,7 +21,7 @@ ByteRing<256> to_host;
 StepMonitor monitor;
 uint8_t image[Settings::kImageSize];
 
-// Written by one side each: the main loop sets the first two, the step sets the last one and the loop clears it.
+// The main loop sets the first two, and the step clears the first. The step sets the third; the loop clears it.
 volatile bool loop_turned = false;
 volatile bool flashing = false;
 volatile bool storing = false;
@@ -33,13 +33,13 @@ Firmware& firmware() {
 
 void exchange() {
     uint8_t chunk[kChunk];
-    // Nothing that could start a regulation while the loop stores.
+    // While the loop stores, no message may start a regulation.
     if (!storing) firmware().receive(chunk, to_core.take(chunk, kReceived));
     const size_t room = to_host.room();
     to_host.put(chunk, firmware().take_output(chunk, room < sizeof chunk ? room : sizeof chunk));
 }
 
-// Writing stops the interrupts for a while, so the valves have to be vented. It needs a good supply.
+// Writing stops the interrupts for a while, so the vine must be vented. Writing also needs a good supply.
 bool may_store() { return firmware().mode() != Mode::kRegulate && (firmware().faults() & kSupply) == 0; }
 
 void step() {

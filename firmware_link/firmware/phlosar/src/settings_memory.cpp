@@ -10,7 +10,7 @@ namespace settings_memory {
 
 namespace {
 
-// A copy is an image, its number, and the CRC of both. Copies count on, also beyond 65535.
+// A copy is an image, its number, and the CRC of both. Each new copy has the next number; numbers wrap.
 constexpr size_t kNumberAt = Settings::kImageSize;
 constexpr size_t kCrcAt = kNumberAt + 2;
 constexpr size_t kCopySize = kCrcAt + 2;
@@ -36,7 +36,7 @@ bool erased(const uint8_t* bytes) {
 struct Newest {
     uint8_t copy = kNone;
     uint16_t number = 0;
-    // Any copy that is not erased.
+    // A copy with a wrong CRC.
     uint8_t damaged = kNone;
 };
 

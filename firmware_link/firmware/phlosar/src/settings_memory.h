@@ -1,4 +1,4 @@
-// The settings in the board's memory, in two copies where there is room: a power cut keeps the older one.
+// The settings in the board's memory. With room for two copies, a power cut while storing keeps the older one.
 #pragma once
 
 #include <stddef.h>
@@ -7,11 +7,11 @@
 namespace phlosar {
 namespace settings_memory {
 
-// The newest good copy's bytes, Settings::kImageSize of them. Without a good copy what is there instead, for the
-// firmware to report. 0 if nothing was ever stored.
+// Reads the newest good copy, Settings::kImageSize bytes. Without one it reads a damaged copy, so that the firmware
+// reports the damage. Returns the number of bytes: 0 if nothing was ever stored.
 size_t load(uint8_t* image);
 
-// Over the older copy.
+// Overwrites the older copy.
 void store(const uint8_t* image);
 
 }  // namespace settings_memory

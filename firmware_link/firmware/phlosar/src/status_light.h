@@ -1,4 +1,4 @@
-// What the board's light says to whoever stands next to it.
+// The patterns of the board's light.
 #pragma once
 
 #include <stdint.h>
@@ -7,8 +7,8 @@
 
 namespace phlosar {
 
-// Venting: a short flash every two seconds. Regulating: on. Fault: as many flashes as the lowest latched
-// fault's bit has places, counted from 1, and a pause.
+// Venting: a short flash every two seconds. Regulating: on. Fault: n flashes and a pause, where n is the lowest
+// latched bit, counted from 1.
 bool light_on(Mode mode, uint16_t faults, uint32_t now_ms);
 
 }  // namespace phlosar

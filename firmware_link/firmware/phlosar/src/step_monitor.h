@@ -1,4 +1,4 @@
-// Decides whether the firmware is well enough to feed the watchdog.
+// Decides if the watchdog may be fed.
 #pragma once
 
 #include <stdint.h>
@@ -7,9 +7,9 @@ namespace phlosar {
 
 class StepMonitor {
 public:
-    // Each step calls this with its time, and with whether the main loop has turned since the last step.
+    // Call it in each step. `loop_turned`: the main loop has run since the last step.
     void step(uint32_t now_us, bool loop_turned) {
-        // Against a schedule, not against the last step: a board that is a little too slow falls behind.
+        // Compare with a schedule, not with the last step: only then a slightly slow board is found.
         due_us_ += kPeriod_us;
         const int32_t late_us = static_cast<int32_t>(now_us - due_us_);
         if (late_us >= kTolerance_us || late_us <= -kTolerance_us) {
@@ -31,7 +31,7 @@ public:
 private:
     static constexpr uint32_t kPeriod_us = 1000;
     static constexpr int32_t kTolerance_us = 250;
-    // An overloaded board has single steps on time.
+    // More than one, because an overloaded board has single steps on time.
     static constexpr uint8_t kInARow = 8;
     static constexpr uint8_t kMaxSilentSteps = 100;
 

@@ -42,7 +42,7 @@ export function eventWords({ what, fields }) {
 }
 
 export function vehicleWords(s) {
-  if (s.vehicle === "none heard") return "none heard";
+  if (s.vehicle === "not found") return "not found";
   const up = s.altitude_m === null ? "height not known" : `${number(s.altitude_m)}\u00a0m\u00a0up`;
   return [s.vehicle, s.mode, s.armed ? "armed" : "disarmed", up].filter(Boolean).join(", ");
 }

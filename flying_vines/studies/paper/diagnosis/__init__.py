@@ -2,7 +2,7 @@
 
 diagnosis = diagnose_paper()
 diagnosis.discharges    Fig. 3: the verdict of `identification` on the three discharges
-diagnosis.responses     Fig. 5: what comes nearer to the measured gains
+diagnosis.responses     Fig. 5: the causes that reduce the distance to the measured gains
 findings(diagnosis)     everything in words
 """
 

@@ -44,7 +44,7 @@ _LIMITS = {
     "reservoir_sensor_offset": (-22.5, 22.5),
     "reservoir_sensor_gain": (0.985, 1.015),
 }
-"""The total error band of the paper's sensor, which is narrower than that of any rig."""
+"""Bounds from the total error band of the paper's sensor; those of the catalogue are wider."""
 _OF_COMMANDS = (
     "evp_dead_zone",
     "evp_heating",
@@ -54,9 +54,9 @@ _OF_COMMANDS = (
     "solenoid_slow_close",
 )
 _ABSENT = ("venturi_stall", "ambient_drop")
-"""The bench had no Venturi, and stood on a table."""
+"""The bench had no Venturi, and its ambient pressure was constant."""
 SAME_AS_FLOW = "reservoir_volume"
-"""Has the same effect on a discharge as the flow resistance, which is named for both."""
+"""It has the same effect on a discharge as the flow resistance, which is named for both."""
 
 OHM = ("evp_restriction", "reservoir_cooling")
 CHOKED = (*OHM, "compressible_flow")
@@ -70,7 +70,7 @@ SECOND = (
     "reservoir_leak",
     "reservoir_sensor_offset",
 )
-"""Causes that are compared beside R_v: each has a different slope at first and at last."""
+"""Causes that are tested together with R_v: each changes the slopes at the start and the end differently."""
 _EXACT = 1e3
 """Weight of a first reading that is taken as exact."""
 
@@ -110,7 +110,7 @@ def _run(name: str, settings_ratio: float) -> RecordedRun:
 
 @dataclass(frozen=True)
 class LawFit:
-    """Ohm's law and choked flow, each with another R_v and with gas that cools, fitted to all series."""
+    """Ohm's law and choked flow, each with its own R_v and with gas that cools, fitted to all series."""
 
     settings_ratio: float
     """Ratio of the valve's resistances in its two settings; the paper does not say how it was measured."""
@@ -132,7 +132,7 @@ class Second(NamedTuple):
     unseen_nrmse: float
     """Error relative to the measured range."""
     gain: tuple[float, float]
-    """95 % interval of the relative error reduction, from R_v alone."""
+    """95 % interval of the relative error reduction, compared with R_v alone."""
 
 
 @dataclass(frozen=True)

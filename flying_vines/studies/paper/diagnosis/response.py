@@ -5,7 +5,7 @@ those of TC4 and TC5 in dB. Unseen data decide, as in `identification`: each tes
 value that is best for the other. Gains are not a record over time, so that search cannot use them.
 
 The paper does not state the regulator's PID, the valve drivers, tubes, the outlet, or any phase. So a cause
-that comes nearer could explain the difference, but this does not prove that it is there.
+that reduces the difference may explain it, but this is no proof of the cause.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ SUSPECTS = (
 )
 FLOOR = "gain_floor"
 FLOORS = (0.1, 0.15, 0.2, 0.25)
-"""Error of the evaluation, not of the rig: drift and offset in an FFT of few cycles; added in squares."""
+"""Error of the evaluation, not of the rig: drift and offset in an FFT of few cycles. Its square is added."""
 WITH_TUBE = ("compressible_flow", "cv_heating")
 AGAIN = ("evp_restriction", "cv_heating", "tube")
 """Also tested on TC5's other supply."""
@@ -109,7 +109,7 @@ AGAIN = ("evp_restriction", "cv_heating", "tube")
 
 @dataclass(frozen=True)
 class Account:
-    """The gains with some suspects, compared with the measured ones. For each test in `TESTS`."""
+    """The gains with some suspects, compared with the measured ones; tuples are in the order of `TESTS`."""
 
     names: tuple[str, ...]
     best: dict[str, float]

@@ -1,6 +1,6 @@
 """Other causes of a discharge that is fast at first and slow later, which only this bench can have.
 
-They are not in the catalogue, because they take the valve as open from the first reading to the last.
+They are not in the catalogue, because they assume a valve that is open from the first reading to the last.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ def _named(found: Discharges) -> str:
         f"Discharges: air leaves faster than with the paper's R_v, {scale.estimate:.2f} ({scale.low:.2f} … "
         f"{scale.high:.2f}) of it: {rated_SLPM / scale.estimate:.1f} SLPM at 690 kPa, where the EVP is rated "
         f"for {stated()['evp.flow'].value:g}. The series alone give {alone[0]:.2f} to {alone[-1]:.2f}, which "
-        "is more than this interval. With each series predicted from the others, the error falls from "
+        "is wider than this interval. With each series predicted from the others, the error falls from "
         f"{errors.nrmse_before:.1%} to {errors.nrmse_after:.1%} of the range (by {errors.gain[0]:.0%} to "
         f"{errors.gain[1]:.0%}). A smaller reservoir does the same: weigh it full of water."
     )
@@ -58,17 +58,17 @@ def _flow_law(laws: Sequence[LawFit]) -> str:
     ]
     return (
         "Whether the valve chokes stays open. Ohm's law and choked flow, each with gas that cools, leave "
-        f"{'; '.join(texts)}. So the order turns if the first readings are not taken as exact, or with "
-        f"another ratio of the valve's two settings. Choked flow needs {laws[0].choked_scale:.2f} of the "
-        "paper's R_v."
+        f"{'; '.join(texts)}. So the better law changes if the first readings are not taken as exact, or "
+        f"with another ratio of the valve's two settings. Choked flow needs {laws[0].choked_scale:.2f} of "
+        "the paper's R_v."
     )
 
 
 def _experiment(found: Discharges) -> str:
     return (
-        f"To tell heat, leak, R_v and law of flow apart: {found.recommended.in_words()} In its rests gas "
-        "that has cooled warms up and the pressure rises; with the sensor in the flow the reading jumps; "
-        "with a valve that settles it stays."
+        f"To separate heat, leak, R_v and law of flow: {found.recommended.in_words()} In its rests the "
+        "reading rises if the gas had cooled, jumps if the sensor is in the flow, and stays if the valve "
+        "settles."
     )
 
 
@@ -87,9 +87,9 @@ def _responses(responses: Responses) -> tuple[str, ...]:
         f"single cause of the catalogue, {best.label}, to {_dB(best.unseen_dB)}. TC5's supply is stated "
         f"twice: on 690 kPa the floor predicts to {_dB(other_floor.unseen_dB)} dB and the tube to "
         f"{_dB(other_tube.unseen_dB)}.",
-        f"Beside a floor no cause is sure: {better} of {len(responses.accounts)} accounts predict better, by "
-        f"at most {floor.unseen - responses.accounts[0].unseen:.1f} dB. The paper prints neither the "
-        "regulator's PID, the valve drivers, the tubes and the outlet, nor any phase. A record of one test "
+        f"With a floor, no further cause is sure: {better} of {len(responses.accounts)} accounts predict "
+        f"better, by at most {floor.unseen - responses.accounts[0].unseen:.1f} dB. The paper does not print "
+        "the regulator's PID, the valve drivers, the tubes, the outlet, or any phase. A record of one test "
         "over many whole cycles would separate a floor from a tube.",
     )
 

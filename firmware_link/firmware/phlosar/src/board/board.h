@@ -1,7 +1,7 @@
 // Everything that the firmware needs of its board.
 //
-// No function here waits for anybody outside the board. The valves are vented and a watchdog runs from the chip's
-// first instructions on, before this layer's `begin`.
+// No function here waits for the host. From the chip's first instructions on, before `begin`, the valves vent and a
+// watchdog runs.
 #pragma once
 
 #include <stddef.h>
@@ -30,8 +30,8 @@ phlosar::Readings read();
 void drive(const phlosar::Outputs& outputs);
 void light(bool on);
 
-// Only the main loop calls these two. They return how many bytes were read or written, at once, perhaps 0.
-// Without a program at the other end what is written is lost.
+// Only the main loop calls these two. They do not wait, and return the number of bytes, perhaps 0. If no program
+// has the port open, written bytes are lost.
 size_t serial_read(uint8_t* into, size_t size);
 size_t serial_write(const uint8_t* data, size_t size);
 
@@ -44,19 +44,19 @@ struct MemoryLayout {
 };
 extern const MemoryLayout kMemory;
 uint8_t memory_read(size_t at);
-// May stop the interrupts for as long as half a second: only while the valves are vented. Feeds the watchdog.
+// Call it only while the vine is vented: it may stop the interrupts for half a second. Feeds the watchdog.
 void memory_write(size_t at, uint8_t value);
 
-// Differs after every reset. Only before the first step.
+// Differs after every reset. Call it only before the first step.
 uint32_t boot_id();
-// True after a crash as well: it ends by the watchdog.
+// Also true after a crash, which ends with a reset by the watchdog.
 bool reset_by_watchdog();
-// Without this call the chip is reset. Nothing can stop the watchdog.
+// Without this call the watchdog resets the chip. Nothing can stop the watchdog.
 void feed_watchdog();
 
-// True if a host opened the port at 134 baud: it is going to flash.
+// True if a host opened the port at 134 baud, to flash.
 bool bootloader_requested();
-// Waits for the bootloader; if it does not come the watchdog resets the chip. The valves keep their state.
+// Waits for the bootloader. If it does not start, the watchdog resets the chip. The valves keep their state.
 void wait_for_bootloader();
 
 }  // namespace board

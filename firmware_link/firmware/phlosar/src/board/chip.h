@@ -11,7 +11,7 @@
 
 namespace board {
 
-// Until the watchdog resets the chip.
+// Waits until the watchdog resets the chip.
 [[noreturn]] inline void wait_for_reset() {
     for (;;) PHLOSAR_IDLE();
 }
@@ -23,26 +23,26 @@ void begin();
 // One pressure or supply reading, full scale 65535.
 uint16_t convert(uint8_t pin);
 
-// What analogWrite takes at 16 bits for a duty cycle of 65535.
+// The argument of analogWrite (16 bits) for a duty cycle, full scale 65535.
 int pwm_value(uint16_t duty);
 
-// Adds bytes that differ after every reset.
+// A number that differs from call to call, or after every reset.
 uint32_t noise();
 
 bool reset_by_watchdog();
 void feed_watchdog();
 
-// Between these two the watchdog leaves time for erasing a sector of flash.
+// Between these two calls the watchdog leaves time to erase a sector of flash.
 void begin_slow_work();
 void end_slow_work();
 
-// A watchdog must not interrupt the flashing.
+// Prevents a reset by the watchdog while the bootloader flashes.
 void prepare_for_bootloader();
 
 }  // namespace chip
 
-// The valve pins as plain outputs: EVP and DVP low, solenoid high (open). A macro, because it runs before the
-// chip has its memory: it must not be a function that the compiler places there.
+// The valve pins as plain outputs: EVP and DVP low, solenoid high (open). A macro, because it also runs before the
+// RAM is set up, and the compiler may place a function there.
 #define PHLOSAR_VENT(mux)                            \
     do {                                             \
         CORE_PIN9_PORTCLEAR = CORE_PIN9_BITMASK;     \

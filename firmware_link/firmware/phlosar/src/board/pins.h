@@ -1,4 +1,4 @@
-// The pins are the same on every board. With a drawing: docs/wiring.md.
+// The pins are the same on every board. A drawing is in docs/wiring.md.
 #pragma once
 
 #include <stdint.h>

@@ -10,18 +10,18 @@ extern "C" void systick_isr();
 
 namespace {
 
-// Half a second each, from half a second: 0.5 s, 2 s, 20 s.
+// Times of the watchdog, (n + 1) / 2 s: 0.5 s, 2 s, 20 s.
 constexpr unsigned kRunning = 0;
 constexpr unsigned kSlow = 3;
 constexpr unsigned kFlashing = 39;
 // The multiplexer's number for plain input and output.
 constexpr uint32_t kGpio = 5;
 
-// WDE stays set until the next reset. WDBG: the watchdog pauses while the bootloader's chip has stopped this one.
+// WDE stays set until the next reset. WDBG pauses the watchdog while the bootloader's chip stops this one.
 #define PHLOSAR_WATCHDOG(halves)                                                                              \
     static_cast<uint16_t>(WDOG_WCR_WT(halves) | WDOG_WCR_SRS | WDOG_WCR_WDA | WDOG_WCR_WDE | WDOG_WCR_WDBG)
 
-// The watchdog's shortest time is half a second. This vents after half of it, if the step hangs or is too slow.
+// The watchdog's shortest time is 0.5 s. If the step hangs or is too slow, SysTick vents after this time.
 constexpr uint32_t kMaxUnfed_ms = 250;
 volatile uint32_t unfed_ms = 0;
 volatile bool guarding = false;
@@ -32,7 +32,7 @@ void set_watchdog(unsigned halves) {
     board::chip::feed_watchdog();
 }
 
-// Teensyduino's own handler leaves the pins as they are for 8 s.
+// Replaces Teensyduino's handler, which leaves the pins as they are for 8 s.
 void crash() {
     __disable_irq();
     PHLOSAR_VENT(kGpio);
@@ -51,8 +51,8 @@ void guard() {
 
 }  // namespace
 
-// Teensyduino calls this first after a reset. No variable and no function in RAM exists yet. The valve pins
-// belong to the fast port from here on, as Teensyduino sets it a little later.
+// Teensyduino calls this first after a reset. No variable and no function in RAM exists yet. The fast port gets
+// the valve pins here; Teensyduino would do this a little later.
 extern "C" FLASHMEM void startup_early_hook() {
     IOMUXC_GPR_GPR27 = 0xFFFFFFFF;
     PHLOSAR_VENT(kGpio);
@@ -64,11 +64,11 @@ namespace board {
 
 #if defined(ARDUINO_TEENSY40)
 const char kBuild[] = PHLOSAR_VERSION " teensy40";
-// 15 sectors with 4 neighbouring bytes each in turn: a copy has 7 of them.
+// Each 4 bytes are in the next of 15 sectors. A copy has 7 sectors.
 const MemoryLayout kMemory = {60, 28, 2};
 #else
 const char kBuild[] = PHLOSAR_VERSION " teensy41";
-// 63 sectors: a copy has 31 of them.
+// The same with 63 sectors. A copy has 31.
 const MemoryLayout kMemory = {252, 124, 2};
 #endif
 
@@ -104,10 +104,10 @@ uint16_t convert(uint8_t pin) {
     return static_cast<uint16_t>(sum);
 }
 
-// Teensyduino keeps 16 bits of it: 65536 would be 0.
+// Teensyduino uses only 16 bits, so 65536 would be 0.
 int pwm_value(uint16_t duty) { return duty; }
 
-// The clock with a crystal of its own runs on through a reset, but not without power.
+// The real-time clock continues during a reset, but not without power.
 uint32_t noise() { return SNVS_LPSRTCLR ^ ARM_DWT_CYCCNT ^ HW_OCOTP_MAC0; }
 
 bool reset_by_watchdog() { return by_watchdog; }

@@ -38,7 +38,7 @@ constexpr uint8_t kLockup = 0x02;
 
 void begin() {
     PHLOSAR_VENT(PORT_PCR_MUX(1));
-    feed_watchdog();  // first: the new time may count from the last feeding
+    feed_watchdog();  // first, because the new time may count from the last feeding
     SIM_COPC = kCop_256_ms;
     analogReadResolution(16);
     analogReadAveraging(kConversions);
@@ -46,10 +46,10 @@ void begin() {
 
 uint16_t convert(uint8_t pin) { return static_cast<uint16_t>(analogRead(pin)); }
 
-// Teensyduino calls only 65536 fully on.
+// For Teensyduino only 65536 is fully on.
 int pwm_value(uint16_t duty) { return duty + (duty >> 15); }
 
-// One conversion of the temperature sensor at a time has some bits of noise.
+// Without averaging, the temperature sensor has some bits of noise.
 uint32_t noise() {
     analogReadAveraging(1);
     const int reading = analogRead(kTemperature);
@@ -66,7 +66,7 @@ void feed_watchdog() {
     __enable_irq();
 }
 
-// Erasing both sectors takes less than the watchdog's time, which a program cannot change here.
+// Erasing both sectors takes less than the watchdog's time, which `begin` has set for good.
 void begin_slow_work() { feed_watchdog(); }
 void end_slow_work() { feed_watchdog(); }
 

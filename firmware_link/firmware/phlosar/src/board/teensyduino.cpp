@@ -13,20 +13,20 @@
 #include "board.h"
 #include "chip.h"
 
-// analogRead calls this while it waits, here from an interrupt. Teensyduino's own would read the serial port.
+// analogRead calls this while it waits, here from an interrupt. Teensyduino's `yield` would read the serial port.
 extern "C" void yield() {}
 
 namespace board {
 
 namespace {
 
-// Below SysTick, which counts the milliseconds; not below USB.
+// A lower priority than SysTick, which counts the milliseconds; not lower than USB.
 constexpr uint8_t kStepPriority = 64;
 constexpr unsigned kStep_us = 1000;
 constexpr uint32_t kBootloaderBaud = 134;
 constexpr uint32_t kBootloaderWait_ms = 1000;
 
-// Off is a plain low output: neither the timer nor its registers have a part in it.
+// A closed valve is a plain low output, which does not depend on the timer.
 void open_valve(uint8_t pin, uint16_t duty) {
     if (duty > 0) {
         analogWrite(pin, chip::pwm_value(duty));
@@ -43,7 +43,7 @@ uint8_t* memory_address(size_t at) { return reinterpret_cast<uint8_t*>(at); }
 void begin() {
     chip::begin();
     pinMode(kLightPin, OUTPUT);
-    // Without the pins' keepers, which would hold the voltage of an open wire.
+    // INPUT_DISABLE: without the pins' keepers, which would hold the voltage of an open wire.
     pinMode(kCvPin, INPUT_DISABLE);
     pinMode(kReservoirPin, INPUT_DISABLE);
     pinMode(kSupplyPin, INPUT_DISABLE);
@@ -52,7 +52,7 @@ void begin() {
     analogWriteFrequency(kDvpPin, kPwm_Hz);
 }
 
-// The timer is never destroyed: a variable's destructor would need the heap.
+// The timer is never destroyed, because the destructor of a static variable needs the heap.
 void every_millisecond(void (*step)()) {
     alignas(IntervalTimer) static uint8_t memory[sizeof(IntervalTimer)];
     IntervalTimer* const timer = new (memory) IntervalTimer;
@@ -85,8 +85,8 @@ size_t serial_read(uint8_t* into, size_t size) {
     return Serial.readBytes(reinterpret_cast<char*>(into), count);
 }
 
-// Writes only what Teensyduino has room for: beyond that it would wait for the host for up to 0.12 s. Sent at
-// once, because the room that a Teensy LC promises may be gone later.
+// Writes only what Teensyduino has room for. More would wait for the host, up to 0.12 s. Sends at once, because a
+// Teensy LC may not have the reported room later.
 size_t serial_write(const uint8_t* data, size_t size) {
     if (!Serial.dtr()) return size;
     const int room = Serial.availableForWrite();
@@ -99,7 +99,7 @@ size_t serial_write(const uint8_t* data, size_t size) {
 
 uint8_t memory_read(size_t at) { return eeprom_read_byte(memory_address(at)); }
 
-// Equal bytes are not written: a Teensy LC may erase its flash for each.
+// Equal bytes are not written, because a Teensy LC may erase its flash for each write.
 void memory_write(size_t at, uint8_t value) {
     if (memory_read(at) == value) return;
     chip::begin_slow_work();

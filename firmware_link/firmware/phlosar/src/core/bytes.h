@@ -1,4 +1,4 @@
-// Numbers and little-endian bytes, both ways.
+// Converts numbers to little-endian bytes and back.
 #pragma once
 
 #include <stddef.h>
@@ -7,7 +7,7 @@
 
 namespace phlosar {
 
-// Writes into a buffer that its user made large enough.
+// Writes into a buffer. The caller makes it large enough.
 class Writer {
 public:
     explicit Writer(uint8_t* into) : at_(into), begin_(into) {}
@@ -24,7 +24,7 @@ public:
         memcpy(&bits, &value, sizeof bits);
         u32(bits);
     }
-    // `size` bytes, filled with zeros after the text.
+    // Writes `size` bytes: the text, then zeros.
     void text(const char* value, size_t size) {
         for (size_t i = 0; i < size; ++i) {
             *at_++ = static_cast<uint8_t>(*value);
@@ -42,7 +42,7 @@ private:
     uint8_t* begin_;
 };
 
-// Reads what its user has checked to be there.
+// Reads from a buffer. The caller checks its size.
 class Reader {
 public:
     explicit Reader(const uint8_t* from) : at_(from) {}

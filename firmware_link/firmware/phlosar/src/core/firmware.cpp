@@ -60,7 +60,7 @@ Drive Firmware::control(uint32_t now_us, const Pressures& pressures) {
     return told;
 }
 
-// The Venturi over the limit: a valve that is stuck open may bring more than leaves by itself.
+// Above the limit the Venturi runs: a valve that is stuck open may let in more air than the outlet lets out.
 Real Firmware::relief() {
     const bool too_high = (present_ & (kCvOverpressure | kCvSensor)) == kCvOverpressure;
     if (!too_high) {
@@ -84,7 +84,7 @@ void Firmware::follow_clock(uint32_t now_us) {
     millisecond_us_ += 1000 * ms;
 }
 
-// Keeps readings that can be believed, latches what is wrong with them.
+// Keeps valid readings, and latches the faults that they show.
 void Firmware::look(const Pressures& seen) {
     const bool cv_good = cv_sensor_.can_say(seen.cv_kPa);
     const bool reservoir_good = reservoir_sensor_.can_say(seen.reservoir_kPa);
@@ -93,7 +93,7 @@ void Firmware::look(const Pressures& seen) {
     bad_cv_.see(!cv_good);
     bad_reservoir_.see(!reservoir_good);
     bad_supply_.see(!seen.supply_good);
-    // A reading that cannot be believed says nothing of a limit, not that it is kept.
+    // An invalid reading counts neither as above nor as below a limit.
     if (cv_good) high_cv_.see(cv_kPa_ > settings_[SettingId::kCvLimit_kPa]);
     if (reservoir_good) high_reservoir_.see(reservoir_kPa_ > settings_[SettingId::kReservoirLimit_kPa]);
     uint16_t present = kNoFault;
@@ -220,7 +220,7 @@ void Firmware::on_set_setting(const SetSetting& set_setting) {
     } else if (!is_finite(set_setting.value)) {
         refuse(0, RefusalReason::kNotANumber);
     } else if (regulating_) {
-        // A limit must not move under a vine that is bent.
+        // A limit must not change while the vine is bent.
         refuse(0, RefusalReason::kRegulating);
     } else {
         const Settings before = settings_;
@@ -228,7 +228,7 @@ void Firmware::on_set_setting(const SetSetting& set_setting) {
             refuse(0, RefusalReason::kOutOfRange);
             return;
         }
-        // What stays the same wears no memory out.
+        // Store only changes: writing wears the memory out.
         if (before.at(set_setting.id) != settings_.at(set_setting.id)) settings_changed_ = true;
         tell_setting(set_setting.id);
     }
@@ -249,7 +249,7 @@ void Firmware::tell_setting(uint8_t id) {
 
 void Firmware::tell_telemetry(const Drive& told) {
     telemetry_us_ += telemetry_period_us_;
-    // After a pause: no burst to catch up.
+    // After a pause, do not catch up in a burst.
     if (static_cast<int32_t>(now_us_ - telemetry_us_) >= 0) telemetry_us_ = now_us_ + telemetry_period_us_;
     Telemetry telemetry;
     telemetry.device_time_ms = time_ms_;

@@ -1,7 +1,6 @@
-// The phloSAR's firmware without its board: bytes, readings and the time come in, bytes and duty cycles go out.
+// The phloSAR's firmware without its board. Inputs: bytes, readings, time. Outputs: bytes, duty cycles.
 //
-// No message and no loss leaves the safe state's decisions to the host: limits, dead-man and latched faults are
-// decided here. No clock, no port, no heap.
+// It has its own limits, dead-man and latched faults, which no message can switch off. No clock, no port, no heap.
 #pragma once
 
 #include <stddef.h>
@@ -23,55 +22,56 @@ struct Boot {
     // Differs after every reset.
     uint32_t boot_id;
     bool by_watchdog;
-    // What `unsaved` once gave, or whatever the memory holds.
+    // Bytes of the memory: from `unsaved`, or erased, or damaged.
     const uint8_t* stored;
     size_t stored_size;
 };
 
 class Firmware {
 public:
-    // Printable, at most kBuildSize characters; must outlive this.
+    // `build` is printable, has at most kBuildSize characters, and outlives this object.
     explicit Firmware(const char* build) : build_(build) {}
 
-    // Once, before anything else. The valves are safe until a host commands otherwise.
+    // Call it once, before anything else. The vine is vented until a host commands a setpoint.
     void start(const Boot& boot);
 
-    // Bytes from the host, acted upon at once, as of the last step's time; lost before the first step.
+    // Executes messages of the host at once, with the time of the last step. Before the first step bytes are lost.
     void receive(const uint8_t* data, size_t size);
 
-    // Once a millisecond. `now_us` never goes back, and wraps.
+    // Call it once a millisecond. `now_us` never goes back, and wraps.
     Outputs step(uint32_t now_us, const Readings& readings);
 
-    // The same between sensors and valves: openings from pressures.
+    // As `step`, with pressures instead of readings, and openings instead of duty cycles.
     Drive control(uint32_t now_us, const Pressures& pressures);
 
-    // What is to be sent to the host, up to `size` bytes, once.
+    // Takes up to `size` bytes that are to be sent to the host.
     size_t take_output(uint8_t* into, size_t size) { return output_.take(into, size); }
     size_t output_size() const { return output_.size(); }
 
-    // Settings that were changed and are to be kept over power cycles: Settings::kImageSize bytes, once.
-    // False while there are none. Keeping may take time: ask only while venting.
+    // True once after a change of the settings: `image` then has the Settings::kImageSize bytes to store.
+    // Storing may take time, so call it only while venting.
     bool unsaved(uint8_t* image);
 
-    // As SetSetting, from a board's own knowledge.
+    // Changes a setting without storing it. False if the value is out of range.
     bool set(uint8_t id, Real value);
 
     Mode mode() const;
     uint16_t faults() const { return latched_; }
-    // Of the last setpoint or vent accepted; 0 before the first.
+    // Number of the last accepted setpoint or vent; 0 before the first.
     uint16_t number() const { return number_; }
     const Settings& settings() const { return settings_; }
-    // Since the first step; wraps after 49 days.
+    // Time since the first step; wraps after 49 days.
     uint32_t time_ms() const { return time_ms_; }
 
 private:
-    // So many bad readings in a row count: a glitch does not end a flight, and 3 ms are soon enough.
+    // A condition counts after this many readings in a row (3 ms), so that one wrong reading ends no flight.
     static constexpr uint8_t kInARow = 3;
 
-    // A sensor that lies would else empty the bottle, and suck the vine flat.
+    // Maximum steps of relief by the Venturi. With a wrong sensor, more would empty the reservoir and suck the
+    // vine flat.
     static constexpr uint16_t kMostRelief = 1000;
 
-    // A condition that counts once it was there so many times in a row.
+    // A condition that counts after kInARow readings in a row.
     class Lasting {
     public:
         void see(bool now) {
@@ -90,7 +90,7 @@ private:
     void on_hello(const Hello& hello);
     void on_setpoint(const Setpoint& setpoint);
     void on_set_setting(const SetSetting& set_setting);
-    // No reason: false.
+    // False if there is no reason.
     bool why_refused(const Setpoint& setpoint, RefusalReason* reason) const;
     void refuse(uint16_t number, RefusalReason reason);
     void tell_setting(uint8_t id);
@@ -98,7 +98,7 @@ private:
     void follow_clock(uint32_t now_us);
     Real relief();
     void accept(uint16_t number);
-    // Whether a newer command came before it: a line may deliver in another order.
+    // True if a newer command was accepted before: the line may reorder frames.
     bool overtaken(uint16_t number) const;
     Real setpoint_most_kPa() const;
 
@@ -127,7 +127,7 @@ private:
     uint16_t latched_ = kNoFault;
     uint16_t present_ = kNoFault;
     uint16_t number_ = 0;
-    // Of the commands since the handshake, once there was one.
+    // Newest number since the handshake; valid if `counting_`.
     uint16_t newest_ = 0;
     bool counting_ = false;
 
@@ -148,7 +148,7 @@ private:
     uint32_t now_us_ = 0;
     uint32_t telemetry_us_ = 0;
     uint32_t time_ms_ = 0;
-    // When the last of these began.
+    // Start of the present millisecond.
     uint32_t millisecond_us_ = 0;
 };
 

@@ -43,7 +43,7 @@ bool FrameDecoder::push(uint8_t byte) {
 
 bool FrameDecoder::finish() {
     if (oversize_ || held_ == 0) return false;
-    // In place: what is written never overtakes what is read.
+    // Decoded in place: writing never overtakes reading.
     size_t decoded = 0;
     size_t at = 0;
     while (at < held_) {

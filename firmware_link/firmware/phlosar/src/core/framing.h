@@ -9,16 +9,16 @@ namespace phlosar {
 constexpr size_t kMaxPayload = 128;
 // Payload, CRC, one byte of overhead (blocks are longer than any payload).
 constexpr size_t kMaxEncoded = kMaxPayload + 2 + 1;
-// CRC, overhead, and the zero byte that ends it.
+// CRC, overhead, and the final zero byte.
 constexpr size_t kFrameOverhead = 4;
 
-// CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF; of "123456789" it is 0x29B1.
+// CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF. The CRC of "123456789" is 0x29B1.
 uint16_t crc16(const uint8_t* data, size_t size);
 
 // Bytes in, payloads out. After any garbage the first frame that follows a zero byte is read.
 class FrameDecoder {
 public:
-    // True when `byte` ended a good frame: `payload()` and `size()` are its own until the next byte.
+    // True if `byte` ends a good frame. Then `payload()` and `size()` are valid until the next byte.
     bool push(uint8_t byte);
 
     const uint8_t* payload() const { return buffer_; }

@@ -8,7 +8,7 @@ namespace {
 
 constexpr size_t kHeaderSize = 2;
 constexpr uint8_t kUnitsKPaGauge = 1;
-// What a corrupted frame that passes its CRC by chance does not carry.
+// SetSetting ends with it. A corrupted frame that passes its CRC by chance does not have it.
 constexpr uint16_t kUnlock = 0x5E77;
 
 enum DeviceType : uint8_t {

@@ -1,4 +1,4 @@
-// What host and firmware say to each other. See docs/serial-protocol.md; the host's side of the same is
+// The messages between host and firmware, as in docs/serial-protocol.md. The host's side is in
 // firmware_link/protocol.py.
 #pragma once
 
@@ -92,7 +92,7 @@ struct HostMessage {
     };
 };
 
-// kNone when the payload is no message of a host.
+// kNone if the payload is not a message of a host.
 HostMessage parse(const uint8_t* payload, size_t size);
 
 // To the host.

@@ -4,7 +4,7 @@
 
 namespace phlosar {
 
-// Encoded straight into the ring: a copy less of every byte.
+// Encodes straight into the ring, which saves a copy.
 void OutputQueue::put_frame(const uint8_t* payload, size_t size) {
     const size_t frame_size = size + kFrameOverhead;
     if (size_ + frame_size > kCapacity) return;

@@ -10,8 +10,7 @@ class OutputQueue {
 public:
     size_t size() const { return size_; }
 
-    // All of the payload's frame, or nothing of it: what nobody fetches is lost, frame by frame, and its number
-    // is missing.
+    // Appends the payload's frame. Without room for all of it the frame is lost: its sequence number is missing.
     void put_frame(const uint8_t* payload, size_t size);
 
     size_t take(uint8_t* into, size_t most) {
@@ -27,7 +26,7 @@ public:
     }
 
 private:
-    // Thirty messages of telemetry. A power of two: the chip cannot divide.
+    // 32 telemetry frames. A power of two, because a Teensy LC has no division.
     static constexpr size_t kCapacity = 1024;
 
     uint8_t bytes_[kCapacity];

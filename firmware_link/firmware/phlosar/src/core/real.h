@@ -4,13 +4,13 @@
 #include <stdint.h>
 #include <string.h>
 
-// Every board rounds alike: no product and sum in one instruction.
+// No fused multiply-add, so that every board rounds alike.
 #if defined(__GNUC__) && !defined(__clang__)
 #pragma GCC optimize("fp-contract=off")
 #endif
 
 #ifndef PHLOSAR_REAL
-// Single precision is what the chip can afford. Studies on a host run the regulator in double precision.
+// Double precision is too slow on a Teensy LC. Studies on a host run the regulator in double precision.
 #define PHLOSAR_REAL float
 #endif
 
@@ -18,11 +18,11 @@ namespace phlosar {
 
 using Real = PHLOSAR_REAL;
 
-// Of two equal numbers the first.
+// The first one if both are equal.
 constexpr Real smaller(Real a, Real b) { return b < a ? b : a; }
 constexpr Real larger(Real a, Real b) { return b > a ? b : a; }
 
-// True of every number but infinities and NaN.
+// False for infinities and NaN.
 inline bool is_finite(float value) {
     uint32_t bits;
     memcpy(&bits, &value, sizeof bits);

@@ -63,7 +63,7 @@ Drive Regulator::step(Real target_kPa, Real most, Real cv_kPa, Real reservoir_kP
 
     Real evp = 0;
     bool with_venturi = false;
-    // At rest whatever is left, or leaks in, may leave.
+    // At a setpoint of 0 the solenoid stays open, so that air that leaks in can leave.
     if (vent || setpoint_kPa_ <= Real(0)) {
         with_venturi = venturi(error, setpoint_slope, slope_kPa_per_s_, reservoir_kPa);
         venting_s_ = larger(Real(0), venting_s_) + kStep_s;
@@ -78,7 +78,7 @@ Drive Regulator::step(Real target_kPa, Real most, Real cv_kPa, Real reservoir_kP
     return {evp, with_venturi ? Real(1) : Real(0), venting_s_ > Real(0)};
 }
 
-// The inflation valve; `closing` is how fast the setpoint runs away, kPa/s.
+// Opening of the inflation valve. `closing` is the rate of change of `error`, kPa/s.
 Real Regulator::inflation(Real error, Real closing, Real reservoir_kPa) {
     const Real ahead = error + closing * tuning_.filling_lead_s;
     if (error > Real(0) && ahead > tuning_.on_off_error_kPa) {
@@ -95,14 +95,15 @@ Real Regulator::inflation(Real error, Real closing, Real reservoir_kPa) {
         return smaller(Real(1), integral_ + gain * ahead);
     }
     if (in_puff) {
-        // More after a puff from near that runs far beyond; one from afar has to run.
+        // Reduce more if the predicted overshoot exceeds the present error. Far below the setpoint a fast rise
+        // is needed.
         const Real forgotten = tuning_.integral_forgets * (Real(1) + larger(Real(0), -ahead - error));
         integral_ = larger(Real(0), integral_ - forgotten);
     }
     return 0;
 }
 
-// Whether the Venturi helps to let air out.
+// True if the Venturi must help to vent.
 bool Regulator::venturi(Real error, Real setpoint_slope, Real slope, Real reservoir_kPa) const {
     if (reservoir_kPa < tuning_.venturi_least_supply_kPa || error > -tuning_.passive_error_kPa) return false;
     if (venturi_ || error > -tuning_.active_error_kPa || venting_s_ < tuning_.passive_first_s) return venturi_;

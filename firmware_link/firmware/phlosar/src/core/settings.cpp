@@ -42,7 +42,7 @@ Settings::Settings() {
 
 bool Settings::set(uint8_t id, Real value) {
     const SettingRow* row = setting_row(id);
-    // Written so that NaN is never within.
+    // This form also refuses NaN.
     if (row == nullptr || !(value >= row->least && value <= row->most)) return false;
     const bool whole = id == static_cast<uint8_t>(SettingId::kDeadMan_ms) ||
                        id == static_cast<uint8_t>(SettingId::kTelemetry_Hz);

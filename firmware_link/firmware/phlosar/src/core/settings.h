@@ -1,4 +1,4 @@
-// What a lab sets for its rig, and what keeps it over power cycles.
+// The settings of a rig, and the bytes that store them.
 #pragma once
 
 #include <stddef.h>
@@ -34,12 +34,12 @@ constexpr uint8_t kSettingCount = 19;
 struct SettingRow {
     const char* name;
     Real standard;
-    // No message gets beyond these: the dead-man cannot be switched off, nor the limits.
+    // No message can exceed these, so neither the dead-man nor a limit can be switched off.
     Real least;
     Real most;
 };
 
-// nullptr when there is none of this number.
+// nullptr if there is no such setting.
 const SettingRow* setting_row(uint8_t id);
 
 class Settings {
@@ -49,14 +49,14 @@ public:
 
     Real operator[](SettingId id) const { return values_[static_cast<uint8_t>(id)]; }
     Real at(uint8_t id) const { return values_[id]; }
-    // False, and nothing changes, when there is no such setting or the value is out of its range.
+    // False if there is no such setting or the value is out of range; then nothing changes.
     bool set(uint8_t id, Real value);
 
     static constexpr size_t kImageSize = 4 + 4 * kSettingCount + 2;
-    // As bytes to be kept: kImageSize of them.
+    // Writes the kImageSize bytes to store.
     void write_image(uint8_t* image) const;
-    // From kept bytes; unless they are good these stay the standard values. False when they are damaged:
-    // memory that is erased, or that is not there, is not.
+    // Reads stored bytes. False if they are damaged; then nothing changes. Erased or missing memory is not
+    // damaged, and changes nothing.
     bool read_image(const uint8_t* image, size_t size);
 
 private:
