@@ -18,7 +18,7 @@ CLAIM = 25.0
 STRUCTURE = 6.0
 """−log₁₀ p: from this value on, a pattern in the residuals is not noise."""
 SURELY = 4.0
-"""A cause surely pays if its parameter is so far from neutral that χ² would rise by this times `CLAIM`."""
+"""A cause is not doubtful if χ² would rise by this times `CLAIM` with its parameter at neutral."""
 SURE_SIZE = 8.0
 """χ² for each reading is larger than noise explains from 1 + 8/√n on: more than five standard deviations."""
 ON_BOUND = 1e-6
@@ -41,7 +41,7 @@ class Candidate:
         return tuple(cause.name for cause in self.causes)
 
     def doubtful(self) -> list[int]:
-        """The causes whose parameters may be neutral, by the curvature of χ²; the others surely pay."""
+        """Indices of the causes whose parameters may be neutral, by the curvature of χ²."""
         found, at = [], len(self.fit.point.deviation)
         spread = max(self.excess) * np.diag(self.covariance)
         for index, (cause, values) in enumerate(zip(self.causes, self.fit.point.values, strict=True)):
@@ -148,7 +148,7 @@ class Candidate:
     def _sizes(self) -> tuple[float, float]:
         """Mean square of the residuals over that of noise, for control volume and reservoir.
 
-        1 where chance explains it.
+        It is 1 if chance explains the size.
         """
         sizes = []
         for row, (chi2, noise) in enumerate(zip(self.channels, self.problem.noise, strict=True)):

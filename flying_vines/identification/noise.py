@@ -1,8 +1,8 @@
 """Noise of the sensors: as stated in the rig file, unless the data contradict it.
 
 The noise is independent from reading to reading, or has the correlation exp(−t/T) of a filter in the sensor.
-A converter rounds the readings; rounding errors are noise where the pressure changes by more than a step from
-reading to reading, and stay where it does not.
+A converter rounds the readings. Rounding errors are noise if the pressure changes by more than a step from
+reading to reading. Otherwise they stay the same for many readings.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MIN_KPA = 1e-3
 SURE = 6.0
 """The stated noise is used if the estimate differs from it by a share of less than SURE / √(differences)."""
 _KEPT = 0.8
-"""Share of the differences that are used, the smallest: the largest are where a valve moves."""
+"""Only this share of the differences is used, the smallest ones: the largest occur when a valve moves."""
 _KEPT_VARIANCE = 0.4377
 """Variance of the smallest 80 % (by size) of a Gaussian, over that of all."""
 _MIN_DIFFERENCES = 100
@@ -58,7 +58,7 @@ class SensorNoise(NamedTuple):
 
 
 Noise = tuple[SensorNoise, SensorNoise]
-"""Of control volume and reservoir."""
+"""The noise of the sensors of control volume and reservoir."""
 
 
 def rounded_noise(std_kPa: float, step_kPa: float) -> SensorNoise:

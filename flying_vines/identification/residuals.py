@@ -26,7 +26,8 @@ from flying_vines.physics.arrays import Array
 CHANNELS = ("control volume", "reservoir")
 STRETCHES_S = (0.1, 0.5, 2.5, 10.0)
 STRETCH_SAMPLES = 8
-"""A further stretch is this long if it is longer than the others: a logger may read every few seconds."""
+"""A further stretch has this many samples, if it is longer than `STRETCHES_S`: some loggers read every few
+seconds."""
 SINCE_S = (0.0, 0.025, 0.05, 0.08, 0.15, 0.3, 0.7, 1.5, 5.0, np.inf)
 MIN_SAMPLES = 4
 """Minimum samples in a group."""
@@ -75,7 +76,7 @@ def patterns(problem: FitProblem, fit: Fit) -> list[Pattern]:
 def excess(found: Sequence[Pattern]) -> tuple[float, float]:
     """For control volume and reservoir: how much larger slow residuals are than noise, as a ratio of squares.
 
-    1 where they are noise. A cause that is not there lowers χ² by this factor more than noise allows.
+    It is 1 if they are noise. A wrong cause can lower χ² by this factor more than it can with noise alone.
     """
     slow = [pattern for pattern in found if pattern.feature.startswith(IN_STRETCHES)]
     cv, reservoir = (

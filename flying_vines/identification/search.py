@@ -1,12 +1,12 @@
-"""Searches the causes that explain the data: none, then each alone, then several, while more causes pay.
+"""Searches the causes that explain the data: none, then each alone, then several, until no further one pays.
 
 Every candidate is fitted twice: with nominal rig numbers, and with all of them free within their tolerances.
 The data decide between both. The free fit gets a penalty: the logarithm of prior volume over posterior
 volume of these numbers.
 
-A further cause pays if the score falls by `CLAIM`. While the residuals are more than noise, any cause can
-imitate a part of an effect that the catalogue lacks. So χ² is then divided by the residuals' excess over
-noise (`residuals.excess`), and the error on unseen data must fall for sure.
+A further cause pays if the score falls by `CLAIM`. If the residuals are more than noise, an effect is still
+missing, and a wrong cause can imitate a part of it. So χ² is then divided by the residuals' excess over noise
+(`residuals.excess`), and the interval of the gain on unseen data must be above zero.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ CLAIM_LEFT = 10.0
 MIN_GAIN = 0.02
 """If the residuals are more than noise, a cause needs this gain, and this error reduction on unseen data."""
 CLAIM_ON_BOUND = 10.0
-"""A value on its bound says that a cause is missing: one that moves it off the bound needs less gain."""
+"""A parameter on its bound shows that a cause is missing. One that moves it off the bound needs less gain."""
 MAX_CAUSES = 9
 FIRSTS = 5
 """Number of best single causes that are tried with a second one: one may hide another."""
@@ -47,7 +47,7 @@ LEFT_TOGETHER = 0.05
 """Maximum share of the slow residuals' squares that such causes leave. Any three causes imitate a part of an
 effect that the catalogue lacks, but hardly ever nearly all of it."""
 SURE_OF_TWO = 1 / 3
-"""Two causes may leave more if they surely lower the error on unseen data by this share."""
+"""Two causes may leave more, if the interval of their gain on unseen data is above this share."""
 ROUNDS, LOWER = 5, 0.75
 """A set that leaves more than noise is changed this often, while each change lowers χ² to this share."""
 IMPOSSIBLE = 1.1
@@ -61,8 +61,8 @@ PROMISING = 4
 EXCHANGES = 5
 """Number of exchanges of one cause for another that are fitted: those with the lowest expected χ²."""
 LEADERS, LEADERS_LEFT = 6, 3
-"""Number of fits that are completed: those with the lowest χ² after their first steps. Fewer of several
-causes while even the best leaves more than noise: the next cause decides then."""
+"""Number of fits that are completed: those with the lowest χ² after their first steps. The second value is
+for several causes of which even the best set leaves more than noise: a further cause will decide."""
 REACH, REACH_SHARE = 2000.0, 0.1
 """An unfinished fit may still lower χ² by 2000 + 10 % of the null model's excess. Others are dropped."""
 OF_RANGE = 1e-3

@@ -23,11 +23,11 @@ from flying_vines.physics.arrays import Array
 
 SHOWN_S = 0.5
 STRETCHES = 8
-"""Alternate stretches of a run are held out: one eighth of it each."""
+"""A run has this many stretches of equal length; every second one is held out."""
 BLOCK_S = 4.0
 MIN_BLOCKS = 25
-"""Of all runs together; blocks of a short recording are shorter. If its misfit were in two of ten blocks, one
-draw in ten would hold neither, and no gain would be sure."""
+"""Minimum number of blocks in all runs together: a short recording has shorter blocks. If there were only
+ten blocks and the misfit were in two of them, one draw in ten would contain neither: no gain would be sure."""
 BLOCK_SAMPLES = 4
 """Blocks are at least this long, in median sampling intervals."""
 STEPS = 2
