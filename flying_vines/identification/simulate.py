@@ -34,8 +34,8 @@ QUICK_S = 0.002
 _STEP = 0.25
 """Step over the fastest time constant. Fourth-order Runge-Kutta then errs by 1e-5 of the remaining change."""
 _ROOT = 20.0
-"""Near equal pressures the flow of ISO 6358 is as steep as a root, and a vessel is empty in finite time. Longer
-steps would make χ² rough there, so that a fit stops before its minimum."""
+"""Near equal pressures the flow of ISO 6358 is as steep as a root, and a vessel is empty in finite time.
+Longer steps would make χ² rough there, so that a fit stops before its minimum."""
 
 GAP = 8.0
 """A longer time between samples, in median sampling intervals, is a gap."""

@@ -27,7 +27,7 @@ STRETCHES = 8
 BLOCK_S = 4.0
 MIN_BLOCKS = 25
 """Minimum number of blocks in all runs together: a short recording has shorter blocks. If there were only
-ten blocks and the misfit were in two of them, one draw in ten would contain neither: no gain would be sure."""
+ten blocks and the misfit were in two of them, one draw in ten would contain neither."""
 BLOCK_SAMPLES = 4
 """Blocks are at least this long, in median sampling intervals."""
 STEPS = 2
