@@ -127,44 +127,30 @@ class Fit:
 class Tangents:
     """The directions in which a fit can step its residuals, and the residuals orthogonal to them.
 
-    Priors limit the steps: they are further residuals.
-
     Args:
         free: (numbers,) False where a number is on its bound.
-        prior: (numbers,) standard deviations.
-        off: (numbers,) the fit's distance from the priors' means, in these standard deviations.
     """
 
-    def __init__(
-        self, jacobian: Jacobian, residuals: Sequence[Array], free: Bools, prior: Array, off: Array
-    ) -> None:
+    def __init__(self, jacobian: Jacobian, residuals: Sequence[Array], free: Bools) -> None:
         self._jacobian = jacobian
-        self._priors = int(np.count_nonzero(free))
-        directions = np.concatenate((jacobian.reduced[free].T, np.diag(1.0 / prior[free])))
-        self._basis, _ = np.linalg.qr(directions / np.linalg.norm(directions, axis=0))
-        self._residual = self._orthogonal(residuals, off[free])
+        directions = jacobian.reduced[free].T
+        scale = np.linalg.norm(directions, axis=0)
+        self._basis, _ = np.linalg.qr(directions / np.where(scale > 0.0, scale, 1.0))
+        self._residual = self.orthogonal_part(residuals)
 
-    def gain(self, trace: Sequence[Array], multiples: tuple[float, float] = (-inf, inf)) -> float:
-        """Reduction of the cost if the residuals could also be changed by a multiple of this trace.
-
-        Args:
-            multiples: the smallest and the largest possible multiple.
-        """
-        own = self._orthogonal(trace, np.zeros(self._priors))
+    def gain(self, trace: Sequence[Array], backwards: bool) -> float:
+        """Reduction of χ² if the residuals could also be changed along this trace, or backwards along it."""
+        own = self.orthogonal_part(trace)
         length = float(own @ own)
         whole = sum(float(np.vdot(t, t)) for t in trace)
-        if length <= 1e-9 * whole:
-            return 0.0
         slope = float(own @ self._residual)
-        multiple = min(max(-slope / length, multiples[0]), multiples[1])
-        return -multiple * (2.0 * slope + multiple * length)
+        if length <= 1e-9 * whole or (slope > 0.0 and not backwards):
+            return 0.0
+        return slope**2 / length
 
     def orthogonal_part(self, trace: Sequence[Array]) -> Array:
         """The part of a trace, (2, n) for each run, orthogonal to all fitted directions; flattened."""
-        return self._orthogonal(trace, np.zeros(self._priors))
-
-    def _orthogonal(self, trace: Sequence[Array], priors: Array) -> Array:
-        left = np.concatenate((self._jacobian.orthogonal_part(trace), priors))
+        left = self._jacobian.orthogonal_part(trace)
         orthogonal: Array = left - self._basis @ (self._basis.T @ left)
         return orthogonal
 
@@ -251,8 +237,7 @@ class FitProblem:
         """The directions in which this fit can step its residuals."""
         space = _Space(self, fit.point)
         place = space.to_search(fit.point)
-        jacobian = space.jacobian(place, fit.residuals)
-        return Tangents(jacobian, fit.residuals, space.inside(place), *space.soft_priors(place))
+        return Tangents(space.jacobian(place, fit.residuals), fit.residuals, space.inside(place))
 
     def jacobian(self, fit: Fit) -> Jacobian:
         """Derivatives of the residuals by everything that is free, at a fit."""
@@ -431,16 +416,6 @@ class _Space:
         """(numbers,) False where a number that all runs share is on its bound."""
         common = slice(self._common)
         return (place[common] > self._low[common]) & (place[common] < self._high[common])
-
-    def soft_priors(self, place: Array) -> tuple[Array, Array]:
-        """Standard deviations of the priors, and the place's distances from their means in these.
-
-        A parameter without a prior has its range instead, and the distance 0.
-        """
-        has_prior = self._precision > 0.0
-        wide = np.array([1.0] * len(self._keys) + [p.range or 1.0 for p in self._parameters])
-        sd = np.where(has_prior, self._precision, wide**-2.0) ** -0.5
-        return sd, np.where(has_prior, (place[: self._common] - self._typical) / sd, 0.0)
 
     def prior(self, place: Array) -> float:
         """The prior term of the cost."""

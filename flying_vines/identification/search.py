@@ -56,7 +56,7 @@ BEGUN_STEPS = 5
 """Steps from each start, to choose the best one, if a fit starts again."""
 IDLE = 1.01
 """Without an idle cause, χ² rises by at most this factor."""
-PROMISING = 5
+PROMISING = 4
 """Number of further causes that are fitted: those with the largest expected gain."""
 EXCHANGES = 5
 """Number of exchanges of one cause for another that are fitted: those with the lowest expected χ²."""
@@ -203,10 +203,9 @@ class Search:
             seed = parameter.to_search(values[0])
             # A neutral seed has no effect, so a value beside it is also tried.
             for searched in (seed, seed + OF_RANGE * (parameter.to_search(parameter.high) - seed)):
-                value = parameter.to_model(searched)
-                point = base.point.with_cause(cause, (value, *values[1:]))
+                point = base.point.with_cause(cause, (parameter.to_model(searched), *values[1:]))
                 trace = [a - b for a, b in zip(self.problem.residuals(point), base.residuals, strict=True)]
-                best = max(best, tangents.gain(trace, parameter.multiples(value)))
+                best = max(best, tangents.gain(trace, parameter.two_sided))
         return best
 
     def best(self, progress: Progress = silent) -> SearchResult:

@@ -86,23 +86,10 @@ class Parameter:
         """Width of the range on the search scale."""
         return self.to_search(self.high) - self.to_search(self.low)
 
-    def multiples(self, value: float) -> tuple[float, float]:
-        """The effect of every value in the range is about a multiple of this value's effect: between these.
-
-        They are proportional to the distance from neutral on the search scale. A range may be infinite.
-        """
-        if (
-            self.neutral is None
-            or not self.distance(value)
-            or (self.logarithmic and not 0.0 < self.neutral < inf)
-        ):
-            return 0.0, inf
-        neutral = self.to_search(self.neutral)
-        ends = [
-            (self.to_search(end) - neutral) / (self.to_search(value) - neutral)
-            for end in (self.low, self.high)
-        ]
-        return min(ends), max(ends)
+    @property
+    def two_sided(self) -> bool:
+        """True if a value may lie on either side of neutral."""
+        return self.neutral is not None and self.low < self.neutral < self.high
 
     def within(self, searched: float) -> float:
         """The value at a point of the search scale, clipped to the bounds."""

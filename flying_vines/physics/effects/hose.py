@@ -31,14 +31,14 @@ CAUSE = Cause(
         ),
         Parameter(
             "volume_L",
-            low=2e-3,
+            low=1e-3,
             high=10.0,
             seeds=(0.02,),
             neutral=0.0,
             logarithmic=True,
             # A volume on its lower bound is no evidence against a hose: its resistance may be all that shows.
             typical=(log(0.0126), log(3.0)),
-            source="16 cm of 4 mm bore, which hardly shows, to a second vessel of 10 L; typical: 1 m, ×÷ 3",
+            source="8 cm of 4 mm bore, which hardly shows, to a second vessel of 10 L; typical: 1 m, ×÷ 3",
         ),
     ),
     experiment="Inflate quickly, shut all valves at once, and record every millisecond.",
