@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from flying_vines.identification.fit import Tangents
 from flying_vines.identification.jacobian import Jacobian, RunJacobian
 from flying_vines.physics.arrays import Array
+from flying_vines.physics.cause import Parameter
 
 START = np.array([0, 3, 40, 41, 60])
 SAMPLES, NUMBERS = 90, 3
@@ -69,3 +71,26 @@ def test_the_curvature_along_a_step_is_half_of_the_second_derivative() -> None:
         assert there.residuals == pytest.approx(run.residuals + second, rel=1e-9)
     assert curved.reduced == pytest.approx(Jacobian(runs).reduced)
     assert not np.allclose(curved.reduced_residuals, Jacobian(runs).reduced_residuals)
+
+
+def test_a_one_sided_effect_promises_nothing_backwards() -> None:
+    random = np.random.default_rng(4)
+    residuals = random.standard_normal((2, SAMPLES))
+    run = RunJacobian(
+        random.standard_normal((2, 2, SAMPLES)),
+        residuals,
+        random.standard_normal((NUMBERS, 2, SAMPLES)),
+        START,
+    )
+    tangents = Tangents(Jacobian([run]), [residuals], np.array([True, True, False]))
+    towards, away = [-0.1 * residuals], [0.1 * residuals]
+    assert tangents.gain(towards, backwards=False) == pytest.approx(tangents.gain(away, backwards=True))
+    assert tangents.gain(towards, backwards=False) > 0.5 * np.vdot(residuals, residuals)
+    assert tangents.gain(away, backwards=False) == 0.0
+
+
+def test_a_parameter_is_two_sided_if_neutral_is_inside_its_range() -> None:
+    gain = Parameter("gain", low=0.8, high=1.25, seeds=(1.0,), neutral=1.0, source="")
+    volume = Parameter("volume_L", low=0.0, high=1.0, seeds=(0.1,), neutral=0.0, source="")
+    resistance = Parameter("resistance", low=3.0, high=1e4, seeds=(30.0,), neutral=None, source="")
+    assert [p.two_sided for p in (gain, volume, resistance)] == [True, False, False]
