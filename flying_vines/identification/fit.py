@@ -283,6 +283,11 @@ class FitProblem:
         cost = chi2_of(residuals) + space.prior(place)
         if not np.isfinite(cost):
             return Fit(start, inf, inf, tuple(residuals))
+        # Their step is not damped: a large one would bend every step of the shared numbers.
+        place, residuals = self._corrected(
+            space, place, self._initial_jacobian(start, place, residuals), MIN_GAIN
+        )
+        cost = chi2_of(residuals) + space.prior(place)
         damping = DAMPING
         for _ in range(max_steps):
             jacobian, enough = space.jacobian(place, residuals), min_gain * max(1.0, cost / self.readings)
@@ -307,6 +312,10 @@ class FitProblem:
             if gained < enough:
                 break
         return Fit(space.to_model(place), chi2_of(residuals), cost, tuple(residuals))
+
+    def _initial_jacobian(self, start: FitPoint, place: Array, residuals: Sequence[Array]) -> Jacobian:
+        """The derivatives by the initial pressures; those by the shared numbers are zero."""
+        return _Space(self, start, moving=0).jacobian(place, residuals)
 
     def _curved_step(self, space: _Space, place: Array, jacobian: Jacobian, damping: float) -> Array | None:
         """The best step within the bounds, with the model's curvature along it; None if that is too large."""

@@ -30,13 +30,13 @@ def test_every_file_has_its_row(path: Path) -> None:
 @pytest.mark.parametrize(
     ("setting", "said"),
     [
-        ("WatchdogSec=4", "If it is silent for 4 s, it is aborted"),
+        ("WatchdogSec=4", "After 4 s of silence systemd aborts it"),
         ("RestartSec=1", "a new start after a second"),
         ("StartLimitIntervalSec=0", "however often"),
         ("RestartPreventExitStatus=2", "(exit status 2)"),
         ("MemoryMax=384M", "at most 384 MB"),
         ("TasksMax=64", "64 threads"),
-        ("StateDirectory=flying-vines", "read-only but for `/var/lib/flying-vines`"),
+        ("StateDirectory=flying-vines", "read-only except `/var/lib/flying-vines`"),
         ("SupplementaryGroups=dialout", "the group dialout"),
     ],
 )
