@@ -283,10 +283,9 @@ class FitProblem:
         cost = chi2_of(residuals) + space.prior(place)
         if not np.isfinite(cost):
             return Fit(start, inf, inf, tuple(residuals))
-        # Their step is not damped: a large one would bend every step of the shared numbers.
-        place, residuals = self._corrected(
-            space, place, self._initial_jacobian(start, place, residuals), MIN_GAIN
-        )
+        # The step of initial pressures is not damped. If it were large, each later step would curve too much.
+        initial_only = _Space(self, start, moving=0).jacobian(place, residuals)
+        place, residuals = self._corrected(space, place, residuals, initial_only, MIN_GAIN)
         cost = chi2_of(residuals) + space.prior(place)
         damping = DAMPING
         for _ in range(max_steps):
@@ -298,7 +297,9 @@ class FitProblem:
                     damping = HARDER * max(damping, LEAST_DAMPING)
                     continue
                 step = space.shortened(step, shares)
-                there, tried = self._corrected(space, space.clipped(place + step), jacobian, enough)
+                there = space.clipped(place + step)
+                tried = self.residuals(space.to_model(there))
+                there, tried = self._corrected(space, there, tried, jacobian, enough)
                 lower = chi2_of(tried) + space.prior(there)
                 if lower <= cost:
                     break
@@ -313,10 +314,6 @@ class FitProblem:
                 break
         return Fit(space.to_model(place), chi2_of(residuals), cost, tuple(residuals))
 
-    def _initial_jacobian(self, start: FitPoint, place: Array, residuals: Sequence[Array]) -> Jacobian:
-        """The derivatives by the initial pressures; those by the shared numbers are zero."""
-        return _Space(self, start, moving=0).jacobian(place, residuals)
-
     def _curved_step(self, space: _Space, place: Array, jacobian: Jacobian, damping: float) -> Array | None:
         """The best step within the bounds, with the model's curvature along it; None if that is too large."""
         straight = space.best_step(place, jacobian, damping)
@@ -327,16 +324,15 @@ class FitProblem:
         if not np.isfinite(chi2_of(probe)):
             return None
         curved = space.best_step(place, jacobian.curved(along, probe, PROBE), damping)
-        return curved if space.bend(jacobian, straight, curved) <= MAX_BEND else None
+        return curved if jacobian.bend(straight, curved) <= MAX_BEND else None
 
     def _corrected(
-        self, space: _Space, place: Array, jacobian: Jacobian, enough: float
+        self, space: _Space, place: Array, residuals: list[Array], jacobian: Jacobian, enough: float
     ) -> tuple[Array, list[Array]]:
         """The place and its residuals; initial pressures are corrected where χ² of their stretch falls.
 
         A long step of the shared numbers needs other initial pressures than its linear model says.
         """
-        residuals = self.residuals(space.to_model(place))
         for _ in range(CORRECTIONS):
             if not np.isfinite(chi2_of(residuals)):
                 break
@@ -429,13 +425,6 @@ class _Space:
     def prior(self, place: Array) -> float:
         """The prior term of the cost."""
         return float(self._precision @ (place[: self._common] - self._typical) ** 2)
-
-    def bend(self, jacobian: Jacobian, straight: Array, curved: Array) -> float:
-        """The difference of two steps of the shared numbers, as a share of the first, by their effect."""
-        scale = np.linalg.norm(jacobian.reduced, axis=1)
-        one, other = (scale * step[: self._common] for step in (straight, curved))
-        length = float(np.linalg.norm(one))
-        return float(np.linalg.norm(other - one)) / length if length > 0.0 else 0.0
 
     def shortened(self, step: Array, shares: Array) -> Array:
         """The step, shortened by this factor in each pair of initial pressures."""

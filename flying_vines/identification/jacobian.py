@@ -130,6 +130,13 @@ class Jacobian:
             pressures = pressures[run.starts :]
         return Jacobian(runs)
 
+    def bend(self, straight: Array, curved: Array) -> float:
+        """The difference of two steps of the shared numbers, as a share of the first, by their effect."""
+        scale = np.linalg.norm(self.reduced, axis=1)
+        one, other = (scale * step[: len(scale)] for step in (straight, curved))
+        length = float(np.linalg.norm(one))
+        return float(np.linalg.norm(other - one)) / length if length > 0.0 else 0.0
+
     def initial_step(self, step: Array) -> Array:
         """The step of all initial pressures, flattened in the order of `FitPoint.initial`."""
         return np.concatenate([run.initial_step(step).ravel() for run in self.runs])

@@ -74,14 +74,17 @@ async def stays_bent(served: Served, jumps: Callable[[str], object], jump: str) 
 async def test_clock_jumps(served: Served, tmp_path: Path) -> None:
     jumps = (tmp_path / "jump").write_text
     await served.serve()
+    held_up = False
     for jump in JUMPS:
         # A busy machine may delay the service once; a clock would do it each time.
         tries = [await stays_bent(served, jumps, jump)]
         while not tries[-1] and len(tries) < TRIES:
             tries.append(await stays_bent(served, jumps, jump))
         assert tries[-1], jump
+        held_up |= len(tries) > 1
     assert served.process is not None
     served.process.terminate()
     said = await served.output()
     assert "own clock jumped" in said, "by years, which signing does not follow"
-    assert "refused messages" not in said, said
+    losses = () if held_up else ("RC lost", "silent")
+    assert not [word for word in (*losses, "refused messages") if word in said], said
