@@ -1,6 +1,8 @@
-"""Hypothesis settings of all tests."""
+"""Settings of all tests."""
 
 from __future__ import annotations
+
+import gc
 
 import pytest
 from hypothesis import settings
@@ -14,3 +16,9 @@ settings.register_profile("quick", settings.get_profile("all"), max_examples=ALL
 
 def pytest_configure(config: pytest.Config) -> None:
     settings.load_profile("quick" if config.option.markexpr == "not long" else "all")
+
+
+def pytest_collection_finish() -> None:
+    # Imported modules and thousands of tests live until the end: garbage collection need not look at them.
+    gc.collect()
+    gc.freeze()

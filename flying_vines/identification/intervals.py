@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from math import inf, isfinite, sqrt
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from flying_vines.identification.candidate import Candidate
 from flying_vines.identification.unseen import blocks
@@ -68,7 +68,7 @@ def widening(candidate: Candidate) -> Array:
         scores.append(np.stack([np.bincount(block, row) for row in products], axis=1))
     by_block = np.concatenate(scores)
     spread = np.einsum("ij,bj,bk,ki->i", covariance, by_block, by_block, covariance)
-    few = stats.t.ppf(0.975, max(1, len(by_block) - len(covariance))) ** 2 / ABOVE
+    few = special.stdtrit(max(1, len(by_block) - len(covariance)), 0.975) ** 2 / ABOVE
     wider: Array = np.maximum(1.0, few * spread / np.diag(covariance))
     return wider
 

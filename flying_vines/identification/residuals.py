@@ -18,7 +18,7 @@ from math import log
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from flying_vines.identification.fit import Fit, FitProblem
 from flying_vines.physics.arrays import Array
@@ -100,7 +100,8 @@ def _grouped(
     changed = np.bincount(index, changes)[enough]
     count = count[enough]
     squares = float(np.sum(mean**2 / (1.0 / count + rounding / (1.0 + changed))))
-    log_p = -float(stats.chi2.logsf(squares, len(count))) / LN10
+    with np.errstate(divide="ignore"):  # p may be too small for a float.
+        log_p = -float(np.log(special.chdtrc(len(count), squares))) / LN10
     return centre, mean, count, log_p, squares / len(count)
 
 

@@ -150,6 +150,7 @@ def without(tmp_path: Path, *packages: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.long
 def test_with_numpy_alone_it_measures_and_tells_what_is_missing(tmp_path: Path) -> None:
     ended = without(tmp_path, "scipy", "matplotlib", "numba", "threadpoolctl")
     assert (ended.returncode, ended.stderr) == (0, "")
@@ -259,6 +260,7 @@ def _wait_for_pressure(bench: Path, kPa: float) -> None:
     pytest.fail("the vine never bent")
 
 
+@pytest.mark.long
 def test_ctrl_c_before_it_begins_moves_nothing(bench: Path) -> None:
     terminal = Terminal("calibrate", "--config", "vine.toml", cwd=bench)
     terminal.shows("Press Enter")

@@ -94,6 +94,7 @@ def test_replay_prints_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert [entry["what"]["seq"] for entry in found] == [2, 4, 6, 8]
 
 
+@pytest.mark.long
 def test_a_truncated_recording_is_replayed_as_far_as_it_goes_and_printed_as_a_table(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

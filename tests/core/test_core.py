@@ -433,6 +433,7 @@ PX4_MISSION = [
 ]
 
 
+@pytest.mark.long
 def test_ardupilot_mission_items_fire_once_with_their_numbers() -> None:
     autopilot = FakeAutopilot("ardupilot", mission=VINE_MISSION)
     flight = SimulatedFlight(config.default(), autopilot)
@@ -446,6 +447,7 @@ def test_ardupilot_mission_items_fire_once_with_their_numbers() -> None:
     assert [item.seq for _, item in autopilot.payload_log] == [3, 5]
 
 
+@pytest.mark.long
 def test_a_mission_changed_in_flight_fires_the_new_numbers() -> None:
     autopilot = FakeAutopilot("ardupilot", mission=VINE_MISSION)
     flight = SimulatedFlight(config.default(), autopilot)
@@ -464,6 +466,7 @@ def test_a_mission_changed_in_flight_fires_the_new_numbers() -> None:
     assert [d.intent for d in found if d.what["seq"] == 3] == ["bend 15°"]
 
 
+@pytest.mark.long
 def test_px4_mission_items_are_acknowledged_and_fire_once() -> None:
     autopilot = FakeAutopilot("px4", mission=PX4_MISSION)
     flight = SimulatedFlight(config.default(), autopilot)
@@ -598,6 +601,7 @@ def test_a_missing_stream_is_named() -> None:
     assert any("does not send" in text and "GLOBAL_POSITION_INT" in text for text in texts)
 
 
+@pytest.mark.long
 def test_the_learned_air_is_used_in_the_next_run_of_the_same_rig() -> None:
     flight = airborne()
     kept: list[KeepLearned] = []

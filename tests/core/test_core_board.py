@@ -213,7 +213,8 @@ def rebooting(flight: SimulatedFlight, every_s: float, for_s: float) -> list[Act
     return actions
 
 
-@pytest.mark.parametrize("every_s", [0.1, pytest.param(2.5, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("every_s", [0.1, 2.5])
 def test_a_loop_of_restarts_is_reported_at_once_and_then_counted(every_s: float) -> None:
     flight = bent()
     actions = rebooting(flight, every_s, 30.0)

@@ -65,7 +65,7 @@ def without(flight: SimulatedFlight, *message_ids: int) -> None:
     )
 
 
-@pytest.mark.parametrize("for_s", [1.8, 4.0, 20.0])
+@pytest.mark.parametrize("for_s", [1.8, 4.0, pytest.param(20.0, marks=pytest.mark.long)])
 def test_a_silent_link_is_reported_once_and_once_when_it_is_back(for_s: float) -> None:
     flight = bent()
     flight.autopilot.mute(for_s)
@@ -88,6 +88,7 @@ def test_a_link_is_back_with_the_first_heartbeat() -> None:
     assert told(lives(flight, 2.0)) == ["Vine: vehicle link is back", WAITING]
 
 
+@pytest.mark.long
 def test_a_silent_link_is_reported_again_when_the_vine_does_something_else() -> None:
     flight = bent(holding(on_rc_loss="hold", hold_at_most_s=1.5))
     flight.autopilot.mute(20.0)

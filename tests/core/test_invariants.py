@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from needed import needs_compiler
 
+from examples import examples
 from firmware_link import host, protocol
 from firmware_link.protocol import Setpoint, Vent
 from flying_vines.config.config import Config
@@ -506,7 +507,7 @@ class AnyFlight(RuleBasedStateMachine):
 
 @needs_compiler
 class TestAnyFlight(AnyFlight.TestCase):  # type: ignore[misc, valid-type]
-    settings = settings(max_examples=10, stateful_step_count=40, derandomize=True)
+    settings = settings(max_examples=examples(15), stateful_step_count=40, derandomize=True)
 
 
 @needs_compiler
@@ -517,6 +518,7 @@ def test_flights_of_the_campaign(seed: int) -> None:
     assert outcome.fouls == (), outcome.timeline
 
 
+@pytest.mark.long
 @needs_compiler
 def test_a_flight_is_the_same_each_time() -> None:
     assert draw(11) == draw(11)

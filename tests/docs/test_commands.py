@@ -165,6 +165,7 @@ def test_commands_and_options_that_a_page_mentions_exist(page: Path) -> None:
         assert options <= known, f"{span}: {name} has no {', '.join(options - known)}"
 
 
+@pytest.mark.long
 def test_a_wrong_command_is_found(tmp_path: Path) -> None:
     wrong = ("flying-vines config check nowhere.toml", "flying-vines paper --outt DIR", "make nothing")
     with Stage(tmp_path, maker, "ardupilot") as stage:

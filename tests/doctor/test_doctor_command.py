@@ -69,6 +69,7 @@ def test_the_seen_positions_are_shown() -> None:
     assert "radio failsafe" in asking(SwitchFacts("radio failsafe"), 9, ("", ""))
 
 
+@pytest.mark.long
 def test_on_fakes_it_is_well_and_needs_nothing_else(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

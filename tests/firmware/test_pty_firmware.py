@@ -113,6 +113,7 @@ async def talking(path: str) -> AsyncIterator[Host]:
         await asyncio.gather(talk, return_exceptions=True)
 
 
+@pytest.mark.long
 async def test_it_greets_fills_the_bag_and_vents_it(program: Path, tmp_path: Path) -> None:
     link = tmp_path / "phlosar"
     async with running(program, "--link", str(link), "--boot-id", "77") as path:

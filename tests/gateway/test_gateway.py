@@ -151,6 +151,7 @@ async def test_a_gateway_that_hangs_is_replaced_and_holds_nobody_up(
         assert service.latest_turn_s < 0.5
 
 
+@pytest.mark.long
 async def test_a_stopped_gateway_is_replaced(
     monkeypatch: pytest.MonkeyPatch, broker: Broker, people: Onlooker
 ) -> None:

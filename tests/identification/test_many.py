@@ -105,6 +105,7 @@ def replace_diagnose(monkeypatch: pytest.MonkeyPatch, diagnose: Callable[[Case],
     monkeypatch.setattr(many, "diagnose", diagnose)
 
 
+@pytest.mark.long
 def test_an_exception_costs_only_its_own_verdict(
     cases: list[Path], expected: dict[Path, Verdict], monkeypatch: pytest.MonkeyPatch
 ) -> None:

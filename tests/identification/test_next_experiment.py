@@ -40,6 +40,7 @@ def others(case: Case, *also_without: str) -> list[Cause]:
     return [cause for cause in causes_of(case.rig) if cause.name not in hidden]
 
 
+@pytest.mark.long
 def test_unexplained_data_ask_for_the_runs_that_separate_the_nearest_causes(
     case: Case, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -179,6 +179,7 @@ def test_parts_begin_alike() -> None:
             assert np.array_equal(getattr(short, name)[:n], getattr(whole, name)[:n]), candidate.name
 
 
+@pytest.mark.long
 def test_the_run_that_settles_a_doubt(layout: Layout) -> None:
     found = recommend(HALF, named("evp_lag", "line_delay"))
     (run,) = found.runs

@@ -88,7 +88,8 @@ def test_a_vine_with_hysteresis_is_let_down_further() -> None:
     assert final[1] == pytest.approx(up - 3.0)
 
 
-@pytest.mark.parametrize("kind", ["ardupilot", pytest.param("px4", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["ardupilot", "px4"])
 def test_the_service_flies_what_the_budget_says(kind: AutopilotKind) -> None:
     given = built(SHORT, kind)
     belief = nominal(CONFIG.pneumatics)
@@ -107,7 +108,9 @@ def test_the_service_flies_what_the_budget_says(kind: AutopilotKind) -> None:
     assert found["items"] == [bend.step.item.seq for bend in report.budget.bends]
 
 
-@pytest.mark.parametrize(("reservoir_kPa", "verdict"), [(48.0, "refused"), (70.0, "limited")])
+@pytest.mark.parametrize(
+    ("reservoir_kPa", "verdict"), [pytest.param(48.0, "refused", marks=pytest.mark.long), (70.0, "limited")]
+)
 def test_a_low_bottle_is_judged_as_the_service_judges_it(reservoir_kPa: float, verdict: str) -> None:
     given = built(SHORT, "px4")
     report = reviewed(given, "px4", reservoir_kPa=reservoir_kPa)

@@ -72,6 +72,7 @@ def test_files_are_looked_at_before_the_vehicle(
     assert said(capsys, *arguments, "--link", NOBODY).startswith(begins)
 
 
+@pytest.mark.long
 async def test_ctrl_c_ends_a_watch_that_waits() -> None:
     if not os.environ.get("CI"):
         pytest.importorskip("mavsdk", reason="needs mavsdk: pip install 'flying-vines[missions]'")

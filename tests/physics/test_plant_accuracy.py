@@ -61,7 +61,7 @@ RIGID = dataclasses.replace(EVERYTHING, cv_shape=None)
         pytest.param(EVERYTHING, 0.1, 8.0, id="everything"),
         pytest.param(EVERYTHING, 0.1, 45.0, id="everything, long", marks=pytest.mark.long),
         pytest.param(RIGID, 0.5, 8.0, id="rigid half litre", marks=pytest.mark.long),
-        pytest.param(COMPLIANT, 0.1, 8.0, id="compliant without tube"),
+        pytest.param(COMPLIANT, 0.1, 8.0, id="compliant without tube", marks=pytest.mark.long),
         pytest.param(Effects(), 0.1, 45.0, id="baseline", marks=pytest.mark.long),
     ],
 )
@@ -100,6 +100,7 @@ def test_it_agrees_with_radau_to_a_hundredth_of_a_kilopascal(
     assert worst < 0.01
 
 
+@pytest.mark.long
 def test_finer_steps_change_less_than_a_hundredth_of_a_kilopascal() -> None:
     """Also with warming coils, without scipy."""
     plant = Plant(Rig(), likely_effects())

@@ -127,6 +127,7 @@ def test_between_the_limits_of_heat_transfer() -> None:
     assert after_10_s(Effects(reservoir_wall=Wall(1e9))) == pytest.approx(adiabatic, abs=1e-5)
 
 
+@pytest.mark.long
 def test_a_reservoir_that_is_shut_again_recovers_what_its_temperature_lost() -> None:
     """The stop method: T at the moment of shutting is T_room p / p_recovered, absolute."""
     simulator = run(discharging(Effects(evp_law=Iso6358(5e-4), reservoir_wall=Wall(3.0))), OPEN, 10.0)

@@ -74,6 +74,7 @@ def test_show_tells_the_story(flights: Path, run: Runner) -> None:
     assert said["about"]["firmware"]["build"] == "1.1 host"
 
 
+@pytest.mark.long
 def test_plot_draws_for_screens_and_papers(flights: Path, run: Runner, tmp_path: Path) -> None:
     begins = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}
     for ending, begin in begins.items():

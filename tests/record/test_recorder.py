@@ -314,7 +314,14 @@ def ticks(folder: Path) -> list[float]:
     return [entry.fields["t"] for entry in FlightLog(folder).entries(("tick",))]
 
 
-@pytest.mark.parametrize("what", ["the folder", "all folders", "the file"])
+@pytest.mark.parametrize(
+    "what",
+    [
+        "the folder",
+        pytest.param("all folders", marks=pytest.mark.long),
+        pytest.param("the file", marks=pytest.mark.long),
+    ],
+)
 def test_a_folder_that_vanishes_is_reported_and_the_log_continues_in_another(
     tmp_path: Path, what: str
 ) -> None:

@@ -105,6 +105,7 @@ def doing(served: Served) -> str:
     return served.service.core.snapshot(served.service.now).doing
 
 
+@pytest.mark.long
 async def test_disarmed_pneumatics_stay_so_over_restarts_until_a_person_arms_them(
     bench: Bench, tmp_path: Path
 ) -> None:
@@ -229,6 +230,7 @@ async def test_a_kept_timestamp_of_2040_is_set_right_and_reported(tmp_path: Path
     assert memory.timestamp < (time.time() + 120 - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S
 
 
+@pytest.mark.long
 async def test_frames_from_before_a_stop_are_refused_after_it(tmp_path: Path) -> None:
     pilot, key = Signing(KEY), private_key(tmp_path, KEY)
     pilot.advance(time.time())

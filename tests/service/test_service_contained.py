@@ -96,8 +96,7 @@ BREAKS: dict[str, Callable[[Service, pytest.MonkeyPatch], None]] = {
     "broken",
     [
         "the core",
-        "vehicle bytes",
-        *(pytest.param(name, marks=pytest.mark.long) for name in list(BREAKS)[2:]),
+        *(pytest.param(name, marks=pytest.mark.long) for name in list(BREAKS)[1:]),
     ],
 )
 async def test_an_error_on_the_flying_way_is_a_commanded_shutdown(
@@ -112,6 +111,7 @@ async def test_an_error_on_the_flying_way_is_a_commanded_shutdown(
     assert to_safe_ms <= allowed_ms
 
 
+@pytest.mark.long
 async def test_a_link_that_ends_is_a_commanded_shutdown_and_starts_again(serving: Serving) -> None:
     (task,) = (task for task in asyncio.all_tasks() if task.get_name() == "vehicle link")
     task._fut_waiter.set_exception(RuntimeError("unexpected"))  # type: ignore[attr-defined]
@@ -119,6 +119,7 @@ async def test_a_link_that_ends_is_a_commanded_shutdown_and_starts_again(serving
     await until(lambda: "CV_KPA" in serving.bench.ground.values, "the values are back")
 
 
+@pytest.mark.long
 async def test_values_that_cannot_be_sent_are_only_reported(
     serving: Serving, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -134,6 +135,7 @@ async def test_values_that_cannot_be_sent_are_only_reported(
     assert serving.bench.ground.texts.count("Vine: named values failed, flight goes on") == 1
 
 
+@pytest.mark.long
 async def test_a_task_that_fails_behind_the_flight_is_reported_and_starts_again(
     serving: Serving, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -148,6 +150,7 @@ async def test_a_task_that_fails_behind_the_flight_is_reported_and_starts_again(
     assert serving.bench.bent()
 
 
+@pytest.mark.long
 async def test_absurd_telemetry_vents_and_the_service_lives(serving: Serving) -> None:
     latest = serving.service.core._core._firmware.telemetry
     assert latest is not None

@@ -85,6 +85,7 @@ def test_a_chirp_has_the_frequency_that_was_asked_for(
     assert 0.0 <= follow(run)(t_s) <= 1.0
 
 
+@pytest.mark.long
 @settings(max_examples=20)
 @given(seed=st.integers(0, 1000), least_s=st.floats(0.1, 0.5), more_s=st.floats(0.0, 1.0))
 def test_random_pressures_keep_their_levels_and_times(seed: int, least_s: float, more_s: float) -> None:

@@ -159,7 +159,9 @@ def test_reboots_on_the_ground_bend_nothing() -> None:
 EXECUTED = re.compile(r" PAYLOAD \S+ item (\d+) \S+\((\d+)\).* at (\d+\.\d+)")
 
 
-@pytest.mark.parametrize("name", ["ardupilot_vine_mission", "px4_vine_mission"])
+@pytest.mark.parametrize(
+    "name", ["ardupilot_vine_mission", pytest.param("px4_vine_mission", marks=pytest.mark.long)]
+)
 def test_each_item_counts_once_when_it_runs(name: str) -> None:
     timeline = (RECORDINGS / f"{name}.timeline.txt").read_text()
     truth = [
@@ -266,6 +268,7 @@ def test_a_waypoints_file_gives_the_items_of_the_download() -> None:
         assert item.params == pytest.approx(other.params, rel=1e-8)
 
 
+@pytest.mark.long
 def test_items_that_arrive_late_bend_nothing() -> None:
     """Item 2 ran 7.5 s late at 79.1 s, and 4.5 s late at 96.1 s."""
     actions = replayed("ardupilot_override_and_late_texts", 100.0)

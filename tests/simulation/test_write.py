@@ -121,6 +121,7 @@ def test_a_rig_may_stand_in_its_case_folder(scenario: Path, tmp_path: Path) -> N
     assert (tmp_path / "rig.toml").read_text() == RIG
 
 
+@pytest.mark.long
 def test_the_answer_is_kept_apart(scenario: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = tmp_path / "hidden.toml"
     rig.write_text(RIG + "[causes.cv_leak]\nflow_resistance_kPa_s_per_SL = 300\n[effects]\nlikely = true\n")

@@ -47,6 +47,7 @@ def test_json_has_the_curves_and_the_fronts(capsys: pytest.CaptureFixture[str]) 
     assert found["figures"] == []
 
 
+@pytest.mark.long
 def test_it_draws_its_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("--out", str(tmp_path / "new")) == 0
     drawn = sorted(path.name for path in (tmp_path / "new").iterdir())
@@ -57,6 +58,7 @@ def test_it_draws_its_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "design-speed.png" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_a_robot_that_is_out_of_reach_is_drawn_too(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

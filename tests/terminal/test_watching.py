@@ -104,6 +104,7 @@ def test_nobody_there_is_status_1(capsys: pytest.CaptureFixture[str]) -> None:
     assert f"link: 127.0.0.1:{port}: Connection refused" in out
 
 
+@pytest.mark.long
 async def test_a_page_on_the_network_wants_its_token(tmp_path: Path) -> None:
     file = tmp_path / "token"
     file.write_text(TOKEN)
@@ -183,6 +184,7 @@ async def test_on_a_terminal_it_is_live_and_v_twice_vents(bench: Bench) -> None:
             assert await terminal.process.wait() == 0
 
 
+@pytest.mark.long
 async def test_a_link_that_is_lost_is_reported_and_comes_back(bench: Bench) -> None:
     async with on_terminal(bench) as terminal:
         async with showing(bench):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar, nnls
-from scipy.stats import f as fisher
+from scipy.special import fdtri
 
 from flying_vines.identification.bend_curve.pairs import Pairs
 from flying_vines.identification.bend_curve.sequence import (
@@ -57,7 +57,7 @@ def fit_free_curve(pairs: Pairs) -> Explanation:
     if pairs.unloads:
         shared = pairs_per_independent(residual)
         free = max(len(kPa) / shared - numbers, 1.0)
-        allowed = lowest * (1.0 + float(fisher.ppf(0.95, 1, free)) / free)
+        allowed = lowest * (1.0 + float(fdtri(1, free, 0.95)) / free)
 
         def beyond(width: float) -> float:
             return power(width) - allowed

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from flying_vines.identification.bend_curve.pairs import Pairs
 from flying_vines.identification.bend_curve.sequence import (
@@ -83,7 +83,7 @@ def _estimates(law: Law, jacobian: Array, residual: Array) -> list[CurveEstimate
     count, numbers = jacobian.shape
     shared = pairs_per_independent(residual)
     sigma = math.sqrt(float(residual @ residual) / max(count - numbers, 1) * shared)
-    quantile = float(student.ppf(0.975, max(count / shared - numbers, 1.0)))
+    quantile = float(stdtrit(max(count / shared - numbers, 1.0), 0.975))
     reach = quantile * sigma * np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian)))
     return [
         CurveEstimate(value, max(0.0, value - float(width)), value + float(width))

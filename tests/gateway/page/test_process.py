@@ -92,6 +92,7 @@ async def test_a_page_that_hangs_or_dies_is_back_within_five_seconds(tmp_path: P
     assert "page and broker stopped (it hung), starting again" in said
 
 
+@pytest.mark.long
 async def test_no_page_bends_the_vine_of_an_armed_vehicle(tmp_path: Path) -> None:
     """The core refuses the request, whatever a browser sends."""
     async with (
@@ -117,6 +118,7 @@ async def test_no_page_bends_the_vine_of_an_armed_vehicle(tmp_path: Path) -> Non
         assert await ask(viewing, "vent") == ("accepted", "")
 
 
+@pytest.mark.long
 async def test_an_unanswered_request_is_not_executed_when_the_service_continues(tmp_path: Path) -> None:
     async with (
         serving(tmp_path) as served,
