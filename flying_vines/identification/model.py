@@ -141,6 +141,59 @@ def _pressure_rates(
     return (later.line_kPa - found.line_kPa) / dt, (later.reservoir_kPa - found.reservoir_kPa) / dt
 
 
+def _constant(weather: Array) -> bool:
+    """True if ambient pressure and temperature do not change."""
+    for row in range(len(weather)):
+        if weather[row, 0] != weather[0, 0] or weather[row, 1] != weather[0, 1]:
+            return False
+    return True
+
+
+def _latest(switch_s: Array, at: int, now: float) -> int:
+    """The number of the last switching time that is not after `now`."""
+    while at + 1 < len(switch_s) and switch_s[at + 1] <= now:
+        at += 1
+    return at
+
+
+def _sample_before(time_s: Array, i: int, last: int, until_s: float) -> int:
+    """The last sample that is not after `until_s`, at least `i` and at most `last`."""
+    while i < last and time_s[i + 1] <= until_s:
+        i += 1
+    return i
+
+
+def _smooth(numbers: PlantNumbers, air: Air, state: Floats, held: Held, h: float, since_s: float) -> bool:
+    """True if valves and tubing have settled enough for a step of `h`, `since_s` after the last switching."""
+    if tubing_per_s(numbers, air, state, held)[0] > 0.0 and h > _GROWTH * since_s:
+        return False
+    evp_moves = numbers.evp.lag_per_s > 0.0 and abs(state[7] - held.evp_target) > SETTLED
+    dvp_moves = numbers.dvp.lag_per_s > 0.0 and abs(state[8] - held.dvp_target) > SETTLED
+    return not (evp_moves or dvp_moves)
+
+
+def _seen_after(
+    sensor: Transfer,
+    seen: SensorMemory,
+    rate: float,
+    end_kPa: float,
+    end_rate: float,
+    h: float,
+    since_s: float,
+) -> SensorMemory:
+    """The sensor within a step of `h`; the pressure is cubic, with these rates (kPa/s) at both ends."""
+    x = since_s / h
+    change = end_kPa - seen.true_kPa
+    first, last = rate * h, end_rate * h
+    square, cube = 3.0 * change - 2.0 * first - last, first + last - 2.0 * change
+    kPa = seen.true_kPa + x * (first + x * (square + x * cube))
+    kPa_per_s = (first + x * (2.0 * square + x * 3.0 * cube)) / h
+    lagged = lagged_kPa(
+        sensor.time_constant_s, seen.lagged_kPa, seen.true_kPa, rate, kPa, kPa_per_s, since_s
+    )
+    return SensorMemory(kPa, lagged, 0.0)
+
+
 APART = (gas_after, runge_kutta, exponential_runge_kutta, rates, conditions)
 """Not inlined by the compiler, because they are called from several places."""
 
@@ -155,7 +208,7 @@ def run(
     weather: Array,
     start: NDArray[np.intp],
     initial: Array,
-    longest_s: tuple[float, float],
+    longest_s: tuple[float, float, float],
     out: Array,
 ) -> None:
     """Simulate one run.
@@ -167,7 +220,8 @@ def run(
         weather: (n, 2) ambient pressure in kPa absolute, and temperature ratio; linear between readings.
         start: (s,) indices of the samples at which the pressures are set; the first is 0.
         initial: (s, 2) gauge pressures of reservoir and control volume that are set there, kPa.
-        longest_s: maximum step with the solenoid shut, and with it open.
+        longest_s: maximum step from sample to sample with the solenoid shut, and with it open; maximum step
+            over several samples.
         out: (n, 2) receives the readings of control volume and reservoir, kPa gauge.
     """
     now = time_s[0]
@@ -176,11 +230,11 @@ def run(
     state: Floats = (1.0, 1.0, ambient_K, 1.0, 1.0, ambient_K, 0.0, 0.0, 0.0, 0.0)
     reservoir_K = cv_K = ambient_K
     cv_seen = reservoir_seen = SensorMemory(0.0, 0.0, 0.0)
-    switched_s = now
     lagging = cv_sensor.time_constant_s > 0.0 or reservoir_sensor.time_constant_s > 0.0
-    started = at = 0
+    constant = _constant(weather)
+    i = started = at = 0
     last = len(time_s) - 1
-    for i in range(last + 1):
+    while True:
         if started < len(start) and start[started] == i:
             if started > 0:
                 found = conditions(numbers, air, state)
@@ -199,13 +253,43 @@ def run(
         out[i, 1] = transferred(reservoir_sensor, reservoir_seen, 0.0)
         if i == last:
             break
+        at = _latest(switch_s, at, now)
+        held = Held(openings[at, 0], openings[at, 1], openings[at, 2] > 0.0, False)
+        # The outlet has kinks: it lets no air back in while the Venturi runs.
+        if constant and not held.solenoid_open:
+            until = now + longest_s[2]
+            if at + 1 < len(switch_s):
+                until = min(until, switch_s[at + 1])
+            next_start = start[started] if started < len(start) else last
+            ahead = _sample_before(time_s, i, next_start, until)
+            h = time_s[ahead] - now
+            if ahead > i + 1 and _smooth(numbers, air, state, held, h, now - max(switch_s[at], time_s[0])):
+                end = step(numbers, air, 0.0, state, held, h)
+                if not _crossed(numbers, air, 0.0, h, state, end):
+                    cv_rate, reservoir_rate = _pressure_rates(numbers, air, state, held, h)
+                    cv_end_rate, reservoir_end_rate = _pressure_rates(numbers, air, end, held, h)
+                    found = conditions(numbers, air, end)
+                    cv_then, reservoir_then = cv_seen, reservoir_seen
+                    for k in range(i + 1, ahead + 1):
+                        since_s = time_s[k] - now
+                        cv_then = _seen_after(
+                            cv_sensor, cv_seen, cv_rate, found.line_kPa, cv_end_rate, h, since_s
+                        )
+                        reservoir_then = _seen_after(
+                            reservoir_sensor, reservoir_seen, reservoir_rate,
+                            found.reservoir_kPa, reservoir_end_rate, h, since_s,
+                        )  # fmt: skip
+                        out[k, 0] = transferred(cv_sensor, cv_then, 0.0)
+                        out[k, 1] = transferred(reservoir_sensor, reservoir_then, 0.0)
+                    cv_seen, reservoir_seen, state = cv_then, reservoir_then, end
+                    now, i = time_s[ahead], ahead
+                    continue
         between_s = time_s[i + 1] - time_s[i]
         climb = (weather[i + 1, 0] - weather[i, 0]) / between_s
         warming = (weather[i + 1, 1] - weather[i, 1]) / between_s
         while now < time_s[i + 1]:
-            while at + 1 < len(switch_s) and switch_s[at + 1] <= now:
-                at += 1
-                switched_s = now
+            at = _latest(switch_s, at, now)
+            switched_s = max(switch_s[at], time_s[0])
             until = time_s[i + 1]
             if at + 1 < len(switch_s) and switch_s[at + 1] < until:
                 until = switch_s[at + 1]
@@ -253,3 +337,4 @@ def run(
                     reservoir_seen = SensorMemory(found.reservoir_kPa, reservoir_kPa, 0.0)
             air = then
             now = until
+        i += 1

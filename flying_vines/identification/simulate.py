@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache
-from math import sqrt
+from math import floor, log2, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +30,8 @@ from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotio
 from flying_vines.physics.rig import ControlVolume, Rig, with_numbers
 
 MAX_STEP_S = 0.05
+MAX_SMOOTH_S = 0.25
+"""Maximum step from sample to sample, and over several samples between which no valve moves."""
 QUICK_S = 0.002
 _STEP = 0.25
 """Step over the fastest time constant. Fourth-order Runge-Kutta then errs by 1e-5 of the remaining change."""
@@ -92,8 +94,8 @@ class Made(NamedTuple):
     effects: Effects
     drift_kPa_per_s: tuple[float, float]
     """Drift of the readings of control volume and reservoir."""
-    longest_s: tuple[float, float]
-    """Maximum step with the solenoid shut, and with it open."""
+    longest_s: tuple[float, float, float]
+    """Maximum step with the solenoid shut, with it open, and over several samples."""
 
 
 class Simulation:
@@ -185,13 +187,15 @@ class Simulation:
             raise ValueError("a fit takes openings as recorded, and cannot simulate a coil")
         numbers = numbers_of(setup.plant, TICK_S)
         shut_s, open_s = (
-            min(MAX_STEP_S, _STEP / _quickest_per_s(numbers, setup, law))
-            for law in (Opening(), numbers.solenoid)
+            _STEP / _quickest_per_s(numbers, setup, law) for law in (Opening(), numbers.solenoid)
         )
+        # The number of samples in a step must not change with each small change of a parameter.
+        smooth_s = 2.0 ** floor(log2(min(MAX_SMOOTH_S, shut_s)))
+        longest_s = min(MAX_STEP_S, shut_s), min(MAX_STEP_S, open_s), smooth_s
         sensors = (_sensor(setup.cv_sensor), _sensor(setup.reservoir_sensor))
         cv, reservoir = setup.cv_sensor, setup.reservoir_sensor
         drift = (cv.gain * cv.drift_kPa_per_min / 60.0, reservoir.gain * reservoir.drift_kPa_per_min / 60.0)
-        return Made(record(numbers), *sensors, effects, drift, (shut_s, open_s))
+        return Made(record(numbers), *sensors, effects, drift, longest_s)
 
 
 @cache
@@ -243,12 +247,12 @@ def _starts(run: RecordedRun) -> NDArray[np.intp]:
 def _leak_SL_per_s_kPa(leak: Leak, sensor: Sensor) -> float:
     """Change of a leak's flow per kPa, at most over the sensor's span."""
     viscous = 2.0 * (sensor.span_kPa + ALPHA_KPA) * leak.viscous_SL_per_s_kPa2
-    through = leak.orifice.conductance_SL_per_s_kPa + leak.curve.steepest_SL_per_s_kPa
+    through = _conductance_SL_per_s_kPa(leak.orifice) + leak.curve.steepest_SL_per_s_kPa
     return leak.ohmic_SL_per_s_kPa + viscous + through
 
 
 def _conductance_SL_per_s_kPa(law: Opening) -> float:
-    """The change of a valve's flow per kPa that an integrator must resolve."""
+    """The change of an opening's flow per kPa that an integrator must resolve."""
     return law.conductance_SL_per_s_kPa * (1.0 if law.ohmic else _ROOT)
 
 
