@@ -4,7 +4,7 @@ Each run is predicted from a fit to all other runs. If there is only one run, or
 determine a parameter (for example, only one run reaches the pressure at which the Venturi stalls), alternate
 stretches of the run are held out instead.
 
-Every such fit starts from the nominal rig and from the seeds of the causes. Otherwise information from the
+Every such fit starts from the nominal rig and from seeds of the causes. Otherwise information from the
 held-out data would leak into the fit. A second fit starts from the fit to all data. It is only used if the
 first one has ended in a local minimum, far above the second.
 """
@@ -143,9 +143,8 @@ def _fixed(prediction: Prediction, profiles: Sequence[LikelihoodProfile]) -> boo
 
 def _refitted(problem: FitProblem, point: FitPoint) -> FitPoint:
     """The same causes and free numbers, fitted from their starting values."""
-    fit = problem.fit(problem.start().freed(tuple(point.deviation)))
-    for cause in point.causes:
-        fit = problem.begun(fit.point, cause)
-    fit = problem.fit(fit.point)
-    near = problem.fit(point)
+    start = problem.start().freed(tuple(point.deviation))
+    for cause, values in zip(point.causes, point.values, strict=True):
+        start = start.with_cause(cause, cause.nearest_seed(values))
+    fit, near = problem.fit(start), problem.fit(point)
     return near.point if near.cost < fit.cost - LOCAL_MINIMUM else fit.point

@@ -180,3 +180,10 @@ class Cause:
         """Starting values of fits: each seed of the first parameter, with the first seed of the others."""
         rest = tuple(parameter.seeds[0] for parameter in self.parameters[1:])
         return [(seed, *rest) for seed in self.parameters[0].seeds]
+
+    def nearest_seed(self, values: Values) -> Values:
+        """The starting values whose first parameter is nearest to that of these values."""
+        first = self.parameters[0]
+        return min(
+            self.seeds(), key=lambda seed: abs(first.to_search(seed[0]) - first.to_search(values[0]))
+        )
