@@ -188,9 +188,7 @@ def _seen_after(
     square, cube = 3.0 * change - 2.0 * first - last, first + last - 2.0 * change
     kPa = seen.true_kPa + x * (first + x * (square + x * cube))
     kPa_per_s = (first + x * (2.0 * square + x * 3.0 * cube)) / h
-    lagged = lagged_kPa(
-        sensor.time_constant_s, seen.lagged_kPa, seen.true_kPa, rate, kPa, kPa_per_s, since_s
-    )
+    lagged = lagged_kPa(sensor.time_constant_s, seen.lagged_kPa, seen.true_kPa, rate, kPa, kPa_per_s, since_s)
     return SensorMemory(kPa, lagged, 0.0)
 
 

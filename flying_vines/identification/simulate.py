@@ -35,9 +35,9 @@ MAX_SMOOTH_S = 0.25
 QUICK_S = 0.002
 _STEP = 0.25
 """Step over the fastest time constant. Fourth-order Runge-Kutta then errs by 1e-5 of the remaining change."""
-_ROOT = 20.0
-"""Near equal pressures the flow of ISO 6358 is as steep as a root, and a vessel is empty in finite time.
-Longer steps would make χ² rough there, so that a fit stops before its minimum."""
+_STEEP = 6.0
+"""Near equal pressures the flow of ISO 6358 is this many times as steep. The linear end of `compressible_flow`
+is eight times steeper, and the step is still stable there."""
 
 GAP = 8.0
 """A longer time between samples, in median sampling intervals, is a gap."""
@@ -253,7 +253,7 @@ def _leak_SL_per_s_kPa(leak: Leak, sensor: Sensor) -> float:
 
 def _conductance_SL_per_s_kPa(law: Opening) -> float:
     """The change of an opening's flow per kPa that an integrator must resolve."""
-    return law.conductance_SL_per_s_kPa * (1.0 if law.ohmic else _ROOT)
+    return law.conductance_SL_per_s_kPa * (1.0 if law.ohmic else _STEEP)
 
 
 def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> float:

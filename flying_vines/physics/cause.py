@@ -184,6 +184,4 @@ class Cause:
     def nearest_seed(self, values: Values) -> Values:
         """The starting values whose first parameter is nearest to that of these values."""
         first = self.parameters[0]
-        return min(
-            self.seeds(), key=lambda seed: abs(first.to_search(seed[0]) - first.to_search(values[0]))
-        )
+        return min(self.seeds(), key=lambda seed: abs(first.to_search(seed[0]) - first.to_search(values[0])))
