@@ -36,8 +36,8 @@ QUICK_S = 0.002
 _STEP = 0.25
 """Step over the fastest time constant. Fourth-order Runge-Kutta then errs by 1e-5 of the remaining change."""
 _STEEP = 6.0
-"""Near equal pressures the flow of ISO 6358 is this many times as steep. The linear end of `compressible_flow`
-is eight times steeper, and the step is still stable there."""
+"""Near equal pressures the flow of ISO 6358 is this many times as steep. The end of `compressible_flow` is
+eight times steeper, and steps are still stable there."""
 
 GAP = 8.0
 """A longer time between samples, in median sampling intervals, is a gap."""

@@ -289,7 +289,7 @@ def test_the_pressures_are_free_after_a_valve_moved_at_an_unknown_time() -> None
 
 
 def test_an_emptying_vessel_has_smooth_derivatives() -> None:
-    """If the flow ended like a square root, the derivatives would be noisy, and a fit would stop too early."""
+    """By a flow that ends like a square root they would be noisy, and a fit would stop too early."""
     time_s = np.arange(0.0, 6.0, 0.09)
     shut = np.zeros(len(time_s))
     run = RecordedRun("fired", time_s, None, shut + 1.0, shut, shut, shut, shut, None, None, True)

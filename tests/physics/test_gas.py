@@ -147,4 +147,4 @@ def test_a_fit_simulates_the_gas_too() -> None:
     run = RecordedRun("run", time_s, None, shut + 1.0, shut, shut, shut, shut, None, None, False)
     simulation = Simulation(Case(Path("memory"), rig, (run,), ()))
     found = simulation.readings(0, {}, [(cause_named("cv_heating"), (1.5,))], np.array([[650.0, 5.0]]))
-    assert found.cv_kPa == pytest.approx(table["cv_kPa"], abs=1e-4)
+    assert found.cv_kPa == pytest.approx(table["cv_kPa"], abs=3e-4)
