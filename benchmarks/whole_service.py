@@ -24,7 +24,7 @@ from typing import IO
 
 import msgspec
 from aiohttp import ClientSession, ClientTimeout
-from latency import ended, environment, free_udp_port, profile_text
+from latency import configuration_text, ended, environment, free_udp_port
 from process_cost import cpu_s, only_child, pss_MB
 from serial_board import SerialBoard
 from switch_flips import Flight, Flipper, NotMeasured
@@ -188,7 +188,7 @@ def _flying_vines(
 
 
 def _profile(switched: Switched, udp_port: int, tty: str, port: int, folder: Path) -> str:
-    text = profile_text(udp_port, tty)
+    text = configuration_text(udp_port, tty)
     text = _set(text, "page", "port", str(port))
     text = _set(text, "page", "host", f'"{switched.host}"')
     if switched.broker_port:
@@ -205,7 +205,7 @@ def _set(text: str, table: str, key: str, value: str) -> str:
     before, heading, after = text.partition(f"\n[{table}]")
     after, found = re.subn(rf"^{key} = [^#\n]*", f"{key} = {value} ", after, count=1, flags=re.MULTILINE)
     if not (heading and found):
-        raise NotMeasured(f"the built-in profile has no {key} in [{table}]")
+        raise NotMeasured(f"the built-in configuration has no {key} in [{table}]")
     return before + heading + after
 
 

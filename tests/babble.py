@@ -59,8 +59,8 @@ _FIELDS = {kind: _offsets(kind) for kind in KINDS}
 
 
 def serving_vehicle_1() -> Config:
-    """The default profile for vehicle 1. Without a configured id, two autopilots would be refused, and babble
-    has many."""
+    """The default configuration for vehicle 1. Without a configured id, two autopilots would be refused, and
+    babble has many."""
     profile = config.default()
     return structs.replace(profile, vehicle=structs.replace(profile.vehicle, system_id=1))
 

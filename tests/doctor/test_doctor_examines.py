@@ -30,7 +30,7 @@ from flying_vines.doctor.examine import RadioQuestion
 from flying_vines.doctor.fakes import linked
 from flying_vines.doctor.finding import may_fly
 from flying_vines.doctor.look import profile
-from flying_vines.doctor.look.profile import ServiceProfile
+from flying_vines.doctor.look.configuration import ServiceConfiguration
 from flying_vines.doctor.vehicle_probe import SwitchFacts
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.vehicle.mavlink.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S
@@ -65,15 +65,15 @@ def moved_through_all(vehicle: Vehicle) -> RadioQuestion:
     return ask
 
 
-def no_port(config: Config, folder: Path) -> ServiceProfile:
+def no_port(config: Config, folder: Path) -> ServiceConfiguration:
     return profile.given(linked(config, config.vehicle.link, "serial:/dev/there-is-none"), "test")
 
 
-def no_vehicle(config: Config, folder: Path) -> ServiceProfile:
+def no_vehicle(config: Config, folder: Path) -> ServiceConfiguration:
     return profile.given(linked(config, "tcp:127.0.0.1:9", config.firmware.link), "test")
 
 
-def with_a_key(config: Config, folder: Path) -> ServiceProfile:
+def with_a_key(config: Config, folder: Path) -> ServiceConfiguration:
     """The profile as a file, with a signing key beside it."""
     default = configuration.default()
     text = configuration.default_text().replace('signing_key = ""', f'signing_key = "{KEY_FILE}"')

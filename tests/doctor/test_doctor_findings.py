@@ -28,11 +28,11 @@ from flying_vines.doctor.checks import (
     vehicle,
 )
 from flying_vines.doctor.checks.clock import ClockFacts
+from flying_vines.doctor.checks.configuration import ConfigurationFacts
 from flying_vines.doctor.checks.disk import DiskFacts
 from flying_vines.doctor.checks.machine import MachineFacts
 from flying_vines.doctor.checks.network import BrokerFacts, PageFacts
 from flying_vines.doctor.checks.port import PortFacts
-from flying_vines.doctor.checks.profile import ProfileFacts
 from flying_vines.doctor.checks.service import Process
 from flying_vines.doctor.finding import DoctorFinding, FindingText, may_fly, summary
 from flying_vines.doctor.firmware_probe import FirmwareFacts
@@ -43,7 +43,7 @@ from flying_vines.vehicle.mavlink.signing import RefusedFrames
 from flying_vines.vehicle.mission.item import MissionItem
 
 CONFIG = configuration.default()
-PROFILE = ProfileFacts("vine.toml", CONFIG)
+PROFILE = ConfigurationFacts("vine.toml", CONFIG)
 MACHINE = MachineFacts("0.1.0", "3.11.2", "Linux 6.12", "aarch64", 900.0, 0, 55.0)
 DISK = DiskFacts("flight logs", "flights", free_MB=9000.0, least_free_MB=200.0, took_s=0.02)
 STATE = DiskFacts("state", "/var/lib/flying-vines", free_MB=9000.0, took_s=0.02)
@@ -101,7 +101,7 @@ LEARNED = RadioLearned("px4", losses=(HELD, HELD_BENT), parameters={"COM_RC_LOSS
 
 
 def changed(table: str, **values: object) -> Config:
-    """The default profile with other values in one table."""
+    """The default configuration with other values in one table."""
     return msgspec.structs.replace(
         CONFIG, **{table: msgspec.structs.replace(getattr(CONFIG, table), **values)}
     )

@@ -25,7 +25,7 @@ from flying_vines.doctor.examine import RadioQuestion, examine
 from flying_vines.doctor.fakes import between, linked
 from flying_vines.doctor.finding import DoctorFinding
 from flying_vines.doctor.look import profile
-from flying_vines.doctor.look.profile import ServiceProfile
+from flying_vines.doctor.look.configuration import ServiceConfiguration
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.phlosar.firmware import Firmware
@@ -156,7 +156,9 @@ class World:
     phlosar: Callable[[], SimulatedPhlosar] | None = None
     firmware: Callable[[], Callable[[bytes], bytes]] = quick_board
     """Answers if there is no simulated phloSAR: received bytes to sent bytes."""
-    profile: Callable[[Config, Path], ServiceProfile] = lambda config, folder: profile.given(config, "test")
+    profile: Callable[[Config, Path], ServiceConfiguration] = lambda config, folder: profile.given(
+        config, "test"
+    )
     """Makes the service's profile from a profile with the right links and a folder for files."""
     stranger: Callable[[int], bytes] | None = None
     """Makes a frame of another program from a count; it is sent to the companion ten times a second."""

@@ -40,7 +40,7 @@ def there(root: Path) -> set[Path]:
 
 def test_everything_is_shown_and_then_written(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     said = installed(capsys, tmp_path)
-    assert there(tmp_path) == {files.UNIT, files.RULE, files.USERS, files.PROFILE}
+    assert there(tmp_path) == {files.UNIT, files.RULE, files.USERS, files.CONFIGURATION}
     for path in there(tmp_path):
         assert f"{tmp_path}{path}: new" in said
         for line in text(tmp_path, path).splitlines():
@@ -49,13 +49,13 @@ def test_everything_is_shown_and_then_written(capsys: pytest.CaptureFixture[str]
 
 
 def test_the_profile_is_the_built_in_one_with_the_board_and_the_state_where_the_service_has_them() -> None:
-    wanted = config.parse(files.profile().text, "installed")
+    wanted = config.parse(files.configuration().text, "installed")
     assert wanted.firmware.link == "serial:/dev/phlosar"
     assert wanted.state.folder == "/var/lib/flying-vines"
     changed = [
         (was, now)
         for was, now in zip(
-            config.default_text().splitlines(), files.profile().text.splitlines(), strict=True
+            config.default_text().splitlines(), files.configuration().text.splitlines(), strict=True
         )
         if was != now
     ]
@@ -92,7 +92,7 @@ def test_the_unit_runs_the_flying_vines_that_wrote_it(
         (sys.executable, "-m", "flying_vines", "--version"), capture_output=True, text=True, check=True
     ).stdout
     assert told == here
-    assert arguments[:3] == ["run", "--config", str(files.PROFILE)]
+    assert arguments[:3] == ["run", "--config", str(files.CONFIGURATION)]
 
 
 def test_a_second_time_changes_nothing(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -115,13 +115,13 @@ def test_a_profile_is_never_written_over_nor_taken_away_once_it_was_changed(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     installed(capsys, tmp_path)
-    profile = tmp_path / files.PROFILE.relative_to("/")
+    profile = tmp_path / files.CONFIGURATION.relative_to("/")
     mine = profile.read_text(encoding="utf-8").replace("channel = 9", "channel = 7")
     profile.write_text(mine, encoding="utf-8")
     installed(capsys, tmp_path)
     assert profile.read_text(encoding="utf-8") == mine
     installed(capsys, tmp_path, "--remove")
-    assert there(tmp_path) == {files.PROFILE}
+    assert there(tmp_path) == {files.CONFIGURATION}
     assert profile.read_text(encoding="utf-8") == mine
 
 
@@ -234,7 +234,7 @@ def test_a_profile_of_ones_own_is_flown_with_where_it_is(
     profile.write_text(config.default_text(), encoding="utf-8")
     root = tmp_path / "root"
     installed(capsys, root, "--config", profile)
-    assert files.PROFILE not in there(root)
+    assert files.CONFIGURATION not in there(root)
     unit = text(root, files.UNIT)
     named = str(folder).replace("%", "%%")
     assert f'--config "{named}/vine.toml" --out' in unit
@@ -258,7 +258,7 @@ def test_files_of_the_profile_in_a_home_make_homes_readable(
     [("/opt/flying-vines/bin/flying-vines", "yes"), ("/home/pi/bin/flying-vines", "read-only")],
 )
 def test_homes_are_open_only_for_a_program_in_one(place: str, home: str) -> None:
-    unit = files.unit((place,), "pi", files.PROFILE, (Path(place),), files.STATE).text
+    unit = files.unit((place,), "pi", files.CONFIGURATION, (Path(place),), files.STATE).text
     assert f"\nProtectHome={home}\n" in unit
     assert "ReadWritePaths" not in unit
 

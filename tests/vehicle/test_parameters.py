@@ -35,7 +35,7 @@ TICK_S = 0.02
 
 
 def profile(**tables: dict[str, Any]) -> Config:
-    """The default profile with other values."""
+    """The default configuration with other values."""
     return msgspec.structs.replace(
         PROFILE,
         **{name: msgspec.structs.replace(getattr(PROFILE, name), **keys) for name, keys in tables.items()},
