@@ -241,9 +241,9 @@ def ended(process: subprocess.Popen[bytes]) -> Iterator[None]:
 def _command(subject: Subject, udp_port: int, tty: str, folder: Path) -> list[str]:
     if subject.peer:
         return [subject.python, str(HERE / "latency_peers.py"), subject.peer, str(udp_port), tty]
-    profile = folder / "profile.toml"
-    profile.write_text(configuration_text(udp_port, tty), encoding="utf-8")
-    run = ["run", "--config", str(profile), "--plain", "--out", str(folder / "flights")]
+    config_file = folder / "vine.toml"
+    config_file.write_text(configuration_text(udp_port, tty), encoding="utf-8")
+    run = ["run", "--config", str(config_file), "--plain", "--out", str(folder / "flights")]
     return [subject.python, "-m", "flying_vines", *run]
 
 

@@ -1,4 +1,4 @@
-"""The measured values in the user's profile."""
+"""The measured values in the user's configuration."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_a_second_calibration_replaces_the_comment() -> None:
     assert DAY not in line
 
 
-def test_a_curve_that_the_profile_contradicts_is_a_comment() -> None:
+def test_a_curve_that_the_configuration_contradicts_is_a_comment() -> None:
     found = Findings(FOUND.findings, curve=((0.0, 0.0), (20.0, 45.0)))
     text, left_out = calibrated(TEXT, "vine.toml", list(changes(found, MAX_KPA)), DAY)
     assert "bend-full" in left_out
@@ -95,7 +95,7 @@ def test_a_curve_ends_at_the_limit() -> None:
     configuration.parse(with_changes(TEXT, "vine.toml", [curve], DAY), "vine.toml")
 
 
-def test_a_profile_in_one_line_is_not_changed() -> None:
+def test_a_configuration_in_one_line_is_not_changed() -> None:
     text = "pneumatics = { full_kPa = 600 }\n[switch]\npositions = ['', '']\n[profiles]\n"
     configuration.parse(text, "vine.toml")
     with pytest.raises(ConfigError, match=r"set pneumatics\.cv_volume_L by hand"):
