@@ -5,8 +5,8 @@
 Each rig is calibrated in simulation as in `calibrate.py`. The whole recording then goes to
 
 - own: the estimators of `flying_vines.calibration`, which need numpy only;
-- plant: `FitProblem` of `flying_vines.identification`, which simulates the plant. It starts from the profile
-  and adds the causes below one at a time, each from all of its seeds, as `diagnose` does;
+- plant: `FitProblem` of `flying_vines.identification`, which simulates the plant. It starts from the
+  configuration and adds the causes below one at a time, each from all of its seeds, as `diagnose` does;
 - plant, from own: the same, started at the results of `own`; without leak or growth if `own` found none.
 
 Each evaluation has a fresh process: CPU time with everything that it imports and loads, and peak memory.

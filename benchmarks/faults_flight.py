@@ -100,7 +100,7 @@ LATE_S = 3.5
 
 @dataclass(frozen=True)
 class Setup:
-    """The vehicle and its settings. The rest of the profile is the default."""
+    """The vehicle and its settings. The rest of the configuration is the default."""
 
     autopilot: AutopilotKind = "ardupilot"
     has_rc: bool = True
@@ -136,7 +136,7 @@ class Setup:
         )
 
     @property
-    def profile(self) -> Config:
+    def config(self) -> Config:
         base = config.default()
         replace = msgspec.structs.replace
         return replace(
@@ -196,7 +196,7 @@ class RefereedFlight:
         self, setup: Setup, core: Callable[[Config], Core] = Core, board: Board | None = None
     ) -> None:
         self.setup = setup
-        self.profile = profile = setup.profile
+        self.config = config = setup.config
         self.timeline: list[tuple[float, str]] = []
         self._new_core = core
         self.autopilot = FakeAutopilot(
@@ -215,11 +215,11 @@ class RefereedFlight:
             effects=None if setup.likely_rig else Effects(),
             seed=setup.seed,
         )
-        limits = profile.limits
+        limits = config.limits
         self.referee = Referee(Rules(limits.max_kPa, limits.max_rate_kPa_per_s, limits.max_bent_s))
         RefereedBoard(self.phlosar, self.referee)
-        self.flight = SimulatedFlight(profile, self.autopilot, self.phlosar)
-        self.flight.world.core = core(profile)
+        self.flight = SimulatedFlight(config, self.autopilot, self.phlosar)
+        self.flight.world.core = core(config)
         self.to_board, self.from_board, self.from_autopilot = (
             Wire(f"{name} of {setup.seed}") for name in ("to board", "from board", "from autopilot")
         )
@@ -249,7 +249,7 @@ class RefereedFlight:
         """True while nothing but RC has failed."""
         self._expected: tuple[float, str] | None = None
         """Time and name of the pilot's move that must bend the vine."""
-        self._curve = BendCurve(profile.vine.curve, profile.vine.hysteresis_kPa)
+        self._curve = BendCurve(config.vine.curve, config.vine.hysteresis_kPa)
         self._rc_good_since_s: float | None = None
         self._rc_in_use = False
         self._muted_until_s = self._boots_until_s = 0.0
@@ -345,7 +345,7 @@ class RefereedFlight:
 
     @property
     def _nothing_is_against_it(self) -> bool:
-        enough_kPa = self.profile.limits.max_kPa + 2 * self.profile.interlocks.reserve_kPa
+        enough_kPa = self.config.limits.max_kPa + 2 * self.config.interlocks.reserve_kPa
         return (
             self._clean
             and self.setup.shows_rc
@@ -355,7 +355,7 @@ class RefereedFlight:
             and self.referee.pending_until_s < self.now_s + CONFIRMED_S + 0.1
             and self.phlosar.cv_kPa < RESTING_KPA
             and self.phlosar.reservoir_kPa > enough_kPa
-            and self.autopilot.height_m > self.profile.interlocks.min_altitude_m + 1.0
+            and self.autopilot.height_m > self.config.interlocks.min_altitude_m + 1.0
         )
 
     def _switch_asks(self, position: int, *, certain: bool, what: str | None = None) -> None:
@@ -368,7 +368,7 @@ class RefereedFlight:
             position > 0,
             True,
             certain,
-            after_s=self.profile.switch.debounce_s,
+            after_s=self.config.switch.debounce_s,
             kPa=self._kPa(30.0 * position),
             latest_s=math.inf,
         )
@@ -410,7 +410,7 @@ class RefereedFlight:
 
     def _settle(self) -> None:
         """A switch that was not seen, or that moves before it has settled, must settle again."""
-        settle_s = self.profile.switch.settle_s
+        settle_s = self.config.switch.settle_s
         if self.now_s < self._settled_s:
             self._settled_s = self.now_s + settle_s - UNCERTAIN_S
         reported_s = REPORTED_S if self.setup.has_real_receiver else 0.0
@@ -638,7 +638,7 @@ class RefereedFlight:
     def kill_companion(self) -> None:
         """Stop it at once, as kill -9 does; its port closes."""
         self._disturb()
-        self.flight.world.core = Nobody(self.profile)
+        self.flight.world.core = Nobody(self.config)
         self._rc_in_use = False
         self._rc_good_since_s = None
         self._unsee("companion")
@@ -647,7 +647,7 @@ class RefereedFlight:
     def start_companion(self) -> None:
         if self.companion_lives:
             return
-        self.flight.world.core = self._new_core(self.profile)
+        self.flight.world.core = self._new_core(self.config)
         self.referee.companion_replaced()
         if not self.setup.armed_at_start:
             # The board's present setpoint ends by the dead-man.
@@ -779,7 +779,7 @@ class RefereedFlight:
         # Tens of milliseconds decide whether a short loss was noticed, so both outcomes are right.
         # A silence just before RC loss does not count as part of the loss.
         since_s = self._rc_lost_s if what == "rc" else self._unseen_from_s
-        lasted_s, certain_s = now_s - since_s, self.profile.losses.rc_s + UNCERTAIN_S
+        lasted_s, certain_s = now_s - since_s, self.config.losses.rc_s + UNCERTAIN_S
         shown = self._rc_shown or self.setup.hides_rc_losses
         noticed = what != "stall" and (self._noticed or (lasted_s > certain_s and (what != "rc" or shown)))
         noticed |= what == "rc" and shown and (self.setup.has_real_receiver or self.setup.hides_rc_losses)
@@ -798,7 +798,7 @@ class RefereedFlight:
         return LATE_S if self._vehicle_is_spoiled else 0.0
 
     def _look_around(self) -> None:
-        now_s, autopilot, profile = self.now_s, self.autopilot, self.profile
+        now_s, autopilot, config = self.now_s, self.autopilot, self.config
         if "silence" in self._unseen and now_s >= max(self._muted_until_s, self._boots_until_s):
             self._see("silence")
         if "link stalled" in self._unseen and now_s >= self._stalled_until_s - 1.5 * STEP_S:
@@ -816,7 +816,7 @@ class RefereedFlight:
             self._rc_in_use = True
         if not autopilot.armed and self._rc_lost:
             self._rc_in_use = False
-        lowest_m = profile.interlocks.min_altitude_m - LANDING_MARGIN_M
+        lowest_m = config.interlocks.min_altitude_m - LANDING_MARGIN_M
         self._rc_shown |= self._rc_lost is not None and autopilot.tells_rc_lost
         # A ground station's override ends ArduPilot's loss, or prevents its report.
         replaced = self._override is not None and not autopilot.tells_rc_lost
@@ -836,8 +836,8 @@ class RefereedFlight:
         # If the board receives nothing either, only its dead-man can act.
         deaf = self.from_board.cut and not self.to_board.cut
         # A stopped companion notices nothing; then the dead-man vents.
-        self._watch("telemetry lost", deaf, profile.losses.telemetry_s + 0.1 + DEAD_MAN_S)
-        low = self.phlosar.reservoir_kPa < profile.interlocks.reserve_kPa
+        self._watch("telemetry lost", deaf, config.losses.telemetry_s + 0.1 + DEAD_MAN_S)
+        low = self.phlosar.reservoir_kPa < config.interlocks.reserve_kPa
         self._watch("bottle low", low and self.phlosar.mishaps.reservoir_sensor is None, 3.0)
         self._hear_of_items()
         self._write_down()

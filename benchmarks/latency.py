@@ -241,20 +241,20 @@ def ended(process: subprocess.Popen[bytes]) -> Iterator[None]:
 def _command(subject: Subject, udp_port: int, tty: str, folder: Path) -> list[str]:
     if subject.peer:
         return [subject.python, str(HERE / "latency_peers.py"), subject.peer, str(udp_port), tty]
-    profile = folder / "profile.toml"
-    profile.write_text(profile_text(udp_port, tty), encoding="utf-8")
-    run = ["run", "--config", str(profile), "--plain", "--out", str(folder / "flights")]
+    config_file = folder / "vine.toml"
+    config_file.write_text(configuration_text(udp_port, tty), encoding="utf-8")
+    run = ["run", "--config", str(config_file), "--plain", "--out", str(folder / "flights")]
     return [subject.python, "-m", "flying_vines", *run]
 
 
-def profile_text(udp_port: int, tty: str) -> str:
-    """The default profile with other links."""
+def configuration_text(udp_port: int, tty: str) -> str:
+    """The default configuration with other links."""
     links = {"vehicle": f"udpin:127.0.0.1:{udp_port}", "firmware": f"serial:{tty}"}
     text = configuration.default_text()
     for table, link in links.items():
         text, found = re.subn(rf'(\[{table}\]\nlink = )"[^"]*"', rf'\g<1>"{link}"', text)
         if found != 1:
-            raise NotMeasured(f"the built-in profile has no [{table}] link where it is expected")
+            raise NotMeasured(f"the built-in configuration has no [{table}] link where it is expected")
     return text
 
 

@@ -42,7 +42,7 @@ from flying_vines.vehicle.mavlink.tlog import TlogReader
 RECORDINGS = Path(__file__).resolve().parents[1] / "tests" / "data" / "recordings"
 CHUNK = 1024
 KEY = hashlib.sha256(b"benchmark").digest()
-PROFILE = config.default()
+CONFIG = config.default()
 """Read once, as at the start of the service."""
 LONG_RUN = 1_000_000
 MOST_COST = 1.2
@@ -126,7 +126,7 @@ def codec_alone(feeds: Sequence[Feed], with_key: bool) -> None:
 def whole(feeds: Sequence[Feed], with_key: bool) -> None:
     for feed in feeds:
         codec = service_codec(with_key)
-        core = Core(PROFILE)
+        core = Core(CONFIG)
         for t, data in feed:
             for message in codec.decode(data):
                 core.handle(VehicleMessage(t, message))
@@ -162,7 +162,7 @@ def measure(name: str, feeds: Sequence[Feed], with_key: bool, messages: int, rep
 
 def growth_MB(feeds: Sequence[Feed]) -> float:
     """Memory growth of a long run after its first tenth."""
-    codec, core = service_codec(with_key=False), Core(PROFILE)
+    codec, core = service_codec(with_key=False), Core(CONFIG)
     seen, now_s, early_MB = 0, 0.0, 0.0
     while seen < LONG_RUN:
         for feed in feeds:

@@ -79,11 +79,11 @@ async def service(folder: Path) -> AsyncIterator[tuple[int, int]]:
     """Run the service between the fakes. Yields the id of its process and the page's port."""
     async with on_bench(FakeAutopilot("ardupilot")) as bench:
         port = free_port()
-        profile = folder / "vine.toml"
-        profile.write_text(bench.profile.replace("\nport = 0", f"\nport = {port}"))
+        config_file = folder / "vine.toml"
+        config_file.write_text(bench.configuration.replace("\nport = 0", f"\nport = {port}"))
         process = await asyncio.create_subprocess_exec(
             sys.executable,
-            *("-m", "flying_vines", "run", "--plain", "--config", str(profile), "--out", str(folder)),
+            *("-m", "flying_vines", "run", "--plain", "--config", str(config_file), "--out", str(folder)),
             stdout=asyncio.subprocess.DEVNULL,
         )
         await asyncio.sleep(6.0)

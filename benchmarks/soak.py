@@ -182,9 +182,9 @@ async def real(kind: AutopilotKind, seed: int, until_s: float, folder: Path) -> 
 @contextlib.asynccontextmanager
 async def _service(folder: Path, companion_port: int, serial_path: str) -> AsyncIterator[int]:
     """Run the service as a process. Yields its id. Raises SystemExit if it fails."""
-    profile = folder / "profile.toml"
-    profile.write_text(between(companion_port, serial_path), encoding="utf-8")
-    arguments = ["run", "--config", str(profile), "--plain", "--out", str(folder / "flights")]
+    config_file = folder / "vine.toml"
+    config_file.write_text(between(companion_port, serial_path), encoding="utf-8")
+    arguments = ["run", "--config", str(config_file), "--plain", "--out", str(folder / "flights")]
     with (folder / "service.txt").open("wb") as said:
         process = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "flying_vines", *arguments), stdout=said, stderr=asyncio.subprocess.STDOUT

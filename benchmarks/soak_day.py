@@ -40,7 +40,7 @@ class Motion(NamedTuple):
 
 
 def pressure_kPa(angle_deg: float) -> float:
-    """The pressure for an angle, by the default profile's curve."""
+    """The pressure for an angle, by the default configuration's curve."""
     return 0.0 if angle_deg == 0.0 else 2.0 + angle_deg * 18.7 / 60.0
 
 

@@ -42,7 +42,7 @@ class Target:
     broker_port: int
     topic: str
     allowed: str
-    """The only command that the profile allows."""
+    """The only command that the configuration allows."""
 
 
 @dataclass

@@ -24,7 +24,7 @@ from typing import IO
 
 import msgspec
 from aiohttp import ClientSession, ClientTimeout
-from latency import ended, environment, free_udp_port, profile_text
+from latency import configuration_text, ended, environment, free_udp_port
 from process_cost import cpu_s, only_child, pss_MB
 from serial_board import SerialBoard
 from switch_flips import Flight, Flipper, NotMeasured
@@ -35,7 +35,7 @@ from flying_vines.vehicle.mavlink.signing import KEY_SIZE, Signing
 STARTS_WITHIN_S = 20.0
 VEHICLE = "benchmark"
 ASKED_OVER_MQTT = "clear_faults"
-"""A command that the profile allows and that does not move the vine."""
+"""A command that the configuration allows and that does not move the vine."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class Whole:
 
     @property
     def token_file(self) -> Path:
-        return self._folder / "profile.page-token"
+        return self._folder / "vine.page-token"
 
     @property
     def token(self) -> str:
@@ -153,11 +153,11 @@ def running(
             signing = Signing(os.urandom(KEY_SIZE))
             signing.advance(time.time())
             _write_private(folder / "key", signing.key.hex())
-        profile = folder / "profile.toml"
-        profile.write_text(_profile(switched, udp_port, board.path, port, folder), encoding="utf-8")
+        config_file = folder / "vine.toml"
+        config_file.write_text(_configuration(switched, udp_port, board.path, port, folder), encoding="utf-8")
         output = stack.enter_context((folder / "output").open("wb"))
         process = _flying_vines(
-            *("run", "--config", str(profile), "--plain", "--out", str(folder / "flights")),
+            *("run", "--config", str(config_file), "--plain", "--out", str(folder / "flights")),
             output=output,
             cores=cores,
         )
@@ -187,8 +187,8 @@ def _flying_vines(
     )
 
 
-def _profile(switched: Switched, udp_port: int, tty: str, port: int, folder: Path) -> str:
-    text = profile_text(udp_port, tty)
+def _configuration(switched: Switched, udp_port: int, tty: str, port: int, folder: Path) -> str:
+    text = configuration_text(udp_port, tty)
     text = _set(text, "page", "port", str(port))
     text = _set(text, "page", "host", f'"{switched.host}"')
     if switched.broker_port:
@@ -205,7 +205,7 @@ def _set(text: str, table: str, key: str, value: str) -> str:
     before, heading, after = text.partition(f"\n[{table}]")
     after, found = re.subn(rf"^{key} = [^#\n]*", f"{key} = {value} ", after, count=1, flags=re.MULTILINE)
     if not (heading and found):
-        raise NotMeasured(f"the built-in profile has no {key} in [{table}]")
+        raise NotMeasured(f"the built-in configuration has no {key} in [{table}]")
     return before + heading + after
 
 

@@ -140,7 +140,7 @@ def page(folder: Path, browser: Browser) -> None:
 
 
 class StandIns:
-    """Stand-ins for autopilot and phloSAR, and a profile for them. Leaving it ends them."""
+    """Stand-ins for autopilot and phloSAR, and a configuration for them. Leaving it ends them."""
 
     def __init__(self, folder: Path, gcs_port: int, options: str = "") -> None:
         self.vehicle_port, self.page_port = free_port(), free_port()

@@ -116,7 +116,9 @@ class _Builder:
             wanted = f"profile '{intent.name}'" if isinstance(intent, StartProfile) else str(intent)
             add = suggestion(intent, self._config, self._kind)
             name = AUTOPILOTS[self._kind].title
-            self._complain(key, f"no item that {name} accepts means {wanted}; add to the profile: {add}")
+            self._complain(
+                key, f"no item that {name} accepts means {wanted}; add to the configuration: {add}"
+            )
         return item
 
     def _complain(self, key: Key, reason: str) -> None:

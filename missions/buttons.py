@@ -1,4 +1,4 @@
-"""Makes QGroundControl's buttons for the vine (custom actions) from a profile.
+"""Makes QGroundControl's buttons for the vine (custom actions) from a configuration.
 
 QGroundControl shows the actions of one file in the Fly View and for joystick buttons. It sends them at once,
 without a question. Its joystick list also contains the flight modes, and of two entries with one name it uses

@@ -1,4 +1,4 @@
-"""Finds the mission item for an intent: the reverse of the profile's `[[items]]` rules.
+"""Finds the mission item for an intent: the reverse of the configuration's `[[items]]` rules.
 
 An item is used only if the autopilot accepts it, and if its stored numbers still mean the same intent.
 """

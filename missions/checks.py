@@ -145,7 +145,7 @@ def _why_refused(case: CheckedMission, item: MissionItem, result: int) -> str:
     instead = carrier(intent, case.config, case.kind)
     if instead is None:
         add = suggestion(intent, case.config, case.kind)
-        return f"{refuses}; for '{intent}' add to the profile: {add}"
+        return f"{refuses}; for '{intent}' add to the configuration: {add}"
     return f"{refuses}; for '{intent}' use {described(instead)}"
 
 

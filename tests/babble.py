@@ -59,10 +59,10 @@ _FIELDS = {kind: _offsets(kind) for kind in KINDS}
 
 
 def serving_vehicle_1() -> Config:
-    """The default profile for vehicle 1. Without a configured id, two autopilots would be refused, and babble
-    has many."""
-    profile = config.default()
-    return structs.replace(profile, vehicle=structs.replace(profile.vehicle, system_id=1))
+    """The default configuration for vehicle 1. Without a configured id, two autopilots would be refused, and
+    babble has many."""
+    base = config.default()
+    return structs.replace(base, vehicle=structs.replace(base.vehicle, system_id=1))
 
 
 class Babble:

@@ -76,9 +76,9 @@ class Bench:
     troubles: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        profile = msgspec.structs.replace(config.default(), page=self.page)
+        conf = msgspec.structs.replace(config.default(), page=self.page)
         token = TOKEN if self.page.needs_token else ""
-        self.feed = Feed(GatewayStart(profile, "1.2.3", token, self.flights), self._take)
+        self.feed = Feed(GatewayStart(conf, "1.2.3", token, self.flights), self._take)
 
     @property
     def url(self) -> str:

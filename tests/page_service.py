@@ -25,12 +25,12 @@ class Served:
         self.bench = bench
         self.port = free_port()
         self.url = f"http://127.0.0.1:{self.port}/"
-        self.profile = folder / "vine.toml"
-        text = bench.profile
+        self.config_file = folder / "vine.toml"
+        text = bench.configuration
         if not bench_mode:
             text = text.replace("bench_mode = true", "bench_mode = false")
         text = text.replace('host = "127.0.0.1"', f'host = "{host}"')
-        self.profile.write_text(re.sub(r"^port = 0", f"port = {self.port}", text, flags=re.MULTILINE))
+        self.config_file.write_text(re.sub(r"^port = 0", f"port = {self.port}", text, flags=re.MULTILINE))
         self.said = folder / "said.txt"
         """Its standard output."""
         self._process: asyncio.subprocess.Process | None = None
@@ -39,10 +39,10 @@ class Served:
         arguments = (
             "run",
             "--config",
-            str(self.profile),
+            str(self.config_file),
             "--plain",
             "--out",
-            str(self.profile.parent / "out"),
+            str(self.config_file.parent / "out"),
         )
         with self.said.open("w") as said:
             self._process = await asyncio.create_subprocess_exec(

@@ -15,13 +15,13 @@ from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 
 SWITCH, LOW, MIDDLE, HIGH = 9, 1000, 1500, 2000
-PROFILE = (
+TEXT = (
     config.default_text()
     .replace("bench_mode = false", "bench_mode = true")
     .replace("fuel_status = false", "fuel_status = true")
 )
-CONFIG = config.parse(PROFILE, "the test's profile")
-BEGAN = FlightStart(PROFILE, CONFIG.pneumatics)
+CONFIG = config.parse(TEXT, "the test's configuration")
+BEGAN = FlightStart(TEXT, CONFIG.pneumatics)
 
 
 def watch(core: Core, recorder: Recorder) -> None:

@@ -62,7 +62,7 @@ class Foul(NamedTuple):
 
 @dataclass(frozen=True)
 class Rules:
-    """The limits of the flight's profile and firmware. Gauge kPa."""
+    """The limits of the flight's configuration and firmware. Gauge kPa."""
 
     max_kPa: float
     max_rate_kPa_per_s: float

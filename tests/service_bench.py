@@ -19,7 +19,7 @@ from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
 
 def between(companion_port: int, serial_path: str) -> str:
-    """The default profile's text, for a service between these two."""
+    """The default configuration's text, for a service between these two."""
     return (
         config.default_text()
         .replace("udpin:127.0.0.1:14540", f"udpin:127.0.0.1:{companion_port}")
@@ -30,13 +30,13 @@ def between(companion_port: int, serial_path: str) -> str:
 
 @dataclass
 class Bench:
-    """Two fakes, and the profile of a service between them."""
+    """Two fakes, and the configuration of a service between them."""
 
     autopilot: FakeAutopilot
     phlosar: SimulatedPhlosar
     port: PtyPhlosar
     ground: GroundStation
-    profile: str
+    configuration: str
 
     def vented(self) -> bool:
         return self.phlosar.cv_kPa < 1.0 and self.phlosar.drive.evp == 0.0 and self.phlosar.drive.solenoid
@@ -65,9 +65,9 @@ async def on_bench(autopilot: FakeAutopilot) -> AsyncIterator[Bench]:
     phlosar = SimulatedPhlosar()
     server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), ("127.0.0.1", ground_port))
     with TemporaryDirectory() as folder, PtyPhlosar(phlosar, Path(folder) / "phlosar") as port:
-        profile = between(companion_port, port.path).replace("bench_mode = false", "bench_mode = true")
+        text = between(companion_port, port.path).replace("bench_mode = false", "bench_mode = true")
         running = [asyncio.create_task(part.run()) for part in (server, port, ground)]
-        yield Bench(autopilot, phlosar, port, ground, profile)
+        yield Bench(autopilot, phlosar, port, ground, text)
         for task in running:
             task.cancel()
         await asyncio.gather(*running, return_exceptions=True)

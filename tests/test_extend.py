@@ -37,8 +37,8 @@ from flying_vines.vine.profile import Sine, flatten
 
 ROOT = Path(__file__).parents[1]
 LAB = ROOT / "examples" / "our_lab"
-PROFILE = config.default_text()
-PUMP = PROFILE.replace('kind = "phlosar"', 'kind = "air_pump"')
+DEFAULT_TEXT = config.default_text()
+PUMP = DEFAULT_TEXT.replace('kind = "phlosar"', 'kind = "air_pump"')
 
 
 def install(folder: Path, name: str, points: dict[str, dict[str, str]]) -> None:
@@ -232,14 +232,14 @@ async def on_pump(our_lab: None, monkeypatch: pytest.MonkeyPatch) -> AsyncIterat
 
     monkeypatch.setattr("service_bench.SimulatedPhlosar", AtPort)
     async with on_bench(FakeAutopilot("ardupilot")) as bench:
-        bench.profile = bench.profile.replace('kind = "phlosar"', 'kind = "air_pump"')
+        bench.configuration = bench.configuration.replace('kind = "phlosar"', 'kind = "air_pump"')
         yield bench
 
 
 @real_time
 @pytest.mark.long
 async def test_the_service_drives_an_air_pump_on_a_real_port(on_pump: Bench) -> None:
-    service = Service(config.parse(on_pump.profile, "test"))
+    service = Service(config.parse(on_pump.configuration, "test"))
     serving = asyncio.create_task(service.run())
     await on_pump.bend()
     service.stop()
@@ -252,7 +252,7 @@ async def test_the_service_drives_an_air_pump_on_a_real_port(on_pump: Bench) -> 
 async def test_an_error_of_an_actuator_vents_and_the_service_goes_on(
     on_pump: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    service = Service(config.parse(on_pump.profile, "test"))
+    service = Service(config.parse(on_pump.configuration, "test"))
     serving = asyncio.create_task(service.run())
     await on_pump.bend()
     from our_lab.air_pump import AirPump
@@ -298,7 +298,7 @@ async def test_an_error_of_an_actuator_vents_and_the_service_goes_on(
 def test_a_part_that_cannot_be_used_is_one_line(
     our_lab: None, tmp_path: Path, capsys: pytest.CaptureFixture[str], changed: tuple[str, str], says: str
 ) -> None:
-    text = PUMP if "volts" in changed[1] else PROFILE
+    text = PUMP if "volts" in changed[1] else DEFAULT_TEXT
     assert changed[0] in text
     (tmp_path / "p.toml").write_text(text.replace(changed[0], changed[1], 1), encoding="utf-8")
     status, _, error = call(capsys, "run", "--config", tmp_path / "p.toml", "--out", tmp_path / "flights")
@@ -317,12 +317,14 @@ def test_a_missing_package_is_reported_before_a_flight(
     assert "no installed package has 'air_pump' in flying_vines.actuators; installed: none" in error
 
 
-def test_no_package_is_searched_for_a_profile_without_own_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_package_is_searched_for_a_configuration_without_own_parts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def search(**_: object) -> None:
         raise AssertionError("searched")
 
     monkeypatch.setattr("importlib.metadata.entry_points", search)
-    conf = config.parse(PROFILE, "p.toml")
+    conf = config.parse(DEFAULT_TEXT, "p.toml")
     Core(conf)
     line_to(conf.firmware)
 
@@ -347,17 +349,17 @@ CHIRP = '{ kind = "chirp", from_kPa = 0, to_kPa = 15, from_Hz = 0.1, to_Hz = 0.4
 def test_a_segment_becomes_built_in_segments(our_lab: None) -> None:
     steps = "{ kind = 'step', to_kPa = 1 }", "{ kind = 'step', to_kPa = 2 }"
     conf = config.parse(
-        f"{PROFILE}\n[profiles.chirped]\nsegments = [{steps[0]}, {CHIRP}, {steps[1]}]\n", "p.toml"
+        f"{DEFAULT_TEXT}\n[profiles.chirped]\nsegments = [{steps[0]}, {CHIRP}, {steps[1]}]\n", "p.toml"
     )
     segments = list(flatten(conf.profiles, "chirped"))
     assert [getattr(segment, "to_kPa", None) for segment in segments] == [1, 15, 15, 15, 2]
     assert [segment.frequency_Hz for segment in segments if isinstance(segment, Sine)] == [0.1, 0.2, 0.4]
 
 
-def test_a_segment_keeps_the_limits_of_the_profile(our_lab: None) -> None:
+def test_a_segment_keeps_the_limits_of_the_configuration(our_lab: None) -> None:
     wild = CHIRP.replace("to_kPa = 15", "to_kPa = 99")
     with pytest.raises(ConfigError, match=r"profiles\.chirped: 99 kPa is outside"):
-        config.parse(f"{PROFILE}\n[profiles.chirped]\nsegments = [{wild}]\n", "p.toml")
+        config.parse(f"{DEFAULT_TEXT}\n[profiles.chirped]\nsegments = [{wild}]\n", "p.toml")
 
 
 @pytest.mark.parametrize(
@@ -367,7 +369,7 @@ def test_a_segment_keeps_the_limits_of_the_profile(our_lab: None) -> None:
 def test_a_segment_must_return_segments(installed: Install, returned: str, says: str) -> None:
     installed("segments", f"def Part():\n    return {returned}\n")
     with pytest.raises(ConfigError, match=says if says != "TypeError" else "not iterable"):
-        config.parse(PROFILE + '\n[profiles.x]\nsegments = [{ kind = "broken" }]\n', "p.toml")
+        config.parse(DEFAULT_TEXT + '\n[profiles.x]\nsegments = [{ kind = "broken" }]\n', "p.toml")
 
 
 # The trigger.
@@ -470,7 +472,7 @@ def test_a_check_that_fails_vents_if_the_vine_needs_it(
 
 def test_a_check_without_look_is_reported_at_the_start(installed: Install) -> None:
     installed("checks", "class Part:\n    def __init__(self, rig): pass\n")
-    conf = config.parse(PROFILE.replace("own = {}", 'own = { broken = "warn" }'), "p.toml")
+    conf = config.parse(DEFAULT_TEXT.replace("own = {}", 'own = { broken = "warn" }'), "p.toml")
     with pytest.raises(PluginError, match=r"broken_lab:Part of package broken_lab has no look"):
         Core(conf)
 
@@ -488,7 +490,7 @@ def test_the_example_as_an_installed_package(tmp_path: Path) -> None:
     tests = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests"]
     subprocess.run(tests, cwd=source, env=environment, check=True, timeout=120)
     (tmp_path / "p.toml").write_text(
-        f"{PROFILE}\n[profiles.chirped]\nsegments = [{CHIRP}]\n", encoding="utf-8"
+        f"{DEFAULT_TEXT}\n[profiles.chirped]\nsegments = [{CHIRP}]\n", encoding="utf-8"
     )
     shown = subprocess.run(
         [sys.executable, "-m", "flying_vines", "config", "check", tmp_path / "p.toml"],

@@ -187,9 +187,9 @@ def given_volume(reservoir_L: float, assumed_L: float) -> MeasuredQuantity:
 
 
 def assumed_volume(assumed_L: float) -> MeasuredQuantity:
-    """Not measured: the profile's number is used."""
+    """Not measured: the configuration's number is used."""
     return _reservoir_volume(assumed_L).unknown(
-        "from the profile; an error scales all volumes, and all resistances inversely"
+        "from the configuration; an error scales all volumes, and all resistances inversely"
     )
 
 

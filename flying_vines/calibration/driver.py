@@ -23,7 +23,7 @@ from flying_vines.calibration.plan import CalibrationPlan, CalibrationRequest, p
 from flying_vines.calibration.terminal import CalibrationTerminal
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config, PneumaticsConfig
-from flying_vines.config.config_text import profile_text
+from flying_vines.config.config_text import configuration_text
 from flying_vines.core.events import Action, StoredState
 from flying_vines.core.snapshot import Snapshot
 from flying_vines.record import recorder
@@ -45,38 +45,38 @@ class CalibrateError(Exception):
 
 
 @dataclass(frozen=True)
-class UserProfile:
-    """The profile of the rig."""
+class UserConfiguration:
+    """The configuration of the rig."""
 
     text: str
     path: Path | None
-    """None: the built-in profile."""
+    """None: the built-in configuration."""
     config: Config
 
     @property
     def name(self) -> str:
-        return str(self.path or "the built-in profile")
+        return str(self.path or "the built-in configuration")
 
 
 @dataclass(frozen=True)
 class CalibrationContext:
-    """What is known of the rig beyond its profile."""
+    """What is known of the rig beyond its configuration."""
 
     belief: Belief | None = None
     rig_text: str = ""
     """Content of the rig file."""
     stored: StoredState = field(default_factory=StoredState)
-    """Has only whether the pneumatics are disarmed: the parameters are in the flown profile."""
+    """Has only whether the pneumatics are disarmed: the parameters are in the flown configuration."""
     signing: Signing | None = None
     state: PersistentState | None = None
 
 
-def load_context(profile: UserProfile) -> tuple[Config, CalibrationContext]:
-    """The profile as `run` would fly it, with the saved parameters and the rig file.
+def load_context(user: UserConfiguration) -> tuple[Config, CalibrationContext]:
+    """The configuration as `run` would fly it, with the saved parameters and the rig file.
 
     Raises `ParameterFileError`, `SigningKeyError` or `RigError`: one line.
     """
-    path, config = profile.path, profile.config
+    path, config = user.path, user.config
     if path is None:
         return config, CalibrationContext()
     state = PersistentState.of(path, config)
@@ -115,7 +115,7 @@ class CalibrationRun:
 
     outcome: CalibrationOutcome
     pneumatics: PneumaticsConfig
-    """From the rig file if the profile names one."""
+    """From the rig file if the configuration names one."""
     interrupted: bool
     firmware: Mapping[str, float]
     """Proposed settings."""
@@ -196,5 +196,5 @@ def vented(snapshot: Snapshot) -> bool:
 def flight_start(plan: CalibrationPlan, context: CalibrationContext) -> recorder.FlightStart:
     """The first entry of the flight's log. A replay starts from it."""
     numbers = context.belief.pneumatics if context.belief else plan.config.pneumatics
-    text = profile_text(plan.config)
+    text = configuration_text(plan.config)
     return recorder.FlightStart(text, numbers, context.rig_text, context.stored)

@@ -82,7 +82,7 @@ class MeasuredQuantity:
     note: str = ""
     """A qualification, or the reason why it was not measured."""
     key: str | None = None
-    """Key of the profile, for example `pneumatics.cv_volume_L`."""
+    """Key of the configuration, for example `pneumatics.cv_volume_L`."""
 
     def measured(self, estimate: Estimate, note: str = "", minimum: float | None = None) -> MeasuredQuantity:
         """The quantity with a measured value. Value and interval do not go below `minimum`."""

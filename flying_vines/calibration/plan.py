@@ -99,7 +99,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class CalibrationPlan:
-    """`config` is the derived profile that moves the vine, `user_config` the user's own."""
+    """`config` is the derived configuration that moves the vine, `user_config` the user's own."""
 
     stages: tuple[Stage, ...]
     config: Config
@@ -175,7 +175,7 @@ def plan(config: Config, request: CalibrationRequest) -> CalibrationPlan:
 def _derived(
     config: Config, profiles: Mapping[str, PressureProfile], longest_s: float, vessel_L: float = 0.0
 ) -> Config:
-    """The profile for the calibration: the user's with these movements.
+    """The configuration for the calibration: the user's with these movements.
 
     Limits (except a longer `max_bent_s`), losses and interlocks are the user's. Volume and leak of the vine
     are still unknown, so physics checks of the volume accept a factor of `VOLUME_FACTOR` or more, and

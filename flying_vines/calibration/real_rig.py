@@ -1,4 +1,4 @@
-"""A calibration of a real rig: the service on the profile's ports, a recorder, and a person.
+"""A calibration of a real rig: the service on the configured ports, a recorder, and a person.
 
 Nothing moves before the person agrees. However it ends, the vine is vented and the firmware's telemetry rate
 is set back.
@@ -14,6 +14,7 @@ from pathlib import Path
 
 from firmware_link.protocol import Setting
 from flying_vines.calibration.calibrator import Calibrator, EvaluationTask, Question
+from flying_vines.calibration.configuration import proposed
 from flying_vines.calibration.driver import (
     INTERRUPTED,
     STEP_S,
@@ -22,7 +23,7 @@ from flying_vines.calibration.driver import (
     CalibrationDriver,
     CalibrationOutcome,
     CalibrationRun,
-    UserProfile,
+    UserConfiguration,
     flight_start,
     load_context,
     planned,
@@ -30,7 +31,6 @@ from flying_vines.calibration.driver import (
     vented,
 )
 from flying_vines.calibration.plan import CalibrationPlan, CalibrationRequest
-from flying_vines.calibration.profile import proposed
 from flying_vines.calibration.terminal import CalibrationTerminal
 from flying_vines.config.address import Address, SerialAddress, parse_address
 from flying_vines.core.events import Action, KeepDisarmed
@@ -55,18 +55,18 @@ MIN_BAUD = 460_800
 
 
 async def calibrate(
-    profile: UserProfile, request: CalibrationRequest, out: Path, terminal: CalibrationTerminal, save: bool
+    user: UserConfiguration, request: CalibrationRequest, out: Path, terminal: CalibrationTerminal, save: bool
 ) -> CalibrationRun | None:
-    """Calibrate the rig on the profile's ports; None if the person does not agree.
+    """Calibrate the rig on the configured ports; None if the person does not agree.
 
     Raises `CalibrateError`, `SettingsError` if the board does not answer, those of `load_context`, `OSError`.
 
     Args:
         save: save the proposed settings in the firmware.
     """
-    config, context = load_context(profile)
+    config, context = load_context(user)
     plan = planned(config, request)
-    address = parse_address(profile.config.firmware.link)
+    address = parse_address(user.config.firmware.link)
     stopped = asyncio.Event()
     for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         asyncio.get_running_loop().add_signal_handler(name, stopped.set)
@@ -118,7 +118,7 @@ async def _run(
     def take(action: Action) -> None:
         driver.actions.append(action)
         if isinstance(action, KeepDisarmed) and context.state is not None:
-            # Nothing else is stored, because the service does not fly the user's profile.
+            # Nothing else is stored, because the service does not fly the user's configuration.
             tasks.add(asyncio.create_task(store(context.state, action.disarmed)))
 
     driver = CalibrationDriver(

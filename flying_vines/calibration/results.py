@@ -1,7 +1,7 @@
 """The results of a calibration on the terminal and as files, in the folder `calibration` of its flight.
 
 findings.json        every quantity with its interval; the typed angles; the proposals for the firmware
-calibrated.toml      the user's profile with the measured values; profile-before.toml: the profile as it was
+calibrated.toml      the user's configuration with the measured values; profile-before.toml: as it was
 calibration.html     table and pictures in one page; each picture as SVG and PNG beside it
 measured-rig.toml    the measured numbers as a rig file; rig.toml: with the causes that the diagnosis names
 diagnosis/           the report of the diagnosis
@@ -16,9 +16,15 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from flying_vines.calibration.driver import CalibrationOutcome, CalibrationRun, UserProfile
+from flying_vines.calibration.configuration import (
+    ConfigurationChange,
+    calibrated,
+    changes,
+    is_precise,
+    with_numbers,
+)
+from flying_vines.calibration.driver import CalibrationOutcome, CalibrationRun, UserConfiguration
 from flying_vines.calibration.findings import Findings
-from flying_vines.calibration.profile import ProfileChange, calibrated, changes, is_precise, with_numbers
 from flying_vines.calibration.terminal import CalibrationTerminal
 from flying_vines.config import on_disk
 from flying_vines.config.config import ConfigError, PneumaticsConfig
@@ -41,7 +47,7 @@ NOISE = {"cv_noise_kPa": "cv_noise_std_kPa", "reservoir_noise_kPa": "reservoir_n
 
 def write_results(
     run: CalibrationRun,
-    profile: UserProfile,
+    user: UserConfiguration,
     terminal: CalibrationTerminal,
     diagnose: bool,
     in_place: bool,
@@ -49,7 +55,7 @@ def write_results(
     """Raises `OSError` if a file cannot be written.
 
     Args:
-        in_place: also replace the user's profile by the calibrated one.
+        in_place: also replace the user's configuration by the calibrated one.
     """
     outcome = run.outcome
     folder = outcome.folder / FOLDER
@@ -61,29 +67,29 @@ def write_results(
     ended = outcome.ended
     content = {"outcome": ended.outcome, "sentence": ended.sentence, **findings.as_json()}
     _write(folder / "findings.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
-    _write(folder / "profile-before.toml", profile.text)
-    changed = list(changes(findings, profile.config.limits.max_kPa))
+    _write(folder / "profile-before.toml", user.text)
+    changed = list(changes(findings, user.config.limits.max_kPa))
     for finding in findings.findings:
         if finding.key in NUMBERS and finding.value is not None and not is_precise(finding):
-            terminal.warn(f"{finding.what}: not precise enough; the profile keeps its value")
-    if changed and profile.config.pneumatics.rig:
-        changed = [*_instead_of_rig(profile.config.pneumatics.rig, run.pneumatics, changed), *changed]
-    numbers = with_numbers(profile.config, changed).pneumatics
+            terminal.warn(f"{finding.what}: not precise enough; the configuration keeps its value")
+    if changed and user.config.pneumatics.rig:
+        changed = [*_instead_of_rig(user.config.pneumatics.rig, run.pneumatics, changed), *changed]
+    numbers = with_numbers(user.config, changed).pneumatics
     rig_file = folder / "measured-rig.toml"
     _write(rig_file, rig_text(numbers, findings))
     places = [folder / "calibrated.toml"]
-    if in_place and profile.path is not None:
-        places.append(profile.path)
+    if in_place and user.path is not None:
+        places.append(user.path)
     if changed:
-        _write_profiles(profile, changed, None, places, terminal)
+        _write_configurations(user, changed, None, places, terminal)
     if outcome.charts:
         _draw(outcome, folder, terminal)
     extended = _diagnose(outcome, rig_file, numbers, terminal) if diagnose else None
     if extended is not None:
-        _write_profiles(profile, changed, extended, places, terminal)
+        _write_configurations(user, changed, extended, places, terminal)
     if changed:
         for place in places:
-            terminal.line("Profile", place)
+            terminal.line("Configuration", place)
     terminal.line("Log", outcome.folder)
 
 
@@ -128,7 +134,7 @@ def _draw(outcome: CalibrationOutcome, folder: Path, terminal: CalibrationTermin
 def _diagnose(
     outcome: CalibrationOutcome, rig_file: Path, numbers: PneumaticsConfig, terminal: CalibrationTerminal
 ) -> Path | None:
-    """The rig file that the profile should name; None if there is none."""
+    """The rig file that the configuration should name; None if there is none."""
     command = f"flying-vines diagnose --from-log {outcome.folder} --rig {rig_file}"
     try:
         from flying_vines.calibration.diagnosis import diagnosed
@@ -149,9 +155,9 @@ def _diagnose(
     return diagnosis.rig if diagnosis.helps else None
 
 
-def _write_profiles(
-    profile: UserProfile,
-    changed: list[ProfileChange],
+def _write_configurations(
+    user: UserConfiguration,
+    changed: list[ConfigurationChange],
     rig: Path | None,
     places: list[Path],
     terminal: CalibrationTerminal,
@@ -161,10 +167,10 @@ def _write_profiles(
         if rig is not None:
             where = os.path.relpath(rig, place.parent)
             wanted.append(
-                ProfileChange("pneumatics", "rig", where, "with the causes that the diagnosis names")
+                ConfigurationChange("pneumatics", "rig", where, "with the causes that the diagnosis names")
             )
         try:
-            text, left_out = calibrated(profile.text, profile.name, wanted, time.strftime("%Y-%m-%d"))
+            text, left_out = calibrated(user.text, user.name, wanted, time.strftime("%Y-%m-%d"))
         except ConfigError as error:
             terminal.warn(str(error))
             return
@@ -174,11 +180,11 @@ def _write_profiles(
 
 
 def _instead_of_rig(
-    name: str, pneumatics: PneumaticsConfig, changed: list[ProfileChange]
-) -> Iterator[ProfileChange]:
-    """A rig file has priority over the profile: remove its key, and copy its other numbers to the profile."""
-    yield ProfileChange("pneumatics", "rig", "", "it would have priority over these numbers")
+    name: str, pneumatics: PneumaticsConfig, changed: list[ConfigurationChange]
+) -> Iterator[ConfigurationChange]:
+    """A rig file has priority: remove its key from the configuration, and copy its other numbers."""
+    yield ConfigurationChange("pneumatics", "rig", "", "it would have priority over these numbers")
     measured = {change.name for change in changed}
     for key in RIG_KEYS:
         if key not in measured:
-            yield ProfileChange("pneumatics", key, getattr(pneumatics, key), f"as in {name}")
+            yield ConfigurationChange("pneumatics", key, getattr(pneumatics, key), f"as in {name}")

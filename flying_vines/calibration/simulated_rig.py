@@ -18,7 +18,7 @@ from flying_vines.calibration.driver import (
     CalibrationDriver,
     CalibrationOutcome,
     CalibrationRun,
-    UserProfile,
+    UserConfiguration,
     flight_start,
     load_context,
     planned,
@@ -42,13 +42,13 @@ from flying_vines.vine.intent import Intent
 
 STEPS_PER_SNAPSHOT = 5
 CURVE = ((0.0, 0.0), (3.0, 0.0), (6.0, 17.0), (9.0, 30.0), (12.0, 40.0), (16.0, 50.0), (21.0, 58.0))
-"""Bend curve of the simulated vine; it differs from the profile's."""
+"""Bend curve of the simulated vine; it differs from the configured one."""
 HYSTERESIS_KPA = 1.2
 READING_SD_DEG = 1.0
 
 
 def calibrate(
-    profile: UserProfile,
+    user: UserConfiguration,
     request: CalibrationRequest,
     out: Path,
     terminal: CalibrationTerminal,
@@ -60,7 +60,7 @@ def calibrate(
     """
     if request.vessel_L is not None:
         raise CalibrateError("--vessel-L needs a person who changes a hose; it does not work with --fake")
-    config, context = load_context(profile)
+    config, context = load_context(user)
     plan = planned(config, request)
     phlosar = SimulatedPhlosar(
         load_true_rig(rig) if rig else None,

@@ -160,7 +160,8 @@ class CalibrationTerminal:
         )
         if found.rig is not None and not found.helps:
             say(
-                "     The named causes do not improve the cycles left, so the profile does not name rig.toml."
+                "     The named causes do not improve the cycles left. "
+                "So the configuration does not name rig.toml."
             )
         self.line("Diagnosis", found.report)
 
@@ -174,7 +175,7 @@ class CalibrationTerminal:
 
     def line(self, what: str, where: object) -> None:
         """A line of the summary at the end, such as the path of a file."""
-        self._console.print(f"{what:9} {where}", soft_wrap=True)
+        self._console.print(f"{what:13} {where}", soft_wrap=True)
 
     def _read(self, number: int) -> None:
         data = os.read(number, 4096)

@@ -14,7 +14,7 @@ def add(commands: Any) -> None:
     """Add `buttons` to the parsers of the command line."""
     buttons = commands.add_parser("buttons", help="write QGroundControl's buttons for the vine")
     buttons.add_argument(
-        "--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)"
+        "--config", type=Path, metavar="FILE", help="the configuration (default: the built-in one)"
     )
     file = Path("FlyingVines.json")
     buttons.add_argument("--out", type=Path, default=file, metavar="FILE.json", help=f"the new file ({file})")

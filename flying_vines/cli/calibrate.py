@@ -21,7 +21,7 @@ LIKELY = Path()
 def add(commands: Any) -> None:
     """Add `calibrate` to the parsers of the command line."""
     parser = commands.add_parser("calibrate", help="measure a rig's volumes, valves, leaks and bend curve")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="the profile of the rig")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="the configuration of the rig")
     parser.add_argument(
         "--fake",
         type=Path,
@@ -61,7 +61,7 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--set-firmware", action="store_true", help="save the proposed settings in the firmware"
     )
-    parser.add_argument("--in-place", action="store_true", help="also change the profile itself")
+    parser.add_argument("--in-place", action="store_true", help="also change the configuration file itself")
     parser.add_argument("--no-diagnosis", action="store_true", help="do not look for hidden causes")
     parser.set_defaults(run=run)
 
@@ -71,7 +71,10 @@ def _names(text: str) -> tuple[str, ...]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """0: everything was measured; 1: it ended early. Raises `ConfigError` if the profile cannot be read."""
+    """0: everything was measured; 1: it ended early.
+
+    Raises `ConfigError` if the configuration cannot be read.
+    """
     with needs_analysis():
         from flying_vines.calibration.driver import CalibrateError
         from flying_vines.physics.rig import RigError
@@ -92,7 +95,7 @@ def _run(arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
     from flying_vines.calibration import real_rig, simulated_rig
-    from flying_vines.calibration.driver import CalibrateError, UserProfile
+    from flying_vines.calibration.driver import CalibrateError, UserConfiguration
     from flying_vines.calibration.plan import CalibrationRequest
     from flying_vines.calibration.results import write_results
     from flying_vines.calibration.terminal import CalibrationTerminal
@@ -100,12 +103,16 @@ def _run(arguments: argparse.Namespace) -> int:
     path: Path | None = arguments.config
     fake = arguments.fake is not None
     if path is None and (arguments.in_place or not fake):
-        needs = "--in-place changes a profile: " if fake else "give --fake for a simulated rig; for yours "
+        needs = (
+            "--in-place changes the configuration file: "
+            if fake
+            else "give --fake for a simulated rig; for yours "
+        )
         raise CalibrateError(f"{needs}give --config FILE")
     if fake and arguments.set_firmware:
         raise CalibrateError("--set-firmware needs a real board; it does not work with --fake")
     text = configuration.text_of(path) if path else configuration.default_text()
-    profile = UserProfile(text, path, configuration.parse(text, str(path or "the built-in profile")))
+    user = UserConfiguration(text, path, configuration.parse(text, str(path or "the built-in configuration")))
     interactive = not (fake or arguments.yes)
     if interactive and not sys.stdin.isatty():
         raise CalibrateError("no terminal to ask whether the vine may bend: give --yes")
@@ -120,17 +127,17 @@ def _run(arguments: argparse.Namespace) -> int:
     terminal = CalibrationTerminal(Console(highlight=False), interactive)
     if fake:
         rig = None if arguments.fake == LIKELY else arguments.fake
-        done = simulated_rig.calibrate(profile, request, arguments.out, terminal, rig)
+        done = simulated_rig.calibrate(user, request, arguments.out, terminal, rig)
     else:
-        phlosar_only(profile.config, "calibrate")
-        calibration = real_rig.calibrate(profile, request, arguments.out, terminal, arguments.set_firmware)
+        phlosar_only(user.config, "calibrate")
+        calibration = real_rig.calibrate(user, request, arguments.out, terminal, arguments.set_firmware)
         begun = asyncio.run(calibration)
         if begun is None:
             return INTERRUPTED
         done = begun
     diagnose = not (arguments.no_diagnosis or done.interrupted)
-    write_results(done, profile, terminal, diagnose, arguments.in_place and done.done)
-    terminal.firmware(done.firmware, profile.config.firmware.link, done.is_set)
+    write_results(done, user, terminal, diagnose, arguments.in_place and done.done)
+    terminal.firmware(done.firmware, user.config.firmware.link, done.is_set)
     if done.interrupted:
         return INTERRUPTED
     return 0 if done.done else NOT_DONE

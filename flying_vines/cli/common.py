@@ -54,7 +54,7 @@ def add_own_causes(paths: Sequence[Path]) -> None:
 
 
 def phlosar_only(config: Config, command: str) -> None:
-    """Fails if the profile's actuator is not a phloSAR: another device must get no bytes of ours."""
+    """Fails if the configured actuator is not a phloSAR: another device must get no bytes of ours."""
     if not config.firmware.is_phlosar:
         fail(f"{command} needs a phloSAR; firmware.kind is '{config.firmware.kind}'")
 
@@ -113,9 +113,9 @@ def show_found(
     return 0
 
 
-def known_rig(config: Config, profile: Path | None, rig: Path | None = None) -> KnownRig | None:
-    """The given rig file, or the one that the profile names; None if there is none."""
-    rig = rig or configuration.rig_named(config, profile)
+def known_rig(config: Config, config_file: Path | None, rig: Path | None = None) -> KnownRig | None:
+    """The given rig file, or the one that the configuration names; None if there is none."""
+    rig = rig or configuration.rig_named(config, config_file)
     if rig is None:
         return None
     from flying_vines.physics.rig import RigError

@@ -1,4 +1,4 @@
-"""`flying-vines config`: writes or checks a profile."""
+"""`flying-vines config`: writes or checks a configuration."""
 
 from __future__ import annotations
 
@@ -12,17 +12,15 @@ from flying_vines.config import config as configuration
 
 def add(commands: Any) -> None:
     """Add `config` to the parsers of the command line."""
-    config = commands.add_parser("config", help="write or check a profile")
+    config = commands.add_parser("config", help="write or check a configuration file")
     actions = config.add_subparsers(required=True, metavar="ACTION")
-    init = actions.add_parser("init", help="write a commented profile")
-    profile = Path("flying-vines.toml")
-    init.add_argument(
-        "file", type=Path, nargs="?", default=profile, metavar="FILE", help=f"the new file ({profile})"
-    )
+    init = actions.add_parser("init", help="write a commented configuration file")
+    new = Path("flying-vines.toml")
+    init.add_argument("file", type=Path, nargs="?", default=new, metavar="FILE", help=f"the new file ({new})")
     init.add_argument("--force", action="store_true", help="overwrite an existing file")
     init.set_defaults(run=_config_init)
-    check = actions.add_parser("check", help="show the errors of a profile")
-    check.add_argument("file", type=Path, metavar="FILE", help="the profile")
+    check = actions.add_parser("check", help="show the errors of a configuration file")
+    check.add_argument("file", type=Path, metavar="FILE", help="the configuration file")
     add_cause_option(check)
     check.set_defaults(run=_config_check)
 

@@ -32,14 +32,14 @@ def _design(arguments: argparse.Namespace) -> int:
     folder: Path | None = arguments.out
     with needs_analysis():
         from flying_vines.studies.design import catalogue, evaluate
-        from flying_vines.studies.design import robot as profile
+        from flying_vines.studies.design import robot as requirements
         from flying_vines.studies.design.compass import compass
         from flying_vines.studies.design.search import Performance, evaluate_all, front
         from flying_vines.studies.design.show import as_json, show
 
         if folder:
             from flying_vines.studies.design.figures import draw
-    robot = profile.load(arguments.robot) if arguments.robot else profile.demonstration()
+    robot = requirements.load(arguments.robot) if arguments.robot else requirements.demonstration()
     parts = catalogue(*arguments.parts)
     evaluation = evaluate(robot, parts.choose(robot.parts, str(arguments.robot or "vine.toml")))
     tried = evaluate_all(robot, parts)

@@ -20,7 +20,9 @@ MIN_SECONDS = 5.0
 def add(commands: Any) -> None:
     """Add `doctor` to the parsers of the command line."""
     doctor = commands.add_parser("doctor", help="check whether you may fly; show problems and remedies")
-    doctor.add_argument("--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)")
+    doctor.add_argument(
+        "--config", type=Path, metavar="FILE", help="the configuration (default: the built-in one)"
+    )
     doctor.add_argument(
         "--seconds", type=_seconds, default=SECONDS, metavar="N", help=f"listening time ({SECONDS:g})"
     )
@@ -33,7 +35,7 @@ def add(commands: Any) -> None:
     doctor.add_argument(
         "--yes",
         action="store_true",
-        help="no questions: do not ask to move the RC switch; with --radio, write the profile",
+        help="no questions: do not ask to move the RC switch; with --radio, write the configuration",
     )
     doctor.add_argument("--fakes", action="store_true", help="check a simulated vehicle and phloSAR instead")
     doctor.add_argument("--json", action="store_true", help="print one JSON object instead")
@@ -48,7 +50,7 @@ def _seconds(text: str) -> float:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Returns 0 if you may fly, else 1. Raises `ConfigError` if the profile cannot be read."""
+    """Returns 0 if you may fly, else 1. Raises `ConfigError` if the configuration cannot be read."""
     if arguments.radio:
         from flying_vines.cli.doctor_radio import test_radio
 
@@ -62,7 +64,7 @@ async def _run(arguments: argparse.Namespace) -> int:
     from flying_vines.config import config as configuration
     from flying_vines.doctor.examine import examine
     from flying_vines.doctor.finding import may_fly
-    from flying_vines.doctor.look import profile
+    from flying_vines.doctor.look import configuration as look
     from flying_vines.doctor.show import as_json, asking, last_line, show
     from flying_vines.doctor.vehicle_probe import SwitchFacts
     from flying_vines.service.service import check_plugins
@@ -73,11 +75,11 @@ async def _run(arguments: argparse.Namespace) -> int:
 
             base = configuration.load_or_default(arguments.config)
             config = await stack.enter_async_context(healthy(base))
-            examined = profile.given(config, "the profile with simulated links")
+            examined = look.given(config, "the configuration with simulated links")
         elif arguments.config:
-            examined = profile.read(arguments.config)
+            examined = look.read(arguments.config)
         else:
-            examined = profile.given(configuration.default(), "the built-in profile")
+            examined = look.given(configuration.default(), "the built-in configuration")
         check_plugins(examined.config)
         if arguments.json:
             found = await examine(examined, arguments.out, arguments.seconds, lambda findings: None)

@@ -1,4 +1,4 @@
-"""`flying-vines doctor --radio`: the guided test, its verdict, and the setting for the profile."""
+"""`flying-vines doctor --radio`: the guided test, its verdict, and the setting for the configuration."""
 
 from __future__ import annotations
 
@@ -26,8 +26,9 @@ from flying_vines.doctor.checks import receiver
 from flying_vines.doctor.examine import keep_signing, link_to
 from flying_vines.doctor.fakes import between
 from flying_vines.doctor.finding import DoctorFinding, may_fly
-from flying_vines.doctor.look import processes, profile
-from flying_vines.doctor.look.profile import ServiceProfile
+from flying_vines.doctor.look import configuration as look
+from flying_vines.doctor.look import processes
+from flying_vines.doctor.look.configuration import ServiceConfiguration
 from flying_vines.doctor.radio_guide import NobodyThereError, guided
 from flying_vines.doctor.radio_test import RadioLearned
 from flying_vines.doctor.show import show
@@ -43,7 +44,7 @@ KEY = "receiver_failsafe"
 def test_radio(arguments: argparse.Namespace) -> int:
     """Returns 0 if the vine is safe with this receiver, 1 if not or unknown, 2 for bad input."""
     path: Path | None = arguments.config
-    examined = profile.read(path) if path else profile.given(configuration.default(), "the built-in profile")
+    examined = look.read(path) if path else look.given(configuration.default(), "the built-in configuration")
     # With --json, standard output has only the JSON object.
     console = Console(highlight=False, stderr=arguments.json)
     ports: list[DoctorFinding] = []
@@ -73,7 +74,7 @@ def test_radio(arguments: argparse.Namespace) -> int:
 
 
 async def _test(
-    examined: ServiceProfile, fakes: bool, console: Console, ports: list[DoctorFinding]
+    examined: ServiceConfiguration, fakes: bool, console: Console, ports: list[DoctorFinding]
 ) -> RadioLearned | None:
     """The result, or None if the vehicle's link cannot be opened; then `ports` has the reason."""
     config = examined.config
@@ -110,7 +111,7 @@ def as_json(
 
 
 def with_learned(text: str, source: str, failsafe: ReceiverFailsafe, day: str) -> str:
-    """The profile's text with the new value; everything else is unchanged.
+    """The configuration's text with the new value; everything else is unchanged.
 
     Raises `ConfigError` if this line cannot be replaced in the text's layout.
     """
@@ -140,16 +141,18 @@ def _last_line(findings: Sequence[DoctorFinding], learned: RadioLearned) -> Text
 
 
 def _keep(failsafe: ReceiverFailsafe | None, arguments: argparse.Namespace, console: Console) -> Path | None:
-    """Write the value to the profile if the user agrees. Returns the written file, or None."""
+    """Write the value to the configuration file if the user agrees. Returns the written file, or None."""
     if failsafe is None:
         return None
     line = f"{KEY} = {value_text(failsafe)}"
     path: Path | None = arguments.config
     if arguments.fakes:
-        console.print(Text(f"With a real receiver, this line would go into the profile: {line}", style="dim"))
+        console.print(
+            Text(f"With a real receiver, this line would go into the configuration: {line}", style="dim")
+        )
         return None
     if path is None:
-        console.print(f"Add to your profile:\n\n[switch]\n{line}", markup=False)
+        console.print(f"Add to your configuration:\n\n[switch]\n{line}", markup=False)
         return None
     text = configuration.text_of(path)
     if configuration.parse(text, str(path)).switch.receiver_failsafe == failsafe:

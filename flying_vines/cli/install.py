@@ -57,10 +57,15 @@ def add(commands: Any) -> None:
         "install-service",
         help="start the service with the computer (systemd); shows all changes and asks first",
     )
-    parser.add_argument("--remove", action="store_true", help="uninstall; flights and a changed profile stay")
+    parser.add_argument(
+        "--remove", action="store_true", help="uninstall; flights and a changed configuration stay"
+    )
     parser.add_argument("--yes", action="store_true", help="do not ask")
     parser.add_argument(
-        "--config", type=Path, metavar="FILE", help=f"the profile, used in place (default: {files.PROFILE})"
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help=f"the configuration, used in place (default: {files.CONFIGURATION})",
     )
     parser.add_argument(
         "--user",
@@ -101,27 +106,32 @@ def _installation(arguments: argparse.Namespace) -> InstallPlan:
     root: Path = arguments.root
     user: str = arguments.user
     program = InstalledProgram.here()
-    profile = arguments.config.resolve() if arguments.config else files.PROFILE
-    written = arguments.config or below(root, profile)
-    fresh = files.profile()
+    config_file = arguments.config.resolve() if arguments.config else files.CONFIGURATION
+    written = arguments.config or below(root, config_file)
+    fresh = files.built_in_configuration()
     if arguments.config or written.exists():
         config = configuration.load(written)
     else:
-        config = configuration.parse(fresh.text, str(profile))
-    read = [*program.places, *_named(config, profile.parent), *([profile] if written.exists() else [])]
+        config = configuration.parse(fresh.text, str(config_file))
+    read = [
+        *program.places,
+        *_named(config, config_file.parent),
+        *([config_file] if written.exists() else []),
+    ]
     if root == THIS_MACHINE:
         # Folders and users of an image cannot be checked from here.
         check_reachable(read, _reader(user))
-    state_folder = PersistentState.of(profile, config).parameters.parent
+    state_folder = PersistentState.of(config_file, config).parameters.parent
     wanted = [
         *([] if arguments.config else [fresh]),
         *([files.users()] if user == files.USER else []),
         files.rule(UsbBoard.parse(arguments.port_id)),
-        files.unit(program.command, user, profile, read, state_folder),
+        files.unit(program.command, user, config_file, read, state_folder),
     ]
     changes = installing(wanted, root)
     remarks = [
-        f"The profile is {profile}. Change it, then: sudo systemctl restart flying-vines (which vents first)"
+        f"The configuration is {config_file}. "
+        "Change it, then: sudo systemctl restart flying-vines (which vents first)"
     ]
     if changes[-1].how is How.CHANGED:
         remarks.append("A running service keeps its old settings until it is restarted.")
@@ -139,7 +149,7 @@ def _installation(arguments: argparse.Namespace) -> InstallPlan:
 
 
 def _named(config: Config, folder: Path) -> list[Path]:
-    """Public files that a profile in `folder` names, and the folders of its secret files.
+    """Public files that a configuration in `folder` names, and the folders of its secret files.
 
     A secret file gets its owner only when the service's user exists; the service itself reports a file that
     it cannot read.
@@ -203,7 +213,7 @@ def _carry_out(plan: InstallPlan, root: Path, agreed: bool) -> int:
     good = _ran(plan.before, console) if here else True
     for change in plan.changes:
         change.make()
-    for folder in (files.PROFILE.parent, files.STATE):
+    for folder in (files.CONFIGURATION.parent, files.STATE):
         remove_empty(below(root, folder))
     good &= _ran(plan.after, console) if here else True
     _tell(plan.remarks, console)

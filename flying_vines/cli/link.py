@@ -27,8 +27,10 @@ _REFRESH_PER_S = 8
 def add(commands: Any) -> None:
     """Add `link` to the parsers of the command line."""
     link = commands.add_parser("link", help="monitor the phloSAR's serial line; read or write its settings")
-    link.add_argument("address", nargs="?", metavar="ADDRESS", help=f"(default: the profile's) {FORMS}")
-    link.add_argument("--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)")
+    link.add_argument("address", nargs="?", metavar="ADDRESS", help=f"(default: the configuration's) {FORMS}")
+    link.add_argument(
+        "--config", type=Path, metavar="FILE", help="the configuration (default: the built-in one)"
+    )
     link.add_argument("--seconds", type=float, metavar="N", help="then stop; exit status 1 without an answer")
     link.add_argument("--json", action="store_true", help="print one JSON object per line")
     link.add_argument("--raw", action="store_true", help="print the bytes, too")

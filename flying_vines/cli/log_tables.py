@@ -124,7 +124,7 @@ def _lines(entry: LogEntry, began: float) -> Iterator[Text]:
         yield Text(f"{at}{fields['part']}: {fields['trace'].rstrip()}", style="red")
     elif entry.topic == _PARAMETERS:
         values = ", ".join(f"{name} = {value:g}" for name, value in fields["values"].items())
-        yield Text(f"{at}parameters: {values or 'as in the profile'}")
+        yield Text(f"{at}parameters: {values or 'as in the configuration'}")
     else:
         yield Text(f"{at}pneumatics {'disarmed' if fields['disarmed'] else 'armed'}")
 

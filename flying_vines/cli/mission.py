@@ -74,7 +74,9 @@ def add(commands: Any) -> None:
 def _common(parser: argparse.ArgumentParser) -> None:
     # Before Python 3.14 a place in the south or west ("-35.36,149.16,584") was taken for an option.
     parser._negative_number_matcher = _NEGATIVE
-    parser.add_argument("--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE", help="the configuration (default: the built-in one)"
+    )
     parser.add_argument("--autopilot", choices=("ardupilot", "px4"), help="(default: the mission's own)")
     parser.add_argument(
         "--home",
@@ -89,7 +91,7 @@ def _common(parser: argparse.ArgumentParser) -> None:
         metavar="P",
         help="bottle pressure at the start, gauge (default: full)",
     )
-    parser.add_argument("--rig", type=Path, metavar="RIG.toml", help="the rig (default: the profile's)")
+    parser.add_argument("--rig", type=Path, metavar="RIG.toml", help="the rig (default: the configuration's)")
     add_cause_option(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object instead")
 

@@ -25,7 +25,9 @@ def add(commands: Any) -> None:
     replay.add_argument(
         "recording", type=Path, metavar="FILE", help="a .tlog, or a flight's folder, .mcap or last"
     )
-    replay.add_argument("--config", type=Path, metavar="FILE", help="the profile (default: the built-in one)")
+    replay.add_argument(
+        "--config", type=Path, metavar="FILE", help="the configuration (default: the built-in one)"
+    )
     replay.add_argument(
         "--mission", type=Path, metavar="FILE.waypoints", help="the mission, if the recording has none"
     )
@@ -100,9 +102,9 @@ def _replay_flight(recording: Path, config: Path | None, as_json: bool) -> int:
     from flying_vines.record.reader import FlightLog, LogError
     from flying_vines.simulation.replay import replay_flight
 
-    profile = configuration.load(config) if config else None
+    instead = configuration.load(config) if config else None
     try:
-        again = replay_flight(FlightLog(recording), profile)
+        again = replay_flight(FlightLog(recording), instead)
     except LogError as error:
         return bad_input(str(error))
     show_again(again, as_json, Console())

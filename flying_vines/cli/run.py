@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 def add(commands: Any) -> None:
     """Add `run` to the parsers of the command line."""
     run = commands.add_parser("run", help="run the service for a vehicle and a phloSAR")
-    run.add_argument("--config", type=Path, required=True, metavar="FILE", help="the profile")
-    run.add_argument("--rig", type=Path, metavar="RIG.toml", help="the rig (default: the profile's)")
+    run.add_argument("--config", type=Path, required=True, metavar="FILE", help="the configuration")
+    run.add_argument("--rig", type=Path, metavar="RIG.toml", help="the rig (default: the configuration's)")
     add_cause_option(run)
     run.add_argument(
         "--out", type=Path, default=FLIGHTS, metavar="DIR", help="the folder for flight logs (flights)"

@@ -1,4 +1,4 @@
-"""One TOML profile of the whole rig, decoded into frozen structures. Unknown keys are errors."""
+"""The configuration of the whole rig: one TOML file, as frozen structures. Unknown keys are errors."""
 
 from __future__ import annotations
 
@@ -286,7 +286,7 @@ class StateConfig(_Table, frozen=True):
 
 
 class Config(_Table, frozen=True):
-    """The whole profile."""
+    """The whole configuration."""
 
     profiles: dict[str, PressureProfile]
     vehicle: VehicleConfig = VehicleConfig()
@@ -308,38 +308,38 @@ class Config(_Table, frozen=True):
 
 
 def default_text() -> str:
-    """The built-in profile, which `config init` writes."""
+    """The built-in configuration, which `config init` writes."""
     return resources.files("flying_vines.config").joinpath("default.toml").read_text(encoding="utf-8")
 
 
 def default() -> Config:
-    return parse(default_text(), "the built-in profile")
+    return parse(default_text(), "the built-in configuration")
 
 
 def load_or_default(path: Path | None) -> Config:
-    """The profile in a file, or the built-in profile. Raises `ConfigError`."""
+    """The configuration in a file, or the built-in one. Raises `ConfigError`."""
     return load(path) if path else default()
 
 
 def load(path: Path) -> Config:
-    """Read and check a profile. Raises `ConfigError` with one line: file, key and line number."""
+    """Read and check a configuration. Raises `ConfigError` with one line: file, key and line number."""
     return parse(text_of(path), str(path))
 
 
-def rig_named(config: Config, profile: Path | None) -> Path | None:
-    """The rig file that a profile names, or None. Relative paths start from the profile's folder."""
-    return profile.parent / config.pneumatics.rig if profile and config.pneumatics.rig else None
+def rig_named(config: Config, config_file: Path | None) -> Path | None:
+    """The rig file that a configuration names, or None. Relative paths start from the file's folder."""
+    return config_file.parent / config.pneumatics.rig if config_file and config.pneumatics.rig else None
 
 
 def text_of(path: Path) -> str:
-    """The text of a profile's file. Raises `ConfigError` if it cannot be read."""
+    """The text of a configuration file. Raises `ConfigError` if it cannot be read."""
     return read_text(path, ConfigError, f"; `flying-vines config init {path}` writes one")
 
 
 def parse(text: str, source: str, recorded: bool = False) -> Config:
-    """Check the text of a profile; errors name it as `source`.
+    """Check the text of a configuration; errors name it as `source`.
 
-    In a `recorded` profile open links are accepted: earlier versions allowed them, and replay opens no link.
+    A `recorded` configuration may have open links: earlier versions allowed them, and replay opens no link.
     """
     raw = parsed(text, source, ConfigError)
     _drop_old_settings(raw, text, source)

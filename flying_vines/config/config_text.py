@@ -1,4 +1,4 @@
-"""Writes a configuration as the text of a profile, for profiles that a program makes."""
+"""Writes a configuration as TOML text, for configurations that a program makes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from flying_vines.config.config import Config
 from flying_vines.config.toml_edit import value_text
 
 
-def profile_text(config: Config) -> str:
+def configuration_text(config: Config) -> str:
     """The TOML text that `config.parse` reads as this configuration."""
     return "\n".join(_tables(msgspec.to_builtins(config))) + "\n"
 

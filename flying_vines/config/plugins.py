@@ -1,7 +1,7 @@
-"""Parts from installed packages that a profile names: actuators, physics checks, triggers, profile segments.
+"""Parts from installed packages: actuators, physics checks, triggers, profile segments.
 
-A package is loaded only if the profile names it. The installed packages are searched only for a name that is
-not built in, because a search takes tenths of a second on a small computer.
+A package is loaded only if the configuration names it. The installed packages are searched only for a name
+that is not built in, because a search takes tenths of a second on a small computer.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ class PluginError(ValueError):
 def find(group: Group, name: str, key: str, *needs: str) -> Callable[..., Any]:
     """The entry point `name` of the group `flying_vines.GROUP`: a class or function, to call with settings.
 
-    The object that it makes must have the attributes `needs`. Raises `PluginError` with the profile's `key`:
-    now if no package or several have this name, or if it cannot be imported; later if the call fails.
+    The object that it makes must have the attributes `needs`. Raises `PluginError` with the `key` of
+    the configuration: now if no package or several have this name, or if it cannot be imported; later if the
+    call fails.
     """
     from importlib.metadata import entry_points
 

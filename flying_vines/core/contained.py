@@ -69,7 +69,7 @@ class CrashSafeCore:
 
     @property
     def config(self) -> Config:
-        """The profile with the parameters that are in force."""
+        """The configuration with the parameters that are in force."""
         return self._core.config
 
     def handle(self, event: Event) -> list[Action]:

@@ -136,13 +136,13 @@ class Core:
 
     def __init__(
         self,
-        profile: Config,
+        base: Config,
         mission: Sequence[MissionItem] = (),
         belief: Belief | None = None,
         stored: StoredState | None = None,
     ) -> None:
         stored = stored or StoredState()
-        self._vehicle = Vehicle(profile, mission, stored.parameters)
+        self._vehicle = Vehicle(base, mission, stored.parameters)
         self._link_loss = LinkLoss(self._vehicle)
         config = self.config
         self._bent_kPa = 0.0
@@ -193,7 +193,7 @@ class Core:
 
     @property
     def config(self) -> Config:
-        """The profile with the parameters that are in force."""
+        """The configuration with the parameters that are in force."""
         return self._vehicle.config
 
     @property

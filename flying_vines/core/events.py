@@ -138,7 +138,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class KeepParameters:
-    """The parameters that differ from the profile have changed: store them."""
+    """The parameters that differ from the configuration have changed: store them."""
 
     t: float
     values: dict[str, float]

@@ -2,7 +2,7 @@
 
 A loss ends by itself. A latched fault lasts until a person clears it. A limit vents the vine once, at the
 moment it is crossed. During a loss or fault the vine is vented and cannot bend. Only a loss of RC may hold
-the vine for some time instead, if the profile says so. After a loss only a new trigger moves the vine.
+the vine for some time instead, if the configuration says so. After a loss only a new trigger moves the vine.
 """
 
 from __future__ import annotations

@@ -6,5 +6,6 @@ requests version, time and settings from the phloSAR, and messages, parameters, 
 vehicle.
 
 `radio_test` is a separate test, `doctor --radio`: is a lost transmitter detected? `radio_guide` leads the
-user through it, `checks/receiver` judges the result, and `cli/doctor_radio` prints it and edits the profile.
+user through it, `checks/receiver` judges the result, and `cli/doctor_radio` prints it and edits the
+configuration file.
 """

@@ -11,13 +11,13 @@ from flying_vines.config.address import Address, NetworkAddress, parse_address
 from flying_vines.config.config import Config
 from flying_vines.doctor.checks import clock as clocks
 from flying_vines.doctor.checks import (
+    configuration,
     disk,
     firmware,
     machine,
     mission,
     network,
     port,
-    profile,
     radio,
     service,
 )
@@ -31,7 +31,7 @@ from flying_vines.doctor.look import broker, ports, processes
 from flying_vines.doctor.look import disk as folders
 from flying_vines.doctor.look import machine as computer
 from flying_vines.doctor.look.clock import Clock, when
-from flying_vines.doctor.look.profile import ServiceProfile
+from flying_vines.doctor.look.configuration import ServiceConfiguration
 from flying_vines.doctor.vehicle_probe import SwitchFacts
 from flying_vines.doctor.vehicle_watch import TICK_S, VehicleWatch
 from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampFile
@@ -45,7 +45,11 @@ RadioQuestion = Callable[[SwitchFacts], None]
 
 
 async def examine(
-    examined: ServiceProfile, logs: Path, seconds: float, report: Report, ask: RadioQuestion | None = None
+    examined: ServiceConfiguration,
+    logs: Path,
+    seconds: float,
+    report: Report,
+    ask: RadioQuestion | None = None,
 ) -> list[DoctorFinding]:
     """All findings in order.
 
@@ -63,7 +67,7 @@ async def examine(
         report(findings)
 
     config, clock = examined.config, Clock()
-    add(profile.check(examined.facts))
+    add(configuration.check(examined.facts))
     add(machine.check(computer.facts()))
     add(_disks(examined, logs))
     running, holders = processes.services(), list[Process]()
@@ -102,7 +106,7 @@ async def examine(
     return found
 
 
-def _disks(examined: ServiceProfile, logs: Path) -> list[DoctorFinding]:
+def _disks(examined: ServiceConfiguration, logs: Path) -> list[DoctorFinding]:
     found = [disk.check(folders.facts("flight logs", logs, examined.config.log.least_free_MB))]
     if examined.state is not None:
         found.append(disk.check(folders.facts("state", examined.state, 0.0)))
@@ -154,7 +158,7 @@ async def _move_switch(watch: VehicleWatch, positions: int, ask: RadioQuestion) 
         await asyncio.sleep(TICK_S)
 
 
-def keep_signing(examined: ServiceProfile) -> None:
+def keep_signing(examined: ServiceConfiguration) -> None:
     """Save the signing timestamps, so that the service does not use them again."""
     if examined.signing is not None and examined.signing_timestamp is not None:
         try:

@@ -17,7 +17,7 @@ from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
 @asynccontextmanager
 async def healthy(config: Config) -> AsyncIterator[Config]:
-    """The profile, linked to a simulated vehicle and phloSAR."""
+    """The configuration, linked to a simulated vehicle and phloSAR."""
     autopilot = FakeAutopilot("ardupilot", unix_s=time.time())
     autopilot.set_rc(config.switch.channel, 1000)
     phlosar = SimulatedPhlosar(reservoir_kPa=config.pneumatics.full_kPa)
@@ -29,7 +29,10 @@ async def healthy(config: Config) -> AsyncIterator[Config]:
 async def between(
     config: Config, autopilot: FakeAutopilot, phlosar: SimulatedPhlosar | None
 ) -> AsyncIterator[Config]:
-    """The profile, linked to these two, which run until the block ends. Without `phlosar` its link stays."""
+    """The configuration, linked to these two, which run until the block ends.
+
+    Without `phlosar` its link stays.
+    """
     companion_port = free_udp_port()
     vehicle = f"udpin:127.0.0.1:{companion_port}"
     server = AutopilotServer(autopilot, ("127.0.0.1", companion_port))
@@ -49,7 +52,7 @@ async def between(
 
 
 def linked(config: Config, vehicle: str, firmware: str) -> Config:
-    """The profile with other links."""
+    """The configuration with other links."""
     replace = msgspec.structs.replace
     return replace(
         config,

@@ -40,14 +40,14 @@ async def serve(service: socket.socket) -> None:
             # The service does not read, or has ended. The missing answer is reported to the user.
             return
 
-    profile = read_to_gateway(await loop.sock_recv(service, MAX_PACKET))
-    if not isinstance(profile, GatewayStart):
-        raise msgspec.DecodeError("the first message must be the profile")
-    feed = Feed(profile, send)
+    start = read_to_gateway(await loop.sock_recv(service, MAX_PACKET))
+    if not isinstance(start, GatewayStart):
+        raise msgspec.DecodeError("the first message must be the start")
+    feed = Feed(start, send)
     parts = [_beat(send)]
-    if profile.config.page.port:
+    if start.config.page.port:
         parts.append(keep_alive("page", partial(_page, feed), feed.trouble))
-    if profile.config.mqtt.broker:
+    if start.config.mqtt.broker:
         parts.append(keep_alive("MQTT", partial(_mqtt, feed), feed.trouble))
     tasks = [asyncio.create_task(part) for part in parts]
     try:
@@ -61,7 +61,7 @@ async def serve(service: socket.socket) -> None:
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-# Imported only if the profile needs it. If one import fails, the other part still runs.
+# Imported only if the configuration needs it. If one import fails, the other part still runs.
 
 
 async def _page(feed: Feed) -> str:

@@ -66,8 +66,8 @@ class FeedReader:
 class Feed:
     """The feed of one service. `send` sends a message to the service."""
 
-    def __init__(self, profile: GatewayStart, send: Callable[[FromGateway], None]) -> None:
-        self.profile = profile
+    def __init__(self, start: GatewayStart, send: Callable[[FromGateway], None]) -> None:
+        self.start = start
         self.latest: SnapshotMessage | None = None
         self.happened: deque[Happened] = deque(maxlen=STORED_EVENTS)
         self._send = send

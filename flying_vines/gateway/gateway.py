@@ -63,7 +63,7 @@ class Gateway(Watcher):
         flights: str = "",
     ) -> None:
         version = metadata.version("flying-vines")
-        self._profile = GatewayStart(config, version, page_token, flights)
+        self._start = GatewayStart(config, version, page_token, flights)
         self._ask = ask
         self._say = say
         self._socket: socket.socket | None = None
@@ -116,7 +116,7 @@ class Gateway(Watcher):
             assert process.stderr is not None
             last_words = asyncio.create_task(_last_line(process.stderr))
             self._socket = ours
-            self._send(packet(self._profile))
+            self._send(packet(self._start))
             listening = asyncio.create_task(self._listen(ours))
             try:
                 if await self._hangs(listening, last_words):

@@ -100,7 +100,7 @@ def unseen_error(problem: FitProblem, predictions: Sequence[Prediction], point: 
 def predictions_for(
     problem: FitProblem, chosen: FitPoint, profiles: Sequence[LikelihoodProfile]
 ) -> list[Prediction]:
-    """Predictions of all data by the chosen causes, whose parameters have these profiles."""
+    """Predictions of all data by the chosen causes, whose parameters have these likelihood profiles."""
     every = mapped(lambda i: _of_run(problem, chosen, profiles, i), range(len(problem.case.runs)))
     return [prediction for predictions in every for prediction in predictions]
 

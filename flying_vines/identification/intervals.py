@@ -1,7 +1,7 @@
-"""Confidence intervals of parameters, from the profile of χ² with everything else refitted.
+"""Confidence intervals of parameters, from the likelihood profile: χ² with everything else refitted.
 
 In the 95 % interval the cost (χ² plus priors) is less than 3.84 above its minimum (Wilks 1938). The curvature
-at the minimum gives the first guess. The interval is not symmetric if the profile is not a parabola.
+at the minimum gives the first guess. The interval is not symmetric if the likelihood profile is no parabola.
 
 Residuals that are more than noise widen the interval. 3.84 is multiplied by a ratio of two variances of the
 parameter: from the residuals themselves, block by block (White 1982), over that from noise.
@@ -37,7 +37,7 @@ BLIND = 1e-4
 
 @dataclass(frozen=True)
 class LikelihoodProfile:
-    """The profile of one parameter of a fit, and its 95 % interval."""
+    """The likelihood profile of one parameter of a fit, and its 95 % interval."""
 
     cause: str
     parameter: Parameter
@@ -45,7 +45,7 @@ class LikelihoodProfile:
     low: float
     high: float
     value: Array
-    """(n,) rising values at which the profile was computed."""
+    """(n,) rising values at which the likelihood profile was computed."""
     above: Array
     """(n,) rise of the cost above its minimum."""
     limit: float
@@ -74,7 +74,7 @@ def widening(candidate: Candidate) -> Array:
 
 
 def profile(candidate: Candidate, index: int, number: int, wider: Array) -> LikelihoodProfile:
-    """The profile of the parameter `number` of the cause `index`; `wider` is from `widening`."""
+    """The likelihood profile of the parameter `number` of the cause `index`; `wider` is from `widening`."""
     problem, point = candidate.problem, candidate.fit.point
     cause = point.causes[index]
     parameter, best = cause.parameters[number], point.values[index][number]
@@ -105,9 +105,9 @@ def profile(candidate: Candidate, index: int, number: int, wider: Array) -> Like
 def _crossing(
     above: Callable[[float], float], best: float, step: float, bound: float, limit: float = ABOVE
 ) -> float:
-    """The value at which a profile rises to `limit`, or the bound if that is nearer.
+    """The value at which a likelihood profile rises to `limit`, or the bound if that is nearer.
 
-    If the profile is a parabola, √χ² is linear. If not, the crossing is bracketed.
+    If the likelihood profile is a parabola, √χ² is linear. If not, the crossing is bracketed.
     """
     outward = 1.0 if step > 0.0 else -1.0
     under, under_root = best, 0.0

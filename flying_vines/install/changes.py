@@ -64,11 +64,11 @@ def removing(root: Path) -> list[FileChange]:
         if path.exists():
             ours = _read(path).startswith(files.HEAD)
             found.append(_removed(path, "" if ours else "install-service did not write it"))
-    profile = files.profile()
-    path = below(root, profile.path)
+    built_in = files.built_in_configuration()
+    path = below(root, built_in.path)
     if path.exists():
         found.append(
-            _removed(path, "" if _read(path) == profile.text else "it differs from what this version writes")
+            _removed(path, "" if _read(path) == built_in.text else "it differs from what this version writes")
         )
     return found
 
@@ -86,7 +86,7 @@ def _installed(file: File, path: Path) -> FileChange:
     if not path.exists():
         return FileChange(path, How.NEW, after=file.text)
     if file.of_people:
-        return FileChange(path, How.UNCHANGED, why="an existing profile stays")
+        return FileChange(path, How.UNCHANGED, why="an existing configuration stays")
     before = _read(path)
     if before == file.text:
         return FileChange(path, How.UNCHANGED, why="it is already installed")

@@ -19,7 +19,7 @@ SERVICE = "flying-vines.service"
 UNIT = Path("/etc/systemd/system") / SERVICE
 RULE = Path("/etc/udev/rules.d/60-phlosar.rules")
 USERS = Path("/etc/sysusers.d/flying-vines.conf")
-PROFILE = Path("/etc/flying-vines/vine.toml")
+CONFIGURATION = Path("/etc/flying-vines/vine.toml")
 STATE = Path("/var/lib/flying-vines")
 FLIGHTS = STATE / "flights"
 
@@ -42,12 +42,12 @@ class File:
     of_people: bool = False
 
 
-def unit(command: Iterable[str], user: str, profile: Path, read: Iterable[Path], write: Path) -> File:
+def unit(command: Iterable[str], user: str, config_file: Path, read: Iterable[Path], write: Path) -> File:
     """The systemd unit. The service needs access to `read` (paths) and `write` (folder)."""
     if not _USER_NAME.fullmatch(user):
         raise InstallError(f"{user!r} is not a valid user name: use a-z, 0-9, _ and -")
-    words = [*command, "run", "--config", str(profile), "--out", str(FLIGHTS)]
-    at_home = any(path.is_relative_to(home) for path in (*read, profile, write) for home in _HOMES)
+    words = [*command, "run", "--config", str(config_file), "--out", str(FLIGHTS)]
+    at_home = any(path.is_relative_to(home) for path in (*read, config_file, write) for home in _HOMES)
     return _filled(
         UNIT,
         command=" ".join(map(_word, words)),
@@ -72,10 +72,10 @@ def users() -> File:
     return _filled(USERS, user=USER, state=str(STATE))
 
 
-def profile() -> File:
-    """The built-in profile, with the port that the udev rule names."""
+def built_in_configuration() -> File:
+    """The built-in configuration, with the port that the udev rule names."""
     text = with_value(configuration.default_text(), "firmware", "link", value_text(PORT))
-    return File(PROFILE, with_value(text, "state", "folder", value_text(str(STATE))), of_people=True)
+    return File(CONFIGURATION, with_value(text, "state", "folder", value_text(str(STATE))), of_people=True)
 
 
 def _filled(path: Path, **values: str) -> File:

@@ -10,10 +10,10 @@ from pathlib import Path
 import msgspec
 
 from flying_vines.record.about import About
-from flying_vines.record.folders import ABOUT, MCAP, PROFILE, RIG, TLOG
+from flying_vines.record.folders import ABOUT, CONFIGURATION, MCAP, RIG, TLOG
 from flying_vines.record.reader import FlightLog
 
-PARTS = (MCAP, TLOG, PROFILE, RIG, ABOUT)
+PARTS = (MCAP, TLOG, CONFIGURATION, RIG, ABOUT)
 """Only these files, because a person may have put anything else into the folder."""
 
 

@@ -41,7 +41,7 @@ from flying_vines.supply import nominal_rig
 from flying_vines.vehicle.mavlink.tlog import TlogWriter
 
 MCAP, TLOG = "flight.mcap", "flight.tlog"
-PROFILE, RIG, ABOUT = "profile.toml", "rig.toml", "about.json"
+CONFIGURATION, RIG, ABOUT = "profile.toml", "rig.toml", "about.json"
 SYNC_S = 0.5
 CHECK_DISK_S = 1.0
 TRY_AGAIN_S = 2.0
@@ -56,8 +56,8 @@ _MAVLINK = (NUMBERS[MAVLINK_IN], NUMBERS[MAVLINK_OUT])
 class FlightStart:
     """The state with which the service started its core. It is the first entry of every log."""
 
-    profile: str
-    """The configuration's text."""
+    configuration: str
+    """Its text."""
     pneumatics: PneumaticsConfig
     """The rig's numbers in the configuration."""
     rig: str = ""
@@ -217,14 +217,14 @@ class Files:
 
     def _begin(self, began: FlightStart, t: float, continues: str) -> None:
         self._tlog = self._opened.enter_context(TlogWriter(self._folder / TLOG))
-        on_disk.put(self._folder / PROFILE, began.profile)
+        on_disk.put(self._folder / CONFIGURATION, began.configuration)
         if began.rig:
             on_disk.put(self._folder / RIG, began.rig)
         self._write_about()
         self._mcap = McapFile(self._file, TOPICS, f"flying-vines {version_of('flying-vines')}")
         start = Start(
             t=t,
-            profile=began.profile,
+            profile=began.configuration,
             rig=began.rig,
             parameters=began.stored.parameters,
             disarmed=began.stored.disarmed,

@@ -1,6 +1,7 @@
 """Persistent state: parameters, disarmed pneumatics, latched faults, learned air, signing clock, page token.
 
-All are files of one folder. Their names begin with the profile's, so several rigs can share the folder.
+All are files of one folder. Their names begin with the configuration file's name, so several rigs can share
+the folder.
 """
 
 from __future__ import annotations
@@ -34,9 +35,9 @@ class PersistentStateError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class PersistentState:
-    """The files of one profile."""
+    """The files of one configuration."""
 
-    profile: Path
+    config_file: Path
     parameters: Path
     disarming: Path
     """Exists while the pneumatics are disarmed. Its content is not read: an incomplete file is enough."""
@@ -48,19 +49,19 @@ class PersistentState:
     page_token: Path
 
     @classmethod
-    def of(cls, profile: Path, config: Config) -> PersistentState:
-        """The files in `state.folder`, which is relative to the profile's folder; default: that folder."""
-        folder = profile.parent / config.state.folder
+    def of(cls, config_file: Path, config: Config) -> PersistentState:
+        """The files in `state.folder`, which is relative to the file's folder; default: that folder."""
+        folder = config_file.parent / config.state.folder
         token_file = config.page.token_file
-        stem = profile.name.removesuffix(".toml")
+        stem = config_file.name.removesuffix(".toml")
         return cls(
-            profile,
+            config_file,
             parameters=folder / f"{stem}.parameters.toml",
             disarming=folder / f"{stem}.disarmed",
             learned=folder / f"{stem}.air.json",
             latched=folder / f"{stem}.latched.json",
             signing_timestamp=folder / f"{stem}.signing-timestamp",
-            page_token=profile.parent / token_file if token_file else folder / f"{stem}.page-token",
+            page_token=config_file.parent / token_file if token_file else folder / f"{stem}.page-token",
         )
 
     def read(self, config: Config) -> StoredState:
@@ -126,9 +127,9 @@ class PersistentState:
         return page_token.read_or_make(self.page_token) if config.page.needs_token else ""
 
     def read_signing(self, config: Config) -> tuple[Signing | None, str]:
-        """The profile's signing, and a sentence if its clock was not stored. Raises `SigningKeyError`."""
+        """The configured signing, and a sentence if its clock was not stored. Raises `SigningKeyError`."""
         if not config.vehicle.signing_key:
             return None, ""
-        key = read_key(self.profile.parent / config.vehicle.signing_key)
+        key = read_key(self.config_file.parent / config.vehicle.signing_key)
         memory, problem = TimestampFile(self.signing_timestamp).load()
         return Signing(key, config.vehicle.component_id, memory), problem

@@ -86,7 +86,7 @@ class Service:
         self._failed: set[str] = set()
         """Parts whose failure was already reported."""
         self.link_problems: dict[str, str] = {}
-        self._profile = config
+        self._config = config
         self._stored = stored or StoredState()
         self._persistent = persistent
         self._unwritten: dict[str, Callable[[], None]] = {}
@@ -365,7 +365,7 @@ class Service:
                 self._vehicle.write(self._mavlink.encode(message, system_id))
             case KeepParameters(_, values) if self._persistent is not None:
                 file = self._persistent.parameters
-                self._store("parameters", partial(parameter_file.write, file, values, self._profile))
+                self._store("parameters", partial(parameter_file.write, file, values, self._config))
             case KeepDisarmed(_, disarmed) if self._persistent is not None:
                 self._store("disarming", partial(self._persistent.store_disarmed, disarmed))
             case KeepLearned(_, text) if self._persistent is not None:
@@ -375,7 +375,7 @@ class Service:
 
 
 def line_to(config: FirmwareConfig) -> Line:
-    """The line to the actuator that the profile names. Raises `PluginError`."""
+    """The line to the actuator that the configuration names. Raises `PluginError`."""
     if config.is_phlosar:
         return PhlosarLine()
     try:
@@ -387,6 +387,6 @@ def line_to(config: FirmwareConfig) -> Line:
 
 
 def check_plugins(config: Config) -> None:
-    """Raises `PluginError` if a part of an installed package that the profile names cannot be used."""
+    """Raises `PluginError` if a part of an installed package that the configuration names cannot be used."""
     line_to(config.firmware)
     Core(config)

@@ -293,7 +293,7 @@ async def fly(
         text = configuration.default_text()
         text = text.replace(default.vehicle.link, f"udpin:127.0.0.1:{companion_port}")
         text = text.replace(default.firmware.link, f"serial:{port.path}")
-        config = configuration.parse(text, "the demo's profile")
+        config = configuration.parse(text, "the demo's configuration")
         log = Recorder(out, FlightStart(text, config.pneumatics))
         world = World(config, autopilot, phlosar, ground)
         server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), ("127.0.0.1", ground_port))

@@ -40,7 +40,7 @@ def fly(
     """Fly the items until the vehicle has landed, or until `LATE_S` after `planned_s`.
 
     Raises `MissionRefused` if the autopilot refuses an item. `rig` is the simulated rig; default: a typical
-    one with the profile's numbers.
+    one with the configuration's numbers.
     """
     began = perf_counter()
     # There is no person to arm the pneumatics.

@@ -108,8 +108,8 @@ class Again:
 def replay_flight(log: FlightLog, config: Config | None = None) -> Again:
     """Feed a flight's input to a new core, and compare the answers.
 
-    `config` replaces the flight's own profile, to show its effect. Raises `LogError` if the log does not
-    contain the start of the core.
+    `config` replaces the flight's own configuration, to show its effect. Raises `LogError` if the log does
+    not contain the start of the core.
     """
     again = Again()
     core: CrashSafeCore | None = None
@@ -157,7 +157,9 @@ def _since_the_service_began(log: FlightLog) -> list[FlightLog]:
 
 
 def _core(log: FlightLog, start: Start, config: Config | None) -> CrashSafeCore:
-    config = config or configuration.parse(start.profile, f"{log.path}: the profile in it", recorded=True)
+    config = config or configuration.parse(
+        start.profile, f"{log.path}: the configuration in it", recorded=True
+    )
     belief = None
     if start.rig:
         from flying_vines.supply.known_rig import load_known_rig

@@ -98,7 +98,9 @@ class PageSocket:
 def _why(status: int) -> str:
     """The problem for an HTTP status. Raises `NotAdmittedError` if a retry cannot help."""
     if status == 401:
-        raise NotAdmittedError("it needs its token: --token-file FILE ([page] token_file of its profile)")
+        raise NotAdmittedError(
+            "it needs its token: --token-file FILE ([page] token_file of its configuration)"
+        )
     if status in (403, 404, 421):
         raise NotAdmittedError("not a Flying Vines page, or a host name that it refuses: give its IP address")
     if status == 503:

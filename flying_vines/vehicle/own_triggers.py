@@ -18,7 +18,7 @@ GAP_S = 3.0
 
 
 class TriggerCondition(Protocol):
-    """A condition in the autopilot's messages. The profile defines what it starts; safety may refuse that."""
+    """A condition in the autopilot's messages. The configuration says what it starts; safety may refuse."""
 
     messages: Collection[str]
     """The names of the MAVLink messages that it needs."""
@@ -28,7 +28,7 @@ class TriggerCondition(Protocol):
 
 
 class OwnTrigger:
-    """One entry of the profile's `[[triggers]]`. Raises `PluginError`."""
+    """One entry of the configuration's `[[triggers]]`. Raises `PluginError`."""
 
     def __init__(self, index: int, config: TriggerConfig) -> None:
         self.name = f"trigger {config.kind}" + (f" {index}" if index else "")
@@ -57,5 +57,5 @@ class OwnTrigger:
 
 
 def own_triggers(configs: Sequence[TriggerConfig]) -> tuple[OwnTrigger, ...]:
-    """The triggers of installed packages that the profile names. Raises `PluginError`."""
+    """The triggers of installed packages that the configuration names. Raises `PluginError`."""
     return tuple(OwnTrigger(index, config) for index, config in enumerate(configs))

@@ -1,4 +1,4 @@
-"""Turns triggers (switch, mission items, commands) into intents, by the tables of the profile."""
+"""Turns triggers (switch, mission items, commands) into intents, by the tables of the configuration."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from flying_vines.vine.intent import (
 from flying_vines.vine.profile import flatten, top_kPa
 
 FLOAT32 = 1e-6
-"""Relative error of a 32-bit float, in which MAVLink carries the profile's numbers."""
+"""Relative error of a 32-bit float, in which MAVLink carries the configuration's numbers."""
 
 NAME_OF_COMMAND = {number: name for name, number in CARRIERS.items()}
 

@@ -40,11 +40,11 @@ class Vehicle:
 
     def __init__(
         self,
-        profile: Config,
+        base: Config,
         mission: Sequence[MissionItem] = (),
         parameters: Mapping[str, float] | None = None,
     ) -> None:
-        self.component = Component(profile, parameters)
+        self.component = Component(base, parameters)
         config = self.component.parameters.config
         self.state = VehicleState(config.vehicle.system_id)
         self._rules = Rules(config)
@@ -66,7 +66,7 @@ class Vehicle:
 
     @property
     def config(self) -> Config:
-        """The profile with the parameters that are in force."""
+        """The configuration with the parameters that are in force."""
         return self.component.parameters.config
 
     @property

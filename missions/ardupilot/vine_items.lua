@@ -5,7 +5,7 @@ ArduPilot reports such an item to a companion only by the status text "Mission: 
 sends its four numbers exactly, as COMMAND_LONG MAV_CMD_USER_1 to one component of this vehicle, and repeats
 the command until it is acknowledged. Needs ArduPilot 4.5 or newer. README.md describes the installation.
 
-  VINE_COMP  component id of the companion (vehicle.component_id of its profile)
+  VINE_COMP  component id of the companion (vehicle.component_id of its configuration)
   VINE_CHAN  MAVLink channel to send on; -1: the channel on which that component sends
 --]]
 

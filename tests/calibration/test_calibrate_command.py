@@ -35,11 +35,11 @@ COMMAND = (sys.executable, "-m", "flying_vines")
 def fake(tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.CompletedProcess[str], Path]:
     """A calibration of two stages on a simulated rig, and its folder; 15 s of CPU time."""
     folder = tmp_path_factory.mktemp("calibrated")
-    profile = folder / "vine.toml"
-    profile.write_text(configuration.default_text().replace("cv_volume_L = 0.1 ", "cv_volume_L = 0.3 "))
+    config_file = folder / "vine.toml"
+    config_file.write_text(configuration.default_text().replace("cv_volume_L = 0.1 ", "cv_volume_L = 0.3 "))
     (folder / "rig.toml").write_text("[cv]\nvolume_L = 0.4\n")
     stages = ("--only", "levels", "--no-diagnosis")
-    arguments = ("calibrate", "--config", profile, "--fake", "rig.toml", *stages)
+    arguments = ("calibrate", "--config", config_file, "--fake", "rig.toml", *stages)
     ended = subprocess.run((*COMMAND, *arguments), cwd=folder, capture_output=True, text=True, check=False)
     return ended, folder
 
@@ -55,7 +55,7 @@ def test_it_shows_stages_and_results(
 
 
 @pytest.mark.long
-def test_the_written_profile_is_valid(
+def test_the_written_configuration_is_valid(
     fake: tuple[subprocess.CompletedProcess[str], Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     _, folder = fake
@@ -132,9 +132,9 @@ def test_without_a_terminal_nothing_moves(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(sys.stdin, "isatty", lambda: False, raising=False)
-    profile = tmp_path / "vine.toml"
-    profile.write_text(configuration.default_text())
-    status, _, err = run(capsys, "calibrate", "--config", profile)
+    config_file = tmp_path / "vine.toml"
+    config_file.write_text(configuration.default_text())
+    status, _, err = run(capsys, "calibrate", "--config", config_file)
     assert status == 2
     assert "--yes" in err
 
@@ -214,14 +214,14 @@ class Terminal:
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[Path]:
-    """A folder with a profile for a simulated phloSAR in its own process."""
+    """A folder with a configuration for a simulated phloSAR in its own process."""
     port = tmp_path / "port"
     arguments = (*COMMAND, "fake", "phlosar", "--link", port)
     with subprocess.Popen(arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE) as phlosar:
         assert phlosar.stdout is not None
         phlosar.stdout.readline()
-        profile = tmp_path / "vine.toml"
-        profile.write_text(between(free_port(), str(port)))
+        config_file = tmp_path / "vine.toml"
+        config_file.write_text(between(free_port(), str(port)))
         yield tmp_path
         phlosar.send_signal(signal.SIGTERM)
 

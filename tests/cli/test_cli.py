@@ -20,47 +20,49 @@ def complaint(capsys: pytest.CaptureFixture[str]) -> str:
     return err
 
 
-def test_init_writes_a_profile_that_check_likes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    profile = tmp_path / "vine.toml"
-    assert run("config", "init", profile) == 0
-    assert run("config", "check", profile) == 0
+def test_init_writes_a_configuration_that_check_likes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config_file = tmp_path / "vine.toml"
+    assert run("config", "init", config_file) == 0
+    assert run("config", "check", config_file) == 0
     out = capsys.readouterr().out
     assert "good" in out
     assert out.endswith("Vehicle link unsigned: every program on this computer can command the vine.\n")
-    assert run("config", "init", profile) == 2
+    assert run("config", "init", config_file) == 2
     assert "already" in complaint(capsys)
-    profile.write_text("")
-    assert run("config", "init", profile, "--force") == 0
-    assert profile.read_text().startswith("# A Flying Vines profile")
+    config_file.write_text("")
+    assert run("config", "init", config_file, "--force") == 0
+    assert config_file.read_text().startswith("# A Flying Vines configuration")
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.4.2", "::"])
 def test_a_link_that_anybody_can_reach_is_refused(
     host: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    profile = tmp_path / "vine.toml"
-    run("config", "init", profile)
-    profile.write_text(profile.read_text().replace("udpin:127.0.0.1", f"udpin:{host}"))
+    config_file = tmp_path / "vine.toml"
+    run("config", "init", config_file)
+    config_file.write_text(config_file.read_text().replace("udpin:127.0.0.1", f"udpin:{host}"))
     capsys.readouterr()
-    for command in (("config", "check", profile), ("run", "--config", profile, "--out", tmp_path)):
+    for command in (("config", "check", config_file), ("run", "--config", config_file, "--out", tmp_path)):
         assert run(*command) == 2
         assert complaint(capsys) == (
-            f"flying-vines: {profile}:6: vehicle.link: anybody on the network could command the vine: "
+            f"flying-vines: {config_file}:6: vehicle.link: anybody on the network could command the vine: "
             f"name the sender (udpin:{host}:14540?peer=ADDRESS), listen on 127.0.0.1, "
             "or set vehicle.signing_key\n"
         )
 
 
 def test_check_names_file_line_and_key(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    profile = tmp_path / "vine.toml"
-    run("config", "init", profile)
+    config_file = tmp_path / "vine.toml"
+    run("config", "init", config_file)
     capsys.readouterr()
-    text = profile.read_text().replace("debounce_s = 0.15", "debounce = 0.15")
-    profile.write_text(text)
+    text = config_file.read_text().replace("debounce_s = 0.15", "debounce = 0.15")
+    config_file.write_text(text)
     line = 1 + text[: text.index("debounce = 0.15")].count("\n")
-    assert run("config", "check", profile) == 2
+    assert run("config", "check", config_file) == 2
     assert complaint(capsys) == (
-        f"flying-vines: {profile}:{line}: switch.debounce: unknown key; did you mean 'debounce_s'?\n"
+        f"flying-vines: {config_file}:{line}: switch.debounce: unknown key; did you mean 'debounce_s'?\n"
     )
 
 

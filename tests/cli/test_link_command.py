@@ -165,10 +165,10 @@ def test_nobody_there_is_status_1_and_says_why(capsys: pytest.CaptureFixture[str
     assert "usb:ffff:ffff is not there" in out
 
 
-def test_the_profile_says_where(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    profile = tmp_path / "vine.toml"
-    profile.write_text(default_text().replace("serial:/dev/ttyACM0", "serial:/nowhere/at/all"))
-    status, out, _ = run(capsys, "link", "--config", profile, "--seconds", "0.2")
+def test_the_configuration_says_where(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config_file = tmp_path / "vine.toml"
+    config_file.write_text(default_text().replace("serial:/dev/ttyACM0", "serial:/nowhere/at/all"))
+    status, out, _ = run(capsys, "link", "--config", config_file, "--seconds", "0.2")
     assert status == 1
     assert "/nowhere/at/all is not there" in out
 

@@ -29,7 +29,7 @@ ONE_LINE = re.compile(r"my\.toml:(\d+): (?:([^:\n]+): )?[^\n]+")
 
 
 def mistake(text: str, profiles: str = PROFILES) -> tuple[int, str, str]:
-    """Line, key and complete text of the error of a profile."""
+    """Line, key and complete text of the error of a configuration."""
     with pytest.raises(ConfigError) as caught:
         config.parse(text + "\n" + profiles, "my.toml")
     said = str(caught.value)
@@ -38,11 +38,11 @@ def mistake(text: str, profiles: str = PROFILES) -> tuple[int, str, str]:
     return int(found[1]), found[2] or "", said
 
 
-def test_the_least_profile_is_enough() -> None:
+def test_the_least_configuration_is_enough() -> None:
     assert config.parse(PROFILES, "my.toml").vehicle == config.VehicleConfig()
 
 
-def test_the_built_in_profile_says_what_the_defaults_are() -> None:
+def test_the_built_in_configuration_says_what_the_defaults_are() -> None:
     built_in = config.default()
     for table in Config.__struct_fields__:
         if table in ("items", "profiles"):
@@ -51,7 +51,7 @@ def test_the_built_in_profile_says_what_the_defaults_are() -> None:
         assert getattr(built_in, table) == struct(), table
 
 
-def test_the_built_in_profile_shows_every_key() -> None:
+def test_the_built_in_configuration_shows_every_key() -> None:
     raw = tomllib.loads(config.default_text())
     built_in = config.default()
     for table in Config.__struct_fields__:
@@ -66,7 +66,7 @@ def test_every_profile_that_is_built_in_can_be_flown() -> None:
         assert list(flatten(built_in.profiles, name))
 
 
-def test_a_profile_is_read_from_its_file(tmp_path: Path) -> None:
+def test_a_configuration_is_read_from_its_file(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(config.default_text(), encoding="utf-8")
     assert config.load(path) == config.default()
@@ -323,7 +323,7 @@ def test_a_sine_just_within_the_limit_is_allowed() -> None:
     config.parse(sine + PROFILES, "my.toml")
 
 
-def test_a_recorded_profile_may_have_been_open() -> None:
+def test_a_recorded_configuration_may_have_been_open() -> None:
     text = "[vehicle]\nlink = 'udpin:0.0.0.0:14540'\n" + PROFILES
     assert config.parse(text, "an old log", recorded=True).vehicle.link == "udpin:0.0.0.0:14540"
 
@@ -439,13 +439,13 @@ def test_any_text_parses_or_is_refused(text: str) -> None:
 
 @given(at=st.integers(0, 20_000), length=st.integers(0, 40), put=st.text(max_size=10))
 @settings(max_examples=examples(100), deadline=None)
-def test_any_slip_in_the_built_in_profile_parses_or_is_refused(at: int, length: int, put: str) -> None:
+def test_any_slip_in_the_built_in_configuration_parses_or_is_refused(at: int, length: int, put: str) -> None:
     whole = config.default_text()
     at %= len(whole)
     parses_or_is_refused(whole[:at] + put + whole[at + length :])
 
 
-def test_a_profile_of_an_earlier_version_that_vents_where_the_autopilot_is_lost_still_holds() -> None:
+def test_a_configuration_of_an_earlier_version_that_vents_where_the_autopilot_is_lost_still_holds() -> None:
     text = config.default_text()
     old = text.replace("[losses]\n", "[losses]\non_autopilot_loss = 'vent'\n")
     assert old != text

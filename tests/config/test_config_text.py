@@ -8,7 +8,7 @@ import pytest
 from flying_vines.calibration.plan import CalibrationRequest, plan
 from flying_vines.config import config as configuration
 from flying_vines.config.config import ChecksConfig, Config, FirmwareConfig, TriggerConfig
-from flying_vines.config.config_text import profile_text
+from flying_vines.config.config_text import configuration_text
 
 DEFAULT = configuration.default()
 ODD = msgspec.structs.replace(
@@ -31,4 +31,4 @@ ODD = msgspec.structs.replace(
     ids=["default", "odd", "of a calibration"],
 )
 def test_it_is_the_same_again(config: Config) -> None:
-    assert configuration.parse(profile_text(config), "the text") == config
+    assert configuration.parse(configuration_text(config), "the text") == config

@@ -1,4 +1,4 @@
-"""Replacing one value of a profile changes this value and nothing else."""
+"""Replacing one value of a configuration changes this value and nothing else."""
 
 from __future__ import annotations
 

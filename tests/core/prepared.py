@@ -20,7 +20,7 @@ _stored: dict[tuple[Callable[..., SimulatedFlight], str], bytes] = {}
 
 def prepared(begin: Callable[..., SimulatedFlight], *arguments: Any) -> SimulatedFlight:
     """A copy of the result of `begin(*arguments)`."""
-    key = (begin, repr(arguments))  # a profile has no hash
+    key = (begin, repr(arguments))  # a configuration has no hash
     if key not in _stored:
         file = io.BytesIO()
         _Pickler(file, pickle.HIGHEST_PROTOCOL).dump(begin(*arguments))

@@ -72,7 +72,7 @@ def test_disarmed_pneumatics_let_air_out_and_bend_for_nobody_until_a_person_arms
     assert bench.command(BEND, 30.0).safety == "accepted"
 
 
-def test_a_profile_may_want_a_person_to_arm_first() -> None:
+def test_a_configuration_may_want_a_person_to_arm_first() -> None:
     bench = Bench(armed_at_start=False)
     assert bench.flight.core.snapshot(3.0).doing == "pneumatics disarmed"
     assert bench.command(BEND, 30.0).safety == "refused"

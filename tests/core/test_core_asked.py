@@ -142,12 +142,12 @@ def test_the_page_takes_no_air_in_flight(intent: Intent) -> None:
     assert_vented(flight)
 
 
-def test_not_even_where_the_profile_is_for_the_bench() -> None:
+def test_not_even_where_the_configuration_is_for_the_bench() -> None:
     flight = airborne(configured(interlocks=config.InterlocksConfig(bench_mode=True)))
     assert ask(flight, "page", BendTo(30.0)).safety == "refused"
 
 
-def test_a_profile_for_the_bench_is_bench_mode() -> None:
+def test_a_configuration_for_the_bench_is_bench_mode() -> None:
     flight = on_the_ground(configured(interlocks=config.InterlocksConfig(bench_mode=True)))
     assert ask(flight, "page", BendTo(30.0)).safety == "accepted"
 
@@ -168,7 +168,7 @@ def test_the_page_arms_disarms_and_clears_in_flight() -> None:
         assert ask(flight, "page", intent).safety == "accepted"
 
 
-def test_the_broker_may_do_what_the_profile_lists() -> None:
+def test_the_broker_may_do_what_the_configuration_lists() -> None:
     flight = airborne(open_to("vent", "bend"))
     assert ask(flight, "broker", BendTo(30.0)).safety == "accepted"
     assert ask(flight, "broker", SetPressure(9.0)).reason == "mqtt.commands does not list pressure"

@@ -22,14 +22,14 @@ WAITING = "Vine: waiting for: switch down, then up"
 HEARTBEAT, RC_CHANNELS = 0, 65
 
 
-def bent(profile: Config | None = None, rc: bool = True) -> SimulatedFlight:
+def bent(conf: Config | None = None, rc: bool = True) -> SimulatedFlight:
     """A flight at 10 m. The switch has bent the vine, or a button in a flight without RC."""
-    return prepared(_bent, profile or config.default(), rc)
+    return prepared(_bent, conf or config.default(), rc)
 
 
-def _bent(profile: Config, rc: bool) -> SimulatedFlight:
+def _bent(conf: Config, rc: bool) -> SimulatedFlight:
     autopilot = FakeAutopilot("ardupilot", rc_failsafe_mode=None)
-    flight = SimulatedFlight(profile, autopilot)
+    flight = SimulatedFlight(conf, autopilot)
     autopilot.set_rc(9, LOW)
     flight.run(2.0)
     autopilot.takeoff(10.0)
@@ -42,8 +42,8 @@ def _bent(profile: Config, rc: bool) -> SimulatedFlight:
 
 
 def holding(**losses: object) -> Config:
-    profile = config.default()
-    return msgspec.structs.replace(profile, losses=msgspec.structs.replace(profile.losses, **losses))
+    conf = config.default()
+    return msgspec.structs.replace(conf, losses=msgspec.structs.replace(conf.losses, **losses))
 
 
 def lives(flight: SimulatedFlight, for_s: float) -> list[Action]:

@@ -99,7 +99,7 @@ def test_only_a_request_of_a_person_prolongs_it(monkeypatch: pytest.MonkeyPatch)
     assert "Vine: bench mode over, no more requests: vented" in notices(run_for(flight, 1.5))
 
 
-def test_rc_that_goes_off_vents_where_the_profile_is_for_the_bench() -> None:
+def test_rc_that_goes_off_vents_where_the_configuration_is_for_the_bench() -> None:
     interlocks = config.InterlocksConfig(bench_mode=True)
     flight = on_the_ground(msgspec.structs.replace(config.default(), interlocks=interlocks))
     assert ask(flight, BendTo(30.0)).safety == "accepted"

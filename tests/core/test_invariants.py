@@ -76,8 +76,8 @@ class BlindToSafety(Core):
 class SwitchRemembers(Core):
     """Accepts a move of the switch that nobody saw."""
 
-    def __init__(self, profile: Config) -> None:
-        super().__init__(profile)
+    def __init__(self, conf: Config) -> None:
+        super().__init__(conf)
         self._vehicle.switch.lose = lambda: None  # type: ignore[method-assign]
 
 
@@ -104,10 +104,10 @@ class HoldsByGoingOn(Core):
 class TooFar(Core):
     """Has no limits."""
 
-    def __init__(self, profile: Config) -> None:
-        limits = msgspec.structs.replace(profile.limits, max_kPa=24.0)
-        vine = msgspec.structs.replace(profile.vine, curve=((0.0, 0.0), (24.0, 60.0)))
-        super().__init__(msgspec.structs.replace(profile, limits=limits, vine=vine))
+    def __init__(self, conf: Config) -> None:
+        limits = msgspec.structs.replace(conf.limits, max_kPa=24.0)
+        vine = msgspec.structs.replace(conf.vine, curve=((0.0, 0.0), (24.0, 60.0)))
+        super().__init__(msgspec.structs.replace(conf, limits=limits, vine=vine))
 
 
 class NeedsNobody(Core):

@@ -3,7 +3,7 @@
     .venv/bin/python tests/day/day_in_the_life.py --pictures DIR
 
 It prints each step and its command, and saves a picture of each. Stand-ins for autopilot and phloSAR take the
-place of the hardware. The stand-in's rig has a leak that the user's profile does not know.
+place of the hardware. The stand-in's rig has a leak that the user's configuration does not know.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ from flying_vines.physics.plant.plant import at_rest
 from flying_vines.physics.plant.true_rig import TrueRig
 
 flight = api.read_case("flights/last")
-rigs = {"profile": TrueRig(flight.rig), "extended": api.load_rig("extended.toml")}
+rigs = {"configured": TrueRig(flight.rig), "extended": api.load_rig("extended.toml")}
 
 
 def misfit_kPa(rig):
@@ -198,7 +198,7 @@ def live(folder: Path, pictures: Path, browser: Browser) -> Outcomes:
     ports = {name: free_port() for name in ("vehicle", "gcs", "page")}
     with day.step("Build the wheel and install it"):
         _install(day)
-    with day.step("A profile"):
+    with day.step("A configuration"):
         day.do("flying-vines config init vine.toml")
         use_stand_ins(folder / "vine.toml", ports["vehicle"], ports["page"])
         seen.checked = day.do("flying-vines config check vine.toml", "config-check")
@@ -231,9 +231,9 @@ def live(folder: Path, pictures: Path, browser: Browser) -> Outcomes:
     return seen
 
 
-def use_stand_ins(profile: Path, vehicle_port: int, page_port: int) -> None:
-    """Point the links of a new profile at stand-ins: the phloSAR's port is `vine-port` beside it."""
-    text = profile.read_text(encoding="utf-8")
+def use_stand_ins(config_file: Path, vehicle_port: int, page_port: int) -> None:
+    """Point the links of a new configuration at stand-ins: the phloSAR's port is `vine-port` beside it."""
+    text = config_file.read_text(encoding="utf-8")
     for old, new in (
         ("udpin:127.0.0.1:14540", f"udpin:127.0.0.1:{vehicle_port}"),
         ("serial:/dev/ttyACM0", "serial:vine-port"),
@@ -241,7 +241,7 @@ def use_stand_ins(profile: Path, vehicle_port: int, page_port: int) -> None:
     ):
         assert old in text
         text = text.replace(old, new)
-    profile.write_text(text, encoding="utf-8")
+    config_file.write_text(text, encoding="utf-8")
 
 
 def _install(day: Day) -> None:

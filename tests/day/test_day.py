@@ -47,7 +47,7 @@ def test_a_day_from_the_wheel_to_a_simulation_that_explains_the_rig(tmp_path: Pa
     (found,) = seen.verdict["parameters"].values()
     assert found["estimate"] == pytest.approx(LEAK_KPA_S_PER_SL, rel=0.05)
     assert seen.verdict["held_out"]["nrmse_after"] < seen.verdict["held_out"]["nrmse_before"]
-    assert seen.misfit_kPa["extended"] < 0.2 * seen.misfit_kPa["profile"]
+    assert seen.misfit_kPa["extended"] < 0.2 * seen.misfit_kPa["configured"]
 
     assert sum(seen.seconds.values()) < MOST_S
     assert (

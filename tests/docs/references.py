@@ -178,7 +178,7 @@ def _range(kind: inspect.FloatType | inspect.IntType) -> str:
 
 
 def comments_of(text: str) -> dict[tuple[str, str], str]:
-    """The comment on each key in a profile's text: behind the key, and on indented lines below."""
+    """The comment on each key in a configuration's text: behind the key, and on indented lines below."""
     lines = text.splitlines()
     found = {}
     for key, number in lines_of_keys(text).items():
@@ -228,15 +228,18 @@ def segments(name: str) -> list[str]:
 
 def parameters(name: str) -> list[str]:
     """The parameters that a pilot may change in the field."""
-    profile = config.default()
-    rows = ["| parameter | key of the profile | default | may be | |", "| --- | --- | --- | --- | --- |"]
+    base = config.default()
+    rows = [
+        "| parameter | key of the configuration | default | may be | |",
+        "| --- | --- | --- | --- | --- |",
+    ]
     for setting in SETTINGS:
-        least, most = bounds(setting, profile)
+        least, most = bounds(setting, base)
         allowed = f"{least:g} … {most:g}"
         if setting.guard != "none":
-            allowed = f"at {'most' if setting.guard == 'max' else 'least'} the profile's ({allowed})"
+            allowed = f"at {'most' if setting.guard == 'max' else 'least'} the configured value ({allowed})"
         key = f"`{setting.table}.{setting.key}`"
-        rows.append(_row(f"`{setting.name}`", key, f"{value_of(setting, profile):g}", allowed, setting.doc))
+        rows.append(_row(f"`{setting.name}`", key, f"{value_of(setting, base):g}", allowed, setting.doc))
     return rows
 
 

@@ -1,4 +1,4 @@
-"""The files that the guides name: profiles, rigs, recorded cases, flights, missions."""
+"""The files that the guides name: configurations, rigs, recorded cases, flights, missions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
 
-from recorded_flight import PROFILE, one_bend
+from recorded_flight import TEXT, one_bend
 
 from docs.commands_said import ROOT
 from flying_vines.config import config
@@ -88,8 +88,8 @@ def _refused(path: Path) -> None:
 
 
 SHELF: tuple[tuple[str, Maker], ...] = (
-    (r"(around|vine|bench|calibrated|PROFILE)\.toml", _text(config.default_text())),
-    (r"flown\.toml", _text(PROFILE)),
+    (r"(around|vine|bench|calibrated)\.toml", _text(config.default_text())),
+    (r"flown\.toml", _text(TEXT)),
     (r"wrong\.waypoints", _refused),
     (r"seam_leak\.py", _text((ROOT / "examples" / "seam_leak.py").read_text(encoding="utf-8"))),
     (r"(rig|RIG)\.toml", _text("[cv]\nvolume_L = 0.1\n")),

@@ -170,10 +170,10 @@ class Stage:
         text = re.sub(r"http://[\w.]+:8017", "http://127.0.0.1:8017", text)
         return FIXED.sub(lambda port: self._ports.setdefault(port[0], str(free_port())), text)
 
-    def _turn_here(self, profile: Path) -> None:
-        """Change a profile as the pages say: the addresses of the stand-ins, and bends on the ground."""
-        text = profile.read_text(encoding="utf-8").replace("bench_mode = false", "bench_mode = true")
-        profile.write_text(self.here(text), encoding="utf-8")
+    def _turn_here(self, config_file: Path) -> None:
+        """Change a file as the pages say: the addresses of the stand-ins, and bends on the ground."""
+        text = config_file.read_text(encoding="utf-8").replace("bench_mode = false", "bench_mode = true")
+        config_file.write_text(self.here(text), encoding="utf-8")
 
     def _here(self, words: Sequence[str]) -> list[str]:
         return [self.here(word) for word in words]

@@ -113,7 +113,7 @@ class Stated:
     whole: bool
 
     def text(self, value: float) -> str:
-        """A profile with this value."""
+        """A configuration with this value."""
         head = "[profiles.x]\nsegments = [{kind = 'step', to_kPa = 0}]" if self.table == "profiles" else ""
         return f"{head or f'[{self.table}]'}\n{self.key} = {value}\n{PROFILES}"
 
@@ -147,7 +147,7 @@ def test_every_number_has_its_range() -> None:
 
 
 def why_not(text: str) -> str:
-    """Why a profile is refused; empty if it is valid."""
+    """Why a configuration is refused; empty if it is valid."""
     try:
         config.parse(text, "my.toml")
     except ConfigError as error:

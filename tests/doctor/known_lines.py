@@ -7,13 +7,13 @@ from types import ModuleType
 
 from flying_vines.doctor.checks import (
     clock,
+    configuration,
     disk,
     firmware,
     machine,
     mission,
     network,
     port,
-    profile,
     radio,
     receiver,
     service,
@@ -22,7 +22,7 @@ from flying_vines.doctor.checks import (
 from flying_vines.doctor.finding import DoctorFinding, FindingText
 
 CHECKS: tuple[ModuleType, ...] = (
-    profile,
+    configuration,
     machine,
     disk,
     network,

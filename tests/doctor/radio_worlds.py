@@ -38,10 +38,10 @@ def run_on(
     until_s: float,
     presses: Sequence[float] = (),
     target: int = 0,
-    profile: Config = DEFAULT,
+    conf: Config = DEFAULT,
 ) -> RadioTest:
     """Run the test on a part of a recording. It begins with the switch in position `target`."""
-    test, waiting, now = RadioTest(profile), sorted(presses), from_s
+    test, waiting, now = RadioTest(conf), sorted(presses), from_s
     test.target = target
     for t, message in recorded(name, from_s, until_s):
         while now + TICK_S < t:

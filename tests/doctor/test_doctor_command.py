@@ -26,7 +26,7 @@ pytestmark = real_time
 
 FOUND = [
     DoctorFinding("memory", "good", "900 MB free"),
-    DoctorFinding("broker", "skipped", "the profile has none"),
+    DoctorFinding("broker", "skipped", "the configuration has none"),
     DoctorFinding("clock", "warning", "not synchronised " + "and so on " * 20, "wait"),
     DoctorFinding("phloSAR port", "bad", "/dev/ttyACM0 is not there", "plug it in"),
 ]
@@ -84,10 +84,10 @@ def test_on_fakes_it_is_well_and_needs_nothing_else(
 
 
 def test_an_error_makes_the_exit_status_one(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    profile = tmp_path / "vine.toml"
+    config_file = tmp_path / "vine.toml"
     text = configuration.default_text().replace("udpin:127.0.0.1:14540", "serial:/dev/none-a")
-    profile.write_text(text.replace("serial:/dev/ttyACM0", "serial:/dev/none-b"))
-    status, out, err = run(capsys, "doctor", "--config", profile, "--out", tmp_path)
+    config_file.write_text(text.replace("serial:/dev/ttyACM0", "serial:/dev/none-b"))
+    status, out, err = run(capsys, "doctor", "--config", config_file, "--out", tmp_path)
     assert (status, err) == (1, "")
     assert "BAD  phloSAR port:         /dev/none-b does not exist" in out
     assert "BAD  vehicle port:         /dev/none-a does not exist" in out
@@ -122,9 +122,9 @@ async def test_a_service_that_runs_already_is_named_with_what_it_holds(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     async with on_bench(FakeAutopilot("ardupilot")) as bench:
-        profile = tmp_path / "vine.toml"
-        profile.write_text(bench.profile.replace("port = 8017", "port = 0"))
-        arguments = ("--config", str(profile), "--out", str(tmp_path / "flights"))
+        config_file = tmp_path / "vine.toml"
+        config_file.write_text(bench.configuration.replace("port = 8017", "port = 0"))
+        arguments = ("--config", str(config_file), "--out", str(tmp_path / "flights"))
         service = await asyncio.create_subprocess_exec(
             sys.executable, "-m", "flying_vines", "run", "--plain", *arguments, stdout=asyncio.subprocess.PIPE
         )

@@ -29,8 +29,8 @@ from flying_vines.config.config import Config
 from flying_vines.doctor.examine import RadioQuestion
 from flying_vines.doctor.fakes import linked
 from flying_vines.doctor.finding import may_fly
-from flying_vines.doctor.look import profile
-from flying_vines.doctor.look.profile import ServiceProfile
+from flying_vines.doctor.look import configuration as look
+from flying_vines.doctor.look.configuration import ServiceConfiguration
 from flying_vines.doctor.vehicle_probe import SwitchFacts
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.vehicle.mavlink.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S
@@ -65,16 +65,16 @@ def moved_through_all(vehicle: Vehicle) -> RadioQuestion:
     return ask
 
 
-def no_port(config: Config, folder: Path) -> ServiceProfile:
-    return profile.given(linked(config, config.vehicle.link, "serial:/dev/there-is-none"), "test")
+def no_port(config: Config, folder: Path) -> ServiceConfiguration:
+    return look.given(linked(config, config.vehicle.link, "serial:/dev/there-is-none"), "test")
 
 
-def no_vehicle(config: Config, folder: Path) -> ServiceProfile:
-    return profile.given(linked(config, "tcp:127.0.0.1:9", config.firmware.link), "test")
+def no_vehicle(config: Config, folder: Path) -> ServiceConfiguration:
+    return look.given(linked(config, "tcp:127.0.0.1:9", config.firmware.link), "test")
 
 
-def with_a_key(config: Config, folder: Path) -> ServiceProfile:
-    """The profile as a file, with a signing key beside it."""
+def with_a_key(config: Config, folder: Path) -> ServiceConfiguration:
+    """The configuration as a file, with a signing key beside it."""
     default = configuration.default()
     text = configuration.default_text().replace('signing_key = ""', f'signing_key = "{KEY_FILE}"')
     text = text.replace(default.vehicle.link, config.vehicle.link)
@@ -82,24 +82,24 @@ def with_a_key(config: Config, folder: Path) -> ServiceProfile:
     file.write_text(text.replace(default.firmware.link, config.firmware.link))
     (folder / KEY_FILE).write_text(KEY.hex())
     (folder / KEY_FILE).chmod(0o600)
-    return profile.read(file)
+    return look.read(file)
 
 
 WORLDS: dict[str, World] = {
     "healthy": World(lambda: Vehicle(mission=MISSION), phlosar=phlosar),
     "healthy on PX4": World(lambda: Vehicle("px4")),
     "no SYS_STATUS": World(lambda: Vehicle(mute=SYS_STATUS.__eq__)),
-    "no vehicle": World(profile=no_vehicle),
+    "no vehicle": World(start=no_vehicle),
     "RC is lost": World(without_rc),
     "switch moved": World(lambda: Vehicle(mission=MISSION), ask=moved_through_all),
     "switch not moved": World(ask=lambda vehicle: lambda radio: None),
     "id is taken": World(stranger=heartbeats(1, 191, ONBOARD, NONE)),
     "two autopilots": World(stranger=heartbeats(2, 1, QUADROTOR, ARDUPILOT)),
     "noise": World(lambda: Vehicle(mute=lambda message_id: True), stranger=lambda count: bytes(range(50))),
-    "signed": World(lambda: Vehicle(signing_key=KEY), profile=with_a_key),
-    "not signed": World(profile=with_a_key),
+    "signed": World(lambda: Vehicle(signing_key=KEY), start=with_a_key),
+    "not signed": World(start=with_a_key),
     "signed, and no key": World(lambda: Vehicle(signing_key=KEY)),
-    "no firmware": World(profile=no_port),
+    "no firmware": World(start=no_port),
     "a GPS": World(firmware=gps),
     "silence": World(firmware=silent),
     "next version": World(firmware=of_next_version),
@@ -193,7 +193,7 @@ def test_a_switch_that_is_moved_is_seen_in_all_positions(seen: dict[str, Examine
 def test_an_autopilot_that_signs_is_distinguished(seen: dict[str, Examined]) -> None:
     assert seen["signed"].of("signing").what == "all messages were signed with our key"
     without = seen["signed, and no key"]
-    assert "the profile has no key" in without.of("signing").what
+    assert "the configuration has no key" in without.of("signing").what
     assert without.bad >= {"SYS_STATUS", "GLOBAL_POSITION_INT", "RC_CHANNELS"}, "it does not hear us"
 
 
@@ -224,6 +224,6 @@ def test_the_vehicle_is_only_asked(seen: dict[str, Examined]) -> None:
 
 
 def test_findings_are_reported_in_order_as_they_come(seen: dict[str, Examined]) -> None:
-    for look in seen.values():
-        assert [finding for told in look.told for finding in told] == look.findings
-        assert len(look.told) > 5
+    for world in seen.values():
+        assert [finding for told in world.told for finding in told] == world.findings
+        assert len(world.told) > 5

@@ -21,18 +21,18 @@ from flying_vines.doctor.checks import (
     mission,
     network,
     port,
-    profile,
     radio,
     receiver,
     service,
     vehicle,
 )
+from flying_vines.doctor.checks import configuration as configuration_check
 from flying_vines.doctor.checks.clock import ClockFacts
+from flying_vines.doctor.checks.configuration import ConfigurationFacts
 from flying_vines.doctor.checks.disk import DiskFacts
 from flying_vines.doctor.checks.machine import MachineFacts
 from flying_vines.doctor.checks.network import BrokerFacts, PageFacts
 from flying_vines.doctor.checks.port import PortFacts
-from flying_vines.doctor.checks.profile import ProfileFacts
 from flying_vines.doctor.checks.service import Process
 from flying_vines.doctor.finding import DoctorFinding, FindingText, may_fly, summary
 from flying_vines.doctor.firmware_probe import FirmwareFacts
@@ -43,7 +43,7 @@ from flying_vines.vehicle.mavlink.signing import RefusedFrames
 from flying_vines.vehicle.mission.item import MissionItem
 
 CONFIG = configuration.default()
-PROFILE = ProfileFacts("vine.toml", CONFIG)
+FACTS = ConfigurationFacts("vine.toml", CONFIG)
 MACHINE = MachineFacts("0.1.0", "3.11.2", "Linux 6.12", "aarch64", 900.0, 0, 55.0)
 DISK = DiskFacts("flight logs", "flights", free_MB=9000.0, least_free_MB=200.0, took_s=0.02)
 STATE = DiskFacts("state", "/var/lib/flying-vines", free_MB=9000.0, took_s=0.02)
@@ -101,7 +101,7 @@ LEARNED = RadioLearned("px4", losses=(HELD, HELD_BENT), parameters={"COM_RC_LOSS
 
 
 def changed(table: str, **values: object) -> Config:
-    """The default profile with other values in one table."""
+    """The default configuration with other values in one table."""
     return msgspec.structs.replace(
         CONFIG, **{table: msgspec.structs.replace(getattr(CONFIG, table), **values)}
     )
@@ -116,8 +116,8 @@ def later(loss: TransmitterLoss, shown_s: float) -> TransmitterLoss:
     return replace(loss, signs=(*loss.signs[:-1], replace(RC_STATUS, after_s=shown_s)))
 
 
-def of_profile(**facts: object) -> list[DoctorFinding]:
-    return profile.check(replace(PROFILE, **facts))  # type: ignore[arg-type]
+def of_configuration(**facts: object) -> list[DoctorFinding]:
+    return configuration_check.check(replace(FACTS, **facts))  # type: ignore[arg-type]
 
 
 def of_machine(**facts: object) -> list[DoctorFinding]:
@@ -182,20 +182,29 @@ PORTS = port.LINES["phloSAR"]
 HOME, WAYPOINT, SCRIPT = (16, 0.0, 0.0), (16, 0.0, 0.0), 217
 
 CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
-    (profile.GOOD, of_profile()),
-    (profile.RIG, of_profile(rig="rig.toml", rig_said="bottle 2 L")),
-    (profile.BAD_RIG, of_profile(rig="rig.toml", rig_problem="rig.toml:3: no such cause")),
-    (profile.KEY, of_profile(signing_key="vine.key")),
-    (profile.BAD_KEY, of_profile(signing_key="vine.key", signing_problem="vine.key: others may read it")),
-    (profile.VEHICLE_LINK, of_profile()),
-    (profile.VEHICLE_LINK, of_profile(config=changed("vehicle", link="udpin:0.0.0.0:1", signing_key="key"))),
-    (profile.OPEN_TO_NETWORK, of_profile(config=changed("vehicle", link="tcp:10.0.0.7:5760"))),
-    (profile.NO_CLOCK, of_profile(signing_clock_problem="stamp: damaged")),
-    (profile.PARAMETERS, of_profile(parameters={"FV_MAX_KPA": 15.0})),
-    (profile.BAD_PARAMETERS, of_profile(parameters_problem="p.toml:1: damaged")),
-    (profile.DISARMED, of_profile(disarming="vine.disarmed")),
-    (profile.LATCHED, of_profile(latched={"overpressure": "vine at 60.0 kPa, limit 50"})),
-    (profile.BENCH, of_profile(config=changed("interlocks", bench_mode=True))),
+    (configuration_check.GOOD, of_configuration()),
+    (configuration_check.RIG, of_configuration(rig="rig.toml", rig_said="bottle 2 L")),
+    (configuration_check.BAD_RIG, of_configuration(rig="rig.toml", rig_problem="rig.toml:3: no such cause")),
+    (configuration_check.KEY, of_configuration(signing_key="vine.key")),
+    (
+        configuration_check.BAD_KEY,
+        of_configuration(signing_key="vine.key", signing_problem="vine.key: others may read it"),
+    ),
+    (configuration_check.VEHICLE_LINK, of_configuration()),
+    (
+        configuration_check.VEHICLE_LINK,
+        of_configuration(config=changed("vehicle", link="udpin:0.0.0.0:1", signing_key="key")),
+    ),
+    (
+        configuration_check.OPEN_TO_NETWORK,
+        of_configuration(config=changed("vehicle", link="tcp:10.0.0.7:5760")),
+    ),
+    (configuration_check.NO_CLOCK, of_configuration(signing_clock_problem="stamp: damaged")),
+    (configuration_check.PARAMETERS, of_configuration(parameters={"FV_MAX_KPA": 15.0})),
+    (configuration_check.BAD_PARAMETERS, of_configuration(parameters_problem="p.toml:1: damaged")),
+    (configuration_check.DISARMED, of_configuration(disarming="vine.disarmed")),
+    (configuration_check.LATCHED, of_configuration(latched={"overpressure": "vine at 60.0 kPa, limit 50"})),
+    (configuration_check.BENCH, of_configuration(config=changed("interlocks", bench_mode=True))),
     (machine.GOOD, of_machine()),
     (machine.NOT_LINUX, of_machine(system="Darwin 24")),
     (machine.MEMORY, of_machine(free_MB=200.0)),
@@ -400,7 +409,7 @@ def test_both_ports_say_the_same_of_their_own_link() -> None:
 
 
 HEALTHY: list[Sequence[DoctorFinding]] = [
-    of_profile(),
+    of_configuration(),
     of_machine(),
     of_disk(DISK),
     of_disk(STATE),
@@ -490,5 +499,5 @@ def test_on_ardupilot_nothing_waits_for_a_preset_that_is_reported_late() -> None
         (replace(LEARNED, losses=(), hidden_by="FS_THR_ENABLE 0"), None),
     ],
 )
-def test_the_result_for_the_profile(learned: RadioLearned, written: int | str | None) -> None:
+def test_the_result_for_the_configuration(learned: RadioLearned, written: int | str | None) -> None:
     assert receiver.to_write(learned, CONFIG) == written

@@ -1,4 +1,4 @@
-"""Facts that the doctor reads here: processes, ports, disk, clock, broker, a profile's files."""
+"""Facts that the doctor reads here: processes, ports, disk, clock, broker, a configuration's files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from flying_vines.config.address import NetworkAddress, SerialAddress
 from flying_vines.config.config import ConfigError, MqttConfig
 from flying_vines.doctor.checks.network import BrokerFacts
 from flying_vines.doctor.checks.service import Process
-from flying_vines.doctor.look import broker, clock, disk, machine, ports, processes, profile
+from flying_vines.doctor.look import broker, clock, disk, machine, ports, processes
+from flying_vines.doctor.look import configuration as look
 from flying_vines.service import host_clock
 
 HOLD_A_TERMINAL = (
@@ -316,8 +317,8 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
-def test_a_profile_is_read_with_all_that_it_names(tmp_path: Path) -> None:
-    healthy = profile.read(write(tmp_path, 'rig = ""'))
+def test_a_configuration_is_read_with_all_that_it_names(tmp_path: Path) -> None:
+    healthy = look.read(write(tmp_path, 'rig = ""'))
     assert (healthy.facts.rig, healthy.facts.signing_key, healthy.facts.disarming) == ("", "", "")
     assert healthy.state == tmp_path
     path = write(tmp_path, 'rig = "none.toml"')
@@ -327,17 +328,17 @@ def test_a_profile_is_read_with_all_that_it_names(tmp_path: Path) -> None:
     (tmp_path / "vine.disarmed").write_text("")
     (tmp_path / "vine.latched.json").write_text('{"deaf": "phloSAR gets no commands"}')
     (tmp_path / "vine.parameters.toml").write_text("FV_NONE = 3\n")
-    facts = profile.read(path).facts
+    facts = look.read(path).facts
     assert "none.toml" in facts.rig_problem
     assert "chmod 600" in facts.signing_problem
     assert facts.disarming == str(tmp_path / "vine.disarmed")
     assert facts.latched == {"deaf": "phloSAR gets no commands"}
     assert "FV_NONE" in facts.parameters_problem
     (tmp_path / "key").chmod(0o600)
-    assert profile.read(path).signing is not None
+    assert look.read(path).signing is not None
     path.write_text("[vehicle]\nlnk = 3\n")
     with pytest.raises(ConfigError, match="lnk"):
-        profile.read(path)
+        look.read(path)
 
 
 def test_a_process_is_named_for_people() -> None:

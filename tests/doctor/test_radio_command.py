@@ -1,4 +1,4 @@
-"""`flying-vines doctor --radio`: output, changes of the profile, and exit status."""
+"""`flying-vines doctor --radio`: output, changes of the configuration, and exit status."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LINE = 'receiver_failsafe = "hold"'
 
 
 @pytest.fixture
-def profile(tmp_path: Path) -> Path:
+def config_file(tmp_path: Path) -> Path:
     path = tmp_path / "vine.toml"
     path.write_text(configuration.default_text())
     return path
@@ -77,10 +77,10 @@ def test_without_a_terminal_it_is_one_line_and_status_2(
     ("arguments", "answer", "written"),
     [((), "y\n", True), ((), "\n", False), ((), "", False), (("--yes",), "", True)],
 )
-def test_the_profile_is_changed_only_after_a_yes(
+def test_the_configuration_is_changed_only_after_a_yes(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
-    profile: Path,
+    config_file: Path,
     arguments: tuple[str, ...],
     answer: str,
     written: bool,
@@ -89,27 +89,27 @@ def test_the_profile_is_changed_only_after_a_yes(
     stdin = io.StringIO(answer)
     monkeypatch.setattr(stdin, "isatty", lambda: bool(answer))
     monkeypatch.setattr(sys, "stdin", stdin)
-    status, out, err = run(capsys, "doctor", "--radio", "--config", profile, *arguments)
+    status, out, err = run(capsys, "doctor", "--radio", "--config", config_file, *arguments)
     assert (status, err) == (0, "")
     assert radio_command.SAFE in out
-    assert (configuration.load(profile).switch.receiver_failsafe == "hold") is written
-    assert (f"Written to {profile}: {LINE}" in out) is written
+    assert (configuration.load(config_file).switch.receiver_failsafe == "hold") is written
+    assert (f"Written to {config_file}: {LINE}" in out) is written
     assert ("Not written" in out) is not written
     assert LINE in out
 
 
-def test_a_profile_that_has_the_line_is_not_written(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, profile: Path
+def test_a_configuration_that_has_the_line_is_not_written(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, config_file: Path
 ) -> None:
     replace_test(monkeypatch, HOLDING)
-    profile.write_text(profile.read_text().replace('receiver_failsafe = "unknown"', LINE))
-    before = profile.read_text()
-    _, out, _ = run(capsys, "doctor", "--radio", "--config", profile, "--yes")
-    assert f"{profile} already has this line" in out
-    assert profile.read_text() == before
+    config_file.write_text(config_file.read_text().replace('receiver_failsafe = "unknown"', LINE))
+    before = config_file.read_text()
+    _, out, _ = run(capsys, "doctor", "--radio", "--config", config_file, "--yes")
+    assert f"{config_file} already has this line" in out
+    assert config_file.read_text() == before
 
 
-def test_for_the_built_in_profile_the_line_is_printed(
+def test_for_the_built_in_configuration_the_line_is_printed(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     replace_test(monkeypatch, HOLDING)
@@ -118,30 +118,30 @@ def test_for_the_built_in_profile_the_line_is_printed(
     assert f"[switch]\n{LINE}" in out
 
 
-def test_a_hidden_loss_is_status_1_and_written_to_the_profile(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, profile: Path
+def test_a_hidden_loss_is_status_1_and_written_to_the_configuration(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, config_file: Path
 ) -> None:
     replace_test(monkeypatch, RadioLearned("ardupilot", losses=(TransmitterLoss(True, 1000, 1000, (), ()),)))
-    status, out, _ = run(capsys, "doctor", "--radio", "--config", profile, "--yes")
+    status, out, _ = run(capsys, "doctor", "--radio", "--config", config_file, "--yes")
     assert status == 1
     assert "BAD  RC loss:" in out
     assert radio_command.UNSAFE in out
-    assert configuration.load(profile).switch.receiver_failsafe == "hidden"
+    assert configuration.load(config_file).switch.receiver_failsafe == "hidden"
 
 
 def test_contradictory_losses_write_unknown(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, profile: Path
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, config_file: Path
 ) -> None:
-    profile.write_text(profile.read_text().replace('receiver_failsafe = "unknown"', LINE))
+    config_file.write_text(config_file.read_text().replace('receiver_failsafe = "unknown"', LINE))
     losses = HELD[0], TransmitterLoss(True, 2000, 1500, (SIGN,), ())
     replace_test(monkeypatch, RadioLearned("px4", losses=losses, shows_within_s=1.6))
-    run(capsys, "doctor", "--radio", "--config", profile, "--yes")
-    assert configuration.load(profile).switch.receiver_failsafe == "unknown"
+    run(capsys, "doctor", "--radio", "--config", config_file, "--yes")
+    assert configuration.load(config_file).switch.receiver_failsafe == "unknown"
 
 
-def test_with_a_missing_port_nothing_is_asked(capsys: pytest.CaptureFixture[str], profile: Path) -> None:
-    profile.write_text(profile.read_text().replace("udpin:127.0.0.1:14540", "serial:/dev/none-a"))
-    status, out, err = run(capsys, "doctor", "--radio", "--config", profile)
+def test_with_a_missing_port_nothing_is_asked(capsys: pytest.CaptureFixture[str], config_file: Path) -> None:
+    config_file.write_text(config_file.read_text().replace("udpin:127.0.0.1:14540", "serial:/dev/none-a"))
+    status, out, err = run(capsys, "doctor", "--radio", "--config", config_file)
     assert (status, err) == (1, "")
     assert "BAD  vehicle port:         /dev/none-a does not exist" in out
     assert "1/5" not in out
@@ -162,7 +162,7 @@ def test_only_one_line_changes_and_its_comment_stays() -> None:
     assert "was 1999, measured 2026-11-23" in again
 
 
-def test_a_profile_without_the_key_gets_it() -> None:
+def test_a_configuration_without_the_key_gets_it() -> None:
     text = f'{STRAIGHT}\n[switch]\npositions = ["straight", ""]\n'
     edited = with_learned(text, "vine.toml", "hold", "2026-11-22")
     assert configuration.parse(edited, "vine.toml").switch.receiver_failsafe == "hold"

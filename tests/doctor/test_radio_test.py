@@ -63,7 +63,7 @@ def test_px4_with_a_crsf_receiver_that_holds() -> None:
 
 def test_px4_with_an_sbus_receiver_that_has_a_preset_in_the_bent_position() -> None:
     """README: preset losses at 50.40 … 56.4 and 97.9 … 103.9, ch9 2000."""
-    test = run_on("px4_sbus_failsafe", 44, 108, presses=(50.4, 97.9), profile=TWO)
+    test = run_on("px4_sbus_failsafe", 44, 108, presses=(50.4, 97.9), conf=TWO)
     learned = test.learned
     assert (learned.problem, receiver.to_write(learned, CONFIG)) == ("", 1999)
     for loss in learned.losses:

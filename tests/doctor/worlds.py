@@ -24,8 +24,8 @@ from flying_vines.config.config import Config
 from flying_vines.doctor.examine import RadioQuestion, examine
 from flying_vines.doctor.fakes import between, linked
 from flying_vines.doctor.finding import DoctorFinding
-from flying_vines.doctor.look import profile
-from flying_vines.doctor.look.profile import ServiceProfile
+from flying_vines.doctor.look import configuration as look
+from flying_vines.doctor.look.configuration import ServiceConfiguration
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.phlosar.firmware import Firmware
@@ -156,8 +156,8 @@ class World:
     phlosar: Callable[[], SimulatedPhlosar] | None = None
     firmware: Callable[[], Callable[[bytes], bytes]] = quick_board
     """Answers if there is no simulated phloSAR: received bytes to sent bytes."""
-    profile: Callable[[Config, Path], ServiceProfile] = lambda config, folder: profile.given(config, "test")
-    """Makes the service's profile from a profile with the right links and a folder for files."""
+    start: Callable[[Config, Path], ServiceConfiguration] = lambda config, folder: look.given(config, "test")
+    """Makes what the service would start with, from the right links and a folder for files."""
     stranger: Callable[[int], bytes] | None = None
     """Makes a frame of another program from a count; it is sent to the companion ten times a second."""
     ask: Callable[[Vehicle], RadioQuestion] | None = None
@@ -192,7 +192,7 @@ async def examined(world: World, folder: Path) -> Examined:
         if world.stranger is not None:
             await stack.enter_async_context(_stranger(config, world.stranger))
         ask = world.ask(vehicle) if world.ask else None
-        findings = await examine(world.profile(config, folder), folder, SECONDS, told.append, ask)
+        findings = await examine(world.start(config, folder), folder, SECONDS, told.append, ask)
         return Examined(findings, told, vehicle, board)
 
 

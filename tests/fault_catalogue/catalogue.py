@@ -266,12 +266,12 @@ COMPANION = (
 GOES_ON = "test_a_flight_continues_whatever_happens_around_it"
 FILES = (
     Row(
-        "profile_changed",
-        "profile changed or deleted during a run",
+        "configuration_changed",
+        "configuration file changed or deleted during a run",
         "nothing: it is read once, at the start",
         "",
         Cleared.AT_ONCE,
-        safe_state="continues with the old profile",
+        safe_state="continues with the old configuration",
         proof=GOES_ON,
     ),
     Row(

@@ -37,10 +37,10 @@ class Served:
         self.phlosar = SimulatedPhlosar(effects=Effects())
         self.box = BlackBox(self.phlosar)
         self.device = folder / "phlosar"
-        self.profile = folder / "profile.toml"
+        self.config_file = folder / "vine.toml"
         text = between(companion_port, str(self.device)).replace("bench_mode = false", "bench_mode = true")
         text = text.replace('folder = ""', 'folder = "state"').replace("settle_s = 1.0", "settle_s = 0.2")
-        self.profile.write_text(text)
+        self.config_file.write_text(text)
         self.environment = {**os.environ}
         self.process: asyncio.subprocess.Process | None = None
         self._port: PtyPhlosar | None = None
@@ -48,7 +48,7 @@ class Served:
 
     @property
     def command(self) -> list[str]:
-        run = ["run", "--config", str(self.profile), "--plain", "--out", str(self.folder / "flights")]
+        run = ["run", "--config", str(self.config_file), "--plain", "--out", str(self.folder / "flights")]
         return [sys.executable, "-m", "flying_vines", *run]
 
     def plug_in(self) -> None:
@@ -112,7 +112,7 @@ class Served:
         return flights.unlink
 
     def damage_state(self) -> Callable[[], None]:
-        parameters = self.folder / "state" / "profile.parameters.toml"
+        parameters = self.folder / "state" / "vine.parameters.toml"
         parameters.parent.mkdir()
         parameters.write_text("VINE_RATE_HZ = 3.0.0\n")
         return parameters.unlink

@@ -49,9 +49,9 @@ async def served(tmp_path: Path) -> AsyncIterator[Served]:
         key = tmp_path / "key"
         key.write_text(KEY.hex())
         key.chmod(0o600)
-        profile = served.profile.read_text()
-        assert 'signing_key = ""' in profile
-        served.profile.write_text(profile.replace('signing_key = ""', 'signing_key = "key"'))
+        text = served.config_file.read_text()
+        assert 'signing_key = ""' in text
+        served.config_file.write_text(text.replace('signing_key = ""', 'signing_key = "key"'))
         yield served
 
 

@@ -33,10 +33,10 @@ async def test_disk_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
         return status(path, **options)
 
     async with on_bench(FakeAutopilot("ardupilot")) as bench:
-        profile = tmp_path / "profile.toml"
-        profile.write_text(bench.profile.replace("settle_s = 1.0", "settle_s = 0.2"))
-        parsed = config.load(profile)
-        service = Service(parsed, persistent=PersistentState.of(profile, parsed))
+        config_file = tmp_path / "vine.toml"
+        config_file.write_text(bench.configuration.replace("settle_s = 1.0", "settle_s = 0.2"))
+        parsed = config.load(config_file)
+        service = Service(parsed, persistent=PersistentState.of(config_file, parsed))
         serving = asyncio.create_task(service.run())
         await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is accepted")
         bench.autopilot.set_rc(9, 2000)

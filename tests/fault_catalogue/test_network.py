@@ -28,11 +28,9 @@ async def served(tmp_path: Path) -> AsyncIterator[Served]:
 async def test_a_flight_continues_whatever_the_network_does(served: Served, tmp_path: Path) -> None:
     base = "flying-vines/heron"
     async with running(Broker(tmp_path)) as broker:
-        profile = served.profile.read_text()
-        profile = profile.replace('broker = ""', f'broker = "{broker.url}"').replace(
-            "port = 8017", "port = 0"
-        )
-        served.profile.write_text(profile.replace('\nname = ""', '\nname = "heron"'))
+        text = served.config_file.read_text()
+        text = text.replace('broker = ""', f'broker = "{broker.url}"').replace("port = 8017", "port = 0")
+        served.config_file.write_text(text.replace('\nname = ""', '\nname = "heron"'))
         async with onlooker(broker) as people:
             await served.serve()
             await people.until(f"{base}/state", rc="good")

@@ -359,8 +359,8 @@ def test_losses_do_not_restart_the_longest_hold() -> None:
 class BelievesAnyRc(Core):
     """Takes every RC_CHANNELS for the pilot's."""
 
-    def __init__(self, profile: Config) -> None:
-        super().__init__(profile)
+    def __init__(self, conf: Config) -> None:
+        super().__init__(conf)
         handle = self._vehicle.pilot.handle
 
         def believe(
@@ -374,24 +374,24 @@ class BelievesAnyRc(Core):
 class BendsAtOnce(Core):
     """Does not wait for PX4's RC status."""
 
-    def __init__(self, profile: Config) -> None:
-        super().__init__(profile)
+    def __init__(self, conf: Config) -> None:
+        super().__init__(conf)
         self._vehicle.pilot._must_wait = lambda position: False  # type: ignore[method-assign]
 
 
 class ReadsNoParameters(Core):
     """Does not know that losses may be hidden."""
 
-    def __init__(self, profile: Config) -> None:
-        super().__init__(profile)
+    def __init__(self, conf: Config) -> None:
+        super().__init__(conf)
         self._vehicle.pilot.parameters.handle = lambda autopilot, message: False  # type: ignore[method-assign]
 
 
 class TakesOverridesForThePilot(Core):
     """Takes the end of an override for a move of the pilot."""
 
-    def __init__(self, profile: Config) -> None:
-        super().__init__(profile)
+    def __init__(self, conf: Config) -> None:
+        super().__init__(conf)
         self._vehicle.pilot._why_not_the_pilots = lambda t, move: ""  # type: ignore[method-assign]
 
 
@@ -403,8 +403,8 @@ class TrustsItsBook(Core):
         def is_given(self) -> bool:
             return self.fresh
 
-    def __init__(self, profile: Config) -> None:
-        super().__init__(profile)
+    def __init__(self, conf: Config) -> None:
+        super().__init__(conf)
         self._vehicle._book.__class__ = self._Book
 
 
@@ -418,8 +418,8 @@ class IsNeverTooLate(Core):
 class TakesItsFirstStampForNew(Core):
     """Takes the first time stamp as the present time."""
 
-    def __init__(self, profile: Config) -> None:
-        super().__init__(profile)
+    def __init__(self, conf: Config) -> None:
+        super().__init__(conf)
         clock = self._vehicle.state.clock
         mark = clock.mark
         clock.mark = lambda t: dataclasses.replace(mark(t), first_stamps=False)  # type: ignore[method-assign]
@@ -428,8 +428,8 @@ class TakesItsFirstStampForNew(Core):
 class HearsCommandsOnly(Core):
     """Ignores MISSION_ITEM_REACHED of PX4."""
 
-    def __init__(self, profile: Config) -> None:
-        super().__init__(profile)
+    def __init__(self, conf: Config) -> None:
+        super().__init__(conf)
         take = self._vehicle._take_autopilot
 
         def take_deaf(t: float) -> None:

@@ -104,20 +104,20 @@ async def test_the_dead_man_behind_the_real_service(served: Served) -> None:
 
 
 async def test_a_flight_continues_whatever_happens_around_it(served: Served) -> None:
-    """The profile and the disk fail, and a second copy of the service is started."""
+    """The configuration and the disk fail, and a second copy of the service is started."""
     await served.serve()
     assert served.process is not None
     served.bend_full()
     await served.bent()
 
-    profile = served.profile.read_text()
-    served.profile.write_text("[limits]\nmax_kPa = 'as much as it takes'\n")
+    text = served.config_file.read_text()
+    served.config_file.write_text("[limits]\nmax_kPa = 'as much as it takes'\n")
     served.bend_half()
-    await until(lambda: served.phlosar.cv_kPa < 12.0, "the profile of the start is in force")
-    served.profile.unlink()
+    await until(lambda: served.phlosar.cv_kPa < 12.0, "the configuration of the start is in force")
+    served.config_file.unlink()
     served.bend_full()
     await served.bent()
-    served.profile.write_text(profile)
+    served.config_file.write_text(text)
 
     (log,) = (served.folder / "flights").glob("*/flight.mcap")
     size = log.stat().st_size

@@ -60,15 +60,15 @@ class Watched:
         reservoir_kPa: float = 690.0,
         rested_s: float = 3.2,
     ) -> None:
-        profile = msgspec.structs.replace(config.default(), **(tables or {}))
+        conf = msgspec.structs.replace(config.default(), **(tables or {}))
         self._has_rc = rc
         self._ground = MavlinkCodec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
-        self._companion = MavlinkCodec(profile.vehicle.system_id, profile.vehicle.component_id)
+        self._companion = MavlinkCodec(conf.vehicle.system_id, conf.vehicle.component_id)
         self.autopilot = FakeAutopilot(kind, rc_present=rc, rc_failsafe_mode=None)
         self.autopilot.set_rc(SWITCH, LOW)
         self.phlosar = SimulatedPhlosar(effects=Effects(), reservoir_kPa=reservoir_kPa)
         self.box = BlackBox(self.phlosar)
-        self.flight = SimulatedFlight(profile, self.autopilot, self.phlosar)
+        self.flight = SimulatedFlight(conf, self.autopilot, self.phlosar)
         self.texts = Texts()
         self.decisions: list[Decision] = []
         self.run(1.2)

@@ -345,7 +345,7 @@ async def test_when_it_was_made_and_what_was_seen_goes_on_to_the_service(
 async def test_events_before_the_gateway_reads_are_sent_in_order(
     played: Callable[[str], None],
 ) -> None:
-    """The profile comes first. Of too many events the last ones are stored."""
+    """The start comes first. Of too many events the last ones are stored."""
     played(
         "kinds = [type(hear()).__name__]\n"
         "texts = []\n"

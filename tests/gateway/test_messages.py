@@ -19,7 +19,7 @@ from flying_vines.gateway.messages import (
 )
 from flying_vines.vine.intent import BendTo, CommandName, SetPressure, StartProfile, VentVine
 
-from .told import decision, happened, notice, profile, seen
+from .told import decision, happened, notice, seen, start
 
 plain = [word for word in messages.COMMANDS if word not in ("bend", "pressure", "profile")]
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -43,7 +43,7 @@ def test_answers_of_the_service_are_read_back_equal(message: Answered) -> None:
 
 
 @pytest.mark.parametrize(
-    "message", [seen(1.0), profile(), *(happened(thing(2.0)) for thing in (decision, notice))]
+    "message", [seen(1.0), start(), *(happened(thing(2.0)) for thing in (decision, notice))]
 )
 def test_messages_of_the_service_are_read_back_equal(message: ToGateway) -> None:
     again = messages.read_to_gateway(messages.packet(message))

@@ -1,4 +1,4 @@
-"""Inputs of a gateway for tests: a profile, snapshots and events as from the service."""
+"""Inputs of a gateway for tests: the first message, snapshots and events as from the service."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from flying_vines.vehicle.notice import Notice, Severity
 CYCLES = CyclesLeft(31.2, 27.9, 35.0, 12.0, 18.4, 102.0, 15.0, 1.4, 80.0, 65.0, 110.0)
 
 
-def profile(**mqtt: Any) -> GatewayStart:
-    """The built-in profile without a page."""
+def start(**mqtt: Any) -> GatewayStart:
+    """The built-in configuration without a page."""
     return GatewayStart(configured(**mqtt), "1.2.3")
 
 

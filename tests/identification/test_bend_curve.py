@@ -69,9 +69,9 @@ def test_the_fitted_hysteresis_is_that_by_which_the_vine_flies() -> None:
 
 def test_the_table_is_a_configuration() -> None:
     found = fit(measured(TRUTH, 4))
-    profile = "[profiles.straight]\nsegments = [{ kind = 'step', to_kPa = 0 }]\n"
+    profiles = "[profiles.straight]\nsegments = [{ kind = 'step', to_kPa = 0 }]\n"
     limits = "[limits]\nmax_kPa = 20.8\n[switch]\npositions = ['straight', '']\n"
-    read = config.parse(found.table + limits + profile, "my.toml").vine
+    read = config.parse(found.table + limits + profiles, "my.toml").vine
     assert read.curve == found.curve
     assert read.hysteresis_kPa == found.written_hysteresis_kPa == pytest.approx(2.2, abs=0.2)
     curve = read.bend_curve()

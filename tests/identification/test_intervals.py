@@ -1,4 +1,4 @@
-"""The crossing of a profile with its limit, for any shape."""
+"""The crossing of a likelihood profile with its limit, for any shape."""
 
 from __future__ import annotations
 

@@ -113,13 +113,13 @@ def test_a_rig_file_names_the_file_that_is_missing(files: Path, capsys: pytest.C
 
 
 def test_the_service_takes_a_rig_with_it(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    profile = files / "profile.toml"
+    config_file = files / "vine.toml"
     named = default_text().replace('rig = ""', 'rig = "rig.toml"')
-    profile.write_text(named, encoding="utf-8")
-    status, _, error = command_line.run(capsys, "config", "check", str(profile))
+    config_file.write_text(named, encoding="utf-8")
+    status, _, error = command_line.run(capsys, "config", "check", str(config_file))
     assert (status, error.count("\n")) == (2, 1)
     assert "add --cause seam_leak.py" in error
-    status, out, _ = command_line.run(capsys, "config", "check", str(profile), "--cause", str(EXAMPLE))
+    status, out, _ = command_line.run(capsys, "config", "check", str(config_file), "--cause", str(EXAMPLE))
     assert status == 0 and "used for cycles left: seam_leak" in out
 
 

@@ -12,7 +12,7 @@ from flying_vines.cli import install as command
 from flying_vines.install import files
 
 PAGE = (Path(__file__).parents[2] / "docs" / "install.md").read_text(encoding="utf-8")
-UNIT = files.unit(("flying-vines",), files.USER, files.PROFILE, (), files.STATE).text
+UNIT = files.unit(("flying-vines",), files.USER, files.CONFIGURATION, (), files.STATE).text
 
 
 def test_every_option_has_its_row() -> None:
@@ -22,7 +22,7 @@ def test_every_option_has_its_row() -> None:
     assert set(re.findall(r"^\| `(--[a-z-]+)", PAGE, re.MULTILINE)) == options
 
 
-@pytest.mark.parametrize("path", [files.PROFILE, files.UNIT, files.RULE, files.USERS, files.STATE])
+@pytest.mark.parametrize("path", [files.CONFIGURATION, files.UNIT, files.RULE, files.USERS, files.STATE])
 def test_every_file_has_its_row(path: Path) -> None:
     assert re.search(rf"^\| `{path}/?` \|", PAGE, re.MULTILINE)
 

@@ -40,7 +40,7 @@ def there(root: Path) -> set[Path]:
 
 def test_everything_is_shown_and_then_written(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     said = installed(capsys, tmp_path)
-    assert there(tmp_path) == {files.UNIT, files.RULE, files.USERS, files.PROFILE}
+    assert there(tmp_path) == {files.UNIT, files.RULE, files.USERS, files.CONFIGURATION}
     for path in there(tmp_path):
         assert f"{tmp_path}{path}: new" in said
         for line in text(tmp_path, path).splitlines():
@@ -48,14 +48,16 @@ def test_everything_is_shown_and_then_written(capsys: pytest.CaptureFixture[str]
     assert "systemctl enable --now flying-vines.service" in said
 
 
-def test_the_profile_is_the_built_in_one_with_the_board_and_the_state_where_the_service_has_them() -> None:
-    wanted = config.parse(files.profile().text, "installed")
+def test_the_configuration_is_the_built_in_one_with_the_board_and_the_state_where_the_service_has_them() -> (
+    None
+):
+    wanted = config.parse(files.built_in_configuration().text, "installed")
     assert wanted.firmware.link == "serial:/dev/phlosar"
     assert wanted.state.folder == "/var/lib/flying-vines"
     changed = [
         (was, now)
         for was, now in zip(
-            config.default_text().splitlines(), files.profile().text.splitlines(), strict=True
+            config.default_text().splitlines(), files.built_in_configuration().text.splitlines(), strict=True
         )
         if was != now
     ]
@@ -92,7 +94,7 @@ def test_the_unit_runs_the_flying_vines_that_wrote_it(
         (sys.executable, "-m", "flying_vines", "--version"), capture_output=True, text=True, check=True
     ).stdout
     assert told == here
-    assert arguments[:3] == ["run", "--config", str(files.PROFILE)]
+    assert arguments[:3] == ["run", "--config", str(files.CONFIGURATION)]
 
 
 def test_a_second_time_changes_nothing(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -111,18 +113,18 @@ def test_a_change_is_shown_as_what_differs(capsys: pytest.CaptureFixture[str], t
     assert "old settings until it is restarted" in said
 
 
-def test_a_profile_is_never_written_over_nor_taken_away_once_it_was_changed(
+def test_a_configuration_is_never_written_over_nor_taken_away_once_it_was_changed(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     installed(capsys, tmp_path)
-    profile = tmp_path / files.PROFILE.relative_to("/")
-    mine = profile.read_text(encoding="utf-8").replace("channel = 9", "channel = 7")
-    profile.write_text(mine, encoding="utf-8")
+    config_file = tmp_path / files.CONFIGURATION.relative_to("/")
+    mine = config_file.read_text(encoding="utf-8").replace("channel = 9", "channel = 7")
+    config_file.write_text(mine, encoding="utf-8")
     installed(capsys, tmp_path)
-    assert profile.read_text(encoding="utf-8") == mine
+    assert config_file.read_text(encoding="utf-8") == mine
     installed(capsys, tmp_path, "--remove")
-    assert there(tmp_path) == {files.PROFILE}
-    assert profile.read_text(encoding="utf-8") == mine
+    assert there(tmp_path) == {files.CONFIGURATION}
+    assert config_file.read_text(encoding="utf-8") == mine
 
 
 def test_removing_leaves_nothing_but_flights(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -215,39 +217,41 @@ def test_an_image_that_cannot_be_written_is_one_line(
     assert re.fullmatch(rf"flying-vines: {tmp_path}/etc\S*: \w[\w ]+\n", said)
 
 
-def test_a_profile_with_a_fault_is_not_installed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    profile = tmp_path / "vine.toml"
-    profile.write_text("[limits]\nmax_kPa = -1\n", encoding="utf-8")
+def test_a_configuration_with_a_fault_is_not_installed(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    config_file = tmp_path / "vine.toml"
+    config_file.write_text("[limits]\nmax_kPa = -1\n", encoding="utf-8")
     status, _, said = run(
-        capsys, "install-service", "--root", tmp_path / "root", "--config", profile, "--yes"
+        capsys, "install-service", "--root", tmp_path / "root", "--config", config_file, "--yes"
     )
     assert status == 2
     assert "limits.max_kPa" in said
 
 
-def test_a_profile_of_ones_own_is_flown_with_where_it_is(
+def test_a_configuration_of_ones_own_is_flown_with_where_it_is(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     folder = tmp_path / "100% mine"
     folder.mkdir()
-    profile = folder / "vine.toml"
-    profile.write_text(config.default_text(), encoding="utf-8")
+    config_file = folder / "vine.toml"
+    config_file.write_text(config.default_text(), encoding="utf-8")
     root = tmp_path / "root"
-    installed(capsys, root, "--config", profile)
-    assert files.PROFILE not in there(root)
+    installed(capsys, root, "--config", config_file)
+    assert files.CONFIGURATION not in there(root)
     unit = text(root, files.UNIT)
     named = str(folder).replace("%", "%%")
     assert f'--config "{named}/vine.toml" --out' in unit
     assert f'ReadWritePaths="{named}"\n' in unit, "parameters are kept beside it"
 
 
-def test_files_of_the_profile_in_a_home_make_homes_readable(
+def test_files_of_the_configuration_in_a_home_make_homes_readable(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    profile = tmp_path / "vine.toml"
+    config_file = tmp_path / "vine.toml"
     there = config.default_text().replace('signing_key = ""', 'signing_key = "/home/pi/keys/mavlink"')
-    profile.write_text(there.replace('folder = ""', 'folder = "/var/lib/flying-vines"'), encoding="utf-8")
-    installed(capsys, tmp_path / "root", "--config", profile)
+    config_file.write_text(there.replace('folder = ""', 'folder = "/var/lib/flying-vines"'), encoding="utf-8")
+    installed(capsys, tmp_path / "root", "--config", config_file)
     unit = text(tmp_path / "root", files.UNIT)
     assert "\nProtectHome=read-only\n" in unit
     assert "ReadWritePaths" not in unit
@@ -258,7 +262,7 @@ def test_files_of_the_profile_in_a_home_make_homes_readable(
     [("/opt/flying-vines/bin/flying-vines", "yes"), ("/home/pi/bin/flying-vines", "read-only")],
 )
 def test_homes_are_open_only_for_a_program_in_one(place: str, home: str) -> None:
-    unit = files.unit((place,), "pi", files.PROFILE, (Path(place),), files.STATE).text
+    unit = files.unit((place,), "pi", files.CONFIGURATION, (Path(place),), files.STATE).text
     assert f"\nProtectHome={home}\n" in unit
     assert "ReadWritePaths" not in unit
 

@@ -148,8 +148,8 @@ async def test_a_loop_that_hangs_does_not_say_that_it_is_alive(tmp_path: Path) -
     # Another thread, which receives while the loop hangs.
     ear = threading.Thread(target=listen)
     ear.start()
-    profile = config.parse(between(free_port(), str(tmp_path / "none")), "test")
-    service = Service(profile, (listener.manager(),))
+    conf = config.parse(between(free_port(), str(tmp_path / "none")), "test")
+    service = Service(conf, (listener.manager(),))
     serving = asyncio.create_task(service.run())
     await until(lambda: len(heard_at) > 3, "it is alive")
     hangs_at = time.monotonic()
@@ -165,9 +165,18 @@ async def test_a_loop_that_hangs_does_not_say_that_it_is_alive(tmp_path: Path) -
 
 def test_the_command_says_that_it_is_ready_alive_and_stopping(tmp_path: Path) -> None:
     listener = Listener(str(tmp_path / "notify"))
-    profile = tmp_path / "vine.toml"
-    profile.write_text(between(free_port(), str(tmp_path / "none")), encoding="utf-8")
-    command = (sys.executable, "-m", "flying_vines", "run", "--config", str(profile), "--out", str(tmp_path))
+    config_file = tmp_path / "vine.toml"
+    config_file.write_text(between(free_port(), str(tmp_path / "none")), encoding="utf-8")
+    command = (
+        sys.executable,
+        "-m",
+        "flying_vines",
+        "run",
+        "--config",
+        str(config_file),
+        "--out",
+        str(tmp_path),
+    )
     environment = os.environ | {"NOTIFY_SOCKET": listener.address, "WATCHDOG_USEC": "400000"}
     with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL) as service:
         said: list[str] = []

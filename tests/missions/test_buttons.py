@@ -51,7 +51,7 @@ def changed(*replacements: tuple[str, str]) -> Config:
     return configuration.parse(text, "test")
 
 
-def test_the_default_profile_has_a_button_for_everything_a_person_can_ask() -> None:
+def test_the_default_configuration_has_a_button_for_everything_a_person_can_ask() -> None:
     config = configuration.default()
     actions = as_qgroundcontrol_reads(actions_text(config))
     wanted = {action["label"]: asked(config, action) for action in actions}
@@ -72,7 +72,7 @@ def test_no_label_is_the_name_of_a_flight_mode_or_of_a_button_of_qgroundcontrol(
     assert all(button.label.startswith("Vine ") for button in buttons(configuration.default()))
 
 
-def test_buttons_follow_the_profile() -> None:
+def test_buttons_follow_the_configuration() -> None:
     config = changed(
         ("component_id = 191", "component_id = 25"),
         ("match = { param1 = 3 }", "match = { param1 = 3, param4 = 0.5 }"),
@@ -126,7 +126,7 @@ def test_every_angle_offered_lies_on_the_curve(degrees: float) -> None:
     assert all(0 < bend <= degrees for bend in bends)
 
 
-def test_the_file_that_is_shipped_is_the_one_of_the_default_profile(tmp_path: Path) -> None:
+def test_the_file_that_is_shipped_is_the_one_of_the_default_configuration(tmp_path: Path) -> None:
     write_buttons(configuration.default(), tmp_path / "made.json")
     shipped = Path(__file__).parents[2] / "missions/qgroundcontrol/FlyingVines.json"
     assert (tmp_path / "made.json").read_text(encoding="utf-8") == shipped.read_text(encoding="utf-8")

@@ -106,11 +106,11 @@ def test_flying_says_whether_it_went_as_planned(mission: Path, capsys: Captured)
     assert "Flown in simulation: 2 vine items" in out and "As planned." in out
 
 
-def test_a_profile_changes_what_carries_an_angle(mission: Path, capsys: Captured) -> None:
-    profile = mission.parent / "vine.toml"
-    run(capsys, "config", "init", profile)
-    profile.write_text(profile.read_text().replace("min_altitude_m = 2", "min_altitude_m = 20"))
-    status, out, err = run(capsys, "mission", "build", mission, "--autopilot", "px4", "--config", profile)
+def test_a_configuration_changes_what_carries_an_angle(mission: Path, capsys: Captured) -> None:
+    config_file = mission.parent / "vine.toml"
+    run(capsys, "config", "init", config_file)
+    config_file.write_text(config_file.read_text().replace("min_altitude_m = 2", "min_altitude_m = 20"))
+    status, out, err = run(capsys, "mission", "build", mission, "--autopilot", "px4", "--config", config_file)
     assert status == 2
     assert "refused" in out and "Written" not in out
     assert "at 10.0 m, below 20 m" in err

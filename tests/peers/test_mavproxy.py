@@ -84,8 +84,8 @@ async def flying(kind: AutopilotKind, folder: Path, key: bytes | None = None) ->
     phlosar = SimulatedPhlosar()
     server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), ("127.0.0.1", ground_port))
     with PtyPhlosar(phlosar) as port:
-        profile = between(companion_port, port.path).replace("bench_mode = false", "bench_mode = true")
-        service = Service(config.parse(profile, "test"), signing=Signing(key) if key else None)
+        text = between(companion_port, port.path).replace("bench_mode = false", "bench_mode = true")
+        service = Service(config.parse(text, "test"), signing=Signing(key) if key else None)
         running = [asyncio.create_task(part.run()) for part in (server, port, service)]
         async with mavproxy(ground_port, folder) as ground:
             yield Flight(kind, autopilot, phlosar, ground)

@@ -168,8 +168,8 @@ def test_another_answer_is_found_and_said(flown: Path, tmp_path: Path) -> None:
     assert '"setpoint_kPa":19.0' in again.differences[0] and '"setpoint_kPa":20.7' in again.differences[0]
 
 
-def test_another_profile_shows_what_would_have_been(flown: Path) -> None:
-    grounded = config.parse(BEGAN.profile.replace("bench_mode = true", "bench_mode = false"), "other")
+def test_another_configuration_shows_what_would_have_been(flown: Path) -> None:
+    grounded = config.parse(BEGAN.configuration.replace("bench_mode = true", "bench_mode = false"), "other")
     again = replay_flight(FlightLog(flown), grounded)
     assert again.differences
     assert (again.decisions[0].safety, again.decisions[0].reason) == ("refused", "not armed")
@@ -192,13 +192,13 @@ def test_a_damaged_log_is_compared_up_to_there(flown: Path, tmp_path: Path) -> N
 def test_the_command_says_whether_it_is_the_same(
     flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    profile = tmp_path / "grounded.toml"
-    profile.write_text(BEGAN.profile.replace("bench_mode = true", "bench_mode = false"))
+    config_file = tmp_path / "grounded.toml"
+    config_file.write_text(BEGAN.configuration.replace("bench_mode = true", "bench_mode = false"))
     for arguments, status, said in (
         ([str(flown)], 0, "Identical to the flight"),
         ([str(flown / MCAP)], 0, "Identical to the flight"),
         ([str(flown), "--json"], 0, '"differences": []'),
-        ([str(flown), "--config", str(profile)], 1, "answers differ from the flight's"),
+        ([str(flown), "--config", str(config_file)], 1, "answers differ from the flight's"),
         ([str(flown / "flight.tlog")], 0, "bend-full"),
         ([str(tmp_path)], 2, ""),
         ([str(flown), "--pace", "1"], 2, ""),

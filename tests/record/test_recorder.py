@@ -225,13 +225,17 @@ def test_the_folder_says_what_flew(tmp_path: Path) -> None:
     recorder.close()
     names = sorted(path.name for path in recorder.folder.iterdir())
     assert names == ["about.json", "flight.mcap", "flight.tlog", "profile.toml", "rig.toml"]
-    assert (recorder.folder / "profile.toml").read_text() == BEGAN.profile
+    assert (recorder.folder / "profile.toml").read_text() == BEGAN.configuration
     about = json.loads((recorder.folder / "about.json").read_text())
     assert about["firmware"] == {"build": "1.0", "protocol_version": 2, "boot_id": 77}
     assert about["continues"] == ""
     assert {"flying_vines", "python", "packages", "kernel", "machine"} <= about.keys()
     start = start_of(FlightLog(recorder.folder))
-    assert (start.rig, start.parameters, start.profile) == (began.rig, began.stored.parameters, began.profile)
+    assert (start.rig, start.parameters, start.profile) == (
+        began.rig,
+        began.stored.parameters,
+        began.configuration,
+    )
     assert start.believed["cv"]["volume_L"] == 0.1
 
 

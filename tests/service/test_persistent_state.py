@@ -42,10 +42,10 @@ class Served:
     """A service on the bench with its own files, and its texts."""
 
     def __init__(self, bench: Bench, folder: Path, key: str = "") -> None:
-        self.profile = folder / "vine.toml"
-        self.profile.write_text(bench.profile.replace('signing_key = ""', f'signing_key = "{key}"'))
-        self.config = config.load(self.profile)
-        self.kept = PersistentState.of(self.profile, self.config)
+        self.config_file = folder / "vine.toml"
+        self.config_file.write_text(bench.configuration.replace('signing_key = ""', f'signing_key = "{key}"'))
+        self.config = config.load(self.config_file)
+        self.kept = PersistentState.of(self.config_file, self.config)
         self.seen: list[Action] = []
         signing, _ = self.kept.read_signing(self.config)
         self.service = Service(
@@ -145,9 +145,9 @@ async def test_that_they_are_disarmed_cannot_be_kept_is_said_and_they_are(
 
 
 def test_disarmed_is_a_file_that_says_what_it_is_for_and_that_may_be_taken_away(tmp_path: Path) -> None:
-    profile = tmp_path / "vine.toml"
-    profile.write_text(config.default_text().replace('folder = ""', 'folder = "state/of"'))
-    kept = PersistentState.of(profile, config.load(profile))
+    config_file = tmp_path / "vine.toml"
+    config_file.write_text(config.default_text().replace('folder = ""', 'folder = "state/of"'))
+    kept = PersistentState.of(config_file, config.load(config_file))
     assert not kept.disarmed
     kept.store_disarmed(False)  # neither the file nor its folder exists
     kept.store_disarmed(True)
@@ -176,9 +176,9 @@ async def test_a_latched_fault_stays_so_over_a_restart_until_a_person_clears_it(
 
 
 def test_latched_faults_that_cannot_be_read_are_one(tmp_path: Path) -> None:
-    profile = tmp_path / "vine.toml"
-    profile.write_text(config.default_text())
-    kept = PersistentState.of(profile, config.load(profile))
+    config_file = tmp_path / "vine.toml"
+    config_file.write_text(config.default_text())
+    kept = PersistentState.of(config_file, config.load(config_file))
     assert kept.read_latched() == {}
     kept.store_latched({"filling": "not filling: …"})
     assert kept.read_latched() == {"filling": "not filling: …"}

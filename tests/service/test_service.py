@@ -40,7 +40,7 @@ async def bench() -> AsyncIterator[Bench]:
 
 async def test_a_switch_bends_the_vine_and_the_ground_station_sees_it(bench: Bench) -> None:
     seen: list[Action] = []
-    service = Service(config.parse(bench.profile, "test"), (EachAction(seen.append),))
+    service = Service(config.parse(bench.configuration, "test"), (EachAction(seen.append),))
     serving = asyncio.create_task(service.run())
     await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is accepted")
     bench.autopilot.set_rc(9, 2000)
@@ -60,7 +60,8 @@ async def test_what_moves_the_vine_is_sent_before_any_text(
 ) -> None:
     done: list[str] = []
     service = Service(
-        config.parse(bench.profile, "test"), (EachAction(lambda action: done.append(type(action).__name__)),)
+        config.parse(bench.configuration, "test"),
+        (EachAction(lambda action: done.append(type(action).__name__)),),
     )
     notice = Notice(0.0, Severity.INFO, "Vine: telemetry")
     handled = [notice, ToFirmware(Vent(1)), notice, ToFirmware(Vent(2))]
@@ -75,10 +76,10 @@ async def test_what_moves_the_vine_is_sent_before_any_text(
 async def test_a_stranger_on_the_network_bends_nothing(bench: Bench) -> None:
     # A whole autopilot in the air, from another address than the configured one, and a command.
     seen: list[Action] = []
-    link = config.parse(bench.profile, "test").vehicle.link
+    link = config.parse(bench.configuration, "test").vehicle.link
     port = int(link.rpartition(":")[2])
-    profile = bench.profile.replace(link, f"udpin:0.0.0.0:{port}?peer=127.0.0.1")
-    service = Service(config.parse(profile, "test"), (EachAction(seen.append),))
+    text = bench.configuration.replace(link, f"udpin:0.0.0.0:{port}?peer=127.0.0.1")
+    service = Service(config.parse(text, "test"), (EachAction(seen.append),))
     serving = asyncio.create_task(service.run())
     await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is accepted")
     stranger, station = (mavlink.MAVLink(None, srcSystem=system, srcComponent=1) for system in (1, 255))
@@ -115,7 +116,7 @@ class Clumsy(Watcher):
 
 async def test_a_watcher_that_fails_sees_no_more_and_the_others_do(bench: Bench) -> None:
     clumsy, seen = Clumsy(), list[Action]()
-    service = Service(config.parse(bench.profile, "test"), (clumsy, EachAction(seen.append)))
+    service = Service(config.parse(bench.configuration, "test"), (clumsy, EachAction(seen.append)))
 
     def texts() -> list[str]:
         return [action.text for action in seen if isinstance(action, Notice)]
@@ -136,8 +137,8 @@ async def test_a_silent_port_is_told_to_the_pilot_once_and_on_the_screen(
     silent, hosts = os.openpty()
     tty.setraw(hosts)
     seen: list[Action] = []
-    profile = bench.profile.replace(bench.port.path, os.ttyname(hosts))
-    service = Service(config.parse(profile, "test"), (EachAction(seen.append),))
+    text = bench.configuration.replace(bench.port.path, os.ttyname(hosts))
+    service = Service(config.parse(text, "test"), (EachAction(seen.append),))
     serving = asyncio.create_task(service.run())
     await until(lambda: "silent" in service.link_problems.get("firmware", ""), "the screen says it")
     service.stop()
@@ -149,9 +150,9 @@ async def test_a_silent_port_is_told_to_the_pilot_once_and_on_the_screen(
 
 async def run(bench: Bench, tmp_path: Path) -> asyncio.subprocess.Process:
     """The service as a process of its own."""
-    profile = tmp_path / "profile.toml"
-    profile.write_text(bench.profile)
-    arguments = ["run", "--config", str(profile), "--plain", "--out", str(tmp_path / "flights")]
+    config_file = tmp_path / "vine.toml"
+    config_file.write_text(bench.configuration)
+    arguments = ["run", "--config", str(config_file), "--plain", "--out", str(tmp_path / "flights")]
     process = await asyncio.create_subprocess_exec(
         sys.executable,
         "-m",
@@ -196,7 +197,7 @@ async def test_sigterm_vents_and_leaves_no_fault(bench: Bench, tmp_path: Path) -
 async def test_a_service_is_told_that_the_pneumatics_were_disarmed_before_it(
     bench: Bench, tmp_path: Path
 ) -> None:
-    (tmp_path / "profile.disarmed").touch()
+    (tmp_path / "vine.disarmed").touch()
     process = await run(bench, tmp_path)
     process.send_signal(signal.SIGTERM)
     assert "pneumatics disarmed before restart: arm them" in await output_of(process)
@@ -214,7 +215,7 @@ async def test_a_killed_service_is_vented_by_the_dead_man(bench: Bench, tmp_path
 
 async def test_garbage_on_both_links_changes_nothing(bench: Bench) -> None:
     seen: list[Action] = []
-    service = Service(config.parse(bench.profile, "test"), (EachAction(seen.append),))
+    service = Service(config.parse(bench.configuration, "test"), (EachAction(seen.append),))
     serving = asyncio.create_task(service.run())
     await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is accepted")
     for i in range(200):

@@ -62,7 +62,7 @@ async def serving() -> AsyncIterator[Serving]:
     async with on_bench(FakeAutopilot("ardupilot")) as bench:
         box = BlackBox(bench.phlosar)
         seen: list[Action] = []
-        service = Service(config.parse(bench.profile, "test"), (EachAction(seen.append),))
+        service = Service(config.parse(bench.configuration, "test"), (EachAction(seen.append),))
         running = asyncio.create_task(service.run())
         await until(lambda: service.core.snapshot(service.now).switch_position == 0, "RC is accepted")
         await bench.bend()

@@ -1,4 +1,4 @@
-"""Wrong profiles and parts give one line with file and key; and the built-in data."""
+"""Wrong robot files and parts give one line with file and key; and the built-in data."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from flying_vines.config.config import ConfigError
 from flying_vines.studies.design import catalogue
-from flying_vines.studies.design import robot as profile
+from flying_vines.studies.design import robot as requirements
 from flying_vines.studies.design.compass import METRICS, compass, solutions
 from flying_vines.studies.design.evaluate import evaluate
 from flying_vines.studies.design.parts import Number, ValvePart, parse
@@ -79,7 +79,7 @@ def test_an_unknown_key_is_told_what_it_may_have_meant() -> None:
 def test_a_wrong_robot_is_one_line(old: str, new: str, words: list[str]) -> None:
     assert old in ROBOT
     with pytest.raises(ConfigError) as raised:
-        profile.parse(ROBOT.replace(old, new, 1), "r.toml")
+        requirements.parse(ROBOT.replace(old, new, 1), "r.toml")
     text = str(raised.value)
     assert "\n" not in text
     for word in words:
@@ -87,7 +87,7 @@ def test_a_wrong_robot_is_one_line(old: str, new: str, words: list[str]) -> None
 
 
 def test_a_part_that_no_file_has_is_named() -> None:
-    robot = profile.parse(ROBOT + '[parts]\nevp = "pet-2.0"\n', "r.toml")
+    robot = requirements.parse(ROBOT + '[parts]\nevp = "pet-2.0"\n', "r.toml")
     with pytest.raises(
         ConfigError, match=r"r.toml: parts.evp: 'pet-2.0' is not in the catalogue.* clippard-evp"
     ):
@@ -143,7 +143,7 @@ def test_ratings_quote_the_paper_or_are_judgements() -> None:
 
 
 def test_a_design_is_placed_from_the_prototype() -> None:
-    robot, parts = profile.demonstration(), catalogue()
+    robot, parts = requirements.demonstration(), catalogue()
     prototype = evaluate(robot, parts.choose())
     phlosar = solutions()["phlosar"]
     same = compass(prototype, prototype).design
@@ -151,7 +151,7 @@ def test_a_design_is_placed_from_the_prototype() -> None:
         rating = phlosar.rating(metric)
         assert rating is not None
         assert same[metric] == rating.value
-    small = evaluate(robot, parts.choose(profile.PartNames(reservoir="pet-1.0", venturi="")))
+    small = evaluate(robot, parts.choose(requirements.PartNames(reservoir="pet-1.0", venturi="")))
     placed = compass(small, prototype).design
     assert placed["size"] == same["size"] + 1.0
     assert placed["air_supply"] == same["air_supply"] - 1.0

@@ -232,15 +232,15 @@ def test_a_diagnosis_improves_the_prediction_of_the_next_flight(tmp_path: Path) 
 # In the service.
 
 
-def profile(folder: Path, rig: str) -> Path:
+def config_file(folder: Path, rig: str) -> Path:
     path = folder / "vine.toml"
     path.write_text(config.default_text().replace('rig = ""', f'rig = "{rig}"'))
     return path
 
 
-def test_the_rig_is_relative_to_the_profile(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_rig_is_relative_to_the_configuration(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "extended.toml").write_text(true_rig_text(TrueRig(RIG, SOME_USED)))
-    assert command("config", "check", profile(tmp_path, "extended.toml")) == 0
+    assert command("config", "check", config_file(tmp_path, "extended.toml")) == 0
     out = capsys.readouterr().out
     assert "used for cycles left: cv_leak, dead_volume; unused: ambient_drop, venturi_stall" in out
 
@@ -260,9 +260,9 @@ def test_an_invalid_rig_is_one_line_and_status_2(
 ) -> None:
     rig = tmp_path / "wrong.toml"
     rig.write_text(text)
-    vine = profile(tmp_path, "wrong.toml")
+    vine = config_file(tmp_path, "wrong.toml")
     (tmp_path / "other").mkdir()
-    other = profile(tmp_path / "other", "")
+    other = config_file(tmp_path / "other", "")
     for arguments in (("config", "check", vine), ("run", "--config", other, "--rig", rig)):
         assert command(*arguments) == 2
         out, err = capsys.readouterr()

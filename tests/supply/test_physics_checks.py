@@ -313,7 +313,7 @@ def test_readings_that_the_firmware_refuses_give_no_finding() -> None:
     assert list(stream(checks_of(), lambda _: blind, 5.0)) == []
 
 
-def test_every_check_has_a_level_in_the_profile() -> None:
+def test_every_check_has_a_level_in_the_configuration() -> None:
     assert set(CHECKS) == {
         name
         for name in ChecksConfig.__struct_fields__

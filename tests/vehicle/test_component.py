@@ -34,9 +34,9 @@ US = 191
 
 
 def component(**telemetry: Any) -> Component:
-    profile = config.default()
-    table = msgspec.structs.replace(profile.telemetry, **telemetry)
-    return Component(msgspec.structs.replace(profile, telemetry=table))
+    conf = config.default()
+    table = msgspec.structs.replace(conf.telemetry, **telemetry)
+    return Component(msgspec.structs.replace(conf, telemetry=table))
 
 
 def run(
@@ -421,9 +421,9 @@ def test_in_flight_all_that_we_send_leaves_in_pairs(
 # A signing key that a ground station gives the vehicle.
 
 
-def told_of_key(profile: config.Config, target_system: int, times: int = 1) -> list[str]:
+def told_of_key(conf: config.Config, target_system: int, times: int = 1) -> list[str]:
     """The texts when a ground station gives a vehicle its key."""
-    core, codec = Core(profile), MavlinkCodec(0, US)
+    core, codec = Core(conf), MavlinkCodec(0, US)
     autopilot, station = mavlink.MAVLink(None, 1, 1), mavlink.MAVLink(None, 255, 190)
     setup = mavlink.MAVLink_setup_signing_message(target_system, 1, list(range(32)), 1)
     frames = [mavlink.MAVLink_heartbeat_message(2, 3, 0x80, 3, 4, 3).pack(autopilot)]
@@ -439,16 +439,16 @@ def told_of_key(profile: config.Config, target_system: int, times: int = 1) -> l
 
 
 @pytest.mark.parametrize("target_system", [0, 1])
-def test_a_key_for_a_vehicle_without_one_in_its_profile_is_reported_once(target_system: int) -> None:
+def test_a_key_for_a_vehicle_without_one_in_its_configuration_is_reported_once(target_system: int) -> None:
     told = told_of_key(config.default(), target_system, times=3)
-    assert told == ["Vine: SETUP_SIGNING ignored: no key in profile"]
+    assert told == ["Vine: SETUP_SIGNING ignored: no key configured"]
 
 
 def test_a_key_for_another_vehicle_or_beside_our_own_is_not_reported() -> None:
     assert told_of_key(config.default(), 2) == []
-    profile = config.default()
-    with_key = msgspec.structs.replace(profile.vehicle, signing_key="key.txt")
-    assert told_of_key(msgspec.structs.replace(profile, vehicle=with_key), 1) == []
+    conf = config.default()
+    with_key = msgspec.structs.replace(conf.vehicle, signing_key="key.txt")
+    assert told_of_key(msgspec.structs.replace(conf, vehicle=with_key), 1) == []
 
 
 def test_in_a_simulated_flight_the_answer_to_a_fed_command_reaches_the_autopilot(

@@ -16,26 +16,26 @@ from flying_vines.vehicle.component.parameter_file import ParameterFileError, re
 from flying_vines.vehicle.component.parameter_table import SETTINGS, ParameterRefused, bounds
 from flying_vines.vehicle.component.parameters import Parameters
 
-PROFILE = config.default()
+CONFIG = config.default()
 VALUES = {"VINE_MAX_KPA": 18.1, "VINE_RC_ACTION": 1.0}
 TEXT = """\
-# Vine parameters set from a ground station. They override the profile.
-# To use the profile's value again, delete the line and restart the service.
+# Vine parameters set from a ground station. They override the configuration.
+# To use the configuration's value again, delete the line and restart the service.
 
-# RC lost: 0 vent, 1 hold (profile: 0)
+# RC lost: 0 vent, 1 hold (configuration: 0)
 VINE_RC_ACTION = 1.0
 
-# maximum setpoint, gauge kPa (profile: 20.7)
+# maximum setpoint, gauge kPa (configuration: 20.7)
 VINE_MAX_KPA = 18.1
 """
 
 
 def test_written_parameters_are_read_back(tmp_path: Path) -> None:
     path = tmp_path / "vine-parameters.toml"
-    write(path, VALUES, PROFILE)
+    write(path, VALUES, CONFIG)
     assert path.read_text() == TEXT
-    assert read(path, PROFILE) == VALUES
-    assert Parameters(PROFILE, read(path, PROFILE)).config.limits.max_kPa == 18.1
+    assert read(path, CONFIG) == VALUES
+    assert Parameters(CONFIG, read(path, CONFIG)).config.limits.max_kPa == 18.1
     assert list(tmp_path.iterdir()) == [path]
     assert path.stat().st_mode & 0o777 == 0o644
 
@@ -49,33 +49,33 @@ def test_any_set_of_allowed_values_is_read_again(
     rows = data.draw(st.lists(st.sampled_from(SETTINGS), unique=True))
     values = {}
     for row in rows:
-        least, most = bounds(row, PROFILE)
+        least, most = bounds(row, CONFIG)
         whole = bool(row.choices) or row.key == "channel"
         number = st.integers(int(least), int(most)).map(float) if whole else st.floats(least, most)
         values[row.name] = data.draw(number)
     try:
-        Parameters(PROFILE, values)
+        Parameters(CONFIG, values)
     except ParameterRefused:
         reject()
-    write(path, values, PROFILE)
-    assert read(path, PROFILE) == values
+    write(path, values, CONFIG)
+    assert read(path, CONFIG) == values
 
 
 def test_without_a_file_there_are_no_values(tmp_path: Path) -> None:
-    assert read(tmp_path / "none.toml", PROFILE) == {}
+    assert read(tmp_path / "none.toml", CONFIG) == {}
 
 
 def test_a_folder_that_is_not_there_is_made(tmp_path: Path) -> None:
     path = tmp_path / "state" / "vine" / "parameters.toml"
-    write(path, VALUES, PROFILE)
-    assert read(path, PROFILE) == VALUES
+    write(path, VALUES, CONFIG)
+    assert read(path, CONFIG) == VALUES
 
 
 def test_the_last_write_counts(tmp_path: Path) -> None:
     path = tmp_path / "parameters.toml"
-    write(path, VALUES, PROFILE)
-    write(path, {"VINE_SW_CHAN": 7.0}, PROFILE)
-    assert read(path, PROFILE) == {"VINE_SW_CHAN": 7.0}
+    write(path, VALUES, CONFIG)
+    write(path, {"VINE_SW_CHAN": 7.0}, CONFIG)
+    assert read(path, CONFIG) == {"VINE_SW_CHAN": 7.0}
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_a_file_that_cannot_be_used_is_named_with_the_line(tmp_path: Path, text:
     path = tmp_path / "parameters.toml"
     path.write_text(text)
     with pytest.raises(ParameterFileError) as caught:
-        read(path, PROFILE)
+        read(path, CONFIG)
     assert str(caught.value).startswith(f"{path}{error}")
     assert "\n" not in str(caught.value)
 
@@ -111,32 +111,32 @@ def test_a_file_that_is_not_a_parameter_file_is_never_overwritten(tmp_path: Path
     path = tmp_path / "parameters.toml"
     path.write_bytes(content)
     with pytest.raises(ParameterFileError):
-        write(path, VALUES, PROFILE)
+        write(path, VALUES, CONFIG)
     assert path.read_bytes() == content
 
 
-def test_a_file_whose_values_the_profile_no_longer_allows_may_be_written_anew(tmp_path: Path) -> None:
+def test_a_file_whose_values_the_configuration_no_longer_allows_may_be_written_anew(tmp_path: Path) -> None:
     path = tmp_path / "parameters.toml"
     path.write_text("VINE_MAX_KPA = 30\n")
-    write(path, VALUES, PROFILE)
-    assert read(path, PROFILE) == VALUES
+    write(path, VALUES, CONFIG)
+    assert read(path, CONFIG) == VALUES
 
 
 def test_a_failure_half_way_leaves_the_old_file_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "parameters.toml"
-    write(path, VALUES, PROFILE)
+    write(path, VALUES, CONFIG)
 
     def disk_full(number: int) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", disk_full)
     with pytest.raises(ParameterFileError) as caught:
-        write(path, {"VINE_SW_CHAN": 7.0}, PROFILE)
+        write(path, {"VINE_SW_CHAN": 7.0}, CONFIG)
     assert str(caught.value) == f"{path}: cannot be written: No space left on device"
     monkeypatch.undo()
-    assert read(path, PROFILE) == VALUES
+    assert read(path, CONFIG) == VALUES
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -156,11 +156,11 @@ def test_it_is_on_the_disk_before_it_takes_the_old_ones_place(
 
     monkeypatch.setattr(os, "fsync", watched_fsync)
     monkeypatch.setattr(Path, "replace", watched_replace)
-    write(tmp_path / "parameters.toml", VALUES, PROFILE)
+    write(tmp_path / "parameters.toml", VALUES, CONFIG)
     assert done == ["file", "replace", "folder"]
 
 
 def test_a_place_that_cannot_be_written_is_said_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ParameterFileError, match="cannot be written: "):
-        write(tmp_path / "file" / "parameters.toml", VALUES, PROFILE)
+        write(tmp_path / "file" / "parameters.toml", VALUES, CONFIG)

@@ -1,4 +1,4 @@
-"""Settings as MAVLink parameters: listed, read, set within the profile's bounds, or refused with a reason."""
+"""Settings as MAVLink parameters: listed, read, set within configured bounds, or refused with a reason."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from flying_vines.vehicle.notice import Notice, Severity
 
 US, STATION = (1, 191), (255, 190)
 REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
-PROFILE = config.default()
+DEFAULT = config.default()
 TICK_S = 0.02
 
 
-def profile(**tables: dict[str, Any]) -> Config:
-    """The default profile with other values."""
+def configured(**tables: dict[str, Any]) -> Config:
+    """The default configuration with other values."""
     return msgspec.structs.replace(
-        PROFILE,
-        **{name: msgspec.structs.replace(getattr(PROFILE, name), **keys) for name, keys in tables.items()},
+        DEFAULT,
+        **{name: msgspec.structs.replace(getattr(DEFAULT, name), **keys) for name, keys in tables.items()},
     )
 
 
@@ -55,7 +55,7 @@ def setting(
 class Bench:
     """A parameter set, and the results of each message."""
 
-    def __init__(self, of: Config = PROFILE, values: dict[str, float] | None = None) -> None:
+    def __init__(self, of: Config = DEFAULT, values: dict[str, float] | None = None) -> None:
         self.parameters = Parameters(of, values)
         self.may_change = True
         self.t = 10.0
@@ -95,11 +95,11 @@ def test_names_and_order_are_as_mavlink_wants_them() -> None:
 
 
 @pytest.mark.parametrize("row", SETTINGS, ids=lambda row: row.name)
-def test_each_row_has_a_key_of_the_profile_and_bounds_around_its_value(row: Any) -> None:
-    least, most = bounds(row, PROFILE)
+def test_each_row_has_a_key_of_the_configuration_and_bounds_around_its_value(row: Any) -> None:
+    least, most = bounds(row, DEFAULT)
     assert math.isfinite(least)
     assert math.isfinite(most)
-    assert least <= value_of(row, PROFILE) <= most
+    assert least <= value_of(row, DEFAULT) <= most
     assert least < most
 
 
@@ -122,7 +122,7 @@ def test_the_list_comes_once_in_order_and_spaced(target: tuple[int, int]) -> Non
     assert [message.param_index for _, message in listed] == list(range(len(SETTINGS)))
     for (_, message), row in zip(listed, SETTINGS, strict=True):
         assert message.param_id == row.name
-        assert message.param_value == f32(value_of(row, PROFILE))
+        assert message.param_value == f32(value_of(row, DEFAULT))
         assert (message.param_type, message.param_count) == (REAL32, len(SETTINGS))
     gaps_s = [later - t for (t, _), (later, _) in itertools.pairwise(listed)]
     assert all(LIST_SPACING_S - 1e-6 <= gap_s <= LIST_SPACING_S + 1.01 * TICK_S for gap_s in gaps_s)
@@ -146,7 +146,7 @@ def test_messages_for_others_are_not_answered(target: tuple[int, int]) -> None:
     read = mavlink.MAVLink_param_request_read_message(*target, b"VINE_MAX_KPA", -1)
     assert bench.take(read) == ([], [], [])
     assert bench.take(setting("VINE_MAX_KPA", 10.0, target=target)) == ([], [], [])
-    assert bench.parameters.config == PROFILE
+    assert bench.parameters.config == DEFAULT
 
 
 def test_a_parameter_is_only_read_and_set_by_who_names_us() -> None:
@@ -155,7 +155,7 @@ def test_a_parameter_is_only_read_and_set_by_who_names_us() -> None:
         read = mavlink.MAVLink_param_request_read_message(*target, b"", 0)
         assert bench.take(read) == ([], [], [])
         assert bench.take(setting("VINE_MAX_KPA", 10.0, target=target)) == ([], [], [])
-    assert bench.parameters.config == PROFILE
+    assert bench.parameters.config == DEFAULT
 
 
 def test_read_by_name_and_by_index() -> None:
@@ -166,7 +166,7 @@ def test_read_by_name_and_by_index() -> None:
         for request in (by_name, by_index):
             (answer,), texts, changes = bench.take(request)
             assert (answer.param_id, answer.param_index) == (row.name, index)
-            assert answer.param_value == f32(value_of(row, PROFILE))
+            assert answer.param_value == f32(value_of(row, DEFAULT))
             assert not texts
             assert not changes
 
@@ -192,7 +192,7 @@ def test_a_value_is_set_and_is_in_force() -> None:
     assert (change.t, change.name, change.value) == (10.0, "VINE_MAX_KPA", 18.1)
     assert texts == ["Vine: VINE_MAX_KPA is 18.1, was 20.7"]
     assert bench.parameters.values == {"VINE_MAX_KPA": 18.1}
-    assert msgspec.structs.replace(change.config, limits=PROFILE.limits) == PROFILE
+    assert msgspec.structs.replace(change.config, limits=DEFAULT.limits) == DEFAULT
 
 
 @pytest.mark.parametrize(
@@ -207,7 +207,7 @@ def test_a_value_is_set_and_is_in_force() -> None:
         ("VINE_RATE_HZ", 0.7, 0.7),
     ],
 )
-def test_values_become_what_the_profile_has(name: str, value: float, kept: object) -> None:
+def test_values_become_what_the_configuration_has(name: str, value: float, kept: object) -> None:
     bench = Bench()
     bench.set(name, value)
     row = BY_NAME[name]
@@ -220,17 +220,17 @@ def test_the_value_in_force_again_changes_nothing() -> None:
     bench = Bench()
     bench.may_change = False
     for row in SETTINGS:
-        answer, texts, changes = bench.set(row.name, value_of(row, PROFILE))
-        assert answer == f32(value_of(row, PROFILE))
+        answer, texts, changes = bench.set(row.name, value_of(row, DEFAULT))
+        assert answer == f32(value_of(row, DEFAULT))
         assert not texts
         assert not changes
 
 
-def test_back_to_the_profiles_value_is_the_profile_again() -> None:
+def test_back_to_the_configurations_value_is_the_configuration_again() -> None:
     bench = Bench()
     bench.set("VINE_MAX_KPA", 15.0)
     bench.set("VINE_MAX_KPA", 20.7)  # as a 32-bit float it is above 20.7
-    assert bench.parameters.config == PROFILE
+    assert bench.parameters.config == DEFAULT
     assert bench.parameters.values == {}
 
 
@@ -261,11 +261,11 @@ def test_after_a_refusal_the_sender_gets_the_old_value_and_the_reason(
 ) -> None:
     bench = Bench()
     answer, texts, changes = bench.set(name, value)
-    before = value_of(BY_NAME[name], PROFILE)
+    before = value_of(BY_NAME[name], DEFAULT)
     assert answer == f32(before)
     assert texts == [f"Vine: {name} stays {before:g}: {reason}"]
     assert changes == []
-    assert bench.parameters.config == PROFILE
+    assert bench.parameters.config == DEFAULT
 
 
 @pytest.mark.parametrize("param_type", [kind for kind in range(12) if kind != REAL32])
@@ -279,8 +279,8 @@ def test_while_the_vine_is_bent_only_what_steers_nothing_may_be_changed() -> Non
     bench = Bench()
     bench.may_change = False
     for row in SETTINGS:
-        before = value_of(row, PROFILE)
-        other = next(value for value in bounds(row, PROFILE) if value != before)
+        before = value_of(row, DEFAULT)
+        other = next(value for value in bounds(row, DEFAULT) if value != before)
         answer, texts, changes = bench.set(row.name, other)
         if row.table == "telemetry":
             assert (answer, len(changes)) == (f32(other), 1)
@@ -289,21 +289,21 @@ def test_while_the_vine_is_bent_only_what_steers_nothing_may_be_changed() -> Non
             assert texts == [f"Vine: {row.name} stays {before:g}: vent the vine first"]
 
 
-def test_the_profile_is_the_ceiling_not_the_default() -> None:
-    bench = Bench(profile(limits={"max_kPa": 24.0}, interlocks={"min_altitude_m": 0.5}))
+def test_the_configuration_is_the_ceiling_not_the_default() -> None:
+    bench = Bench(configured(limits={"max_kPa": 24.0}, interlocks={"min_altitude_m": 0.5}))
     assert bench.set("VINE_MAX_KPA", 23.0)[0] == 23.0
     assert bench.set("VINE_MIN_ALT_M", 1.0)[0] == 1.0
     assert bench.set("VINE_MIN_ALT_M", 0.25)[0] == 1.0
 
 
-def test_a_profile_beyond_a_rows_own_bounds_is_its_own_bound() -> None:
+def test_a_configuration_beyond_a_rows_own_bounds_is_its_own_bound() -> None:
     row = BY_NAME["VINE_MIN_ALT_M"]
-    assert bounds(row, profile(interlocks={"min_altitude_m": 1500.0})) == (1500.0, 1500.0)
-    assert bounds(BY_NAME["VINE_MAX_BENT_S"], profile(limits={"max_bent_s": 0.25})) == (0.25, 0.25)
+    assert bounds(row, configured(interlocks={"min_altitude_m": 1500.0})) == (1500.0, 1500.0)
+    assert bounds(BY_NAME["VINE_MAX_BENT_S"], configured(limits={"max_bent_s": 0.25})) == (0.25, 0.25)
 
 
 def test_a_change_is_an_information_and_a_refusal_a_warning() -> None:
-    parameters = Parameters(PROFILE)
+    parameters = Parameters(DEFAULT)
     for value, severity in ((18.0, Severity.INFO), (30.0, Severity.WARNING)):
         outputs = parameters.handle(0.0, sent(setting("VINE_MAX_KPA", value)), *US, True)
         assert [output.severity for output in outputs if isinstance(output, Notice)] == [severity]
@@ -311,12 +311,12 @@ def test_a_change_is_an_information_and_a_refusal_a_warning() -> None:
 
 def test_kept_values_are_in_force_from_the_start() -> None:
     kept = {"VINE_MAX_KPA": 18.0, "VINE_RC_ACTION": 1.0}
-    parameters = Parameters(PROFILE, kept)
+    parameters = Parameters(DEFAULT, kept)
     assert parameters.config.limits.max_kPa == 18.0
     assert parameters.config.losses.on_rc_loss == "hold"
     assert parameters.values == kept
     with pytest.raises(ParameterRefused, match=r"VINE_MAX_KPA: 30 is outside 0\.5 to 20\.7"):
-        Parameters(PROFILE, {"VINE_MAX_KPA": 30.0})
+        Parameters(DEFAULT, {"VINE_MAX_KPA": 30.0})
 
 
 ANY = st.floats(width=32) | st.floats(0, 130, width=32) | st.integers(0, 20).map(float)
@@ -324,10 +324,10 @@ ANY = st.floats(width=32) | st.floats(0, 130, width=32) | st.integers(0, 20).map
 
 @given(st.lists(st.tuples(st.sampled_from(SETTINGS), ANY, st.booleans()), max_size=25))
 @settings(max_examples=examples(150), deadline=None)
-def test_any_parameters_give_a_configuration_within_the_profile(
+def test_any_parameters_stay_within_the_configuration(
     sets: list[tuple[Any, float, bool]],
 ) -> None:
-    bench = Bench(PROFILE)
+    bench = Bench(DEFAULT)
     for row, value, bench.may_change in sets:
         before = bench.parameters.config
         answer, texts, changes = bench.set(row.name, value)
@@ -335,11 +335,11 @@ def test_any_parameters_give_a_configuration_within_the_profile(
         assert answer == f32(value_of(row, now))
         assert (now != before) == (len(changes) == 1)
         assert len(texts) <= 1
-        least, most = bounds(row, PROFILE)
+        least, most = bounds(row, DEFAULT)
         assert least <= value_of(row, now) <= most
     for strict in ("max_kPa", "max_rate_kPa_per_s", "max_bent_s", "overpressure_kPa"):
-        assert getattr(bench.parameters.config.limits, strict) <= getattr(PROFILE.limits, strict)
-    assert Parameters(PROFILE, bench.parameters.values).config == bench.parameters.config
+        assert getattr(bench.parameters.config.limits, strict) <= getattr(DEFAULT.limits, strict)
+    assert Parameters(DEFAULT, bench.parameters.values).config == bench.parameters.config
 
 
 @given(st.floats(width=32, allow_nan=False, allow_infinity=False))

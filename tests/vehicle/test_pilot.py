@@ -58,9 +58,9 @@ class Radio:
             receiver_failsafe=self.failsafe,
             debounce_s=self.debounce_s,
         )
-        profile = msgspec.structs.replace(base, switch=switch)
-        self.profile = profile
-        self.pilot = Pilot(profile, Rules(profile))
+        conf = msgspec.structs.replace(base, switch=switch)
+        self.config = conf
+        self.pilot = Pilot(conf, Rules(conf))
         self.move(0)
         self.received = list(self.sticks)
         self.run(2.0)
@@ -483,8 +483,8 @@ def test_a_second_straightening_does_not_hide_an_override_that_ends() -> None:
 def test_a_switch_that_is_set_up_anew_forgets_the_bend_that_waits() -> None:
     radio = Radio()
     radio.move(2, 1.0)
-    switch = msgspec.structs.replace(radio.profile.switch, debounce_s=0.3)
-    radio.pilot.configure(msgspec.structs.replace(radio.profile, switch=switch))
+    switch = msgspec.structs.replace(radio.config.switch, debounce_s=0.3)
+    radio.pilot.configure(msgspec.structs.replace(radio.config, switch=switch))
     radio.run(5.0)
     assert radio.bends == []
 
@@ -492,7 +492,7 @@ def test_a_switch_that_is_set_up_anew_forgets_the_bend_that_waits() -> None:
 def test_another_parameter_leaves_the_bend_that_waits() -> None:
     radio = Radio()
     radio.move(2, 1.0)
-    radio.pilot.configure(msgspec.structs.replace(radio.profile, limits=config.LimitsConfig(max_bent_s=5.0)))
+    radio.pilot.configure(msgspec.structs.replace(radio.config, limits=config.LimitsConfig(max_bent_s=5.0)))
     radio.run(3.0)
     assert len(radio.bends) == 1
 
@@ -561,7 +561,7 @@ def test_a_single_message_with_the_throttle_in_failsafe_is_a_loss() -> None:
         radio.steps += 1
         radio.hear_channels()
         assert radio.now_s < good_from_s + 2.0
-    assert radio.now_s - good_from_s == pytest.approx(radio.profile.switch.settle_s, abs=PERIOD_S / 2)
+    assert radio.now_s - good_from_s == pytest.approx(radio.config.switch.settle_s, abs=PERIOD_S / 2)
     assert radio.told == ["Vine: switch ch9 moved while RC was lost, move it again"]
 
 

@@ -1,4 +1,4 @@
-"""A trigger: the vehicle rolls or pitches far, as in a gust. The profile says what the vine does then."""
+"""A trigger: the vehicle rolls or pitches far, as in a gust. The configuration says what the vine does."""
 
 import math
 

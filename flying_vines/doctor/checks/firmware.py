@@ -79,7 +79,7 @@ LIMITS = FindingText(
 LOW_SETPOINTS = FindingText(
     "phloSAR limits",
     "bad",
-    "it accepts setpoints up to {most:g} kPa; the profile uses up to {wanted:g} (limits.max_kPa)",
+    "it accepts setpoints up to {most:g} kPa; the configuration uses up to {wanted:g} (limits.max_kPa)",
     "lower limits.max_kPa, or raise the firmware's limit: flying-vines link --set cv_limit_kPa={raised:g}",
 )
 VENTS_FIRST = FindingText(
@@ -97,7 +97,7 @@ LOW_BOTTLE = FindingText(
 LOW_RATE = FindingText(
     "phloSAR limits",
     "warning",
-    "its maximum rate is {rate:g} kPa/s; the profile allows {wanted:g} (limits.max_rate_kPa_per_s)",
+    "its maximum rate is {rate:g} kPa/s; the configuration allows {wanted:g} (limits.max_rate_kPa_per_s)",
     "lower limits.max_rate_kPa_per_s; otherwise fast motions end later than planned",
 )
 VINE = FindingText("vine sensor", "good", "{kPa:z.2f} kPa at rest")

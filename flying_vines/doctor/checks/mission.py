@@ -1,4 +1,4 @@
-"""Checks the vehicle's mission: does a rule of the profile match each vine item?"""
+"""Checks the vehicle's mission: does a rule of the configuration match each vine item?"""
 
 from __future__ import annotations
 

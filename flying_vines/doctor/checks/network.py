@@ -11,7 +11,7 @@ from flying_vines.doctor.finding import DoctorFinding, FindingText
 @dataclass(frozen=True, slots=True)
 class PageFacts:
     address: str
-    """Host and port; empty if the profile has no page."""
+    """Host and port; empty if the configuration has no page."""
     problem: str = ""
     """Why the port cannot be opened; else empty."""
     held_by: tuple[Process, ...] = ()
@@ -20,7 +20,7 @@ class PageFacts:
 @dataclass(frozen=True, slots=True)
 class BrokerFacts:
     broker: str
-    """Its address; empty if the profile has none."""
+    """Its address; empty if the configuration has none."""
     problem: str = ""
     """Why it cannot be used; else empty."""
     needs_person: bool = False
@@ -29,13 +29,13 @@ class BrokerFacts:
     took_s: float = 0.0
 
 
-NO_PAGE = FindingText("page", "skipped", "the profile has none")
+NO_PAGE = FindingText("page", "skipped", "the configuration has none")
 PAGE = FindingText("page", "good", "{address} is free")
 PAGE_TAKEN = FindingText(
     "page", "warning", "{address}: {why}", "end that program, or set another address in [page]"
 )
 PAGE_SERVED = FindingText("page", "skipped", "{address} is used by the running service")
-NO_BROKER = FindingText("broker", "skipped", "the profile has none")
+NO_BROKER = FindingText("broker", "skipped", "the configuration has none")
 BROKER = FindingText("broker", "good", "{broker} answers within {took:.0f} ms")
 NO_PACKAGE = FindingText("broker", "warning", "{why}", "install flying-vines again")
 AWAY = FindingText("broker", "warning", "{broker}: {why}", "check the network, and that the broker runs")

@@ -16,11 +16,11 @@ _BY_NUMBER = re.compile(r"/dev/tty(ACM|USB)\d+")
 
 @dataclass(frozen=True, slots=True)
 class PortFacts:
-    """The port of a link of the profile."""
+    """The port of a link of the configuration."""
 
     which: Which
     where: str
-    """The link as written in the profile."""
+    """The link as written in the configuration."""
     path: str = ""
     """The present device; empty if there is none."""
     missing: str = ""
@@ -128,7 +128,7 @@ def check_network(
 
     Args:
         which: the link.
-        where: the link as written in the profile.
+        where: the link as written in the configuration.
         listens: True if the link listens on a port of this computer.
         held_by: the processes that use this port; None if it is free.
         served: True if our own service uses it.

@@ -139,7 +139,7 @@ SIGNED = FindingText("signing", "good", "all messages were signed with our key")
 NO_KEY = FindingText(
     "signing",
     "warning",
-    "the autopilot signs its messages, but the profile has no key: it may ignore ours",
+    "the autopilot signs its messages, but the configuration has no key: it may ignore ours",
     "write its key to a file, and set vehicle.signing_key to this file",
 )
 NO_KEY_NEEDED = FindingText(
@@ -157,7 +157,7 @@ def check(
 
     Args:
         facts: None if the port could not be opened.
-        config: the profile.
+        config: the configuration.
         seconds: listening time.
         running: our own services that run on this computer.
     """

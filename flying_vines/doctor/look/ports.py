@@ -1,4 +1,4 @@
-"""The profile's ports: device, permissions, and the processes that use them."""
+"""The configured ports: device, permissions, and the processes that use them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""MQTT client: publishes state and events, and accepts the requests that the profile permits.
+"""MQTT client: publishes state and events, and accepts the requests that the configuration permits.
 
 `topics` and `payloads` define the messages, `publisher` makes them, and `requests` checks requests. Only
 `connection` uses the network.

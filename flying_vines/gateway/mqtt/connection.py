@@ -59,10 +59,10 @@ class Connection:
 
     def __init__(self, feed: Feed) -> None:
         self._feed = feed
-        self._mqtt = feed.profile.config.mqtt
+        self._mqtt = feed.start.config.mqtt
         self._broker = parse_broker(self._mqtt.broker)
         self._topics = Topics.of(self._mqtt)
-        self._publisher = Publisher(feed.profile, self._topics)
+        self._publisher = Publisher(feed.start, self._topics)
         self._requests = RequestQueue(self._mqtt.commands, self._mqtt.asked_within_s)
         self._answers: asyncio.Queue[AnswerPayload] = asyncio.Queue(MAX_UNANSWERED)
         self._happened, self._requested = asyncio.Event(), asyncio.Event()
@@ -167,7 +167,7 @@ class Connection:
             raise RefusedError(
                 f"it does not let us publish to {self._topics.base}/…: check its access control list"
             )
-        for publication in discovery(self._feed.profile.config, self._topics, self._feed.profile.version):
+        for publication in discovery(self._feed.start.config, self._topics, self._feed.start.version):
             await _publish(client, publication)
 
     async def _say_goodbye(self, client: _Client) -> None:

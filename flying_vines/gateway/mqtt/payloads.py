@@ -35,7 +35,7 @@ class StatusPayload(_Payload, frozen=True, kw_only=True):
 
 
 class LimitsPayload(msgspec.Struct, frozen=True):
-    """The profile's limits; a pilot's parameters may be lower."""
+    """The configured limits; a pilot's parameters may be lower."""
 
     max_kPa: float
     max_bend_deg: float

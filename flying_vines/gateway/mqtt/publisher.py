@@ -117,11 +117,11 @@ class Events:
 class Publisher:
     """Makes the publications of one vehicle."""
 
-    def __init__(self, profile: GatewayStart, topics: Topics) -> None:
+    def __init__(self, start: GatewayStart, topics: Topics) -> None:
         self.topics = topics
         self._run = secrets.token_hex(4)
-        self._mqtt = profile.config.mqtt
-        self._profile = profile
+        self._mqtt = start.config.mqtt
+        self._start = start
         self.events = Events(topics.event, self._run, self._mqtt.kept_events)
         self._latest: SnapshotMessage | None = None
         self._seen_at = -SILENT_S
@@ -169,12 +169,12 @@ class Publisher:
         return Publication(self.topics.answer, msgspec.json.encode(answer), qos=1)
 
     def about(self, now: Now) -> AboutPayload:
-        config = self._profile.config
+        config = self._start.config
         limits = config.limits
         return AboutPayload(
             unix_s=now.unix_s,
             name=self.topics.name,
-            flying_vines=self._profile.version,
+            flying_vines=self._start.version,
             run=self._run,
             profiles=tuple(config.profiles),
             limits=LimitsPayload(

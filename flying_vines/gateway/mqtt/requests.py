@@ -1,4 +1,4 @@
-"""Checks requests from the broker: permitted by the profile, recent, and not repeated. No clock."""
+"""Checks requests from the broker: permitted by the configuration, recent, and not repeated. No clock."""
 
 from __future__ import annotations
 
@@ -99,7 +99,10 @@ class RequestQueue:
             return None, f"invalid request: {error}"
         if request.command not in self._commands:
             allowed = ", ".join(self._commands) or "nothing"
-            return request, f"'{request.command}' is not permitted over MQTT; the profile permits {allowed}"
+            return (
+                request,
+                f"'{request.command}' is not permitted over MQTT; the configuration permits {allowed}",
+            )
         if retained:
             return request, "a retained message: the time of the request is unknown"
         age_s = now.unix_s - request.unix_s

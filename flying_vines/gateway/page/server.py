@@ -64,8 +64,8 @@ HEADERS = {
 
 async def serve(feed: Feed) -> None:
     """Serve until cancelled. Raises `OSError` if the port is not free."""
-    page = feed.profile.config.page
-    access = Access(page.host, page.port, feed.profile.page_token)
+    page = feed.start.config.page
+    access = Access(page.host, page.port, feed.start.page_token)
     history = History()
     try:
         listener = _listener(page.host, page.port)
@@ -179,12 +179,12 @@ class PageServer(Server):
         return response
 
     async def _offer(self, request: BaseRequest, may_ask: bool) -> StreamResponse:
-        """The list of flights, or a file of one. A log holds the profile, so this needs the full token."""
+        """The list of flights, or a file of one. It needs the full token: a log holds the configuration."""
         if not may_ask:
             return _refusal(Refused(403, "flights are for holders of the full token"))
-        if not self._feed.profile.flights:
+        if not self._feed.start.flights:
             return _refusal(Refused(404, "this service offers no flights"))
-        folder = Path(self._feed.profile.flights)
+        folder = Path(self._feed.start.flights)
         _, _, flight, name = (*request.path.split("/"), "", "")[:4]
         try:
             if request.path == "/flights":
@@ -239,7 +239,7 @@ _REFUSAL = """\
 _FORM = """\
 <form><p><label>Token <input name="token" autocomplete="off" autocapitalize="none" autofocus></label>
 <button>Open</button></form>
-<p>The drone's terminal shows the token. It is also in the file [page] token_file of its profile."""
+<p>The drone's terminal shows the token. It is also in the file [page] token_file of its configuration."""
 
 
 def _refusal(refused: Refused) -> Response:

@@ -26,7 +26,7 @@ PAST_EVENTS = 200
 
 
 class _Vine(msgspec.Struct, frozen=True):
-    """What the page needs from the profile."""
+    """What the page needs from the configuration."""
 
     profiles: dict[str, float]
     """The largest angle of each profile, degrees."""
@@ -102,10 +102,10 @@ class Viewer:
     def _hello(self) -> _Hello:
         return _Hello(
             asyncio.get_running_loop().time(),
-            self._feed.profile.version,
+            self._feed.start.version,
             self._may_ask,
-            self._may_ask and bool(self._feed.profile.flights),
-            _vine(self._feed.profile.config),
+            self._may_ask and bool(self._feed.start.flights),
+            _vine(self._feed.start.config),
             tuple(self._history.samples),
             tuple(self._feed.happened)[-PAST_EVENTS:],
         )

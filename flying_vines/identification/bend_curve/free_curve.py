@@ -2,8 +2,8 @@
 
 The curve is piecewise linear between evenly spaced pressures and never falls. A backlash of width h precedes
 it. For each h the pieces are a non-negative least-squares problem; h minimises the residuals. Its 95 %
-interval is a profile: the sum of squares stays below the limit of the F distribution. Correlated neighbouring
-residuals are counted with their effective number.
+interval is a likelihood profile: the sum of squares stays below the limit of the F distribution. Correlated
+neighbouring residuals are counted with their effective number.
 """
 
 from __future__ import annotations

@@ -207,7 +207,7 @@ def _profile(axis: Any, profile: LikelihoodProfile) -> None:
 
 
 def curve(profile: LikelihoodProfile) -> tuple[Array, Array]:
-    """The profile as a curve, linear in the square root of χ², which is exact for a parabola."""
+    """The likelihood profile as a curve, linear in the square root of χ², which is exact for a parabola."""
     parameter = profile.parameter
     searched = np.array([parameter.to_search(float(value)) for value in profile.value])
     best = parameter.to_search(profile.estimate)

@@ -1,4 +1,4 @@
-"""Fills the templates of pages. Everything that comes from a case or a profile is escaped."""
+"""Fills the templates of pages. Everything that comes from a case or a configuration is escaped."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ def draw(
     """Draw three PNGs into an existing folder. Returns their paths.
 
     Args:
-        evaluation: the choice of the profile.
+        evaluation: of the robot's own parts.
         tried: every choice of the catalogue.
         compared: the design among the paper's solutions.
     """
@@ -141,7 +141,7 @@ def _search(chosen: Evaluation, tried: Sequence[Evaluation]) -> Any:
             ms=15,
             color=ORANGE,
             mec="white",
-            label="the profile's choice",
+            label="the robot's parts",
         )
         for number, e in enumerate(found, 1):
             axis.annotate(

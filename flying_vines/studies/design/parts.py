@@ -183,7 +183,7 @@ class Catalogue:
 
         Args:
             names: file names without `.toml`.
-            source: name of the profile in errors.
+            source: name of the robot file in errors.
 
         Raises `ConfigError` if a name is unknown, or is a part of another kind.
         """

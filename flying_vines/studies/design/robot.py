@@ -1,4 +1,4 @@
-"""The requirements of a robot: one TOML profile, by default the paper's demonstration."""
+"""The requirements of a robot: one TOML file, by default the paper's demonstration."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ class Robot(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
 
 def example_text() -> str:
-    """The commented profile of the paper's demonstration."""
+    """The commented robot file of the paper's demonstration."""
     file = resources.files("flying_vines.studies.design").joinpath("examples/vine.toml")
     return file.read_text(encoding="utf-8")
 
@@ -126,14 +126,14 @@ def demonstration() -> Robot:
 
 
 def load(path: Path) -> Robot:
-    """The robot in a profile. `ConfigError`: one line that names file, line and key."""
+    """The robot in a robot file. `ConfigError`: one line that names file, line and key."""
     return parse(read_text(path, ConfigError), str(path))
 
 
 def parse(text: str, source: str) -> Robot:
-    """The robot in the text of a profile; `source` is its name in errors. Raises `ConfigError`."""
+    """The robot in the text of a robot file; `source` is its name in errors. Raises `ConfigError`."""
     known = [*Robot.__struct_fields__, *PartNames.__struct_fields__]
     robot: Any = decode(text, source, Robot, known)
     if not isinstance(robot, Robot):
-        raise ConfigError(f"{source}: not a robot's profile")
+        raise ConfigError(f"{source}: not a robot file")
     return robot

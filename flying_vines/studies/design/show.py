@@ -39,7 +39,7 @@ def show(
     console.print(
         Text(f"Does not meet: {'; '.join(short)}.", style="red")
         if short
-        else Text("Meets all requirements of the profile.", style="green")
+        else Text("Meets all requirements of the robot.", style="green")
     )
     for note in notes(evaluation):
         console.print(Text(f"· {note}"))
@@ -117,7 +117,7 @@ def rows(evaluation: Evaluation) -> list[tuple[str, str, float, float | None, st
     left = f"to {100 * DEFLATED:.0f} % left, not in the paper"
     swing = f"Eq. 7, {robot.swing_kPa:g} kPa peak to peak"
     return [
-        ("filled to", "kPa", e.fill_kPa, None, "profile, or limit of the parts"),
+        ("filled to", "kPa", e.fill_kPa, None, "robot, or limit of the parts"),
         ("inflation speed", "kPa/s", e.inflation_kPa_per_s, up, f"Eq. 4, {kind}"),
         ("deflation speed", "kPa/s", e.deflation_kPa_per_s, down, left),
         ("deflation speed, passive", "kPa/s", e.passive_kPa_per_s, None, "same, solenoid alone"),

@@ -114,7 +114,7 @@ class PhysicsChecks:
 
 
 def own_checks(belief: Belief, config: ChecksConfig) -> dict[str, PhysicsChecks]:
-    """Each check of an installed package that the profile names, alone, so that its errors stop no other.
+    """Each check of an installed package in the configuration, alone, so that its errors stop no other.
 
     Raises `PluginError`.
     """

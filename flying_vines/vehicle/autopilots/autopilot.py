@@ -70,7 +70,7 @@ class Autopilot:
     """An unknown autopilot. There is a subclass for each known one. They have no state."""
 
     kind = "other"
-    """Its name in profiles, missions and on the command line."""
+    """Its name in configurations, missions and on the command line."""
     title = "the autopilot"
     mav_autopilot: int = mavlink.MAV_AUTOPILOT_GENERIC
     simulator_home: Home

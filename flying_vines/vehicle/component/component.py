@@ -23,19 +23,19 @@ from flying_vines.vehicle.state import VehicleState
 class Component:
     """Sans-IO; all times are seconds of one clock.
 
-    `values` are the saved parameters that differ from the profile. Every message to the vehicle goes through
-    `send`, and leaves by `due` or `leaving`.
+    `values` are the saved parameters that differ from the configuration. Every message to the vehicle goes
+    through `send`, and leaves by `due` or `leaving`.
     """
 
-    def __init__(self, profile: Config, values: Mapping[str, float] | None = None) -> None:
-        self.parameters = Parameters(profile, values)
-        self._component_id = profile.vehicle.component_id
+    def __init__(self, config: Config, values: Mapping[str, float] | None = None) -> None:
+        self.parameters = Parameters(config, values)
+        self._component_id = config.vehicle.component_id
         self._heartbeat = Heartbeat()
         self._values = NamedValues(1.0 / self.parameters.config.telemetry.rate_Hz)
         self._fuel = FuelGauge()
         self._texts = Texts()
         self._requests = Requests(self._component_id, self._heartbeat, self._values)
-        self._key_reported = bool(profile.vehicle.signing_key)
+        self._key_reported = bool(config.vehicle.signing_key)
         self._clash = Clash(self._component_id)
         self._stations = Stations()
         self._queue = TransmitQueue()
@@ -84,7 +84,7 @@ class Component:
         if self._key_reported or message.target_system not in (0, system_id):
             return []
         self._key_reported = True
-        return [Notice(t, Severity.NOTICE, "Vine: SETUP_SIGNING ignored: no key in profile")]
+        return [Notice(t, Severity.NOTICE, "Vine: SETUP_SIGNING ignored: no key configured")]
 
     def greet(self) -> None:
         """Send a heartbeat at once: the autopilot does not know us yet."""

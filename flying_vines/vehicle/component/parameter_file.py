@@ -1,7 +1,7 @@
 """The file of the parameters that were set in the field.
 
-It holds only values that differ from the profile. All others follow the profile. A file that cannot be read
-is never overwritten, so its content is not lost.
+It holds only values that differ from the configuration. All others follow the configuration. A file that
+cannot be read is never overwritten, so its content is not lost.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from flying_vines.vehicle.component.parameter_table import (
 )
 
 HEADING = """\
-# Vine parameters set from a ground station. They override the profile.
-# To use the profile's value again, delete the line and restart the service.
+# Vine parameters set from a ground station. They override the configuration.
+# To use the configuration's value again, delete the line and restart the service.
 """
 
 _REMOVED = {"VINE_AP_ACTION": "a lost autopilot always vents, because the altitude is lost, too"}
@@ -35,27 +35,27 @@ class ParameterFileError(OneLineError):
     """The file cannot be used. The text is one line with file, line number and what to do."""
 
 
-def read(path: Path, profile: Config) -> dict[str, float]:
-    """The values of a file, all allowed by the profile. Empty if there is no file yet.
+def read(path: Path, base: Config) -> dict[str, float]:
+    """The values of a file, all allowed by the configuration `base`. Empty if there is no file yet.
 
     Raises:
-        ParameterFileError: the file is damaged, or has a value that the profile does not allow.
+        ParameterFileError: the file is damaged, or has a value that `base` does not allow.
     """
     if not path.exists():
         return {}
     text = read_text(path, ParameterFileError)
     values = _parsed(text, path)
-    config = profile
+    config = base
     for name, value in values.items():
         try:
-            config = changed(profile, config, name, value)
+            config = changed(base, config, name, value)
         except ParameterRefused as refusal:
             where = place(text, str(path), (name,))
             raise ParameterFileError(f"{where}: {refusal}: correct the line or delete it") from None
     return values
 
 
-def write(path: Path, values: Mapping[str, float], profile: Config) -> None:
+def write(path: Path, values: Mapping[str, float], base: Config) -> None:
     """Replace the file by these values, atomically.
 
     Raises:
@@ -64,16 +64,16 @@ def write(path: Path, values: Mapping[str, float], profile: Config) -> None:
     try:
         if path.exists():
             _parsed(read_text(path, ParameterFileError), path)
-        on_disk.put(path, _text(values, profile))
+        on_disk.put(path, _text(values, base))
     except OSError as error:
         raise ParameterFileError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def _text(values: Mapping[str, float], profile: Config) -> str:
+def _text(values: Mapping[str, float], base: Config) -> str:
     rows = [HEADING]
     for setting in SETTINGS:
         if setting.name in values:
-            rows.append(f"\n# {setting.doc} (profile: {value_of(setting, profile):g})\n")
+            rows.append(f"\n# {setting.doc} (configuration: {value_of(setting, base):g})\n")
             rows.append(f"{setting.name} = {values[setting.name]!r}\n")
     return "".join(rows)
 

@@ -1,8 +1,8 @@
 """The settings that a pilot may change in the field: one row each, with the limits of its value.
 
-For a setting that keeps people or hardware safe, the profile's value is the maximum or minimum: a pilot may
-make the vine weaker or slower, never stronger or faster. A pressure profile that exceeds the new limits is
-clipped or slowed; safety reports the clipping.
+For a setting that keeps people or hardware safe, the configuration's value is the maximum or minimum: a pilot
+may make the vine weaker or slower, never stronger or faster. A pressure profile that exceeds the new limits
+is clipped or slowed; safety reports the clipping.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Guard = Literal["none", "max", "min"]
 
 @dataclass(frozen=True, slots=True)
 class ParameterRow:
-    """One parameter: a float over MAVLink, and the profile's key for it."""
+    """One parameter: a float over MAVLink, and its key in the configuration."""
 
     name: str
     """At most 16 characters (MAVLink)."""
@@ -31,7 +31,7 @@ class ParameterRow:
     key: str
     doc: str
     guard: Guard = "none"
-    """ "max": the profile's value is the maximum that may be set; "min": the minimum."""
+    """ "max": the configuration's value is the maximum that may be set; "min": the minimum."""
     min: float = -math.inf
     """Lower limit; used if it is narrower than the configuration's."""
     max: float = math.inf
@@ -113,8 +113,8 @@ def value_of(setting: ParameterRow, config: Config) -> float:
     return float(setting.choices.index(value)) if setting.choices else float(value)
 
 
-def bounds(setting: ParameterRow, profile: Config) -> tuple[float, float]:
-    """The minimum and maximum that may be set: the narrowest of configuration, row and profile."""
+def bounds(setting: ParameterRow, base: Config) -> tuple[float, float]:
+    """The minimum and maximum that may be set: the narrowest of the key's limits, the row's, and `base`."""
     lower, upper = setting.min, setting.max
     kind = _type(setting)
     if setting.choices:
@@ -122,25 +122,25 @@ def bounds(setting: ParameterRow, profile: Config) -> tuple[float, float]:
     elif isinstance(kind, inspect.FloatType | inspect.IntType):
         lower = max(lower, -math.inf if kind.ge is None else kind.ge)
         upper = min(upper, math.inf if kind.le is None else kind.le)
-    # The profile's own value is always allowed.
-    own = value_of(setting, profile)
+    # The value of `base` is always allowed.
+    own = value_of(setting, base)
     lower = max(lower, own) if setting.guard == "min" else min(lower, own)
     upper = min(upper, own) if setting.guard == "max" else max(upper, own)
     return lower, upper
 
 
-def changed(profile: Config, config: Config, name: str, value: float) -> Config:
-    """The configuration with a new value. Raises `ParameterRefused` if the profile does not allow it.
+def changed(base: Config, config: Config, name: str, value: float) -> Config:
+    """The configuration with a new value. Raises `ParameterRefused` if `base` does not allow it.
 
     Args:
-        profile: without any parameters.
-        config: the profile with the values in force.
+        base: the configuration without any parameters.
+        config: the configuration with the values in force.
         name: of the parameter.
         value: as received; it may not be finite.
     """
     setting = BY_NAME[name]
     table = getattr(config, setting.table)
-    table = msgspec.structs.replace(table, **{setting.key: _checked(setting, profile, value)})
+    table = msgspec.structs.replace(table, **{setting.key: _checked(setting, base, value)})
     return msgspec.structs.replace(config, **{setting.table: table})
 
 
@@ -158,11 +158,11 @@ def same(one: float, other: float) -> bool:
     return c_float(one).value == c_float(other).value
 
 
-def _checked(setting: ParameterRow, profile: Config, value: float) -> float | str | bool:
+def _checked(setting: ParameterRow, base: Config, value: float) -> float | str | bool:
     """The value for the configuration, after all checks."""
     if not math.isfinite(value):
         raise ParameterRefused(setting.name, "it must be a number")
-    lower, upper = bounds(setting, profile)
+    lower, upper = bounds(setting, base)
     if not lower <= value <= upper:
         raise ParameterRefused(setting.name, f"{value:g} is outside {lower:g} to {upper:g}")
     if not setting.choices and not isinstance(_type(setting), inspect.IntType):

@@ -44,10 +44,10 @@ ParameterOutput = MavlinkMessage | Notice | Changed
 
 
 class Parameters:
-    """The parameter set over a profile.
+    """The parameter set over a configuration.
 
-    `config` is the profile with the values in force. `values` are those that differ from the profile, for
-    the file that saves them.
+    `config` is the configuration with the values in force. `values` are those that differ from `base`,
+    for the file that saves them.
     """
 
     MESSAGES = frozenset(
@@ -59,8 +59,8 @@ class Parameters:
     )
     """The messages that `handle` takes."""
 
-    def __init__(self, profile: Config, values: Mapping[str, float] | None = None) -> None:
-        self.config = self._profile = profile
+    def __init__(self, base: Config, values: Mapping[str, float] | None = None) -> None:
+        self.config = self._base = base
         self.values: dict[str, float] = {}
         self._next: int | None = None
         self._listed_at = -math.inf
@@ -140,12 +140,12 @@ class Parameters:
         ]
 
     def _keep(self, name: str, value: float) -> None:
-        of_profile = value_of(BY_NAME[name], self._profile)
-        if math.isfinite(value) and same(value, of_profile):
-            self.config = changed(self._profile, self.config, name, of_profile)
+        configured = value_of(BY_NAME[name], self._base)
+        if math.isfinite(value) and same(value, configured):
+            self.config = changed(self._base, self.config, name, configured)
             self.values.pop(name, None)
         else:
-            self.config = changed(self._profile, self.config, name, value)
+            self.config = changed(self._base, self.config, name, value)
             self.values[name] = value
 
     def _value(self, index: int) -> MavlinkMessage:

@@ -83,7 +83,7 @@ def test_every_mistake_says_where_it_is_and_what_is_wrong(text: str, said: str) 
     assert "\n" not in str(caught.value)
 
 
-def test_nothing_is_told_and_nothing_may_be_asked_for_unless_the_profile_says_so() -> None:
+def test_nothing_is_told_and_nothing_may_be_asked_for_unless_the_configuration_says_so() -> None:
     assert parsed("").broker == ""
     assert parsed("").commands == ()
     assert parsed("").discovery_prefix == ""

@@ -24,7 +24,7 @@ from flying_vines.simulation.simulated_world import SimulatedWorld
 from flying_vines.vehicle.notice import Notice
 from flying_vines.vine.intent import BendTo, Intent, StartBench, StartProfile, VentVine
 
-from ..told import configured, decision, happened, notice, profile, seen
+from ..told import configured, decision, happened, notice, seen, start
 
 UNIX_S = 1_700_000_000.0
 TOPICS = Topics("flying-vines", "heron")
@@ -35,7 +35,7 @@ def now(t: float) -> Now:
 
 
 def teller(**mqtt: Any) -> Publisher:
-    return Publisher(profile(**mqtt), TOPICS)
+    return Publisher(start(**mqtt), TOPICS)
 
 
 def read(publication: Publication) -> dict[str, Any]:
@@ -262,7 +262,7 @@ def rendered(template: str, **known: Any) -> str:
 
 
 @pytest.mark.parametrize("commands", [(), ("vent",), ("bend",), ("profile",), ("bend", "profile", "vent")])
-def test_home_assistant_bends_only_where_the_profile_allows_it(commands: tuple[str, ...]) -> None:
+def test_home_assistant_bends_only_where_the_configuration_allows_it(commands: tuple[str, ...]) -> None:
     wanted = configured(discovery_prefix="homeassistant", commands=commands)
     *_, number, select, button = discovery(wanted, TOPICS, "1.2.3")
     asked = {"bend": (number, 25.0), "profile": (select, "wave"), "vent": (button, None)}

@@ -38,7 +38,7 @@ def refusal(queue: RequestQueue, payload: bytes, retained: bool = False, now: No
 
 
 def test_nothing_may_be_asked_for_unless_it_is_listed() -> None:
-    assert "the profile permits nothing" in refusal(RequestQueue((), 5.0), ask(command="vent"))
+    assert "the configuration permits nothing" in refusal(RequestQueue((), 5.0), ask(command="vent"))
     assert "'bend' is not permitted" in refusal(RequestQueue(("vent",), 5.0), ask(command="bend", value=30))
 
 

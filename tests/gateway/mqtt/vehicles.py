@@ -11,7 +11,7 @@ from flying_vines.gateway import mqtt
 from flying_vines.gateway.feed import Feed
 from flying_vines.gateway.messages import Answered, FromGateway, Request, Trouble
 
-from ..told import happened, notice, profile, seen
+from ..told import happened, notice, seen, start
 
 PATIENCE_S = 10.0
 
@@ -20,7 +20,7 @@ class Vehicle:
     """Its service sends a snapshot ten times a second and carries out requests, unless it is deaf."""
 
     def __init__(self, **settings: Any) -> None:
-        self.feed = Feed(profile(**settings), self._hear)
+        self.feed = Feed(start(**settings), self._hear)
         self.troubles: list[str] = []
         self.asked: list[Request] = []
         self.deaf = False

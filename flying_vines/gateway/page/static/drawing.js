@@ -4,7 +4,7 @@ const LENGTH = 100;
 const HALF_WIDTH = 6;
 const PIECES = 24;
 
-// The angle at a pressure, from the calibrated pairs of the profile.
+// The angle at a pressure, from the calibrated pairs of the configuration.
 export function angleAt(curve, kPa) {
   let [before, angle] = curve[0];
   for (const [pressure, degrees] of curve) {

@@ -1,4 +1,4 @@
-"""Reads everything that the service reads at its start: the profile and its persistent state."""
+"""Reads everything that the service reads at its start: the configuration and its persistent state."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
-from flying_vines.doctor.checks.profile import ProfileFacts
+from flying_vines.doctor.checks.configuration import ConfigurationFacts
 from flying_vines.physics.rig import RigError
 from flying_vines.service.persistent_state import PersistentState
 from flying_vines.supply import Belief, nominal
@@ -19,14 +19,14 @@ from flying_vines.vehicle.mavlink.signing_key import SigningKeyError
 
 
 @dataclass(frozen=True, slots=True)
-class ServiceProfile:
+class ServiceConfiguration:
     """Everything that the service would start with."""
 
-    facts: ProfileFacts
+    facts: ConfigurationFacts
     belief: Belief
     signing: Signing | None
     state: Path | None
-    """The folder of the persistent state; None for a profile without a file."""
+    """The folder of the persistent state; None for a configuration without a file."""
     signing_timestamp: Path | None
 
     @property
@@ -34,8 +34,8 @@ class ServiceProfile:
         return self.facts.config
 
 
-def read(path: Path) -> ServiceProfile:
-    """Raises `ConfigError` with one line if the profile itself cannot be read."""
+def read(path: Path) -> ServiceConfiguration:
+    """Raises `ConfigError` with one line if the configuration itself cannot be read."""
     config = configuration.load(path)
     state = PersistentState.of(path, config)
     parameters, parameters_problem = {}, ""
@@ -59,7 +59,7 @@ def read(path: Path) -> ServiceProfile:
         except OSError as error:
             rig_problem = f"{rig}: {error.strerror}"
     key = config.vehicle.signing_key
-    facts = ProfileFacts(
+    facts = ConfigurationFacts(
         path=str(path),
         config=Parameters(config, parameters).config,
         rig=str(rig or ""),
@@ -73,12 +73,14 @@ def read(path: Path) -> ServiceProfile:
         disarming=str(state.disarming) if _exists(state.disarming) else "",
         latched=state.read_latched(),
     )
-    return ServiceProfile(facts, belief, signing, state.parameters.parent, state.signing_timestamp)
+    return ServiceConfiguration(facts, belief, signing, state.parameters.parent, state.signing_timestamp)
 
 
-def given(config: Config, name: str) -> ServiceProfile:
-    """A profile without a file."""
-    return ServiceProfile(ProfileFacts(name, config), nominal(config.pneumatics), None, None, None)
+def given(config: Config, name: str) -> ServiceConfiguration:
+    """A configuration without a file."""
+    return ServiceConfiguration(
+        ConfigurationFacts(name, config), nominal(config.pneumatics), None, None, None
+    )
 
 
 def _exists(path: Path) -> bool:

@@ -1,4 +1,4 @@
-"""The measured values in the user's profile."""
+"""The measured values in the user's configuration."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import tomllib
 import pytest
 
 from firmware_link.protocol import Setting
-from flying_vines.calibration.findings import Findings, MeasuredQuantity, SettingProposal
-from flying_vines.calibration.profile import (
-    ProfileChange,
+from flying_vines.calibration.configuration import (
+    ConfigurationChange,
     calibrated,
     changes,
     proposed,
     with_changes,
     with_numbers,
 )
+from flying_vines.calibration.findings import Findings, MeasuredQuantity, SettingProposal
 from flying_vines.calibration.results import rig_text
 from flying_vines.config import config as configuration
 from flying_vines.config.config import ConfigError
@@ -70,14 +70,14 @@ def test_changed_lines_name_the_old_value_and_all_else_stays() -> None:
 
 def test_a_second_calibration_replaces_the_comment() -> None:
     once = with_changes(TEXT, "vine.toml", list(changes(FOUND, MAX_KPA)), DAY)
-    later = ProfileChange("pneumatics", "cv_volume_L", 0.11, "0.108 … 0.112")
+    later = ConfigurationChange("pneumatics", "cv_volume_L", 0.11, "0.108 … 0.112")
     twice = with_changes(once, "vine.toml", [later], "2026-11-23")
     (line,) = [line for line in twice.split("\n") if line.startswith("cv_volume_L")]
     assert "was 0.1043, measured 2026-11-23" in line
     assert DAY not in line
 
 
-def test_a_curve_that_the_profile_contradicts_is_a_comment() -> None:
+def test_a_curve_that_the_configuration_contradicts_is_a_comment() -> None:
     found = Findings(FOUND.findings, curve=((0.0, 0.0), (20.0, 45.0)))
     text, left_out = calibrated(TEXT, "vine.toml", list(changes(found, MAX_KPA)), DAY)
     assert "bend-full" in left_out
@@ -95,11 +95,11 @@ def test_a_curve_ends_at_the_limit() -> None:
     configuration.parse(with_changes(TEXT, "vine.toml", [curve], DAY), "vine.toml")
 
 
-def test_a_profile_in_one_line_is_not_changed() -> None:
+def test_a_configuration_in_one_line_is_not_changed() -> None:
     text = "pneumatics = { full_kPa = 600 }\n[switch]\npositions = ['', '']\n[profiles]\n"
     configuration.parse(text, "vine.toml")
     with pytest.raises(ConfigError, match=r"set pneumatics\.cv_volume_L by hand"):
-        with_changes(text, "vine.toml", [ProfileChange("pneumatics", "cv_volume_L", 0.1, "")], DAY)
+        with_changes(text, "vine.toml", [ConfigurationChange("pneumatics", "cv_volume_L", 0.1, "")], DAY)
 
 
 def test_the_rig_files_tolerances_are_the_intervals() -> None:

@@ -1,4 +1,4 @@
-"""Checks the profile and the files that it names. (An unreadable profile ends the command earlier.)"""
+"""Checks the configuration and the files that it names. (An unreadable one ends the command earlier.)"""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from flying_vines.doctor.finding import DoctorFinding, FindingText
 
 
 @dataclass(frozen=True, slots=True)
-class ProfileFacts:
-    """A profile that was read. Each problem is a sentence, or empty."""
+class ConfigurationFacts:
+    """A configuration that was read. Each problem is a sentence, or empty."""
 
     path: str
     config: Config
@@ -57,9 +57,11 @@ NO_CLOCK = FindingText(
     "{why}",
     "set this computer's clock before each flight, or correct the file's permissions",
 )
-PARAMETERS = FindingText("configuration", "good", "set by a pilot, in place of the profile's: {parameters}")
+PARAMETERS = FindingText(
+    "configuration", "good", "set by a pilot, in place of the configuration's: {parameters}"
+)
 BAD_PARAMETERS = FindingText(
-    "configuration", "bad", "{why}", "correct the file, or delete it; then the profile's values apply"
+    "configuration", "bad", "{why}", "correct the file, or delete it; then the configuration's values apply"
 )
 DISARMED = FindingText(
     "configuration",
@@ -81,7 +83,7 @@ BENCH = FindingText(
 )
 
 
-def check(facts: ProfileFacts) -> list[DoctorFinding]:
+def check(facts: ConfigurationFacts) -> list[DoctorFinding]:
     config = facts.config
     found = [GOOD(path=facts.path, profiles=len(config.profiles), rules=len(config.items))]
     if facts.rig_problem:

@@ -1,4 +1,4 @@
-"""The user's profile with the measured values: the same text except for the lines of these keys."""
+"""The user's configuration with the measured values: the same text except for the lines of these keys."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from flying_vines.config.toml_text import lines_of_keys
 from flying_vines.vine.curve import BendCurve
 
 MAX_RELATIVE_WIDTH = 0.25
-"""Half an interval, as a share of the value. A wider result is shown, but does not change the profile."""
+"""Half an interval, as a share of the value. A wider result is shown, but changes no key."""
 
 
 @dataclass(frozen=True)
-class ProfileChange:
-    """A new value for one key of the profile."""
+class ConfigurationChange:
+    """A new value for one key of the configuration."""
 
     table: str
     name: str
@@ -32,23 +32,23 @@ class ProfileChange:
     """For the comment, for example the interval."""
 
 
-def changes(findings: Findings, max_kPa: float) -> Iterator[ProfileChange]:
-    """The findings that go into a profile, with as many digits as are known.
+def changes(findings: Findings, max_kPa: float) -> Iterator[ConfigurationChange]:
+    """The findings that go into a configuration, with as many digits as are known.
 
-    A curve is cut at the profile's limit, because a held pressure may be slightly above it.
+    A curve is cut at the configuration's limit, because a held pressure may be slightly above it.
     """
     for finding in findings.findings:
         if finding.key is not None and is_precise(finding):
             table, name = finding.key.split(".")
             if table != "vine":
                 value, interval = finding.texts()
-                yield ProfileChange(table, name, float(value), interval)
+                yield ConfigurationChange(table, name, float(value), interval)
     source = f"{len(findings.pairs)} angles" if findings.pairs else "fitted to a file of pairs"
     if findings.curve:
         pairs = [[round(kPa, 3), round(deg, 2)] for kPa, deg in _up_to(max_kPa, findings.curve)]
-        yield ProfileChange("vine", "curve", pairs, source)
+        yield ConfigurationChange("vine", "curve", pairs, source)
     if findings.hysteresis_kPa is not None:
-        yield ProfileChange("vine", "hysteresis_kPa", findings.hysteresis_kPa, source)
+        yield ConfigurationChange("vine", "hysteresis_kPa", findings.hysteresis_kPa, source)
 
 
 def _up_to(max_kPa: float, curve: Sequence[tuple[float, float]]) -> Sequence[tuple[float, float]]:
@@ -66,10 +66,10 @@ def is_precise(finding: MeasuredQuantity) -> bool:
     return low > 0.0 and high - low <= 2.0 * MAX_RELATIVE_WIDTH * value
 
 
-def with_changes(text: str, source: str, changed: Sequence[ProfileChange], day: str) -> str:
-    """The profile's text with these values. A comment gives the old value and the `day` of the measurement.
+def with_changes(text: str, source: str, changed: Sequence[ConfigurationChange], day: str) -> str:
+    """The configuration's text with these values. A comment gives the old value and the day.
 
-    Raises `ConfigError` if single lines of the profile cannot be replaced, or if the measured values
+    Raises `ConfigError` if single lines of the configuration cannot be replaced, or if the measured values
     contradict the rest of it.
     """
     before = configuration.parse(text, source)
@@ -93,11 +93,11 @@ def _holds(text: str, config: Config) -> bool:
         return False
 
 
-def calibrated(text: str, source: str, found: Sequence[ProfileChange], day: str) -> tuple[str, str]:
+def calibrated(text: str, source: str, found: Sequence[ConfigurationChange], day: str) -> tuple[str, str]:
     """As `with_changes`, and a sentence if the measured curve is only a comment.
 
-    Other parts of the profile may use angles that the vine cannot reach. With the measured curve, such a
-    profile would be invalid.
+    Other parts of the configuration may use angles that the vine cannot reach. Such a configuration would be
+    invalid with the measured curve.
     """
     try:
         return with_changes(text, source, found, day), ""
@@ -111,10 +111,10 @@ def calibrated(text: str, source: str, found: Sequence[ProfileChange], day: str)
     comments = [f"# {change.name} = {value_text(change.value)}" for change in curve]
     place = lines_of_keys(text).get(("vine",), len(lines))
     lines[place:place] = [f"# Measured {day}, but not used: {why}", *comments]
-    return "\n".join(lines), f"The measured curve is only a comment in the profile: {why}"
+    return "\n".join(lines), f"The measured curve is only a comment in the configuration: {why}"
 
 
-def with_numbers(config: Config, found: Sequence[ProfileChange]) -> Config:
+def with_numbers(config: Config, found: Sequence[ConfigurationChange]) -> Config:
     """The configuration with these values; not validated."""
     for change in found:
         table = getattr(config, change.table)
