@@ -293,18 +293,15 @@ class FitProblem:
             own, shares = self._by_start(residuals), np.ones(len(start.initial))
             for _ in range(MAX_TRIALS):
                 step = self._curved_step(space, place, jacobian, damping)
-                if step is None:
-                    damping = HARDER * max(damping, LEAST_DAMPING)
-                    continue
-                step = space.shortened(step, shares)
-                there = space.clipped(place + step)
-                tried = self.residuals(space.to_model(there))
-                there, tried = self._corrected(space, there, tried, jacobian, enough)
-                lower = chi2_of(tried) + space.prior(there)
-                if lower <= cost:
-                    break
+                if step is not None:
+                    there = space.clipped(place + space.shortened(step, shares))
+                    tried = self.residuals(space.to_model(there))
+                    there, tried = self._corrected(space, there, tried, jacobian, enough)
+                    lower = chi2_of(tried) + space.prior(there)
+                    if lower <= cost:
+                        break
+                    shares[~(self._by_start(tried) <= own)] *= SHORTER
                 damping = HARDER * max(damping, LEAST_DAMPING)
-                shares[~(self._by_start(tried) <= own)] *= SHORTER
             else:
                 break
             gained, cost = cost - lower, lower
