@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +29,11 @@ from flying_vines.config.config import Config, ConfigError, TriggerConfig
 from flying_vines.config.plugins import PluginError
 from flying_vines.core.core import Core
 from flying_vines.core.events import Action, InternalError, VehicleMessage
+from flying_vines.doctor.checks import vehicle
+from flying_vines.doctor.vehicle_probe import VehicleProbe
 from flying_vines.service.service import Service, line_to
-from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.simulated_world import SimulatedFlight
+from flying_vines.simulation.autopilot import AutopilotKind, FakeAutopilot
+from flying_vines.simulation.simulated_world import COMPANION, SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.own_triggers import own_triggers
 from flying_vines.vine.profile import Sine, flatten
@@ -433,6 +436,26 @@ def test_a_trigger_that_fails_is_switched_off_and_the_flight_continues(
     flight, _, _ = bent(GUST.replace('"gust"', '"broken"'))
     assert not flight.core.internal_error
     assert decisions(attitude(flight, 30.0)) == []
+
+
+@pytest.mark.parametrize("kind", ["ardupilot", "px4"])
+def test_the_doctor_requests_the_messages_of_triggers(our_lab: None, kind: AutopilotKind) -> None:
+    conf = config.parse(GUST, "p.toml")
+    autopilot, probe, codec = FakeAutopilot(kind), VehicleProbe(conf), MavlinkCodec(1, 191)
+    for tick in range(160):
+        t = 0.05 * tick
+        for link, frame in autopilot.advance(t):
+            for message in codec.decode(frame) if link == COMPANION else ():
+                probe.take(t, t, message)
+        for message in probe.due(t):
+            autopilot.receive(t, COMPANION, codec.encode(message, 1))
+    facts = probe.facts(8.0)
+    (stream,) = (stream for stream in facts.streams if stream.name == "ATTITUDE")
+    assert stream.rate_Hz > 4.0
+    missing = replace(facts, streams=(replace(stream, rate_Hz=0.0),))
+    (finding,) = (found for found in vehicle.check(missing, conf, 8.0) if found.check == "ATTITUDE")
+    assert (finding.verdict, finding.what) == ("warning", "does not arrive; used for [[triggers]]")
+    assert "ATTITUDE" in finding.do
 
 
 # The check.

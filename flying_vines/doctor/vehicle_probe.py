@@ -1,8 +1,7 @@
 """A companion that only requests and listens: which messages arrive from the vehicle, and how often.
 
 Sans-IO; all times are seconds of one clock. It requests streams and mission with the service's own code, so
-the service will receive the same messages. It does not request the messages of `[[triggers]]`. It answers no
-request and obeys no command.
+the service will receive the same messages. It answers no request and obeys no command.
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mavlink.signing import RefusedFrames
 from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.own_triggers import messages_of, own_triggers
 from flying_vines.vehicle.radio.radio_parameters import RadioParameters
 from flying_vines.vehicle.radio.rc import RadioLink
 from flying_vines.vehicle.radio.switch import MovedUnseen, SwitchMove, SwitchReader, SwitchReady
@@ -140,7 +140,7 @@ class VehicleProbe:
         switch = config.switch
         self._config = config
         self._state = VehicleState(config.vehicle.system_id)
-        self._streams = Streams(config.vehicle.rc_rate_Hz)
+        self._streams = Streams(config.vehicle.rc_rate_Hz, messages_of(own_triggers(config.triggers)))
         self._radio = RadioLink(switch, config.losses.rc_s)
         self._parameters = RadioParameters()
         self._switch = SwitchReader(

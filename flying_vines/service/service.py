@@ -48,7 +48,7 @@ from flying_vines.vehicle.mavlink.link import open_link, unread_from
 from flying_vines.vehicle.mavlink.signing import Signing
 from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampFile
 from flying_vines.vehicle.notice import Severity
-from flying_vines.vehicle.own_triggers import own_triggers
+from flying_vines.vehicle.own_triggers import messages_of, own_triggers
 from flying_vines.vine.intent import Asker, Intent
 
 FLUSH_S = 0.3
@@ -96,9 +96,7 @@ class Service:
         self._synchronised = bool(synchronised())
         self._watchers = list(watchers)
         self._unpublished: list[tuple[Event, list[Action]]] = []
-        read = handled_messages.NUMBERS.union(
-            *(own.messages.values() for own in own_triggers(config.triggers))
-        )
+        read = handled_messages.NUMBERS.union(messages_of(own_triggers(config.triggers)).values())
         self._mavlink = MavlinkCodec(config.vehicle.system_id, config.vehicle.component_id, signing, read)
         self._serial = line_to(config.firmware)
         self._answer = Answer()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -59,3 +59,8 @@ class OwnTrigger:
 def own_triggers(configs: Sequence[TriggerConfig]) -> tuple[OwnTrigger, ...]:
     """The triggers of installed packages that the configuration names. Raises `PluginError`."""
     return tuple(OwnTrigger(index, config) for index, config in enumerate(configs))
+
+
+def messages_of(triggers: Iterable[OwnTrigger]) -> dict[str, int]:
+    """Names and ids of all messages that these triggers need."""
+    return {name: number for trigger in triggers for name, number in trigger.messages.items()}

@@ -16,7 +16,7 @@ from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.notice import Notice, Severity
-from flying_vines.vehicle.own_triggers import own_triggers
+from flying_vines.vehicle.own_triggers import messages_of, own_triggers
 from flying_vines.vehicle.radio.pilot import Pilot, Straightened
 from flying_vines.vehicle.radio.rc import RadioLink
 from flying_vines.vehicle.radio.switch import SwitchReader
@@ -50,8 +50,7 @@ class Vehicle:
         self._rules = Rules(config)
         self.pilot = Pilot(config, self._rules)
         self.own_triggers = own_triggers(config.triggers)
-        others = {name: number for own in self.own_triggers for name, number in own.messages.items()}
-        self._streams = Streams(config.vehicle.rc_rate_Hz, others)
+        self._streams = Streams(config.vehicle.rc_rate_Hz, messages_of(self.own_triggers))
         self._missing: list[str] = []
         self.link_closed = False
         self._book = MissionBook(mission)

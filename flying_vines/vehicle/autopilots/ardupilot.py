@@ -80,7 +80,9 @@ class ArduPilot(Autopilot):
         return math.inf if lasts_s < 0.0 else lasts_s
 
     def how_to_set_stream(self, message: str, rate_Hz: int) -> str:
-        group = STREAM_GROUPS[message]
+        group = STREAM_GROUPS.get(message)
+        if group is None:
+            return super().how_to_set_stream(message, rate_Hz)
         return (
             f"set SRn_{group} = {rate_Hz} (n is the number of the MAVLink port, USB = 0; from 4.7 on "
             f"MAVn_{group}, USB = 1), and a baud rate that carries all streams"
