@@ -54,9 +54,9 @@ class Flown:
 
     def __init__(self, case: Case) -> None:
         self.case = case
-        self.belief = nominal(case.believed)
-        self.reader = TelemetryReader(self.belief)
-        self.estimate = ReservoirEstimate(self.belief)
+        self.prior = nominal(case.believed)
+        self.reader = TelemetryReader(self.prior)
+        self.estimate = ReservoirEstimate(self.prior)
         self.cycles = ReportedCycles(self.estimate)
         self.state: State = at_rest(case.plant, case.fill_kPa)
         self.outcome = Outcome(case.seed)
@@ -171,8 +171,8 @@ class Flown:
         elif name == "restart":
             learned = self.estimate.learned
             assert learned is not None
-            known, _ = learned_from(text_of(self.belief, learned), self.belief)
-            self.reader, self.estimate = TelemetryReader(self.belief), ReservoirEstimate(self.belief, known)
+            known, _ = learned_from(text_of(self.prior, learned), self.prior)
+            self.reader, self.estimate = TelemetryReader(self.prior), ReservoirEstimate(self.prior, known)
             self.cycles = ReportedCycles(self.estimate)
             self.fly([], 3.0)
 

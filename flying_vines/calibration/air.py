@@ -25,7 +25,7 @@ from flying_vines.calibration.zero import noise_kPa
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA
-from flying_vines.supply.belief import Prior
+from flying_vines.supply.rig_prior import Prior
 
 SMOOTHED_S = 0.05
 FLAT_KPA = 1.0

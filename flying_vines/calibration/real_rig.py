@@ -125,7 +125,7 @@ async def _run(
         calibrator, terminal, ask, question, lambda task: tasks.add(asyncio.create_task(evaluate(task)))
     )
     watchers = (recorder, EachAction(take))
-    service = Service(plan.config, watchers, context.belief, context.stored, context.signing)
+    service = Service(plan.config, watchers, context.prior, context.stored, context.signing)
     serving = asyncio.create_task(service.run())
     try:
         driver.carry_out(calibrator.begin(service.now))

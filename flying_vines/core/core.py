@@ -45,7 +45,14 @@ from flying_vines.core.restarts import Restarts
 from flying_vines.core.safety import LossEnded, ResponseNeeded, Ruling, Safety, SafetyInputs
 from flying_vines.core.snapshot import Snapshot
 from flying_vines.core.waiting import FreshRequest, Waiting, source
-from flying_vines.supply import Belief, Features, ReportedCycles, ReservoirEstimate, TelemetryReader, nominal
+from flying_vines.supply import (
+    Features,
+    ReportedCycles,
+    ReservoirEstimate,
+    RigPrior,
+    TelemetryReader,
+    nominal,
+)
 from flying_vines.supply.cycles_left import AirNeeded
 from flying_vines.supply.learned_file import learned_from, text_of
 from flying_vines.supply.physics_checks import AIR_LOSSES, CHECKS, PhysicsChecks, own_checks
@@ -131,14 +138,14 @@ class Core:
     """One vine on one vehicle. `handle` takes every event, in time order, and returns the actions, in order.
 
     `mission` is the vehicle's mission if it is already known; otherwise it is read from the autopilot.
-    `belief` holds the rig's identified numbers; without it, those of the configuration are used.
+    `prior` holds the rig's identified numbers; without it, those of the configuration are used.
     """
 
     def __init__(
         self,
         profile: Config,
         mission: Sequence[MissionItem] = (),
-        belief: Belief | None = None,
+        prior: RigPrior | None = None,
         stored: StoredState | None = None,
     ) -> None:
         stored = stored or StoredState()
@@ -155,18 +162,18 @@ class Core:
         self._safety = Safety(config, stored.latched)
         self._kept_latched = set(stored.latched)
         """The latched faults at the last storage."""
-        self._belief = belief or nominal(config.pneumatics)
-        self._reader = TelemetryReader(self._belief)
+        self._prior = prior or nominal(config.pneumatics)
+        self._reader = TelemetryReader(self._prior)
         self._features: Features | None = None
-        known, self._learned_problem = learned_from(stored.learned, self._belief)
-        self._reservoir = ReservoirEstimate(self._belief, known)
+        known, self._learned_problem = learned_from(stored.learned, self._prior)
+        self._reservoir = ReservoirEstimate(self._prior, known)
         self._kept_cycles = self._reservoir.measured_cycles
         """The number of measured cycles at the last storage; NaN if an event has changed what was learned."""
         self._kept_at = -math.inf
         self._has_reservoir = config.firmware.is_phlosar
         self._actuator = config.firmware.name
-        self._checks = PhysicsChecks(self._belief, config.checks, CHECKS if self._has_reservoir else {})
-        self._own_checks = own_checks(self._belief, config.checks)
+        self._checks = PhysicsChecks(self._prior, config.checks, CHECKS if self._has_reservoir else {})
+        self._own_checks = own_checks(self._prior, config.checks)
         self._cycles = ReportedCycles(self._reservoir)
         self._cycles_at = -math.inf
         self._low_warned = False
@@ -808,7 +815,7 @@ class Core:
         learned = reservoir.learned
         if learned is not None:
             self._kept_cycles, self._kept_at = reservoir.measured_cycles, t
-            self._actions.append(KeepLearned(t, text_of(self._belief, learned)))
+            self._actions.append(KeepLearned(t, text_of(self._prior, learned)))
 
     def _keep_latched(self, t: float) -> None:
         latched = self._safety.latched

@@ -16,7 +16,7 @@ from firmware_link.protocol import Fault, Setting, Telemetry, Welcome
 from firmware_link.settings import SettingsTalk
 from flying_vines.config.address import Address
 from flying_vines.service.link_watch import LinkEvent, LinkWatch
-from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate, TelemetryReader
+from flying_vines.supply import CyclesLeft, ReservoirEstimate, RigPrior, TelemetryReader
 
 REST_S = 1.0
 """Hello vents the vine. Readings at rest are averaged over the last REST_S."""
@@ -49,11 +49,11 @@ class FirmwareFacts:
 class FirmwareProbe:
     """Listens and sends requests at `address` while `run` runs."""
 
-    def __init__(self, address: Address, belief: Belief) -> None:
+    def __init__(self, address: Address, prior: RigPrior) -> None:
         self._talk = SettingsTalk()
         self._watch = LinkWatch(address, self._talk)
-        self._reader = TelemetryReader(belief)
-        self._reservoir = ReservoirEstimate(belief)
+        self._reader = TelemetryReader(prior)
+        self._reservoir = ReservoirEstimate(prior)
         self._readings: list[tuple[float, Telemetry]] = []
         self._boots: set[int] = set()
 

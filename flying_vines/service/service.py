@@ -40,7 +40,7 @@ from flying_vines.core.events import (
 from flying_vines.core.watcher import Watcher
 from flying_vines.service.host_clock import synchronised
 from flying_vines.service.persistent_state import PersistentState, PersistentStateError
-from flying_vines.supply import Belief
+from flying_vines.supply import RigPrior
 from flying_vines.vehicle.component import parameter_file
 from flying_vines.vehicle.mavlink import handled_messages
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
@@ -74,13 +74,13 @@ class Service:
         self,
         config: Config,
         watchers: Sequence[Watcher] = (),
-        belief: Belief | None = None,
+        prior: RigPrior | None = None,
         stored: StoredState | None = None,
         signing: Signing | None = None,
         persistent: PersistentState | None = None,
     ) -> None:
         self.core = CrashSafeCore(
-            Core(config, belief=belief, stored=stored),
+            Core(config, prior=prior, stored=stored),
             lambda error: self.failed("display", error),
         )
         self._failed: set[str] = set()

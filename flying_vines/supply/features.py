@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 from firmware_link.protocol import Fault, Mode, Telemetry
-from flying_vines.supply.belief import Belief
+from flying_vines.supply.rig_prior import RigPrior
 
 RESERVOIR_FILTER_S = 0.3
 CV_FILTER_S = 0.02
@@ -117,8 +117,8 @@ class _States:
 class TelemetryReader:
     """Computes the features of each telemetry message."""
 
-    def __init__(self, belief: Belief) -> None:
-        self._belief = belief
+    def __init__(self, prior: RigPrior) -> None:
+        self._prior = prior
         self._reservoir_smooth_kPa: float | None = None
         self._reservoir_at = 0.0
         self._cv_kPa = math.nan
@@ -173,7 +173,7 @@ class TelemetryReader:
         faulty = telemetry.faults and telemetry.faults & Fault.RESERVOIR_SENSOR
         if faulty or not math.isfinite(telemetry.reservoir_kPa):
             return None
-        reservoir_kPa = self._belief.reservoir_kPa(telemetry.reservoir_kPa)
+        reservoir_kPa = self._prior.reservoir_kPa(telemetry.reservoir_kPa)
         if self._reservoir_smooth_kPa is None:
             self._reservoir_smooth_kPa = reservoir_kPa
         weight = 1.0 - math.exp(-max(0.0, t - self._reservoir_at) / RESERVOIR_FILTER_S)

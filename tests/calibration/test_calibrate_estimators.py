@@ -25,7 +25,7 @@ from flying_vines.calibration.reservoir_balance import Bins, fit_balance
 from flying_vines.calibration.simulated_rig import CURVE, HYSTERESIS_KPA, SimulatedAngleReader
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.arrays import Array, BoolArray
-from flying_vines.supply.belief import Prior
+from flying_vines.supply.rig_prior import Prior
 from flying_vines.vine.curve import BendCurve
 
 TOP_KPA = 20.0

@@ -112,10 +112,10 @@ def test_whatever_else_a_frame_says_the_flight_continues_or_the_vine_is_vented(
 
 
 def test_readings_within_reach_of_a_sensor_never_spoil_an_estimate() -> None:
-    believed = nominal(config.default().pneumatics)
+    prior = nominal(config.default().pneumatics)
     for seed in range(8):
-        reader, reservoir = TelemetryReader(believed), ReservoirEstimate(believed)
-        checks = PhysicsChecks(believed, config.default().checks)
+        reader, reservoir = TelemetryReader(prior), ReservoirEstimate(prior)
+        checks = PhysicsChecks(prior, config.default().checks)
         for i, (t, telemetry) in enumerate(hostile(random.Random(seed))):
             features = reader.read(t, telemetry)
             reservoir.update(features)

@@ -92,8 +92,8 @@ def test_a_vine_with_hysteresis_is_let_down_further() -> None:
 @pytest.mark.parametrize("kind", ["ardupilot", "px4"])
 def test_the_service_flies_what_the_budget_says(kind: AutopilotKind) -> None:
     given = built(SHORT, kind)
-    belief = nominal(CONFIG.pneumatics)
-    report = review("short", given, kind, HOMES[kind], CONFIG, belief, 690.0)
+    prior = nominal(CONFIG.pneumatics)
+    report = review("short", given, kind, HOMES[kind], CONFIG, prior, 690.0)
     report = with_flight(report, CONFIG, 690.0)
     assert report.trial is not None and report.trial.landed
     assert report.differences == []

@@ -27,7 +27,7 @@ from flying_vines.record.topics import NUMBERS, TOPICS, topic_of
 from flying_vines.simulation.replay import replay_flight
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.supply import Features, ReservoirEstimate
-from flying_vines.supply.known_rig import load_known_rig
+from flying_vines.supply.rig_file_prior import load_rig_file_prior
 from flying_vines.vine.intent import BendTo
 
 
@@ -71,11 +71,11 @@ def test_all_that_the_core_began_with_counts(
 ) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text(true_rig_text(TrueRig(Rig(), {"cv_leak": {"flow_resistance_kPa_s_per_SL": 8000.0}})))
-    belief = load_known_rig(rig, CONFIG.pneumatics).belief
+    prior = load_rig_file_prior(rig, CONFIG.pneumatics).prior
     stored = StoredState({"VINE_RATE_HZ": 5.0}, **kept)
-    began = replace(BEGAN, pneumatics=belief.pneumatics, rig=rig.read_text(), stored=stored)
+    began = replace(BEGAN, pneumatics=prior.pneumatics, rig=rig.read_text(), stored=stored)
     flight = new_flight()
-    flight.world.core = Core(CONFIG, (), belief, stored)
+    flight.world.core = Core(CONFIG, (), prior, stored)
     recorder = Recorder(tmp_path / "flights", began, t=0.0)
     fly(flight, recorder, ((3.0, LOW), (5.0, HIGH), (6.0, LOW)))
     recorder.close()

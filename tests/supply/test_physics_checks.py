@@ -29,7 +29,7 @@ from flying_vines.simulation.phlosar.mishaps import (
     StuckAt,
 )
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
-from flying_vines.supply import Belief, TelemetryReader, nominal
+from flying_vines.supply import RigPrior, TelemetryReader, nominal
 from flying_vines.supply.physics_checks import CHECKS, PhysicsChecks, PhysicsFinding
 
 HOST_TICK_S = 0.02
@@ -42,9 +42,9 @@ Found = list[tuple[float, PhysicsFinding]]
 class Watch(PhysicsChecks):
     """The checks and the reader before them, as in the core."""
 
-    def __init__(self, belief: Belief, checks: ChecksConfig) -> None:
-        super().__init__(belief, checks)
-        self._reader = TelemetryReader(belief)
+    def __init__(self, prior: RigPrior, checks: ChecksConfig) -> None:
+        super().__init__(prior, checks)
+        self._reader = TelemetryReader(prior)
 
     def watch(self, telemetry: Telemetry) -> list[PhysicsFinding]:
         return self.take(self._reader.read(telemetry.device_time_ms / 1000.0, telemetry))

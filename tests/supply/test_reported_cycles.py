@@ -14,7 +14,7 @@ from flying_vines.supply import CyclesLeft, ReportedCycles, ReservoirEstimate, n
 from flying_vines.supply.learned_file import learned_from, text_of
 from flying_vines.supply.reported_cycles import RHYTHM
 
-BELIEF = nominal(DEMONSTRATION)
+PRIOR = nominal(DEMONSTRATION)
 
 
 class Told:
@@ -241,16 +241,16 @@ def test_a_restart_keeps_what_was_learned_of_this_rig_only() -> None:
     before = bench.fly(8)
     learned = bench.estimate.learned
     assert learned is not None
-    text = text_of(BELIEF, learned)
-    again, problem = learned_from(text, BELIEF)
+    text = text_of(PRIOR, learned)
+    again, problem = learned_from(text, PRIOR)
     assert (again, problem) == (learned, "")
-    bench.estimate = ReservoirEstimate(BELIEF, again)
+    bench.estimate = ReservoirEstimate(PRIOR, again)
     bench.rest(2.0)
     after = bench.left()
     assert after.measured_cycles == before.measured_cycles
     assert after.expected == pytest.approx(before.expected, rel=0.05)
     assert after.high / after.low < 1.2 * before.high / before.low
-    other = replace(BELIEF, response_s=0.11)
+    other = replace(PRIOR, response_s=0.11)
     assert learned_from(text, other) == (None, "another rig or changed numbers: air is learned again")
 
 
@@ -260,7 +260,7 @@ def test_a_restart_with_what_was_learned_is_reported_once() -> None:
     told.bend(8)
     assert told.events == []
     learned = told.bench.estimate.learned
-    told.bench.estimate = ReservoirEstimate(BELIEF, learned)
+    told.bench.estimate = ReservoirEstimate(PRIOR, learned)
     told.cycles = ReportedCycles(told.bench.estimate)
     told.bench.rest(2.0)
     left = told.left
@@ -270,10 +270,10 @@ def test_a_restart_with_what_was_learned_is_reported_once() -> None:
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"rig": 3}', "\0", '{"rig":"x","learned":{}}'])
 def test_a_damaged_file_is_reported_and_not_used(text: str) -> None:
-    learned, problem = learned_from(text, BELIEF)
+    learned, problem = learned_from(text, PRIOR)
     assert learned is None
     assert "learned again" in problem
 
 
 def test_no_file_is_no_problem() -> None:
-    assert learned_from("", BELIEF) == (None, "")
+    assert learned_from("", PRIOR) == (None, "")

@@ -14,17 +14,17 @@ from firmware_link.protocol import Fault, Mode, Telemetry
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.plant.wall import Wall
-from flying_vines.supply import Belief, ReservoirEstimate, TelemetryReader, nominal
-from flying_vines.supply.known_rig import belief_of
+from flying_vines.supply import ReservoirEstimate, RigPrior, TelemetryReader, nominal
 from flying_vines.supply.reservoir_filter import LEAK
+from flying_vines.supply.rig_file_prior import prior_of
 
-BELIEFS = (
+PRIORS = (
     nominal(DEMONSTRATION),
-    belief_of(DEMONSTRATION, TrueRig(none_found=True)),
-    belief_of(DEMONSTRATION, TrueRig(likely=True)),
-    belief_of(DEMONSTRATION, TrueRig(effects=Effects(reservoir_wall=Wall(), cv_wall=Wall()))),
-    belief_of(DEMONSTRATION, TrueRig(effects=Effects(reservoir_wall=Wall(1e-3, 10.0, 0.5, 0.0)))),
-    belief_of(
+    prior_of(DEMONSTRATION, TrueRig(none_found=True)),
+    prior_of(DEMONSTRATION, TrueRig(likely=True)),
+    prior_of(DEMONSTRATION, TrueRig(effects=Effects(reservoir_wall=Wall(), cv_wall=Wall()))),
+    prior_of(DEMONSTRATION, TrueRig(effects=Effects(reservoir_wall=Wall(1e-3, 10.0, 0.5, 0.0)))),
+    prior_of(
         DEMONSTRATION,
         TrueRig(
             causes={
@@ -250,7 +250,7 @@ def test_the_air_of_a_rise_is_proportional_to_it() -> None:
 
 @settings(max_examples=examples(40), deadline=None)
 @given(
-    st.sampled_from(BELIEFS),
+    st.sampled_from(PRIORS),
     st.lists(
         st.tuples(
             st.floats(-1.0, 30.0),  # seconds since the last
@@ -266,9 +266,9 @@ def test_the_air_of_a_rise_is_proportional_to_it() -> None:
     ),
 )
 def test_any_telemetry_gives_finite_numbers(
-    belief: Belief, told: list[tuple[float, float, float, float, float, float, bool, int]]
+    prior: RigPrior, told: list[tuple[float, float, float, float, float, float, bool, int]]
 ) -> None:
-    reader, estimate = TelemetryReader(belief), ReservoirEstimate(belief)
+    reader, estimate = TelemetryReader(prior), ReservoirEstimate(prior)
     t = 0.0
     for wait_s, setpoint, cv, reservoir, evp, dvp, solenoid, times in told:
         t += wait_s

@@ -1,7 +1,7 @@
 """The prior of a rig before it flies: the estimate's start values and their standard deviations.
 
-`nominal` uses the numbers of `[pneumatics]`, and wide priors for all others. `known_rig` uses a diagnosed rig
-file. Pouch: the bending pouch of the actuator (the control volume, CV).
+`nominal` uses the numbers of `[pneumatics]`, and wide priors for all others. The module `rig_file_prior` uses
+a diagnosed rig file. Pouch: the bending pouch of the actuator (the control volume, CV).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Prior(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Belief:
+class RigPrior:
     """The prior of one rig. Air is in kPa of its reservoir. Pressures are gauge, without sensor errors."""
 
     pneumatics: PneumaticsConfig
@@ -110,7 +110,7 @@ def bottle_wall(volume_L: float) -> Wall:
     )
 
 
-def nominal(p: PneumaticsConfig) -> Belief:
+def nominal(p: PneumaticsConfig) -> RigPrior:
     """The prior of a rig of which only these numbers are known."""
     rigid = p.cv_volume_L / p.reservoir_volume_L
     pouch_kPa = rigid * AMBIENT_KPA
@@ -118,7 +118,7 @@ def nominal(p: PneumaticsConfig) -> Belief:
     venturi = ALPHA_KPA / p.reservoir_volume_L * dvp
     # By the paper's formula the Venturi takes as much air as a rigid control volume.
     rigid_SL = p.cv_volume_L * p.cycle_swing_kPa / AMBIENT_KPA
-    return Belief(
+    return RigPrior(
         pneumatics=p,
         rise=Prior(1.3 * rigid, 0.7 * rigid),
         min_rise=MIN_RISE_SHARE * rigid,

@@ -31,31 +31,31 @@ from flying_vines.physics.rig import ControlVolume, Reservoir, Rig, RigError
 from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
 from flying_vines.simulation.scenario import parse_scenario, simulate_scenario, write_case
 from flying_vines.simulation.simulated_world import SimulatedWorld
-from flying_vines.supply import Belief, ReservoirEstimate, TelemetryReader, nominal
-from flying_vines.supply.known_rig import belief_of, load_known_rig
+from flying_vines.supply import ReservoirEstimate, RigPrior, TelemetryReader, nominal
+from flying_vines.supply.rig_file_prior import load_rig_file_prior, prior_of
 
 P = PneumaticsConfig()
 RIG = Rig(Reservoir(2.0), ControlVolume(0.1))
 RESISTANCE = "flow_resistance_kPa_s_per_SL"
 
 
-def known(causes: dict[str, dict[str, float]] | None = None, effects: Effects | None = None) -> Belief:
-    """The belief for a fully diagnosed rig: it has these causes and effects, and no others."""
-    return belief_of(P, TrueRig(RIG, causes or {}, effects or Effects(), none_found=not causes))
+def known(causes: dict[str, dict[str, float]] | None = None, effects: Effects | None = None) -> RigPrior:
+    """The prior for a fully diagnosed rig: it has these causes and effects, and no others."""
+    return prior_of(P, TrueRig(RIG, causes or {}, effects or Effects(), none_found=not causes))
 
 
 def test_a_rig_without_causes_is_rigid_tight_and_isothermal() -> None:
-    belief = known()
-    assert belief.rise.mean == pytest.approx(0.05)
-    assert belief.flat.mean == belief.leak.mean == belief.cv_leak.mean == belief.cycle_venturi_s == 0.0
-    assert belief.rise.sd < 0.2 * nominal(P).rise.sd
-    assert belief.zero_sd_kPa < nominal(P).zero_sd_kPa
+    prior = known()
+    assert prior.rise.mean == pytest.approx(0.05)
+    assert prior.flat.mean == prior.leak.mean == prior.cv_leak.mean == prior.cycle_venturi_s == 0.0
+    assert prior.rise.sd < 0.2 * nominal(P).rise.sd
+    assert prior.zero_sd_kPa < nominal(P).zero_sd_kPa
 
 
 def test_a_rig_file_without_a_diagnosis_has_the_priors_of_pneumatics() -> None:
     bigger = Rig(Reservoir(1.5), ControlVolume(0.2))
     numbers = msgspec.structs.replace(P, reservoir_volume_L=1.5, cv_volume_L=0.2)
-    assert belief_of(P, TrueRig(bigger)) == nominal(numbers)
+    assert prior_of(P, TrueRig(bigger)) == nominal(numbers)
 
 
 @pytest.mark.parametrize(
@@ -94,14 +94,14 @@ def test_the_effect_of_a_cause_on_the_air(
 
 
 def test_a_pouch_is_filled_from_flat() -> None:
-    belief = known(effects=Effects(cv_shape=Pouch(0.02)))
-    assert belief.flat.mean == pytest.approx(0.08 * 101.325 / 2.0)
-    assert belief.packed_kPa == belief.flat.mean
+    prior = known(effects=Effects(cv_shape=Pouch(0.02)))
+    assert prior.flat.mean == pytest.approx(0.08 * 101.325 / 2.0)
+    assert prior.packed_kPa == prior.flat.mean
 
 
 def test_with_a_slow_outlet_the_venturi_runs() -> None:
     slow = TrueRig(Rig(cv=ControlVolume(0.6)), none_found=True)
-    assert known().cycle_venturi_s == 0.0 < belief_of(P, slow).cycle_venturi_s < 0.1
+    assert known().cycle_venturi_s == 0.0 < prior_of(P, slow).cycle_venturi_s < 0.1
 
 
 SOME_USED = {
@@ -115,19 +115,19 @@ SOME_USED = {
 def test_it_lists_used_and_unused_causes(tmp_path: Path) -> None:
     file = tmp_path / "extended.toml"
     file.write_text(true_rig_text(TrueRig(RIG, SOME_USED)))
-    calibration = load_known_rig(file, P)
+    calibration = load_rig_file_prior(file, P)
     assert calibration.used == ("cv_leak", "dead_volume")
     assert calibration.unused == ("ambient_drop", "venturi_stall")
     assert "0.12 L" in calibration.summary and "cv_leak, dead_volume" in calibration.summary
     file.write_text(true_rig_text(TrueRig(RIG, none_found=True)))
-    assert load_known_rig(file, P).belief == known()
+    assert load_rig_file_prior(file, P).prior == known()
 
 
 def test_a_rig_without_a_control_volume_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "discharge.toml"
     file.write_text("[reservoir]\nvolume_L = 2\n")
     with pytest.raises(RigError, match=r"discharge\.toml: .*no \[cv\]"):
-        load_known_rig(file, P)
+        load_rig_file_prior(file, P)
 
 
 # The cycles left in flight.
@@ -160,10 +160,10 @@ def cycles(there: TrueRig, seconds: float) -> Iterator[tuple[float, Telemetry]]:
     return telemetry_of(run)
 
 
-def errors(there: TrueRig, beliefs: tuple[Belief, ...]) -> list[tuple[float, ...]]:
-    """|ln(predicted / true cycles left)| for each belief: before the first cycle, and after five."""
-    readers = [TelemetryReader(belief) for belief in beliefs]
-    estimates = [ReservoirEstimate(belief) for belief in beliefs]
+def errors(there: TrueRig, priors: tuple[RigPrior, ...]) -> list[tuple[float, ...]]:
+    """|ln(predicted / true cycles left)| for each prior: before the first cycle, and after five."""
+    readers = [TelemetryReader(prior) for prior in priors]
+    estimates = [ReservoirEstimate(prior) for prior in priors]
     predicted: dict[int, list[float]] = {}
     best_kPa, missed, cycle = 0.0, 0, -1
     for t, telemetry in cycles(there, 600.0):
@@ -195,7 +195,7 @@ BELIEVED = replace(RIG, reservoir=Reservoir(1.0), cv=ControlVolume(0.2))
 @pytest.mark.parametrize("causes", HIDDEN.values(), ids=HIDDEN)
 def test_a_known_rig_gives_right_cycles_from_the_start(causes: dict[str, dict[str, float]]) -> None:
     there = TrueRig(BELIEVED, causes)
-    before, after = errors(there, (belief_of(P, TrueRig(BELIEVED)), belief_of(P, there)))
+    before, after = errors(there, (prior_of(P, TrueRig(BELIEVED)), prior_of(P, there)))
     assert before[1] < 0.12 and before[0] > 0.5
     assert after[1] < 0.08 and after[0] > 2.0 * after[1]
 
@@ -224,7 +224,7 @@ def test_a_diagnosis_improves_the_prediction_of_the_next_flight(tmp_path: Path) 
     (tmp_path / "extended.toml").write_text(true_rig_text(extended_rig(case.rig, verdict)))
     extended = load_true_rig(tmp_path / "extended.toml")
     assert list(extended.causes) == ["cv_leak"]
-    before, after = errors(there, (belief_of(P, TrueRig(BELIEVED)), belief_of(P, extended)))
+    before, after = errors(there, (prior_of(P, TrueRig(BELIEVED)), prior_of(P, extended)))
     assert before[1] < 0.15 < 0.5 < before[0]
     assert after[1] < 0.1 < 0.2 < after[0]
 
@@ -274,8 +274,8 @@ def test_the_core_uses_the_known_rig() -> None:
     there = TrueRig(BELIEVED, {"reservoir_sensor_offset": {"offset_kPa": 30.0}})
     conf = config.default()
     cycles = []
-    for belief in (None, belief_of(conf.pneumatics, there)):
-        world = SimulatedWorld(conf, belief=belief)
+    for prior in (None, prior_of(conf.pneumatics, there)):
+        world = SimulatedWorld(conf, prior=prior)
         list(world.advance(2.0))
         left = world.core.snapshot(2.0).cycles
         assert left is not None
@@ -291,8 +291,8 @@ def test_reading_a_rig_needs_no_analysis_package(tmp_path: Path) -> None:
         "from flying_vines.service import service\n"
         "from flying_vines.terminal import screen\n"
         "from flying_vines.record import recorder\n"
-        "from flying_vines.supply.known_rig import load_known_rig\n"
-        "load_known_rig(pathlib.Path(sys.argv[1]), config.default().pneumatics)\n"
+        "from flying_vines.supply.rig_file_prior import load_rig_file_prior\n"
+        "load_rig_file_prior(pathlib.Path(sys.argv[1]), config.default().pneumatics)\n"
         "heavy = {'numpy', 'scipy', 'numba', 'matplotlib', 'flying_vines.identification'}\n"
         "sys.exit(', '.join(heavy & set(sys.modules)) or 0)\n"
     )

@@ -27,7 +27,7 @@ from flying_vines.physics.plant.valve_response import ValveMotion
 from flying_vines.physics.plant.volume import Pouch
 from flying_vines.physics.plant.wall import Wall, heat_capacity_J_per_K
 from flying_vines.physics.rig import Rig, RigError, read_rig
-from flying_vines.supply.belief import AMBIENT_KPA, MIN_RISE_SHARE, Belief, Prior, nominal
+from flying_vines.supply.rig_prior import AMBIENT_KPA, MIN_RISE_SHARE, Prior, RigPrior, nominal
 
 # Relative standard deviations: a rig changes between its calibration and its flight.
 CHANGED = 0.1
@@ -56,11 +56,11 @@ ISOTHERMAL = Wall(time_constant_s=1e-3)
 
 
 @dataclass(frozen=True)
-class KnownRig:
+class RigFilePrior:
     """The prior from a rig file."""
 
     path: Path
-    belief: Belief
+    prior: RigPrior
     used: tuple[str, ...]
     """The causes that affect the prior."""
     unused: tuple[str, ...]
@@ -69,32 +69,32 @@ class KnownRig:
     @property
     def summary(self) -> str:
         """The basis of the cycles left, in one line."""
-        p = self.belief.pneumatics
+        p = self.prior.pneumatics
         text = f"bottle {p.reservoir_volume_L:.3g} L, vine {p.cv_volume_L:.3g} L"
         for what, names in (("used for cycles left", self.used), ("unused", self.unused)):
             text += f"; {what}: {', '.join(names)}" if names else ""
         return text
 
 
-def load_known_rig(path: Path, p: PneumaticsConfig) -> KnownRig:
+def load_rig_file_prior(path: Path, p: PneumaticsConfig) -> RigFilePrior:
     """The prior from a rig file and the numbers of `[pneumatics]`.
 
     Raises `RigError` if the file cannot be read, has an unknown name, or has no control volume.
     """
-    return read_rig(path, lambda content: _known_rig(path, p, true_rig_from(content)))
+    return read_rig(path, lambda content: _rig_file_prior(path, p, true_rig_from(content)))
 
 
-def _known_rig(path: Path, p: PneumaticsConfig, rig: TrueRig) -> KnownRig:
-    belief = belief_of(p, rig)
+def _rig_file_prior(path: Path, p: PneumaticsConfig, rig: TrueRig) -> RigFilePrior:
+    prior = prior_of(p, rig)
     without = {
         name: replace(rig, causes={other: rig.causes[other] for other in rig.causes if other != name})
         for name in rig.causes
     }
-    used = tuple(name for name, less in without.items() if belief_of(p, less, rig.complete) != belief)
-    return KnownRig(path, belief, used, tuple(name for name in rig.causes if name not in used))
+    used = tuple(name for name, less in without.items() if prior_of(p, less, rig.complete) != prior)
+    return RigFilePrior(path, prior, used, tuple(name for name in rig.causes if name not in used))
 
 
-def belief_of(p: PneumaticsConfig, rig: TrueRig, complete: bool | None = None) -> Belief:
+def prior_of(p: PneumaticsConfig, rig: TrueRig, complete: bool | None = None) -> RigPrior:
     """The prior of a rig with the cycle of `[pneumatics]`.
 
     If the rig is not `complete`, only its numbers are used, with the wide priors of `nominal` for all others.
@@ -120,7 +120,7 @@ def _numbers(p: PneumaticsConfig, rig: Rig) -> PneumaticsConfig:
     )
 
 
-def _known(p: PneumaticsConfig, setup: Setup) -> Belief:
+def _known(p: PneumaticsConfig, setup: Setup) -> RigPrior:
     plant, effects = setup.plant, setup.plant.effects
     motion = effects.evp_motion or ValveMotion()
     kPa_per_SL = ALPHA_KPA / p.reservoir_volume_L
@@ -139,7 +139,7 @@ def _known(p: PneumaticsConfig, setup: Setup) -> Belief:
     motive = _motive_SL_per_s(p, plant, half_kPa) * kPa_per_SL / (half_kPa + AMBIENT_KPA)
     leak = _leak_SL_per_s_kPa(effects.reservoir_leaks, half_kPa) * kPa_per_SL
     cv_leak = _leak_SL_per_s_kPa(effects.cv_leaks, top_kPa) * kPa_per_SL / gain
-    return Belief(
+    return RigPrior(
         pneumatics=p,
         rise=Prior(rise, CHANGED * rise),
         min_rise=MIN_RISE_SHARE * rise,
