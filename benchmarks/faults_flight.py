@@ -271,7 +271,7 @@ class RefereedFlight:
         self._arming_s = -math.inf
         self._sent_s: deque[float] = deque(maxlen=PX4_BUFFER + 1)
         """Times of the latest commands of a ground station."""
-        self._heard_by_s: dict[str, float] = {}
+        self._received_by_s: dict[str, float] = {}
         """For each condition that forbids a bend: the time when the companion has certainly received it."""
         if not setup.armed_at_start:
             self.referee.forbid("pneumatics disarmed", 0.0)
@@ -440,7 +440,7 @@ class RefereedFlight:
 
     def arm_pneumatics(self) -> None:
         self._command(mavlink.MAV_CMD_USER_4, 3)
-        if self._station_is_heard:
+        if self._station_is_received:
             self.referee.permit("pneumatics disarmed")
         self._arming_s = self.now_s
 
@@ -448,17 +448,17 @@ class RefereedFlight:
         self._command(mavlink.MAV_CMD_USER_4, 2)
         self._disturb()
         if (
-            self._station_is_heard
+            self._station_is_received
             and not self._stalled_s
             and self._surely_forwarded
             and not self._vehicle_is_spoiled
         ):
             self.referee.forbid("pneumatics disarmed", self.now_s + COMMANDED_S)
-            self._heard_by_s["pneumatics disarmed"] = self.now_s + COMMANDED_S
+            self._received_by_s["pneumatics disarmed"] = self.now_s + COMMANDED_S
 
     def clear_faults(self) -> None:
         self._command(mavlink.MAV_CMD_USER_5, 1)
-        if self._station_is_heard:
+        if self._station_is_received:
             self.referee.person_clears(self.now_s + self._stalled_s + COMMANDED_S)
 
     def _command(self, command: int, *params: float) -> None:
@@ -468,7 +468,7 @@ class RefereedFlight:
         self.autopilot.receive(self.now_s, "gcs", self._station.encode(message, 255))
 
     @property
-    def _station_is_heard(self) -> bool:
+    def _station_is_received(self) -> bool:
         return not self._unseen.keys() & {"silence", "link", "companion"}
 
     @property
@@ -489,7 +489,7 @@ class RefereedFlight:
 
     def _asked_by_station(self, what: str, bends: bool, kPa: float | None = None) -> None:
         self._vented |= not bends
-        if self._station_is_heard:
+        if self._station_is_received:
             certain = self._surely_forwarded and not self._stalled_s
             within_s = COMMANDED_S + (WAITS_S if self.now_s < self._clock_is_new_until_s else 0.0)
             self._asked(what, within_s, bends, by_person=True, certain=certain, kPa=kPa)
@@ -529,7 +529,7 @@ class RefereedFlight:
         if certain and last and not self._vehicle_is_spoiled:
             self.referee.forbid("asked to straighten", now_s + within_s + 0.2, inflation_only=True)
             self.referee.forbid(_STILL_BENT, now_s + within_s + STRAIGHTENED_S)
-            self._heard_by_s["asked to straighten"] = self._heard_by_s[_STILL_BENT] = now_s + within_s
+            self._received_by_s["asked to straighten"] = self._received_by_s[_STILL_BENT] = now_s + within_s
 
     # The vehicle.
 
@@ -748,8 +748,8 @@ class RefereedFlight:
         if not self._unseen:
             self._unseen_from_s, self._unseen_position, self._noticed = self.now_s, self._position, False
         self._unseen[what] = self.now_s
-        for name, heard_by_s in self._heard_by_s.items():
-            if what != "stall" and heard_by_s > self.now_s:
+        for name, received_by_s in self._received_by_s.items():
+            if what != "stall" and received_by_s > self.now_s:
                 # It was still on its way, and may have been lost here.
                 self.referee.permit(name)
         if what in ("silence", "link", "companion", "link stalled"):
@@ -763,7 +763,7 @@ class RefereedFlight:
         if self._unseen.pop(what, None) is None:
             return  # Two losses overlapped, and it has already returned.
         now_s = self.now_s
-        if self._station_is_heard:
+        if self._station_is_received:
             if self._clock_is_new_until_s == math.inf:
                 self._clock_is_new_until_s = now_s + NEW_CLOCK_S
             if now_s - self._arming_s < STEP_S:
@@ -839,7 +839,7 @@ class RefereedFlight:
         self._watch("telemetry lost", deaf, profile.losses.telemetry_s + 0.1 + DEAD_MAN_S)
         low = self.phlosar.reservoir_kPa < profile.interlocks.reserve_kPa
         self._watch("bottle low", low and self.phlosar.mishaps.reservoir_sensor is None, 3.0)
-        self._hear_of_items()
+        self._note_items()
         self._write_down()
 
     def _call_missed(self) -> None:
@@ -874,12 +874,12 @@ class RefereedFlight:
             return
         due_s = self.now_s + within_s
         if name in _TOLD_BY_VEHICLE:
-            heard = self._station_is_heard and not self._stalled_s
-            due_s = due_s + self._patience_s if heard else math.inf
+            received = self._station_is_received and not self._stalled_s
+            due_s = due_s + self._patience_s if received else math.inf
         self._conditions[name] = due_s
         self.referee.forbid(name, due_s)
 
-    def _hear_of_items(self) -> None:
+    def _note_items(self) -> None:
         log = self.autopilot.payload_log
         for ran_s, item in log[self._items_seen :]:
             if item.command in (SCRIPT_MESSAGE, ACTUATOR):
@@ -887,7 +887,7 @@ class RefereedFlight:
                 bends = code != 0.0
                 within_s = ITEM_S if bends else STRAIGHT_S
                 # What is not received is repeated, or shown by the mission's progress.
-                after_s = 0.0 if self._station_is_heard else within_s
+                after_s = 0.0 if self._station_is_received else within_s
                 kPa = self._code_kPa(code, angle_deg)
                 self._asked(
                     f"item {item.seq}", within_s, bends, by_person=False, after_s=after_s, kPa=kPa, at_s=ran_s

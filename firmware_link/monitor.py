@@ -22,7 +22,7 @@ from firmware_link.protocol import (
     ProtocolError,
     SetSetting,
 )
-from firmware_link.settings import SettingsTalk
+from firmware_link.settings import SettingsExchange
 from firmware_link.statistics import LinkStatistics, Traffic
 
 _ALLOWED = (Hello, Ping, GetSetting, SetSetting)
@@ -69,7 +69,7 @@ class Monitor:
     as the firmware has answered.
     """
 
-    def __init__(self, settings: SettingsTalk | None = None) -> None:
+    def __init__(self, settings: SettingsExchange | None = None) -> None:
         self.session = HostSession()
         self.answer = Answer()
         self._settings = settings

@@ -88,7 +88,7 @@ class BadLine:
         return self._random.random() < probability
 
 
-class Talk:
+class Exchange:
     """A host and a firmware on two bad lines, a millisecond at a time, and a vine that follows the valves.
 
     Nothing may raise, and at every step the firmware may do only what was commanded.

@@ -88,7 +88,7 @@ class CoreWorld(_Stage):
             self.carry_out(self.calibrator.begin(self.now))
         while self.ended is None and self.now < most_s and not until():
             self.now += STEP_S
-            self._hear(self.world.advance(self.now))
+            self._receive(self.world.advance(self.now))
             self.carry_out(self.calibrator.tick(self.now, self.world.core.snapshot(self.now)))
 
     def fit_balance(self, seconds: float = 3.0) -> None:
@@ -97,9 +97,9 @@ class CoreWorld(_Stage):
         list(self.world.advance(self.now))
 
     def ask(self, intent: Intent) -> None:
-        self._hear(self.world.feed(Asked(self.now, BY, intent)))
+        self._receive(self.world.feed(Asked(self.now, BY, intent)))
 
-    def _hear(self, actions: Iterable[Action]) -> None:
+    def _receive(self, actions: Iterable[Action]) -> None:
         for action in actions:
             self.carry_out(self.calibrator.take(action))
 

@@ -127,7 +127,7 @@ async def client(**headers: str) -> AsyncIterator[ClientSession]:
         yield session
 
 
-async def heard(viewer: ClientWebSocketResponse, kind: str) -> dict[str, Any]:
+async def next_of_kind(viewer: ClientWebSocketResponse, kind: str) -> dict[str, Any]:
     """The next message of this type."""
     async with asyncio.timeout(PATIENCE_S):
         while True:

@@ -244,7 +244,7 @@ class Referee:
 
     # What the board knows.
 
-    def heard(self, data: bytes) -> None:
+    def received(self, data: bytes) -> None:
         """Bytes from the host reach the board."""
         t, rules = self._stepped_s, self._rules
         for message in self._codec.decode(data):
@@ -453,7 +453,7 @@ class RefereedBoard(WrappedBoard):
         return drive
 
     def receive(self, data: bytes) -> None:
-        self._referee.heard(data)
+        self._referee.received(data)
         super().receive(data)
 
     def reset(self, *, watchdog: bool = False) -> None:

@@ -177,7 +177,7 @@ class VehicleProbe:
         if not self._state.found:
             return
         if sender == (self._state.system_id, self._config.vehicle.component_id):
-            self._clashed |= bool(self._clash.heard(t))
+            self._clashed |= bool(self._clash.received(t))
         elif self._state.is_ours(message):
             self._take_ours(t, unix_s, message)
 

@@ -58,7 +58,7 @@ class PageSocket:
         ) as session:
             while True:
                 try:
-                    await self._talk(session)
+                    await self._communicate(session)
                     self.problem = "the page has closed the link"
                 except WSServerHandshakeError as refused:
                     self.problem = _why(refused.status)
@@ -73,7 +73,7 @@ class PageSocket:
                 await asyncio.sleep(backoff_s)
                 backoff_s = min(2.0 * backoff_s, MAX_BACKOFF_S)
 
-    async def _talk(self, session: ClientSession) -> None:
+    async def _communicate(self, session: ClientSession) -> None:
         async with asyncio.timeout(OPENS_WITHIN_S):
             viewing = await session.ws_connect(self._url, max_msg_size=MAX_MESSAGE_BYTES)
         async with viewing:

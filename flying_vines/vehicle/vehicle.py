@@ -90,7 +90,7 @@ class Vehicle:
         from_autopilot = state.is_ours(message)
         if from_autopilot:
             state.clock.frame(t, message.get_seq())
-            state.heard(t)
+            state.note_frame(t)
         if kind not in handled.ALL:
             return self._items(t) if from_autopilot and not self._watch.idle else []
         out: list[VehicleOutput] = []

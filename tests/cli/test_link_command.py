@@ -122,7 +122,7 @@ async def test_a_board_that_is_unplugged_half_way_ends_the_talk_about_its_settin
     name.symlink_to(os.ttyname(port))
     address = SerialAddress(str(name))
 
-    def hear() -> None:
+    def receive() -> None:
         for message in codec.decode(os.read(board, 4096)):
             if isinstance(message, Hello):
                 limits = (30.0, 28.0, 760.0, 200.0, 300, 100)
@@ -135,7 +135,7 @@ async def test_a_board_that_is_unplugged_half_way_ends_the_talk_about_its_settin
                 os.close(port)
                 break
 
-    loop.add_reader(board, hear)
+    loop.add_reader(board, receive)
     with pytest.raises(link_settings.SettingsError, match="is not there"):
         async with asyncio.timeout(PATIENCE_S):
             await link_command.settings(address, {}, objects=True)

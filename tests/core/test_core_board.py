@@ -40,13 +40,13 @@ def sent(actions: Sequence[Action], kind: type[Setpoint] | type[Vent]) -> int:
 
 def says(flight: SimulatedFlight, change: Change) -> None:
     """Change the board's telemetry from now on."""
-    heard, said = protocol.Codec(), protocol.Codec()
+    decoder, encoder = protocol.Codec(), protocol.Codec()
 
     def changed(message: protocol.Message) -> protocol.Message:
         return change(message) if isinstance(message, Telemetry) else message
 
     flight.world.from_phlosar = lambda data: b"".join(
-        said.encode(changed(message)) for message in heard.decode(data)
+        encoder.encode(changed(message)) for message in decoder.decode(data)
     )
 
 
@@ -102,25 +102,25 @@ def test_telemetry_whose_clock_does_not_go_on_is_lost(change: Change) -> None:
 def test_a_counter_that_stands_while_the_clock_continues_is_no_loss() -> None:
     """The board's clock says if a frame is new. The counter only counts losses."""
     flight = bent()
-    heard = protocol.Codec()
-    flight.world.from_phlosar = lambda data: b"".join(protocol.encode(m, 7) for m in heard.decode(data))
+    decoder = protocol.Codec()
+    flight.world.from_phlosar = lambda data: b"".join(protocol.encode(m, 7) for m in decoder.decode(data))
     assert told(run_for(flight, 3.0)) == []
     assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
 
 
 def test_every_frame_twice_and_neighbours_swapped_is_no_loss() -> None:
     flight = bent()
-    heard, said = protocol.Codec(), protocol.Codec()
+    decoder, encoder = protocol.Codec(), protocol.Codec()
     waiting: list[protocol.Message] = []
 
     def swapped(data: bytes) -> bytes:
         out: list[protocol.Message] = []
-        for message in heard.decode(data):
+        for message in decoder.decode(data):
             waiting.append(message)
             if len(waiting) == 2:
                 out += [waiting[1], waiting[0], waiting[1]]
                 waiting.clear()
-        return b"".join(said.encode(message) for message in out)
+        return b"".join(encoder.encode(message) for message in out)
 
     flight.world.from_phlosar = swapped
     assert told(run_for(flight, 3.0)) == []

@@ -123,16 +123,16 @@ def test_a_flood_makes_no_flood_of_answers_and_no_heap_of_them(sender: tuple[int
         MavlinkCodec(0, 191),
         MavlinkCodec(0, 191),
     )
-    answers, heard, seconds = 0, 0, 4.0
+    answers, received, seconds = 0, 0, 4.0
     heartbeat = [kind for kind in KINDS if kind.id == 0]
     for i in range(round(seconds * 2000)):
         t = i / 2000
         frame = babble.frame(heartbeat, AUTOPILOT) if i % 2000 == 0 else babble.frame(FLOOD, sender)
         events: list[Event] = [VehicleMessage(t, message) for message in codec.decode(frame)]
-        heard += len(events)
+        received += len(events)
         for event in events if i % 40 else [*events, Tick(t)]:
             answers += sent(core.handle(event), out)
-    assert heard > 0.9 * seconds * 2000
+    assert received > 0.9 * seconds * 2000
     assert answers <= MOST_SENT_HZ * seconds
     assert largest_tables(core)[0][0] <= LARGEST_TABLE
 

@@ -150,12 +150,12 @@ class RemembersTheSetpoint(Firmware):
 
     def __init__(self) -> None:
         super().__init__()
-        self._ears = protocol.Codec()
+        self._decoder = protocol.Codec()
         self._now_us = self._since_us = 0
         self._last: Setpoint | None = None
 
     def receive(self, data: bytes) -> None:
-        for message in self._ears.decode(data):
+        for message in self._decoder.decode(data):
             if isinstance(message, Setpoint | Vent):
                 self._last = message if isinstance(message, Setpoint) else None
                 self._since_us = self._now_us
@@ -198,12 +198,12 @@ class StuckInRegulation(Firmware):
 
     def __init__(self) -> None:
         super().__init__()
-        self._ears, self._mouth = protocol.Codec(), protocol.Codec()
+        self._decoder, self._encoder = protocol.Codec(), protocol.Codec()
 
     def receive(self, data: bytes) -> None:
-        for message in self._ears.decode(data):
+        for message in self._decoder.decode(data):
             if not isinstance(message, Vent):
-                super().receive(self._mouth.encode(message))
+                super().receive(self._encoder.encode(message))
 
 
 class OpensAtPowerUp(Firmware):
@@ -211,11 +211,11 @@ class OpensAtPowerUp(Firmware):
 
     def __init__(self) -> None:
         super().__init__()
-        self._ears = protocol.Codec()
+        self._decoder = protocol.Codec()
         self._greeted = False
 
     def receive(self, data: bytes) -> None:
-        self._greeted = any(isinstance(message, protocol.Hello) for message in self._ears.decode(data))
+        self._greeted = any(isinstance(message, protocol.Hello) for message in self._decoder.decode(data))
         super().receive(data)
 
     def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Inputs:

@@ -269,10 +269,10 @@ def test_a_broker_that_is_not_there_is_reported_by_what_failed() -> None:
     ],
 )
 def test_a_broker_is_asked_to_let_us_in(answer: bytes, says: str, needs_person: bool) -> None:
-    heard = bytearray()
+    received = bytearray()
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        heard.extend(await reader.read(1024))
+        received.extend(await reader.read(1024))
         writer.write(answer)
         if not says:
             await reader.read()
@@ -292,8 +292,8 @@ def test_a_broker_is_asked_to_let_us_in(answer: bytes, says: str, needs_person: 
     found = asyncio.run(ask())
     assert (says in found.problem, bool(found.problem)) == (True, bool(says)), found
     assert found.needs_person == needs_person
-    assert heard[0] == 0x10, "CONNECT"
-    assert b"vine" in heard
+    assert received[0] == 0x10, "CONNECT"
+    assert b"vine" in received
 
 
 def test_the_files_that_the_broker_needs_are_read(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ WELCOME = Welcome(PROTOCOL_VERSION, 1, 1, "test", 1, 30.0, 28.0, 760.0, 200.0, 3
 GPS = b"$GNGGA,092725.00,4717.11399,N,00833.91590,E,1,08,1.01,499.6,M,48.0,M,,*45\r\n"
 
 
-def heard(*pieces: bytes) -> Answer:
+def answer_after(*pieces: bytes) -> Answer:
     answer, codec = Answer(), Codec()
     answer.opened(10.0)
     for data in pieces:
@@ -40,7 +40,7 @@ def heard(*pieces: bytes) -> Answer:
     ],
 )
 def test_each_silence_is_reported_once_after_a_while(pieces: tuple[bytes, ...], says: str) -> None:
-    answer = heard(*pieces)
+    answer = answer_after(*pieces)
     assert answer.news(10.0 + ANSWER_WITHIN_S - 0.01) is None
     told = answer.news(10.0 + ANSWER_WITHIN_S)
     assert told is not None
@@ -50,12 +50,12 @@ def test_each_silence_is_reported_once_after_a_while(pieces: tuple[bytes, ...], 
 
 @pytest.mark.parametrize("message", [WELCOME, Refusal(0, RefusalReason.VERSION)])
 def test_an_answer_ends_the_silence(message: Message) -> None:
-    answer = heard(Codec().encode(message))
+    answer = answer_after(Codec().encode(message))
     assert answer.news(100.0) is None
 
 
 def test_a_late_answer_ends_it() -> None:
-    answer = heard()
+    answer = answer_after()
     assert answer.news(20.0)
     answer.received(b"", [WELCOME])
     assert answer.news(20.1) == ""
@@ -63,7 +63,7 @@ def test_a_late_answer_ends_it() -> None:
 
 
 def test_a_closed_port_has_its_own_reason_and_each_opening_counts_anew() -> None:
-    answer = heard(GPS)
+    answer = answer_after(GPS)
     answer.closed()
     assert answer.news(100.0) is None
     answer.opened(100.0)

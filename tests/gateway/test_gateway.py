@@ -40,7 +40,7 @@ import msgspec
 from flying_vines.gateway.messages import Alive, Request, Trouble, packet, read_to_gateway
 service = socket.socket(fileno=int(sys.argv[1]))
 def say(message): service.send(packet(message))
-def hear(): return read_to_gateway(service.recv(1 << 20))
+def receive(): return read_to_gateway(service.recv(1 << 20))
 """
 
 
@@ -137,7 +137,7 @@ async def test_a_gateway_that_hangs_is_replaced_and_holds_nobody_up(
     monkeypatch: pytest.MonkeyPatch, played: Callable[[str], None]
 ) -> None:
     monkeypatch.setattr(gateway, "HANGS_S", 0.5)
-    played("hear()\nsay(Trouble(str(os.getpid())))\ntime.sleep(3600)\n")
+    played("receive()\nsay(Trouble(str(os.getpid())))\ntime.sleep(3600)\n")
     async with Service().living() as service:
         await until(lambda: len(service.said) == 1, "it has started")
         first = int(service.said[0])
@@ -169,7 +169,7 @@ async def test_a_gateway_is_not_to_blame_where_the_service_stopped(
     monkeypatch: pytest.MonkeyPatch, played: Callable[[str], None]
 ) -> None:
     monkeypatch.setattr(gateway, "HANGS_S", 0.5)
-    played("hear()\nwhile True:\n    say(Alive())\n    time.sleep(0.05)\n")
+    played("receive()\nwhile True:\n    say(Alive())\n    time.sleep(0.05)\n")
     async with Service().living() as service:
         await until(lambda: service.gateway._alive, "it has started")
         pid = gateway_of(os.getpid())
@@ -185,7 +185,7 @@ async def test_a_gateway_has_time_to_start(
 ) -> None:
     monkeypatch.setattr(gateway, "HANGS_S", 0.2)
     monkeypatch.setattr(gateway, "STARTS_S", 1.0)
-    played("hear()\ntime.sleep(3600)\n")
+    played("receive()\ntime.sleep(3600)\n")
     async with Service().living() as service:
         began = time.monotonic()
         await until(lambda: bool(service.said), "it is ended")
@@ -250,7 +250,7 @@ async def test_a_page_that_fails_is_served_again_and_the_broker_does_not_notice(
 
 
 async def test_a_gateway_that_talks_nonsense_is_ended(played: Callable[[str], None]) -> None:
-    played('hear()\nservice.send(b\'{"kind": "order"}\')\ntime.sleep(3600)\n')
+    played('receive()\nservice.send(b\'{"kind": "order"}\')\ntime.sleep(3600)\n')
     async with Service().living() as service:
         await until(lambda: len(service.said) == 1, "it is ended")
     assert "it sent an invalid message: Invalid value 'order'" in service.said[0]
@@ -265,19 +265,19 @@ async def test_a_gateway_that_cannot_be_started_is_tried_again(
     async with Service().living() as service:
         await until(lambda: len(service.said) == 1, "it is told")
         monkeypatch.setattr(gateway, "COMMAND", command)
-        played("hear()\nsay(Trouble('started'))\ntime.sleep(3600)\n")
+        played("receive()\nsay(Trouble('started'))\ntime.sleep(3600)\n")
         await until(lambda: len(service.said) == 2, "it is tried again")
     assert service.said == ["page and broker stopped (No such file or directory), starting again", "started"]
 
 
 async def test_a_client_that_asks_too_often_may_still_vent(played: Callable[[str], None]) -> None:
     played(
-        "hear()\n"
+        "receive()\n"
         "for number in range(100): say(Request(number, 'page', 'start_bench'))\n"
         "say(Request(100, 'page', 'vent'))\n"
         "answers = {}\n"
         "while 100 not in answers:\n"
-        "    told = hear()\n"
+        "    told = receive()\n"
         "    if hasattr(told, 'safety'): answers[told.number] = told.safety + told.reason\n"
         "say(Trouble(f\"{list(answers.values()).count('refusedtoo many requests')} {answers[100]}\"))\n"
         "time.sleep(3600)\n"
@@ -294,12 +294,12 @@ async def test_a_client_that_asks_too_often_may_still_vent(played: Callable[[str
 
 async def test_a_flood_of_vents_is_a_few_vents_and_each_is_answered(played: Callable[[str], None]) -> None:
     played(
-        "hear()\n"
+        "receive()\n"
         "for number in range(200): say(Request(number, 'page', 'vent'))\n"
         "say(Request(200, 'page', 'hold'))\n"
         "answers = {}\n"
         "while len(answers) < 201:\n"
-        "    told = hear()\n"
+        "    told = receive()\n"
         "    if hasattr(told, 'safety'): answers[told.number] = told.safety\n"
         "say(Trouble(f'{set(answers.values())}'))\n"
         "time.sleep(3600)\n"
@@ -316,7 +316,7 @@ async def test_a_flood_of_vents_is_a_few_vents_and_each_is_answered(played: Call
 async def test_a_vent_that_waits_comes_by_itself(played: Callable[[str], None]) -> None:
     """The bend between two vents must not remain if the second vent came too soon."""
     played(
-        "hear()\n"
+        "receive()\n"
         "for number in range(3): say(Request(number, ('page', 'broker')[number % 2], 'vent'))\n"
         "time.sleep(3600)\n"
     )
@@ -330,7 +330,7 @@ async def test_when_it_was_made_and_what_was_seen_goes_on_to_the_service(
 ) -> None:
     """A combined vent clears the faults that any of its senders has seen."""
     played(
-        "hear()\n"
+        "receive()\n"
         "say(Request(1, 'page', 'hold', made_at=3.25, seen_at=3.0))\n"
         "say(Request(2, 'page', 'vent', seen_at=1.0))\n"
         "for number, seen in enumerate((None, 4.0, 2.0)):\n"
@@ -347,10 +347,10 @@ async def test_events_before_the_gateway_reads_are_sent_in_order(
 ) -> None:
     """The profile comes first. Of too many events the last ones are stored."""
     played(
-        "kinds = [type(hear()).__name__]\n"
+        "kinds = [type(receive()).__name__]\n"
         "texts = []\n"
         "while not texts or texts[-1] != 599:\n"
-        "    told = hear()\n"
+        "    told = receive()\n"
         "    if hasattr(told, 'fields'): texts.append(int(msgspec.json.decode(told.fields)['text']))\n"
         "say(Trouble(f'{kinds[0]} {texts == list(range(100, 600))}'))\n"
         "time.sleep(3600)\n"
@@ -359,5 +359,5 @@ async def test_events_before_the_gateway_reads_are_sent_in_order(
     for number in range(600):
         service.gateway.action(notice(0.0, str(number)))
     async with service.living():
-        await until(lambda: len(service.said) == 1, "it has heard them")
+        await until(lambda: len(service.said) == 1, "it has received them")
     assert service.said == ["GatewayStart True"]

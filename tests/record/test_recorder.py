@@ -187,10 +187,10 @@ def test_mavlink_goes_into_a_tlog_as_well(flown: Path) -> None:
     frames = list(reader.frames())
     assert reader.skipped_bytes == 0
     assert [round(unix_s * 1e6) for unix_s, _ in frames] == [entry.unix_ns // 1000 for entry in log]
-    heard = mavutil.mavlink_connection(str(flown / "flight.tlog"))
+    received = mavutil.mavlink_connection(str(flown / "flight.tlog"))
     kinds = [entry.fields["name"] for entry in log]
-    assert [heard.recv_match().get_type() for _ in kinds] == kinds
-    heard.close()
+    assert [received.recv_match().get_type() for _ in kinds] == kinds
+    received.close()
 
 
 def test_a_message_that_the_dialect_lacks_is_kept(tmp_path: Path) -> None:
@@ -458,13 +458,13 @@ def test_any_mavlink_message_comes_back_whatever_is_in_it() -> None:
         blank._pack(sender, kind.crc_extra, payload)
         raw = blank.get_msgbuf()
         if kind.msgname == "SETUP_SIGNING":
-            (heard,) = MavlinkCodec(0, 191).decode(raw)
-            assert not any(heard.secret_key), "a key is in no log"
+            (received,) = MavlinkCodec(0, 191).decode(raw)
+            assert not any(received.secret_key), "a key is in no log"
             continue
-        (heard,) = MavlinkCodec(0, 191).decode(raw)
-        data = encoded(entry_of_event(VehicleMessage(1.0, heard)))
+        (received,) = MavlinkCodec(0, 191).decode(raw)
+        data = encoded(entry_of_event(VehicleMessage(1.0, received)))
         assert_fits(json.loads(data), schema, kind.msgname)
         again = event_of(LogEntry("mavlink/in", 0, data))
         assert isinstance(again, VehicleMessage)
         assert again.message.get_msgbuf() == raw
-        assert str(again.message) == str(heard)
+        assert str(again.message) == str(received)

@@ -245,10 +245,10 @@ def test_ardupilot_does_not_tell_of_another_mission_of_the_same_length() -> None
     world.gcs.hello()
     world.request_streams()
     world.on(2.0)  # The count of the seconds is sent every 31 s.
-    before = len(world.companion.heard)
+    before = len(world.companion.received)
     world.autopilot.replace_mission(plan(TAKEOFF, (217, 1, 11), (93, 9), LAND))
     world.on(1.0)
-    told = {message.get_type() for _, message in world.companion.heard[before:]}
+    told = {message.get_type() for _, message in world.companion.received[before:]}
     assert not told & {"PARAM_VALUE", "STATUSTEXT", "MISSION_ACK"}
     assert world.gcs.texts() == ["Flight plan received"]
     assert world.autopilot.items[2].params[1] == 11
@@ -276,7 +276,7 @@ def test_a_stalled_link_delivers_all_at_once(both_ways: bool) -> None:
     world.on(1.0)
     world.companion.command(183, 9, 1900)
     world.on(1.9)
-    assert world.companion.heard == []
+    assert world.companion.received == []
     assert bool(world.autopilot.performed) is not both_ways
     world.on(0.2)
     boots_ms = [message.time_boot_ms for message in world.companion.of("RC_CHANNELS")]
@@ -295,7 +295,7 @@ def test_a_link_that_never_sent_gets_little(kind: AutopilotKind, kinds: set[str]
     world.autopilot.takeoff(5.0)
     world.gcs.say(mavlink.MAVLink_named_value_float_message(1, b"X", 1.0))
     world.on(20.5)
-    assert {message.get_type() for _, message in world.companion.heard} == kinds
+    assert {message.get_type() for _, message in world.companion.received} == kinds
     assert len(world.companion.of("HEARTBEAT")) in (21, 22)
 
 
@@ -411,7 +411,7 @@ def test_a_reboot_is_silent_then_knows_nobody() -> None:
     assert world.companion.frames == []
     world.on(5.0)
     assert world.companion.frames[0][4] == 0
-    assert {message.get_type() for _, message in world.companion.heard} == {"HEARTBEAT"}
+    assert {message.get_type() for _, message in world.companion.received} == {"HEARTBEAT"}
     world.request_streams()
     world.on(1.0)
     assert world.companion.of("RC_CHANNELS")[0].time_boot_ms < before_ms

@@ -410,7 +410,7 @@ def test_a_hanging_board_keeps_its_valves_until_the_watchdog_resets_it() -> None
     board.drive = SAFE
     phlosar.receive(b"vent!")
     phlosar.advance(0.355)
-    assert board.heard == b""
+    assert board.received == b""
     assert board.resets == []
     assert len(board.steps) == 101
     assert phlosar.drive == INFLATING
@@ -419,7 +419,7 @@ def test_a_hanging_board_keeps_its_valves_until_the_watchdog_resets_it() -> None
     assert phlosar.drive == SAFE
     assert phlosar.mishaps.board is None
     phlosar.receive(b"vent!")
-    assert board.heard == b"vent!"
+    assert board.received == b"vent!"
 
 
 def test_a_board_that_hangs_for_a_moment_goes_on() -> None:

@@ -155,7 +155,7 @@ def test_any_firmware_may_run_it() -> None:
     phlosar.receive(b"hello")
     assert set(phlosar.advance(0.1)) == set(b".")
     phlosar.reset_firmware(watchdog=True)
-    assert board.heard == b"hello"
+    assert board.received == b"hello"
     assert [now_us for now_us, _, _ in board.steps] == [*range(0, 101_000, 1000), 100_000]
     assert board.steps[100][1:] == (phlosar.cv_kPa, phlosar.reservoir_kPa)
     assert 10.0 < phlosar.cv_kPa < 690.0 > phlosar.reservoir_kPa

@@ -228,13 +228,13 @@ def test_two_long_texts_have_different_ids() -> None:
 
 def test_the_same_text_is_sent_again_only_after_a_while() -> None:
     ours = component()
-    heard = []
+    received = []
     for i in range(1000):
         t = i * TICK_S
         ours.say(t, 4, "Vine: bottle low")
-        heard += [t for m in ours.due(t, 0, {}, 4) if m.get_type() == "STATUSTEXT"]
-    assert len(heard) == 4
-    assert all(gap_s >= SAME_AGAIN_S - 1e-9 for gap_s in gaps_s(heard))
+        received += [t for m in ours.due(t, 0, {}, 4) if m.get_type() == "STATUSTEXT"]
+    assert len(received) == 4
+    assert all(gap_s >= SAME_AGAIN_S - 1e-9 for gap_s in gaps_s(received))
 
 
 def test_a_flood_of_texts_stays_bounded() -> None:
@@ -260,7 +260,7 @@ def test_a_flood_does_not_tear_a_text_that_is_half_told() -> None:
 # All messages together.
 
 
-def heard(message: MavlinkMessage, sender: tuple[int, int]) -> MavlinkMessage:
+def from_sender(message: MavlinkMessage, sender: tuple[int, int]) -> MavlinkMessage:
     return mavlink.MAVLink(None).parse_char(message.pack(mavlink.MAVLink(None, *sender)))
 
 
@@ -276,7 +276,7 @@ class Link:
         self.notices: list[Notice] = []
 
     def take(self, message: MavlinkMessage, sender: tuple[int, int] = (255, 190)) -> None:
-        message = heard(message, sender)
+        message = from_sender(message, sender)
         self.state.handle(self.t, message)
         for output in self.ours.handle(self.t, message, self.state, True) or []:
             if isinstance(output, Notice):

@@ -365,15 +365,15 @@ def test_a_sender_that_sends_often_keeps_its_place(
         while pause_s > 1.0:
             pause_s -= 1.0
             t += 1.0
-            assert peers.heard(("autopilot", 0), t)
+            assert peers.note(("autopilot", 0), t)
         t += pause_s
         source = ("other", number)
-        if not peers.heard(source, t) and proven:
+        if not peers.note(source, t) and proven:
             peers.enter(source, t)
         present = peers.present(t)
         assert ("autopilot", 0) in present
         assert len(present) == len(peers) <= MAX_PEERS
-        assert peers.heard(("autopilot", 0), t)
+        assert peers.note(("autopilot", 0), t)
 
 
 def test_a_router_that_restarts_with_another_port_is_answered_again_soon() -> None:

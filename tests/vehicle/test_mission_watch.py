@@ -905,9 +905,9 @@ def test_a_winch_is_reported_as_reached_long_after_its_command() -> None:
 
 def test_a_second_pass_whose_command_was_lost_counts() -> None:
     air = Px4Air(*PX4_PLAN)
-    for heard in (True, False):
+    for received in (True, False):
         air.reaches(3)
-        if heard:
+        if received:
             air.command(STRAIGHT)
         air.reaches(4, 5.0)
         air.reaches(5, 5.0)

@@ -106,23 +106,23 @@ class Radio:
                 rssi = OVERRIDE_RSSI
             if not (self.by_station and self.lost_at is not None):
                 stamp_ms = round(1000 * self.now_s) + 60_000
-                self.hear(mavlink.MAVLink_rc_channels_message(stamp_ms, 18, *self.received, rssi))
+                self.receive(mavlink.MAVLink_rc_channels_message(stamp_ms, 18, *self.received, rssi))
             if self.steps % 2 == 0:
                 bits = [RC_BIT * flag | self.sensors for flag in (good, True, good)]
-                self.hear(mavlink.MAVLink_sys_status_message(*bits, 0, 12000, -1, -1, 0, 0, 0, 0, 0, 0))
+                self.receive(mavlink.MAVLink_sys_status_message(*bits, 0, 12000, -1, -1, 0, 0, 0, 0, 0, 0))
             self.outputs.extend((self.now_s, output) for output in self.pilot.tick(self.now_s))
 
     def run_without_status(self, seconds: float) -> None:
         for _ in range(round(seconds / PERIOD_S)):
             self.steps += 1
-            self.hear_channels()
+            self.receive_channels()
             self.outputs.extend((self.now_s, output) for output in self.pilot.tick(self.now_s))
 
-    def hear_channels(self) -> None:
+    def receive_channels(self) -> None:
         stamp_ms = round(1000 * self.now_s) + 60_000
-        self.hear(mavlink.MAVLink_rc_channels_message(stamp_ms, 18, *self.sticks, NO_RSSI))
+        self.receive(mavlink.MAVLink_rc_channels_message(stamp_ms, 18, *self.sticks, NO_RSSI))
 
-    def hear(self, message: object) -> None:
+    def receive(self, message: object) -> None:
         outputs = self.pilot.handle(self.now_s, message, AUTOPILOTS[self.autopilot], self.vented)
         self.outputs.extend((self.now_s, output) for output in outputs)
 
@@ -321,7 +321,7 @@ def test_a_slow_stick_beside_the_switch_is_the_pilot() -> None:
 
 def test_if_ardupilot_hides_losses_the_switch_only_straightens() -> None:
     radio = Radio("ardupilot")
-    radio.hear(param_value("FS_THR_ENABLE", 0.0))
+    radio.receive(param_value("FS_THR_ENABLE", 0.0))
     assert radio.told == ["Vine: FS_THR_ENABLE 0 hides RC loss: switch cannot bend"]
     radio.move(2, 1.0)
     (refused,) = [output for _, output in radio.outputs if isinstance(output, Trigger)]
@@ -329,7 +329,7 @@ def test_if_ardupilot_hides_losses_the_switch_only_straightens() -> None:
     assert "FS_THR_ENABLE 0" in refused.problem
     radio.move(0, 1.0)
     assert radio.asked[-1][1] == "straight"
-    radio.hear(param_value("FS_THR_ENABLE", 1.0))
+    radio.receive(param_value("FS_THR_ENABLE", 1.0))
     assert "can bend" in radio.told[-1]
     radio.move(2, 1.0)
     assert len(radio.bends) == 1
@@ -358,7 +358,7 @@ def test_without_overrides_a_switch_that_comes_back_was_moved(
     parameter: tuple[str, float],
 ) -> None:
     radio = Radio("ardupilot")
-    radio.hear(param_value(*parameter))
+    radio.receive(param_value(*parameter))
     overridden(radio, 7.0)
     assert len(radio.bends) == 2
 
@@ -526,7 +526,7 @@ def test_without_a_status_a_straightening_is_not_refused_afterwards() -> None:
 
 def test_on_ardupilot_the_status_says_nothing_of_what_its_parameters_hide() -> None:
     radio = Radio("ardupilot", by_station=True)
-    radio.hear(param_value("FS_THR_ENABLE", 0.0))
+    radio.receive(param_value("FS_THR_ENABLE", 0.0))
     radio.move(2, 1.0)
     assert radio.bends == []
 
@@ -534,17 +534,17 @@ def test_on_ardupilot_the_status_says_nothing_of_what_its_parameters_hide() -> N
 def test_a_receiver_that_px4_does_not_use_is_refused_and_a_ground_station_is_not() -> None:
     for by_station, bends in ((False, 0), (True, 1)):
         radio = Radio(by_station=by_station)
-        radio.hear(param_value("COM_RC_IN_MODE", 1.0))
+        radio.receive(param_value("COM_RC_IN_MODE", 1.0))
         radio.move(2, 3.0)
         assert len(radio.bends) == bends
 
 
 def test_a_parameter_that_hides_losses_is_reported_once() -> None:
     radio = Radio("ardupilot")
-    radio.hear(param_value("RC_OVERRIDE_TIME", 4.0))
+    radio.receive(param_value("RC_OVERRIDE_TIME", 4.0))
     assert radio.told == []
-    radio.hear(param_value("FS_THR_ENABLE", 0.0))
-    radio.hear(param_value("RC_OVERRIDE_TIME", 5.0))
+    radio.receive(param_value("FS_THR_ENABLE", 0.0))
+    radio.receive(param_value("RC_OVERRIDE_TIME", 5.0))
     assert len(radio.told) == 1
 
 
@@ -554,12 +554,12 @@ def test_a_single_message_with_the_throttle_in_failsafe_is_a_loss() -> None:
     radio.move(2)
     radio.sticks[2] = 900
     radio.steps += 1
-    radio.hear_channels()
+    radio.receive_channels()
     radio.sticks[2] = 1400
     good_from_s = radio.now_s + PERIOD_S
     while radio.pilot.switch.position is None or not radio.outputs:
         radio.steps += 1
-        radio.hear_channels()
+        radio.receive_channels()
         assert radio.now_s < good_from_s + 2.0
     assert radio.now_s - good_from_s == pytest.approx(radio.profile.switch.settle_s, abs=PERIOD_S / 2)
     assert radio.told == ["Vine: switch ch9 moved while RC was lost, move it again"]

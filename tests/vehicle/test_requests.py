@@ -27,7 +27,7 @@ TICK_S = 0.02
 VALUES = {"RES_KPA": 500.0, "CYC_LEFT": 40.0, "CV_KPA": 3.0}
 
 
-def heard(message: MavlinkMessage, sender: tuple[int, int] = STATION) -> MavlinkMessage:
+def from_sender(message: MavlinkMessage, sender: tuple[int, int] = STATION) -> MavlinkMessage:
     return mavlink.MAVLink(None).parse_char(message.pack(mavlink.MAVLink(None, *sender)))
 
 
@@ -50,7 +50,7 @@ class Bench:
         self.t = 100.0
 
     def take(self, message: MavlinkMessage, sender: tuple[int, int] = STATION) -> list[MavlinkMessage] | None:
-        return self.requests.handle(self.t, heard(message, sender), 1)
+        return self.requests.handle(self.t, from_sender(message, sender), 1)
 
     def ask(
         self, number: int, *params: float, sender: tuple[int, int] = STATION

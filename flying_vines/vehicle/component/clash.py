@@ -22,13 +22,13 @@ class Clash:
 
     def __init__(self, component_id: int) -> None:
         self._component_id = component_id
-        self._heard_at: deque[float] = deque(maxlen=MIN_MESSAGES)
+        self._received_at: deque[float] = deque(maxlen=MIN_MESSAGES)
         self._reported_at = -math.inf
 
-    def heard(self, t: float) -> list[Notice]:
+    def received(self, t: float) -> list[Notice]:
         """A message from our own address that we did not send."""
-        self._heard_at.append(t)
-        if len(self._heard_at) < MIN_MESSAGES or t - self._heard_at[0] > WITHIN_S:
+        self._received_at.append(t)
+        if len(self._received_at) < MIN_MESSAGES or t - self._received_at[0] > WITHIN_S:
             return []
         if t - self._reported_at < REPORT_AGAIN_S:
             return []

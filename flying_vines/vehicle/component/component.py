@@ -59,13 +59,13 @@ class Component:
         if not vehicle.found:
             return None
         if (message.get_srcSystem(), message.get_srcComponent()) == (vehicle.system_id, self._component_id):
-            return list(self._clash.heard(t))
+            return list(self._clash.received(t))
         number = message.get_msgId()
         if number == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             if vehicle.is_ours(message):
                 self._heartbeat.autopilot_spoke(t)
             else:
-                self._stations.heard(t, message, vehicle.autopilot.hides_our_parameters)
+                self._stations.handle(t, message, vehicle.autopilot.hides_our_parameters)
             return None
         if number in Requests.MESSAGES:
             return self._requests.handle(t, message, vehicle.system_id)

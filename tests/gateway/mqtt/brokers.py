@@ -151,10 +151,10 @@ class Onlooker:
 
     def __init__(self, client: aiomqtt.Client) -> None:
         self.client = client
-        self.heard: list[aiomqtt.Message] = []
+        self.received: list[aiomqtt.Message] = []
 
     def on(self, topic: str) -> list[dict[str, Any]]:
-        return [read(message) for message in self.heard if str(message.topic) == topic]
+        return [read(message) for message in self.received if str(message.topic) == topic]
 
     async def until(self, topic: str, count: int = 1, **fields: Any) -> dict[str, Any]:
         """The latest message on a topic, after at least `count` with these fields."""
@@ -185,7 +185,7 @@ async def onlooker(broker: Broker, host: str = "127.0.0.1", **client: Any) -> As
 
         async def listen() -> None:
             async for message in connected.messages:
-                person.heard.append(message)
+                person.received.append(message)
 
         listening = asyncio.create_task(listen())
         try:

@@ -47,7 +47,7 @@ async def test_a_later_subscriber_gets_the_present_vehicles(broker: Broker, peop
         async with onlooker(broker) as latecomer:
             await latecomer.until(f"{BASE}/status", status="online")
             await latecomer.until(f"{BASE}/about", flying_vines="1.2.3")
-            first = {str(message.topic): message.retain for message in latecomer.heard}
+            first = {str(message.topic): message.retain for message in latecomer.received}
             assert first[f"{BASE}/status"]
             assert first[f"{BASE}/about"]
         assert not vehicle.troubles
@@ -223,14 +223,16 @@ async def test_a_user_and_a_password(tmp_path: Path) -> None:
             assert not vehicle.troubles
         async with flying(broker=broker.url, name="egret", **login) as vehicle:
             await vehicle.in_trouble("it does not let us publish to flying-vines/egret/…")
-        assert not [message for message in people.heard if "egret" in str(message.topic)]
+        assert not [message for message in people.received if "egret" in str(message.topic)]
         home = {"discovery_prefix": "homeassistant", "commands": ("vent",)}
         async with flying(broker=broker.url, name="heron", **home, **login) as vehicle:
             await people.until(f"{BASE}/about", commands=["vent"])
             await people.say(f"{BASE}/ask", ask("1"))
             await people.until(f"{BASE}/answer", id="1", safety="accepted")
             assert not vehicle.troubles
-        seen = [message.topic.value for message in people.heard if message.topic.matches("homeassistant/#")]
+        seen = [
+            message.topic.value for message in people.received if message.topic.matches("homeassistant/#")
+        ]
         assert "homeassistant/button/heron/flying-vines_vent/config" in seen
 
 

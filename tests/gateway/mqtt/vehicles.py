@@ -20,7 +20,7 @@ class Vehicle:
     """Its service sends a snapshot ten times a second and carries out requests, unless it is deaf."""
 
     def __init__(self, **settings: Any) -> None:
-        self.feed = Feed(profile(**settings), self._hear)
+        self.feed = Feed(profile(**settings), self._receive)
         self.troubles: list[str] = []
         self.asked: list[Request] = []
         self.deaf = False
@@ -32,7 +32,7 @@ class Vehicle:
     def say(self, text: str) -> None:
         self.feed.take(happened(notice(self.t, text)))
 
-    def _hear(self, message: FromGateway) -> None:
+    def _receive(self, message: FromGateway) -> None:
         if isinstance(message, Trouble):
             self.troubles.append(message.text)
             return

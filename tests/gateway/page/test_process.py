@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 from aiohttp import ClientSession, ClientWebSocketResponse
-from page_bench import client, heard
+from page_bench import client, next_of_kind
 from page_service import Served, serving
 from patience import until
 from real_time import real_time
@@ -26,13 +26,13 @@ pytestmark = real_time
 async def ask(viewing: ClientWebSocketResponse, command: str, **what: Any) -> tuple[str, str]:
     """Send a request. Returns the result."""
     await viewing.send_str(json.dumps({"id": 1, "command": command, **what}))
-    answer = await heard(viewing, "answer")
+    answer = await next_of_kind(viewing, "answer")
     return answer["safety"], answer["reason"]
 
 
 async def ready(viewing: ClientWebSocketResponse) -> None:
     while True:
-        now = (await heard(viewing, "snapshot"))["snapshot"]
+        now = (await next_of_kind(viewing, "snapshot"))["snapshot"]
         if now["firmware"] == "ready" and now["vehicle"] != "not found":
             return
 
@@ -81,7 +81,7 @@ async def test_a_page_that_hangs_or_dies_is_back_within_five_seconds(tmp_path: P
                 assert served.bench.bent(), "the vine is not moved by it"
                 async with session.ws_connect(served.url + "live") as viewing:
                     # It names the state that it has seen, so it is not an old page.
-                    await heard(viewing, "snapshot")
+                    await next_of_kind(viewing, "snapshot")
                     assert await ask(viewing, "hold") == ("accepted", "")
         async with session.ws_connect(served.url + "live") as viewing:
             assert await ask(viewing, "vent") == ("accepted", "")
@@ -106,7 +106,7 @@ async def test_no_page_bends_the_vine_of_an_armed_vehicle(tmp_path: Path) -> Non
         assert await ask(viewing, "vent") == ("accepted", "")
         await until(served.bench.vented, "the vine is vented")
         served.bench.autopilot.arm()
-        while not (await heard(viewing, "snapshot"))["snapshot"]["armed"]:
+        while not (await next_of_kind(viewing, "snapshot"))["snapshot"]["armed"]:
             pass
         refused = ("refused", "the page cannot bend the vine while the vehicle is armed")
         assert await ask(viewing, "bend", value=50) == refused
@@ -132,7 +132,7 @@ async def test_an_unanswered_request_is_not_executed_when_the_service_continues(
         await asyncio.sleep(1.0)
         os.kill(served.pid, signal.SIGCONT)
         while True:
-            told = await heard(viewing, "happened")
+            told = await next_of_kind(viewing, "happened")
             if told["what"] == "decision" and told["fields"]["intent"] == "bend 50°":
                 break
         assert told["fields"]["safety"] == "refused"
@@ -149,7 +149,7 @@ async def test_an_unanswered_request_is_not_executed_when_the_service_continues(
 async def _all_well(viewing: ClientWebSocketResponse) -> float:
     """Wait for a new state without faults, and return its time. Latched faults of the board are cleared."""
     while True:
-        now = (await heard(viewing, "snapshot"))["snapshot"]
+        now = (await next_of_kind(viewing, "snapshot"))["snapshot"]
         lies_here_s = asyncio.get_running_loop().time() - now["t"]
         if not now["safe_state"] and lies_here_s < 0.3:
             return float(now["t"])
