@@ -15,8 +15,8 @@ from firmware_link.answer import Answer
 from flying_vines.config.address import parse_address
 from flying_vines.config.config import Config, FirmwareConfig
 from flying_vines.config.plugins import PluginError, find
-from flying_vines.core.contained import CrashSafeCore
 from flying_vines.core.core import TICK_S, Core
+from flying_vines.core.crash_safe_core import CrashSafeCore
 from flying_vines.core.events import (
     Action,
     Asked,

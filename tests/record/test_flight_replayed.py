@@ -13,8 +13,8 @@ import pytest
 from recorded_flight import BEGAN, CONFIG, HIGH, LOW, fly, new_flight, one_bend
 
 from flying_vines.config import config
-from flying_vines.core.contained import CrashSafeCore
 from flying_vines.core.core import Core
+from flying_vines.core.crash_safe_core import CrashSafeCore
 from flying_vines.core.events import Asked, Decision, InternalError, StoredState
 from flying_vines.physics.plant.true_rig import TrueRig, true_rig_text
 from flying_vines.physics.rig import Rig

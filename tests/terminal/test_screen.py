@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.screen import Screen
 
 from flying_vines.core.events import Decision
-from flying_vines.core.waiting import Waiting
+from flying_vines.core.pending_bend import PendingBend
 from flying_vines.supply import CyclesLeft
 from flying_vines.terminal.screen import LiveView, event_line
 from flying_vines.vehicle.notice import Notice, Severity
@@ -19,7 +19,7 @@ FAULTS = {
     "firmware_fault": "firmware fault: dead-man timer ran out, over-pressure in the vine, watchdog reset",
     "rc": "RC lost: the receiver hears no transmitter",
 }
-WAITING = Waiting("vent by the page", "switch down, then up")
+WAITING = PendingBend("vent by the page", "switch down, then up")
 PLENTY = CyclesLeft(1234.0, 1000.0, 1500.0, 3.0, 9.0, 80.0, 15.0, 1.2, 600.0, 450.0, 600.0)
 UNASKED = Decision(2.0, "failsafe", {"loss": "rc"}, "vent", "accepted", FAULTS["rc"], 0.0)
 

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flying_vines.core.events import Action, Asked, Decision
-from flying_vines.core.waiting import Waiting
+from flying_vines.core.pending_bend import PendingBend
 from flying_vines.gateway.messages import Happened, SnapshotMessage, raw
 from flying_vines.gateway.mqtt.home_assistant import discovery
 from flying_vines.gateway.mqtt.payloads import PAYLOADS, EventPayload, LostEvent, NoticeEvent, RequestPayload
@@ -280,7 +280,7 @@ def test_home_assistant_bends_only_where_the_profile_allows_it(commands: tuple[s
         ({}, {"problem": "False", "armed": "True", "waiting": "nothing", "profile": "bend-full"}),
         (
             {"safe_state": {"rc": "RC lost"}, "armed": False, "doing": "vented"}
-            | {"waiting": Waiting("RC lost", "switch down, then up")},
+            | {"waiting": PendingBend("RC lost", "switch down, then up")},
             {"problem": "True", "armed": "False", "waiting": "switch down, then up", "profile": "None"},
         ),
     ],

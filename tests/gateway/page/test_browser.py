@@ -20,8 +20,8 @@ from page_service import serving
 from patience import PATIENCE_S, until
 from real_time import real_time
 
+from flying_vines.core.pending_bend import PendingBend
 from flying_vines.core.snapshot import Snapshot
-from flying_vines.core.waiting import Waiting
 from flying_vines.gateway import page_token
 from flying_vines.supply import CyclesLeft
 
@@ -265,7 +265,7 @@ async def test_a_request_has_its_time_and_the_shown_state(browser: Browser, tmp_
         assert not wrong
 
 
-SWITCH = Waiting("vent by the page", "switch down, then up")
+SWITCH = PendingBend("vent by the page", "switch down, then up")
 PLENTY = CyclesLeft(1234.0, 1000.0, 1500.0, 3.0, 9.0, 80.0, 15.0, 1.2, 600.0, 450.0, 600.0)
 FAULTS = {
     "firmware_fault": "firmware fault: dead-man timer ran out, over-pressure in the vine, watchdog reset",

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from firmware_link.protocol import Setpoint, Vent
 from flying_vines.core.events import Action, Asked, Decision, LinkChanged, ToFirmware
-from flying_vines.core.waiting import Waiting
+from flying_vines.core.pending_bend import PendingBend
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vine.intent import BendTo, StartBench, VentVine
 
@@ -19,7 +19,7 @@ from .flights import HIGH, LOW, MIDDLE, airborne, bent, ground_command, notices,
 UP_AGAIN = "switch down, then up"
 
 
-def waiting(flight: SimulatedFlight) -> Waiting | None:
+def waiting(flight: SimulatedFlight) -> PendingBend | None:
     return flight.core.snapshot(flight.world.now).waiting
 
 
@@ -31,7 +31,7 @@ def test_a_vent_by_another_person_waits_for_the_switch_and_is_reported_once() ->
     flight = bent()
     vent_on_page(flight)
     told = notices(run_for(flight, 5.0))
-    assert waiting(flight) == Waiting("vent by the page", UP_AGAIN)
+    assert waiting(flight) == PendingBend("vent by the page", UP_AGAIN)
     assert told == [f"Vine: waiting for: {UP_AGAIN}"]
     flight.autopilot.set_rc(9, LOW)
     run_for(flight, 1.0)
@@ -71,7 +71,7 @@ def test_a_refused_bend_waits_with_the_reason() -> None:
     run_for(flight, 2.0)
     flight.autopilot.set_rc(9, HIGH)
     run_for(flight, 1.0)
-    assert waiting(flight) == Waiting("refused: not armed", UP_AGAIN)
+    assert waiting(flight) == PendingBend("refused: not armed", UP_AGAIN)
 
 
 def test_a_command_that_a_failsafe_ended_waits_for_a_request() -> None:
@@ -96,7 +96,7 @@ def test_bench_mode_that_ends_says_so() -> None:
     run_for(flight, 1.0)
     flight.autopilot.takeoff(10.0)
     run_for(flight, 2.0)
-    assert waiting(flight) == Waiting("bench mode is over: the vehicle is armed", "a new request")
+    assert waiting(flight) == PendingBend("bench mode is over: the vehicle is armed", "a new request")
 
 
 class Oracle:

@@ -17,14 +17,14 @@ _FRESH = {"mission_item": "the next mission item"}
 
 
 @dataclass(frozen=True, slots=True)
-class Waiting:
+class PendingBend:
     """A bend is requested and nothing moves: what stopped it, and which request would move the vine."""
 
     stopped_by: str
     awaited: str
 
 
-class FreshRequest:
+class PendingBendTracker:
     """Follows motions, vents and refusals; `waiting` is the state."""
 
     def __init__(self) -> None:
@@ -59,7 +59,7 @@ class FreshRequest:
         if kind == "switch":
             self._asker, self._stopped_by, self._done_at = kind, f"refused: {why}", None
 
-    def waiting(self, position: int | None, fresh_move: str) -> Waiting | None:
+    def waiting(self, position: int | None, fresh_move: str) -> PendingBend | None:
         """The state while nothing moves; None if no bend is requested.
 
         `position`: of the switch; None during a loss of RC. `fresh_move`: the move of the switch that would
@@ -71,7 +71,7 @@ class FreshRequest:
         wanted = [fresh_move] if asks else []
         if self._asker not in ("", "switch"):
             wanted.append(_FRESH.get(self._asker, "a new request"))
-        return Waiting(self._stopped_by or NO_MOVE_COUNTED, " or ".join(wanted)) if wanted else None
+        return PendingBend(self._stopped_by or NO_MOVE_COUNTED, " or ".join(wanted)) if wanted else None
 
     def _see(self, position: int, bends: bool) -> None:
         if position != self._done_at:

@@ -18,7 +18,7 @@ from service_bench import Bench, on_bench
 from firmware_link import protocol
 from firmware_link.actuator import PhlosarLine
 from flying_vines.config import config
-from flying_vines.core.contained import SHUTDOWN_TEXT
+from flying_vines.core.crash_safe_core import SHUTDOWN_TEXT
 from flying_vines.core.events import Action, Decision, InternalError
 from flying_vines.core.watcher import EachAction
 from flying_vines.service.service import Service

@@ -12,8 +12,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from firmware_link.host import HostSession
 from firmware_link.protocol import Vent
-from flying_vines.core.contained import SHUTDOWN_TEXT, CrashSafeCore
 from flying_vines.core.core import Core
+from flying_vines.core.crash_safe_core import SHUTDOWN_TEXT, CrashSafeCore
 from flying_vines.core.events import (
     Action,
     Asked,
@@ -42,8 +42,8 @@ class Broken:
     def __init__(self, method: Method, after_s: float, seldom: int = 1) -> None:
         self.flight = airborne()
         self.core = self.flight.core
-        self.contained = CrashSafeCore(self.core)
-        self.flight.world.core = self.contained  # type: ignore[assignment]
+        self.crash_safe = CrashSafeCore(self.core)
+        self.flight.world.core = self.crash_safe  # type: ignore[assignment]
         self.method = method
         self.seldom = seldom
         self.calls = 0
@@ -88,7 +88,7 @@ class Broken:
         answers = flight.feed(Asked(flight.world.now, "page", BendTo(20.0)))
         assert [a for a in answers if isinstance(a, Decision) and a.trigger == "page"]
         self.actions += answers
-        self.contained.snapshot(flight.world.now)
+        self.crash_safe.snapshot(flight.world.now)
         self.actions += flight.feed(LinkChanged(flight.world.now, "firmware", False))
         self.actions += flight.feed(LinkChanged(flight.world.now, "firmware", True))
         self.run(0.6)
@@ -172,12 +172,12 @@ def test_a_failing_display_is_switched_off_and_the_flight_continues(method: Meth
 def test_a_display_that_fails_is_blank_and_reported() -> None:
     told: list[Exception] = []
     flight = bent()
-    contained = CrashSafeCore(flight.core, told.append)
+    crash_safe = CrashSafeCore(flight.core, told.append)
     with breakable((Core, "snapshot"), lambda: True):
-        snapshot = contained.snapshot(flight.world.now)
+        snapshot = crash_safe.snapshot(flight.world.now)
     assert snapshot.doing == "display failed" and math.isnan(snapshot.cv_kPa)
     assert [str(error) for error in told] == ["Core.snapshot"]
-    assert contained.snapshot(flight.world.now).doing != "display failed"
+    assert crash_safe.snapshot(flight.world.now).doing != "display failed"
 
 
 def test_only_a_restart_ends_a_shutdown() -> None:
