@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 from firmware_link.protocol import Telemetry
 from flying_vines.physics.plant.flow import Opening, choked_share
-from flying_vines.supply.features import Features
 from flying_vines.supply.reservoir_filter import Spent
 from flying_vines.supply.rig_prior import AMBIENT_KPA, RigPrior
+from flying_vines.supply.telemetry_features import Features
 
 BLOCK_S = 0.1
 """Averaging time of a reading of the reservoir."""

@@ -21,7 +21,6 @@ from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics import paper
 from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 from flying_vines.supply.air_use import TRACE, AirUse, ObservedInflation
-from flying_vines.supply.features import Features
 from flying_vines.supply.min_supply import SupplyCost, fillable, min_supply_kPa
 from flying_vines.supply.reservoir_filter import (
     CV_LEAK,
@@ -38,6 +37,7 @@ from flying_vines.supply.reservoir_filter import (
     colder_K,
 )
 from flying_vines.supply.rig_prior import AMBIENT_KPA, RigPrior
+from flying_vines.supply.telemetry_features import Features
 
 READING_SD_KPA = 1.3
 """Standard deviation of one reading: sensor noise and a converter of 10 bits."""

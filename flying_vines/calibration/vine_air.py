@@ -110,7 +110,7 @@ class VineAir:
         return max(0.0, self.balance.values["vine_leak"].value) * self.SL_per_kPa
 
 
-def vine_air(readings: Readings, known: AirInputs) -> VineAir:
+def fit_vine_air(readings: Readings, known: AirInputs) -> VineAir:
     """Fit the balance of a whole recording. The zero of the vine's sensor is already subtracted."""
     columns = _columns(readings, known.top_kPa)
     ratio = known.pneumatics.cv_volume_L / known.pneumatics.reservoir_volume_L

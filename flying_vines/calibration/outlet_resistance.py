@@ -12,9 +12,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from flying_vines.calibration.air import SMOOTHED_S, TOO_LITTLE, VineAir
 from flying_vines.calibration.findings import Chart, Estimate, MeasuredQuantity, Result, Series, thinned
 from flying_vines.calibration.readings import Readings, smooth
+from flying_vines.calibration.vine_air import SMOOTHED_S, TOO_LITTLE, VineAir
 from flying_vines.physics.arrays import Array
 
 MIN_KPA = 8.0
