@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from flying_vines.identification.diagnose import diagnose
     from flying_vines.identification.extended import extended_rig
-    from flying_vines.identification.many import read_any as read_case
+    from flying_vines.identification.parallel_diagnosis import read_any as read_case
     from flying_vines.identification.plan import plan, recommend
     from flying_vines.identification.report import write_report
     from flying_vines.physics.cause import Cause, Parameter

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flying_vines.identification.cores import mapped
 from flying_vines.identification.fit import Bools, FitPoint, FitProblem
 from flying_vines.identification.intervals import LikelihoodProfile
+from flying_vines.identification.threads import mapped
 from flying_vines.identification.unseen import (
     Errors,
     Split,

@@ -17,7 +17,6 @@ from functools import partial
 from math import inf, log
 
 from flying_vines.identification.candidate import CLAIM, Candidate
-from flying_vines.identification.cores import mapped
 from flying_vines.identification.fit import (
     MAX_SEEDS,
     MAX_STEPS,
@@ -28,6 +27,7 @@ from flying_vines.identification.fit import (
     Tangents,
 )
 from flying_vines.identification.simulate import rig_number_keys
+from flying_vines.identification.threads import mapped
 from flying_vines.identification.unseen import Unseen
 from flying_vines.physics.cause import Cause
 

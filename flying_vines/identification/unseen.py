@@ -17,8 +17,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from flying_vines.identification.cores import mapped
 from flying_vines.identification.fit import Bools, FitPoint, FitProblem
+from flying_vines.identification.threads import mapped
 from flying_vines.physics.arrays import Array
 
 SHOWN_S = 0.5

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from examples import examples
 from flying_vines.identification.case import read_case
 from flying_vines.identification.diagnose import possible_causes
-from flying_vines.identification.importing.answers import (
+from flying_vines.identification.importing.answers_file import (
     Answers,
     ImportSetup,
     answers_path,
@@ -30,7 +30,7 @@ from flying_vines.identification.importing.columns import ImportedColumn
 from flying_vines.identification.importing.layout import read_foreign
 from flying_vines.identification.importing.runs import Proposal, Run, propose, write_case
 from flying_vines.identification.importing.units import UNITS, Unit, parse_unit, psi_instead, unit_in
-from flying_vines.identification.many import read_any
+from flying_vines.identification.parallel_diagnosis import read_any
 from flying_vines.identification.recording import CaseError
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.gas import GASES

@@ -8,7 +8,7 @@ import pytest
 
 from flying_vines.identification.case import read_case
 from flying_vines.identification.diagnose import diagnose
-from flying_vines.identification.importing.answers import answers_path, read_answers
+from flying_vines.identification.importing.answers_file import answers_path, read_answers
 from flying_vines.identification.importing.runs import propose, write_case
 from flying_vines.identification.verdict import Verdict
 

@@ -21,7 +21,7 @@ from flying_vines.identification.plan import (
     plan,
     recommend,
 )
-from flying_vines.identification.plan.apart import SETTLED, apart
+from flying_vines.identification.plan.cause_distance import SETTLED, cause_distances
 from flying_vines.identification.plan.check import FullFits
 from flying_vines.identification.plan.choose import gram_of
 from flying_vines.identification.plan.library import CandidateRun, library
@@ -100,8 +100,8 @@ def test_a_plan_beats_what_one_would_record_without_it(made: RecordingPlan, layo
     naive = parts(layout, [bends, stairs, hold])
     assert sum(part.seconds for part in naive) == pytest.approx(made.best.seconds, abs=2.5)
     planned = parts(layout, [run.kind for run in made.best.runs])
-    least = worst(apart(layout, gram_of(layout, planned)), but=GAINS)
-    assert least > 4.0 * worst(apart(layout, gram_of(layout, naive)), but=GAINS)
+    least = worst(cause_distances(layout, gram_of(layout, planned)), but=GAINS)
+    assert least > 4.0 * worst(cause_distances(layout, gram_of(layout, naive)), but=GAINS)
     assert least > SETTLED
 
 
@@ -110,7 +110,7 @@ def test_it_settles_what_the_example_scenario_leaves_open(short: RecordingPlan) 
     """With a sixth of its three minutes and a third of its pressure. The two gains remain open."""
     layout = layout_of(short.rig, causes_of(short.rig))
     example = parts(layout, list(load_scenario("case").runs))
-    assert worst(apart(layout, gram_of(layout, example))) < 1.0
+    assert worst(cause_distances(layout, gram_of(layout, example))) < 1.0
     assert set(short.best.open) <= {GAINS} and worst(short.matrix, but=GAINS) > SETTLED
     assert GAINS in short.by_commands.open
 
@@ -148,10 +148,10 @@ def test_pairs_that_no_run_separates_are_reported(made: RecordingPlan) -> None:
 def test_floors_hold_against_full_fits(made: RecordingPlan, layout: Layout) -> None:
     """Pairs that are hard to separate have a low distance."""
     runs = [part for run in made.best.runs[:2] for part in parts(layout, [run.kind])]
-    floors, check = apart(layout, gram_of(layout, runs)), FullFits(layout, runs)
+    floors, check = cause_distances(layout, gram_of(layout, runs)), FullFits(layout, runs)
     others = np.argwhere(~np.eye(*floors.shape, dtype=np.bool_))
     others = others[np.argsort(floors[tuple(others.T)])]
-    fits = np.array([check.apart(*pair) for pair in others[:150:6]])
+    fits = np.array([check.distance(*pair) for pair in others[:150:6]])
     there = floors[tuple(others[:150:6].T)]
     assert (there < 1.15 * fits + 1.0).all()
     assert np.median((there + 1.0) / (fits + 1.0)) > 0.5
@@ -189,7 +189,7 @@ def test_the_run_that_settles_a_doubt(layout: Layout) -> None:
     assert run.name in found.in_words()
     rest: RunKind = StepsRun(pressures_kPa=(0.0,), hold_s=run.seconds)
     names = [cause.name for cause in layout.causes]
-    idle = apart(layout, gram_of(layout, parts(layout, [rest])))
+    idle = cause_distances(layout, gram_of(layout, parts(layout, [rest])))
     assert idle[names.index("evp_lag"), names.index("line_delay")] < 0.01 * sigmas(found) ** 2
     assert sigmas(recommend(HALF, named("cv_leak", "none"))) > sqrt(SETTLED)
     with pytest.raises(RecordingPlanError, match="evp_lag"):
@@ -230,7 +230,7 @@ def test_a_new_cause_is_planned_for_without_more_ado() -> None:
     )
     laid = layout_of(HALF, [new])
     (part,) = parts(laid, [StepsRun(pressures_kPa=(20.0, 0.0), hold_s=3.0)])
-    assert apart(laid, part.gram)[0, -1] > 0.0
+    assert cause_distances(laid, part.gram)[0, -1] > 0.0
 
 
 @pytest.mark.long

@@ -12,7 +12,7 @@ from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.plant.ambient import Climb, air_at
 from flying_vines.physics.plant.coil import Coil
 from flying_vines.physics.plant.effects import Effects
-from flying_vines.physics.plant.likely import likely_effects
+from flying_vines.physics.plant.likely_effects import likely_effects
 from flying_vines.physics.plant.plant import Conditions, Held, Plant
 from flying_vines.physics.plant.rates import conditions, rates
 from flying_vines.physics.plant.simulator import Simulator

@@ -28,7 +28,7 @@ from flying_vines.physics.plant.flow import (
     flow_SL_per_s,
     iso6358_matching,
 )
-from flying_vines.physics.plant.likely import DVP
+from flying_vines.physics.plant.likely_effects import DVP
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.rates import flows
 from flying_vines.physics.plant.simulator import Simulator

@@ -12,7 +12,7 @@ from firmware_link.protocol import Setpoint as SetpointMessage
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.plant.ambient import Climb
 from flying_vines.physics.plant.effects import Effects
-from flying_vines.physics.plant.likely import likely_effects
+from flying_vines.physics.plant.likely_effects import likely_effects
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, read, rested
 from flying_vines.physics.plant.simulator import Simulator

@@ -16,7 +16,7 @@ import numpy as np
 
 from flying_vines.identification.case import Case
 from flying_vines.identification.fit import FitProblem
-from flying_vines.identification.plan.apart import nearest
+from flying_vines.identification.plan.cause_distance import nearest
 from flying_vines.identification.plan.rehearsal import rehearsed
 from flying_vines.identification.plan.traces import CandidatePart, Layout
 from flying_vines.identification.simulate import Simulation
@@ -31,7 +31,7 @@ class FullFits:
         self._initial = [np.array([[part.kind.reservoir_kPa, 0.0]]) for part in parts]
         self._gram = sum((part.gram for part in parts), start=layout.nothing)
 
-    def apart(self, there: int, fitted: int) -> float:
+    def distance(self, there: int, fitted: int) -> float:
         """Δχ² if `there` is in the rig and `fitted` is fitted; both are column numbers of the matrix."""
         layout = self._layout
         problem = FitProblem(self._case(there), layout.noise)

@@ -16,7 +16,7 @@ from flying_vines.physics.compiler import compiled, record
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.compiled import floats_of
-from flying_vines.physics.plant.loops import APART
+from flying_vines.physics.plant.loops import NOT_INLINED
 from flying_vines.physics.plant.numbers import PlantNumbers, numbers_of
 from flying_vines.physics.plant.plant import Held, Plant, at_rest
 from flying_vines.physics.plant.rates import Floats, conditions
@@ -54,7 +54,7 @@ def _regulated(rig: Rig, kind: RunKind, time_s: Array) -> Array:
     regulator = Regulator(tuning_for(rig, rig.cv, kind.reservoir_kPa, kind.sample_rate_Hz))
     openings = np.empty((len(time_s), 3))
     plant = Plant(rig)
-    compiled(regulate_held, APART)(
+    compiled(regulate_held, NOT_INLINED)(
         record(numbers_of(plant, 1.0 / FIRMWARE_HZ)),
         floats_of(at_rest(plant, kind.reservoir_kPa)),
         regulator.address,

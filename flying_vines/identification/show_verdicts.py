@@ -12,7 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedCo
 from rich.table import Table
 from rich.text import Text
 
-from flying_vines.identification.many import CaseOutcome
+from flying_vines.identification.parallel_diagnosis import CaseOutcome
 from flying_vines.identification.recording import CaseError
 from flying_vines.identification.verdict import NONE, UNEXPLAINED, Verdict
 

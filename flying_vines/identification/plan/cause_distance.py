@@ -40,7 +40,7 @@ class _Products(NamedTuple):
     """Subtracted from distances: the 3 w of each rig number."""
 
 
-def apart(layout: Layout, gram: Array) -> Array:
+def cause_distances(layout: Layout, gram: Array) -> Array:
     """(causes, causes + 1) Δχ² between the cause in the rig (row) and the fitted one; last column: `none`."""
     left = np.full((len(layout.causes), layout.traces), -np.inf)
     alone = np.zeros(len(layout.causes))

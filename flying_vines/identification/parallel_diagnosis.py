@@ -16,11 +16,11 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from flying_vines.identification.case import Case, read_case
-from flying_vines.identification.cores import THREADS, cores
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.from_log import read_flight
 from flying_vines.identification.importing.runs import is_foreign, read_imported
 from flying_vines.identification.recording import CaseError
+from flying_vines.identification.threads import THREADS, cores
 from flying_vines.identification.verdict import Verdict
 from flying_vines.record.reader import is_flight
 

@@ -16,13 +16,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from flying_vines.identification import many
+from flying_vines.identification import parallel_diagnosis
 from flying_vines.identification.case import Case, read_case
-from flying_vines.identification.cores import THREADS
 from flying_vines.identification.diagnose import diagnose
-from flying_vines.identification.many import CaseOutcome, ClusterError, diagnose_all
+from flying_vines.identification.parallel_diagnosis import CaseOutcome, ClusterError, diagnose_all
 from flying_vines.identification.recording import CaseError
-from flying_vines.identification.show_many import show_all
+from flying_vines.identification.show_verdicts import show_all
+from flying_vines.identification.threads import THREADS
 from flying_vines.identification.verdict import Verdict
 
 RIG = "[reservoir]\nvolume_L = 2.0\n[sensors]\nreservoir_noise_std_kPa = 1.2\n"
@@ -87,7 +87,7 @@ def test_a_cluster_gives_the_verdicts_of_a_loop(cases: list[Path], expected: dic
 def test_an_address_without_a_scheduler_is_an_error(
     cases: list[Path], address: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(many, "ANSWER_S", 0.2)
+    monkeypatch.setattr(parallel_diagnosis, "ANSWER_S", 0.2)
     with pytest.raises(ClusterError, match=f"^{address}: .*scheduler"):
         list(diagnose_all(cases, scheduler=address))
 
@@ -102,7 +102,7 @@ def test_without_dask_a_scheduler_is_refused(
 
 
 def replace_diagnose(monkeypatch: pytest.MonkeyPatch, diagnose: Callable[[Case], Verdict]) -> None:
-    monkeypatch.setattr(many, "diagnose", diagnose)
+    monkeypatch.setattr(parallel_diagnosis, "diagnose", diagnose)
 
 
 @pytest.mark.long
@@ -138,7 +138,9 @@ class BreakingPool(Executor):
 
 
 def test_a_dead_process_gives_an_error_for_each_lost_case(cases: list[Path]) -> None:
-    outcomes = dict(many._as_completed(BreakingPool(), [(path, path) for path in cases], 2, 1, None))
+    outcomes = dict(
+        parallel_diagnosis._as_completed(BreakingPool(), [(path, path) for path in cases], 2, 1, None)
+    )
     said = [str(outcomes[path]) for path in cases]
     assert "terminated abruptly" in said[0] and "not usable anymore" in said[1]
     assert all(
@@ -157,7 +159,7 @@ def test_a_diagnosis_uses_its_share_of_the_cores(
         return expected[case.path]
 
     replace_diagnose(monkeypatch, watched)
-    many._outcome((cases[0], cases[0]), 3, None)
+    parallel_diagnosis._outcome((cases[0], cases[0]), 3, None)
     assert (seen, THREADS.get()) == ([3], 0)
 
 
@@ -168,7 +170,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, 
 @pytest.fixture
 def known_verdicts(expected: dict[Path, Verdict], monkeypatch: pytest.MonkeyPatch) -> None:
     """Replaces diagnoses by the known verdicts, in this process."""
-    monkeypatch.setattr(many, "cores", lambda: 1)
+    monkeypatch.setattr(parallel_diagnosis, "cores", lambda: 1)
     replace_diagnose(monkeypatch, lambda case: expected[case.path])
 
 
