@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 
-from flying_vines.record.about import About
+from flying_vines.record.flight_metadata import FlightMetadata
 from flying_vines.record.folders import ABOUT, MCAP, PROFILE, RIG, TLOG
 from flying_vines.record.reader import FlightLog
 
@@ -39,7 +39,7 @@ def _this_machine(folder: Path) -> str:
     """The machine that made the bundle. The flight may have been recorded on another."""
     disk = shutil.disk_usage(folder)
     facts = {
-        **msgspec.to_builtins(About.of_this_machine(time.time(), "")),
+        **msgspec.to_builtins(FlightMetadata.of_this_machine(time.time(), "")),
         "disk_free_MB": round(disk.free / 1e6),
         "disk_total_MB": round(disk.total / 1e6),
     }

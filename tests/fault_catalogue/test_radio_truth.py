@@ -21,8 +21,8 @@ from flying_vines.simulation.autopilot import AutopilotKind, RcSource
 from flying_vines.vehicle.autopilots import OTHER
 from flying_vines.vehicle.autopilots.autopilot import Autopilot
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.mission_cache import MissionCache
 from flying_vines.vehicle.radio.pilot import PilotOutput
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vine.intent import Intent
@@ -398,14 +398,14 @@ class TakesOverridesForThePilot(Core):
 class TrustsItsBook(Core):
     """Does not read an item again when it runs."""
 
-    class _Book(MissionBook):
+    class _Cache(MissionCache):
         @property
         def is_given(self) -> bool:
             return self.fresh
 
     def __init__(self, profile: Config) -> None:
         super().__init__(profile)
-        self._vehicle._book.__class__ = self._Book
+        self._vehicle._mission_cache.__class__ = self._Cache
 
 
 class IsNeverTooLate(Core):

@@ -15,7 +15,7 @@ import flying_vines
 from examples import examples
 from flying_vines.config import config
 from flying_vines.vehicle.component import Component
-from flying_vines.vehicle.component.clash import REPORT_AGAIN_S, WITHIN_S, Clash
+from flying_vines.vehicle.component.duplicate_id import REPORT_AGAIN_S, WITHIN_S, DuplicateIdDetector
 from flying_vines.vehicle.component.parameter_table import SETTINGS
 from flying_vines.vehicle.component.texts import MAX_TEXT_LENGTH, harmless
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
@@ -160,10 +160,10 @@ TAKEN = "Vine: another program has component id 191: set vehicle.component_id"
 
 
 def test_a_second_component_with_our_id_is_reported_once_a_minute() -> None:
-    clash = Clash(191)
-    assert clash.received(10.0) == []
-    assert clash.received(11.0) == [Notice(11.0, Severity.ERROR, TAKEN)]
-    told = [t for t in range(12, 200) for _ in clash.received(float(t))]
+    detector = DuplicateIdDetector(191)
+    assert detector.received(10.0) == []
+    assert detector.received(11.0) == [Notice(11.0, Severity.ERROR, TAKEN)]
+    told = [t for t in range(12, 200) for _ in detector.received(float(t))]
     assert told == [
         11 + round(REPORT_AGAIN_S),
         11 + 2 * round(REPORT_AGAIN_S),
@@ -172,9 +172,9 @@ def test_a_second_component_with_our_id_is_reported_once_a_minute() -> None:
 
 
 def test_one_stray_message_is_no_clash() -> None:
-    clash = Clash(191)
+    detector = DuplicateIdDetector(191)
     for i in range(20):
-        assert clash.received(i * (WITHIN_S + 0.1)) == []
+        assert detector.received(i * (WITHIN_S + 0.1)) == []
 
 
 def test_a_clash_is_seen_on_the_link_and_only_there() -> None:

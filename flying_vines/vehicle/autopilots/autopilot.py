@@ -13,9 +13,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.clock import AutopilotClock
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vehicle.mission.item import MissionItem, is_nav
+from flying_vines.vehicle.mission.mission_cache import MissionCache
 from flying_vines.vehicle.mission.reference_vehicle import Home
 
 LOSS_SHOWN_WITHIN_S = 2.0
@@ -30,15 +30,15 @@ class MissionWatch:
     0; an ArduPilot sends such commands to a camera."""
 
     def __init__(
-        self, book: MissionBook, commands: Container[int] = (), clock: AutopilotClock | None = None
+        self, cache: MissionCache, commands: Container[int] = (), clock: AutopilotClock | None = None
     ) -> None:
         """`commands` are the command numbers of items for the vine."""
-        self._book = book
+        self._cache = cache
         self._commands = commands
         self._clock = clock or AutopilotClock()
 
     def handle(self, t: float, message: MavlinkMessage) -> None:
-        """Take in a message of the autopilot, after the book and the clock have handled it."""
+        """Take in a message of the autopilot, after the cache and the clock have handled it."""
 
     @property
     def idle(self) -> bool:

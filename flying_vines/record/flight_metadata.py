@@ -26,7 +26,7 @@ class FirmwareIdentity:
 
 
 @dataclass(frozen=True)
-class About:
+class FlightMetadata:
     """The contents of about.json."""
 
     began: str
@@ -42,7 +42,7 @@ class About:
     """The firmware of the board that answered last."""
 
     @classmethod
-    def of_this_machine(cls, began_s: float, continues: str) -> About:
+    def of_this_machine(cls, began_s: float, continues: str) -> FlightMetadata:
         """`began_s` is unix time."""
         return cls(
             began=time.strftime("%Y-%m-%d %H:%M:%S %z", time.localtime(began_s)),
@@ -54,7 +54,7 @@ class About:
             machine=_machine(),
         )
 
-    def with_firmware(self, welcome: protocol.Welcome) -> About:
+    def with_firmware(self, welcome: protocol.Welcome) -> FlightMetadata:
         firmware = FirmwareIdentity(welcome.firmware_build, welcome.protocol_version, welcome.boot_id)
         return replace(self, firmware=firmware)
 

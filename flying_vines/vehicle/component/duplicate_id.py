@@ -17,7 +17,7 @@ WITHIN_S = 5.0
 REPORT_AGAIN_S = 60.0
 
 
-class Clash:
+class DuplicateIdDetector:
     """Counts messages from our own address, and reports when they repeat."""
 
     def __init__(self, component_id: int) -> None:

@@ -11,8 +11,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mission.book import MAX_ATTEMPTS, RETRY_S, TRY_AGAIN_S, MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.mission_cache import MAX_ATTEMPTS, RETRY_S, TRY_AGAIN_S, MissionCache
 
 TICK_S = 0.02
 
@@ -59,11 +59,11 @@ def count_message(count: int, mission_type: int = 0) -> MavlinkMessage:
 
 
 class Autopilot:
-    """Serves a mission to a book, on a link that loses a share of the frames in both directions."""
+    """Serves a mission to a cache, on a link that loses a share of the frames in both directions."""
 
     def __init__(self, items: Sequence[MissionItem], loss: float = 0.0, seed: int = 1) -> None:
         self.items = list(items)
-        self.book = MissionBook()
+        self.cache = MissionCache()
         self.loss = loss
         self.total = len(self.items)
         self.mission_id = 0
@@ -80,12 +80,12 @@ class Autopilot:
         return self._dice.random() >= self.loss
 
     def deliver(self, message: MavlinkMessage) -> None:
-        self.book.handle(self.now_s, message)
-        self.acknowledged += len(self.book.acknowledgement(1))
+        self.cache.handle(self.now_s, message)
+        self.acknowledged += len(self.cache.acknowledgement(1))
 
     def run(self, for_s: float) -> None:
         for _ in range(round(for_s / TICK_S)):
-            requests = self.book.requests(self.now_s, 1, True)
+            requests = self.cache.requests(self.now_s, 1, True)
             assert len(requests) <= 1
             for request in requests:
                 self.requests += 1
@@ -107,7 +107,7 @@ class Autopilot:
         assert self.has_read()
 
     def has_read(self) -> bool:
-        return self.book.fresh and dict(self.book.items) == {one.seq: one for one in self.items}
+        return self.cache.fresh and dict(self.cache.items) == {one.seq: one for one in self.items}
 
 
 @pytest.mark.parametrize("size", [0, 1, 2, 50])
@@ -128,50 +128,50 @@ def test_lost_requests_and_replies_only_cost_time(seed: int) -> None:
 
 def test_replies_that_come_twice_and_late_do_no_harm() -> None:
     items = mission(6)
-    book = MissionBook()
-    book.handle(0.0, count_message(6))
+    cache = MissionCache()
+    cache.handle(0.0, count_message(6))
     for one in [items[0], items[0], items[3], items[1], items[0], items[5], items[4], items[2]]:
-        book.handle(0.1, item_message(one))
-    assert book.fresh
-    assert [book.items[seq] for seq in range(6)] == items
-    book.handle(0.2, item_message(item(3, 99)))
-    assert book.items[3] == items[3]
+        cache.handle(0.1, item_message(one))
+    assert cache.fresh
+    assert [cache.items[seq] for seq in range(6)] == items
+    cache.handle(0.2, item_message(item(3, 99)))
+    assert cache.items[3] == items[3]
 
 
 def test_an_autopilot_that_does_not_answer_is_asked_sparingly() -> None:
-    book = MissionBook()
-    asked = [i * TICK_S for i in range(6000) if book.requests(i * TICK_S, 1, True)]
+    cache = MissionCache()
+    asked = [i * TICK_S for i in range(6000) if cache.requests(i * TICK_S, 1, True)]
     assert len([t for t in asked if t < TRY_AGAIN_S]) == MAX_ATTEMPTS
     assert all(b - a >= RETRY_S - 1e-9 for a, b in itertools.pairwise(asked))
     assert 20 <= len(asked) <= 36
-    assert not book.fresh
+    assert not cache.fresh
 
 
 def test_items_of_fences_and_rally_points_are_no_mission() -> None:
     items = mission(3)
-    book = MissionBook()
-    book.handle(0.0, count_message(3))
-    book.handle(0.1, item_message(items[0]))
-    book.handle(0.1, item_message(item(1, 5001), mission_type=1))
-    book.handle(0.1, item_message(item(2, 5100), mission_type=2))
-    assert not book.fresh
-    book.handle(0.2, count_message(9, mission_type=1))
-    book.handle(0.3, item_message(items[1]))
-    book.handle(0.3, item_message(items[2]))
-    assert [book.items[seq] for seq in range(3)] == items
+    cache = MissionCache()
+    cache.handle(0.0, count_message(3))
+    cache.handle(0.1, item_message(items[0]))
+    cache.handle(0.1, item_message(item(1, 5001), mission_type=1))
+    cache.handle(0.1, item_message(item(2, 5100), mission_type=2))
+    assert not cache.fresh
+    cache.handle(0.2, count_message(9, mission_type=1))
+    cache.handle(0.3, item_message(items[1]))
+    cache.handle(0.3, item_message(items[2]))
+    assert [cache.items[seq] for seq in range(3)] == items
 
 
 def test_degrees_and_metres_come_out_of_their_integers() -> None:
-    book = MissionBook()
-    book.handle(0.0, count_message(2))
+    cache = MissionCache()
+    cache.handle(0.0, count_message(2))
     place = mavlink.MAVLink_mission_item_int_message(
         1, 191, 0, 3, 16, 0, 1, 3.0, 0, 0, 0, -353629925, 1491655123, 12.0, 0
     )
-    book.handle(0.0, sent(place))
+    cache.handle(0.0, sent(place))
     action = mavlink.MAVLink_mission_item_int_message(1, 191, 1, 2, 42600, 0, 1, 1, 1, 2, 0.5, 7, 8, 9.0, 0)
-    book.handle(0.0, sent(action))
-    assert book.items[0].params == pytest.approx((3.0, 0, 0, 0, -35.3629925, 149.1655123, 12.0))
-    assert book.items[1].params == (1, 1, 2, 0.5, 7, 8, 9.0)
+    cache.handle(0.0, sent(action))
+    assert cache.items[0].params == pytest.approx((3.0, 0, 0, 0, -35.3629925, 149.1655123, 12.0))
+    assert cache.items[1].params == (1, 1, 2, 0.5, 7, 8, 9.0)
 
 
 def read(size: int = 12) -> Autopilot:
@@ -185,7 +185,7 @@ def test_another_total_in_flight() -> None:
     autopilot = read(12)
     autopilot.items, autopilot.total = mission(15, angle_deg=-20.0), 14
     autopilot.run(0.2)
-    assert not autopilot.book.fresh
+    assert not autopilot.cache.fresh
     autopilot.reads_within(2.0)
 
 
@@ -196,7 +196,7 @@ def test_an_upload_whose_totals_come_bit_by_bit_is_read_when_it_is_over() -> Non
         autopilot.total = total
         autopilot.run(0.2)
     assert autopilot.requests == before
-    assert not autopilot.book.fresh
+    assert not autopilot.cache.fresh
     autopilot.items = mission(20)
     autopilot.reads_within(2.0)
     assert autopilot.requests == before + 21
@@ -216,9 +216,9 @@ def test_the_same_total_that_only_the_text_tells() -> None:
     autopilot = read(12)
     autopilot.items = mission(12, angle_deg=5.0)
     autopilot.run(30.0)
-    assert autopilot.book.fresh
+    assert autopilot.cache.fresh
     autopilot.deliver(text("Flight plan received"))
-    assert not autopilot.book.fresh
+    assert not autopilot.cache.fresh
     autopilot.reads_within(2.0)
 
 
@@ -226,7 +226,7 @@ def test_another_text_tells_nothing() -> None:
     autopilot = read(12)
     for words in ("Flight plan", "Mission: 3 Scripting", "Radio Failsafe"):
         autopilot.deliver(text(words))
-    assert autopilot.book.fresh
+    assert autopilot.cache.fresh
 
 
 def test_a_total_that_is_reported_after_the_reading_is_no_change() -> None:
@@ -248,39 +248,39 @@ def test_a_mission_that_changes_while_it_is_read_is_not_mixed(ticks: int) -> Non
     autopilot.deliver(text("Flight plan received"))
     for _ in range(200):
         autopilot.run(TICK_S)
-        assert not autopilot.book.fresh or autopilot.has_read()
+        assert not autopilot.cache.fresh or autopilot.has_read()
     assert autopilot.has_read()
 
 
 def test_a_download_of_somebody_else_is_read_along() -> None:
-    items, book = mission(5), MissionBook()
-    book.handle(0.0, count_message(5))
-    assert book.arriving
+    items, cache = mission(5), MissionCache()
+    cache.handle(0.0, count_message(5))
+    assert cache.arriving
     for one in items:
-        book.handle(0.1, item_message(one))
-    assert not book.arriving
-    assert book.fresh
-    assert book.requests(0.2, 1, True) == []
+        cache.handle(0.1, item_message(one))
+    assert not cache.arriving
+    assert cache.fresh
+    assert cache.requests(0.2, 1, True) == []
 
 
 def test_a_mission_given_beforehand_serves_until_one_was_read() -> None:
     given = mission(4, angle_deg=7.0)
-    book = MissionBook(given)
-    assert book.fresh
-    assert book.requests(0.0, 1, True) == []
-    book.handle(1.0, current(3))
-    book.handle(2.0, current(8))
-    assert book.fresh
-    assert book.items[2] == given[2]
-    (request,) = book.requests(3.0, 1, True)
+    cache = MissionCache(given)
+    assert cache.fresh
+    assert cache.requests(0.0, 1, True) == []
+    cache.handle(1.0, current(3))
+    cache.handle(2.0, current(8))
+    assert cache.fresh
+    assert cache.items[2] == given[2]
+    (request,) = cache.requests(3.0, 1, True)
     assert request.get_type() == "MISSION_REQUEST_LIST"
     items = mission(9)
-    book.handle(3.1, count_message(9))
+    cache.handle(3.1, count_message(9))
     for one in items:
-        book.handle(3.2, item_message(one))
-    assert book.items[2] == items[2]
-    book.handle(10.0, current(12))
-    assert not book.fresh
+        cache.handle(3.2, item_message(one))
+    assert cache.items[2] == items[2]
+    cache.handle(10.0, current(12))
+    assert not cache.fresh
 
 
 def flying(autopilot: Autopilot, seq: int, for_s: float) -> None:
@@ -289,7 +289,7 @@ def flying(autopilot: Autopilot, seq: int, for_s: float) -> None:
         message = mavlink.MAVLink_mission_current_message(seq, len(autopilot.items) - 1, 3, 1)
         autopilot.deliver(sent(message))
         for _ in range(10):
-            for request in autopilot.book.requests(autopilot.now_s, 1, True):
+            for request in autopilot.cache.requests(autopilot.now_s, 1, True):
                 autopilot.requests += 1
                 if autopilot.arrives():
                     autopilot.answer(request)
@@ -302,90 +302,90 @@ def test_an_upload_shows_in_the_number_of_items_that_is_saved_each_time() -> Non
     for total in (0, 1, 2):
         value = mavlink.MAVLink_param_value_message(b"MIS_TOTAL", total, 4, 1000, 65535)
         autopilot.deliver(sent(value))
-    assert not autopilot.book.fresh
+    assert not autopilot.cache.fresh
     autopilot.reads_within(3.0)
     for name, total in ((b"MIS_TOTAL", 12), (b"MIS_RESTART", 0)):
         autopilot.deliver(sent(mavlink.MAVLink_param_value_message(name, total, 4, 1000, 65535)))
-    assert autopilot.book.fresh
+    assert autopilot.cache.fresh
 
 
 def test_while_somebody_uploads_the_book_is_not_trusted() -> None:
     autopilot = read(12)
     flying(autopilot, 4, 1.0)
-    autopilot.book.refresh(autopilot.now_s)
+    autopilot.cache.refresh(autopilot.now_s)
     autopilot.ticks += 50
-    assert autopilot.book.requests(autopilot.now_s, 1, True)
+    assert autopilot.cache.requests(autopilot.now_s, 1, True)
     denied = mavlink.MAVLink_mission_ack_message(1, 191, mavlink.MAV_MISSION_DENIED, 0)
     autopilot.deliver(sent(denied))
-    assert not autopilot.book.fresh
+    assert not autopilot.cache.fresh
     autopilot.reads_within(3.0)
 
 
 def test_a_change_that_shows_while_the_book_is_read_again_starts_the_reading_anew() -> None:
     autopilot = read(12)
-    autopilot.book.refresh(autopilot.now_s)
+    autopilot.cache.refresh(autopilot.now_s)
     autopilot.run(0.54)
-    assert autopilot.book.arriving
-    assert autopilot.book.fresh
+    assert autopilot.cache.arriving
+    assert autopilot.cache.fresh
     autopilot.items = mission(12, angle_deg=5.0)
     autopilot.run(0.2)
-    assert not autopilot.book.fresh
+    assert not autopilot.cache.fresh
     autopilot.reads_within(3.0)
 
 
 def test_items_that_run_soon_are_read_first() -> None:
-    book = MissionBook()
-    book.handle(0.0, current(11, 0, 6))
-    book.handle(0.1, count_message(12))
+    cache = MissionCache()
+    cache.handle(0.0, current(11, 0, 6))
+    cache.handle(0.1, count_message(12))
     asked = []
     for i in range(12):
-        (request,) = book.requests(0.2 + i, 1, True)
+        (request,) = cache.requests(0.2 + i, 1, True)
         asked.append(request.seq)
-        book.handle(0.2 + i, item_message(item(request.seq)))
+        cache.handle(0.2 + i, item_message(item(request.seq)))
     assert asked == [6, 7, 8, 9, 10, 11, 0, 1, 2, 3, 4, 5]
 
 
 def test_latitudes_at_an_absolute_altitude_and_numbers_of_a_command() -> None:
-    book = MissionBook()
-    book.handle(0.0, count_message(3))
+    cache = MissionCache()
+    cache.handle(0.0, count_message(3))
     rows = ((0, 16, -353629925, 1491655123), (1, 203, 0, 77), (2, 42702, -12, 7))
     for seq, command, x, y in rows:
         message = mavlink.MAVLink_mission_item_int_message(
             1, 191, seq, 0, command, 0, 1, 0, 0, 0, 0, x, y, 590.0, 0
         )
-        book.handle(0.0, sent(message))
-    places = [book.items[seq].params[4:6] for seq in range(3)]
+        cache.handle(0.0, sent(message))
+    places = [cache.items[seq].params[4:6] for seq in range(3)]
     assert places == [pytest.approx((-35.3629925, 149.1655123)), (0.0, 77.0), (-12.0, 7.0)]
 
 
 def test_the_end_of_a_reading_is_acknowledged_whichever_item_came_last() -> None:
-    book = MissionBook()
-    assert book.requests(1.0, 1, True)
-    book.handle(1.0, count_message(3))
+    cache = MissionCache()
+    assert cache.requests(1.0, 1, True)
+    cache.handle(1.0, count_message(3))
     for seq in (2, 0, 1):
-        assert book.acknowledgement(1) == []
-        book.handle(1.1, item_message(item(seq)))
-    (message,) = book.acknowledgement(1)
+        assert cache.acknowledgement(1) == []
+        cache.handle(1.1, item_message(item(seq)))
+    (message,) = cache.acknowledgement(1)
     assert (message.get_type(), message.type) == ("MISSION_ACK", mavlink.MAV_MISSION_ACCEPTED)
-    assert book.acknowledgement(1) == []
+    assert cache.acknowledgement(1) == []
 
 
 def test_a_count_beyond_reason_is_not_asked_for() -> None:
-    book = MissionBook()
-    book.handle(0.0, count_message(65535))
-    assert not book.arriving
+    cache = MissionCache()
+    cache.handle(0.0, count_message(65535))
+    assert not cache.arriving
 
 
 def test_px4_is_asked_strictly_in_turn_and_again_from_the_start_where_it_breaks_off() -> None:
     """PX4 sends the next item or the last one again; any other request ends the transfer."""
     items = mission(12)
-    book = MissionBook()
+    cache = MissionCache()
     dice = random.Random(4)
-    book.handle(0.0, current(12, 77, seq=7))
+    cache.handle(0.0, current(12, 77, seq=7))
     next_seq: int | None = None
     broken_off = 0
     for tick in range(6000):
-        for request in book.requests(tick * TICK_S, 1):
+        for request in cache.requests(tick * TICK_S, 1):
             if dice.random() < 0.2:
                 continue
             if request.get_type() == "MISSION_REQUEST_LIST":
@@ -399,6 +399,6 @@ def test_px4_is_asked_strictly_in_turn_and_again_from_the_start_where_it_breaks_
                 assert request.seq in (next_seq, next_seq - 1)
                 next_seq, answer = request.seq + 1, item_message(items[request.seq])
             if dice.random() >= 0.2:
-                book.handle(tick * TICK_S, answer)
-    assert broken_off and book.fresh
-    assert [book.items[seq] for seq in range(12)] == items
+                cache.handle(tick * TICK_S, answer)
+    assert broken_off and cache.fresh
+    assert [cache.items[seq] for seq in range(12)] == items

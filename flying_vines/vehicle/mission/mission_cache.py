@@ -25,11 +25,11 @@ class ItemRequest(mavlink.MAVLink_mission_request_int_message):  # type: ignore[
     """MISSION_REQUEST_INT for an item that ran and whose params must be confirmed."""
 
 
-class MissionBook:
+class MissionCache:
     """Reads the mission (MAVLink mission protocol, download side), again after each change.
 
     It also reads downloads that another component requested. So a recording of a companion's link fills the
-    book although no autopilot answers our requests.
+    cache although no autopilot answers our requests.
 
     ArduPilot may have no mission id. If a mission is replaced by another of the same length, none of its
     messages shows the change. So each item that runs there is requested again, unless `is_running`.
@@ -70,7 +70,7 @@ class MissionBook:
 
     @property
     def is_running(self) -> bool:
-        """True if the book certainly holds the autopilot's present mission."""
+        """True if the cache certainly holds the autopilot's present mission."""
         return self._given or (self.fresh and self._read_id != 0 and self._read_id == self._mission_id)
 
     def alike(self, command: int, params: Sequence[float]) -> list[MissionItem]:
@@ -96,7 +96,7 @@ class MissionBook:
         self._change_reported = True
 
     def mark_outdated(self, t: float) -> None:
-        """The mission has probably changed: do not trust the book, read it again."""
+        """The mission has probably changed: do not trust the cache, read it again."""
         if not self._given:
             self.fresh = False
         self._arriving, self._expected = {}, None  # these items are of the previous mission
@@ -105,7 +105,7 @@ class MissionBook:
         self._gave_up_at = None
 
     def refresh(self, t: float) -> None:
-        """Read the mission again, because not every change is announced. Trust the book until then."""
+        """Read the mission again, because not every change is announced. Trust the cache until then."""
         self._changed_at = t
         self._attempts = 0
         self._gave_up_at = None
