@@ -17,10 +17,10 @@ PARTS = (MCAP, TLOG, PROFILE, RIG, ABOUT)
 """Only these files, because a person may have put anything else into the folder."""
 
 
-def bundle(log: FlightLog, story: str, path: Path) -> list[str]:
+def bundle(log: FlightLog, events: str, path: Path) -> list[str]:
     """Write a zip file about the flight and this machine. Returns the names in it.
 
-    `story` is the flight as text, as `log show` prints it.
+    `events` is the flight as text, as `log show` prints it.
     """
     names = []
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
@@ -29,7 +29,7 @@ def bundle(log: FlightLog, story: str, path: Path) -> list[str]:
             if part.is_file():
                 file.write(part, f"{log.folder.name}/{name}")
                 names.append(name)
-        for name, text in (("story.txt", story), ("this-machine.json", _this_machine(log.folder))):
+        for name, text in (("story.txt", events), ("this-machine.json", _this_machine(log.folder))):
             file.writestr(f"{log.folder.name}/{name}", text)
             names.append(name)
     return names

@@ -85,7 +85,7 @@ FORKS.set_forkserver_preload(
         "flying_vines.identification.report",
         "flying_vines.simulation.scenario.picture",
         "flying_vines.record.picture",
-        "flying_vines.terminal.watching",
+        "flying_vines.terminal.remote_view",
         "missions.review",
         "matplotlib.backends.backend_agg",
         "rich.progress",

@@ -22,7 +22,7 @@ from real_time import real_time
 from flying_vines.config.config import PageConfig
 from flying_vines.core.events import Decision
 from flying_vines.gateway import __main__ as gateway_process
-from flying_vines.gateway import gateway, keep_alive, mqtt, page
+from flying_vines.gateway import gateway, mqtt, page, supervisor
 from flying_vines.gateway.feed import Feed
 from flying_vines.gateway.gateway import Gateway
 from flying_vines.gateway.messages import Alive, GatewayStart, Trouble, packet, read_from_gateway
@@ -81,7 +81,7 @@ class Service:
 
 @pytest.fixture(autouse=True)
 def in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(keep_alive, "FIRST_WAIT_S", 0.1)
+    monkeypatch.setattr(supervisor, "FIRST_WAIT_S", 0.1)
     monkeypatch.setattr(gateway, "POLL_S", 0.1)
     # Scripts in place of a gateway only print what the test needs.
     monkeypatch.setattr(gateway, "HANGS_S", 60.0)

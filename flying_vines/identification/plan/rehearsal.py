@@ -25,9 +25,9 @@ from flying_vines.physics.rig import Rig
 from flying_vines.simulation.phlosar.closed_loop import regulator_step
 from flying_vines.simulation.phlosar.regulator import Regulator
 from flying_vines.simulation.scenario.command import command_of, valves_of
-from flying_vines.simulation.scenario.kinds import FIRMWARE_HZ, RunKind
 from flying_vines.simulation.scenario.regulation import FASTEST_KPA_PER_S, tuning_for
 from flying_vines.simulation.scenario.run import OPENING_DIGITS
+from flying_vines.simulation.scenario.run_kinds import FIRMWARE_HZ, RunKind
 
 
 def rehearsed(rig: Rig, kind: RunKind) -> RecordedRun:

@@ -21,7 +21,7 @@ from real_time import real_time
 from flying_vines.config.config import PageConfig
 from flying_vines.core.events import Decision
 from flying_vines.gateway import page, page_token
-from flying_vines.gateway.page import server, viewer
+from flying_vines.gateway.page import server, viewer_session
 from flying_vines.gateway.page.connections import MAX_NEW, MAX_PILOTS, MAX_VIEWERS
 from flying_vines.vehicle.notice import Notice, Severity
 
@@ -306,7 +306,7 @@ async def test_of_too_many_pilots_the_oldest_goes(bench: Bench, session: ClientS
 async def test_a_slow_reader_is_dropped_and_nobody_waits_for_it(
     bench: Bench, session: ClientSession, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(viewer, "SLOW_S", 0.3)
+    monkeypatch.setattr(viewer_session, "SLOW_S", 0.3)
     slow = socket.create_connection(("127.0.0.1", bench.page.port))
     with slow:
         slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)

@@ -28,11 +28,11 @@ class VineScale(NamedTuple):
     full_kPa: float
 
 
-class StrangeMessageError(Exception):
+class InvalidMessageError(Exception):
     """The message is not valid for a page of this version."""
 
 
-class Story:
+class PageDecoder:
     """The events of one service, also over link losses. Times are on the service's clock."""
 
     def __init__(self) -> None:
@@ -44,12 +44,12 @@ class Story:
         self._latest_t = -math.inf
 
     def take(self, t: float, text: str) -> list[Decision | Notice]:
-        """Take in a message at `t`; returns the new events. Raises `StrangeMessageError`."""
+        """Take in a message at `t`; returns the new events. Raises `InvalidMessageError`."""
         try:
             message = msgspec.json.decode(text)
             return self._take(t, message)
         except (msgspec.DecodeError, LookupError, TypeError, ValueError) as error:
-            raise StrangeMessageError(f"invalid message from the page: {error}") from None
+            raise InvalidMessageError(f"invalid message from the page: {error}") from None
 
     def _take(self, t: float, message: Any) -> list[Decision | Notice]:
         match message["kind"]:

@@ -10,9 +10,9 @@ import pytest
 
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.console import HELP, MISHAPS, inject_typed, obey, type_to
 from flying_vines.simulation.phlosar.mishaps import Drifting, Hole, HoseOff, MishapKind, Mishaps, Unpowered
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
+from flying_vines.simulation.typed_commands import HELP, MISHAPS, inject_typed, obey, type_to
 
 
 def test_lines_fly_the_vehicle() -> None:

@@ -12,9 +12,9 @@ from rich.text import Text
 from yarl import URL
 
 from flying_vines.terminal import keys
-from flying_vines.terminal.line import PageSocket
+from flying_vines.terminal.page_protocol import LATE_S, InvalidMessageError, PageDecoder, VentRequest
+from flying_vines.terminal.page_socket import PageSocket
 from flying_vines.terminal.screen import LiveView, event_line
-from flying_vines.terminal.story import LATE_S, Story, StrangeMessageError, VentRequest
 
 POLL_S = 0.1
 SECOND_PRESS_S = 3.0
@@ -22,7 +22,7 @@ SECOND_PRESS_S = 3.0
 KEYS = "press v twice to vent, q to end"
 
 
-class Watching:
+class RemoteView:
     """Shows the service with its page's WebSocket at `url`."""
 
     def __init__(self, url: URL, token: str, plain: bool, as_json: bool) -> None:
@@ -30,18 +30,18 @@ class Watching:
         self._console = Console()
         self._live = self._console.is_terminal and not plain and not as_json
         self._as_json = as_json
-        self._story = Story()
+        self._decoder = PageDecoder()
         self._view: LiveView | None = None
         self._vent = VentRequest()
         self._pressed_at: float | None = None
-        self._line = PageSocket(url, token, self._take)
+        self._socket = PageSocket(url, token, self._take)
         self._shown_problem = "connecting"
         self._over = False
 
     async def run(self, seconds: float | None) -> bool:
         """Returns True if the service answered. Raises `NotAdmittedError`."""
         ends_at = None if seconds is None else self._now + seconds
-        following = asyncio.create_task(self._line.run())
+        following = asyncio.create_task(self._socket.run())
         with ExitStack() as stack:
             screen = None
             if self._live:
@@ -52,7 +52,7 @@ class Watching:
                 if following.done():
                     break
                 if request := self._vent.pop_message(self._now):
-                    self._line.send(request)
+                    self._socket.send(request)
                 self._show_link()
                 if screen:
                     screen.update(self._rendered())
@@ -60,7 +60,7 @@ class Watching:
         await asyncio.wait([following])
         if not following.cancelled():
             following.result()
-        return self._story.vine is not None
+        return self._decoder.vine is not None
 
     # Receiving.
 
@@ -68,15 +68,17 @@ class Watching:
         if self._as_json:
             print(text, flush=True)
         try:
-            news = self._story.take(self._now, text)
+            news = self._decoder.take(self._now, text)
             vented = self._vent.take(self._now, text)
-        except StrangeMessageError as error:
+        except InvalidMessageError as error:
             self._say(Text(str(error), style="red"))
             return
-        if self._view is None and self._story.vine:
-            self._view = LiveView(self._story.began, self._story.vine.max_kPa, self._story.vine.full_kPa)
+        if self._view is None and self._decoder.vine:
+            self._view = LiveView(
+                self._decoder.began, self._decoder.vine.max_kPa, self._decoder.vine.full_kPa
+            )
         for action in news:
-            if line := event_line(action, self._story.began):
+            if line := event_line(action, self._decoder.began):
                 self._say(line)
         if vented:
             self._say(Text(vented, style="bold green" if "confirmed" in vented else "bold red"))
@@ -89,9 +91,9 @@ class Watching:
 
     @property
     def _problem(self) -> str:
-        if self._line.problem:
-            return self._line.problem
-        silent = self._story.snapshot is not None and self._story.snapshot_age_s(self._now) > LATE_S
+        if self._socket.problem:
+            return self._socket.problem
+        silent = self._decoder.snapshot is not None and self._decoder.snapshot_age_s(self._now) > LATE_S
         return "the service is silent" if silent else ""
 
     # Showing.
@@ -104,16 +106,16 @@ class Watching:
             self._console.print(line, soft_wrap=True)
 
     def _rendered(self) -> RenderableType:
-        if self._view is None or self._story.snapshot is None:
+        if self._view is None or self._decoder.snapshot is None:
             return Panel(
                 Text(f"{self._page}: {self._problem or 'no data from the service yet'}"), title="Flying Vines"
             )
         problem = self._problem
         title = f"Flying Vines   {self._page}"
-        panel = self._view.render(self._story.snapshot, title, {"page": problem})
+        panel = self._view.render(self._decoder.snapshot, title, {"page": problem})
         panel.subtitle = self._hint
         if problem:
-            panel.title = f"These data are {self._story.snapshot_age_s(self._now):.0f} s old"
+            panel.title = f"These data are {self._decoder.snapshot_age_s(self._now):.0f} s old"
             panel.border_style, panel.style = "bold red not dim", "dim"
         return panel
 
@@ -134,7 +136,7 @@ class Watching:
             self._over = True
         elif key == "v" and self._pressed_at is not None and self._now - self._pressed_at < SECOND_PRESS_S:
             self._pressed_at = None
-            self._vent.press(self._now, self._story.snapshot)
+            self._vent.press(self._now, self._decoder.snapshot)
         else:
             self._pressed_at = self._now if key == "v" else None
 

@@ -16,7 +16,7 @@ from aiohttp import (
 )
 from yarl import URL
 
-from flying_vines.terminal.story import LATE_S
+from flying_vines.terminal.page_protocol import LATE_S
 
 OPENS_WITHIN_S = 3.0
 FIRST_BACKOFF_S, MAX_BACKOFF_S = 0.25, 4.0

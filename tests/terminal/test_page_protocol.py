@@ -12,7 +12,7 @@ from page_bench import snapshot
 
 from flying_vines.core.events import Decision
 from flying_vines.gateway.messages import Happened, SnapshotMessage, raw
-from flying_vines.terminal.story import VENT_AGAIN_S, Story, StrangeMessageError, VentRequest
+from flying_vines.terminal.page_protocol import VENT_AGAIN_S, InvalidMessageError, PageDecoder, VentRequest
 from flying_vines.vehicle.notice import Notice, Severity
 
 VINE = {
@@ -45,51 +45,51 @@ def decision(t: float) -> Decision:
 
 
 def test_a_snapshot_is_what_the_service_had() -> None:
-    story = Story()
-    story.take(0.0, hello(10.0))
+    decoder = PageDecoder()
+    decoder.take(0.0, hello(10.0))
     sent = snapshot(10.1, cv_kPa=math.nan, safe_state={"rc": "RC lost"}, findings={"leak": 2})
-    story.take(0.1, msgspec.json.encode(SnapshotMessage(raw(sent))).decode())
-    assert story.snapshot is not None
-    assert math.isnan(story.snapshot.cv_kPa)
-    assert msgspec.to_builtins(story.snapshot) | {"cv_kPa": 0} == msgspec.to_builtins(sent) | {"cv_kPa": 0}
-    assert story.snapshot_age_s(2.1) == pytest.approx(2.0)
+    decoder.take(0.1, msgspec.json.encode(SnapshotMessage(raw(sent))).decode())
+    assert decoder.snapshot is not None
+    assert math.isnan(decoder.snapshot.cv_kPa)
+    assert msgspec.to_builtins(decoder.snapshot) | {"cv_kPa": 0} == msgspec.to_builtins(sent) | {"cv_kPa": 0}
+    assert decoder.snapshot_age_s(2.1) == pytest.approx(2.0)
 
 
 def test_the_past_is_reported_once() -> None:
-    story = Story()
+    decoder = PageDecoder()
     first, second, third = notice(5.0), decision(6.0), notice(8.0, "Vine: RC lost")
-    assert story.take(0.0, hello(7.0, first, second)) == [first, second]
-    assert story.began == 5.0
-    assert story.take(0.1, json.dumps(happened(third))) == [third]
+    assert decoder.take(0.0, hello(7.0, first, second)) == [first, second]
+    assert decoder.began == 5.0
+    assert decoder.take(0.1, json.dumps(happened(third))) == [third]
     fourth = notice(8.0, "Vine: of the same moment")
-    assert story.take(0.1, json.dumps(happened(fourth))) == [fourth]
+    assert decoder.take(0.1, json.dumps(happened(fourth))) == [fourth]
     missed = notice(9.0, "Vine: while the link was cut")
-    assert story.take(0.2, hello(10.0, first, second, third, fourth, missed)) == [missed]
-    assert story.began == 5.0
+    assert decoder.take(0.2, hello(10.0, first, second, third, fourth, missed)) == [missed]
+    assert decoder.began == 5.0
 
 
 def test_a_machine_that_was_started_anew_begins_a_new_story() -> None:
-    story = Story()
-    story.take(0.0, hello(1000.0, notice(999.0)))
+    decoder = PageDecoder()
+    decoder.take(0.0, hello(1000.0, notice(999.0)))
     again = notice(3.0)
-    assert story.take(60.0, hello(4.0, again)) == [again]
-    assert story.began == 3.0
+    assert decoder.take(60.0, hello(4.0, again)) == [again]
+    assert decoder.began == 3.0
 
 
 def test_other_messages_are_skipped() -> None:
-    story = Story()
-    assert story.take(0.0, '{"kind": "beat"}') == []
-    assert story.take(0.0, '{"kind": "missed", "count": 3}') == []
+    decoder = PageDecoder()
+    assert decoder.take(0.0, '{"kind": "beat"}') == []
+    assert decoder.take(0.0, '{"kind": "missed", "count": 3}') == []
     unknown = {"kind": "happened", "what": "of_another_version", "fields": {"t": 1.0}}
-    assert story.take(0.0, json.dumps(unknown)) == []
+    assert decoder.take(0.0, json.dumps(unknown)) == []
 
 
 @pytest.mark.parametrize(
     "text", ["", "nonsense", "[]", "{}", '{"kind": "hello"}', '{"kind": "snapshot", "snapshot": {"t": "x"}}']
 )
 def test_an_unknown_message_is_reported(text: str) -> None:
-    with pytest.raises(StrangeMessageError):
-        Story().take(0.0, text)
+    with pytest.raises(InvalidMessageError):
+        PageDecoder().take(0.0, text)
 
 
 def test_a_vent_is_asked_for_until_it_is_confirmed() -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 
 @dataclass(slots=True)
-class AgendaEntry:
+class ScheduledCallback:
     """One scheduled callback; `cancel` removes it."""
 
     callback: Callable[[], None]
@@ -18,7 +18,7 @@ class AgendaEntry:
         self.cancelled = True
 
 
-class Agenda:
+class Scheduler:
     """Runs callbacks in order of time; `now_s` is the time of the running one.
 
     Callbacks of the same time run in the order in which they were scheduled. So a run is reproducible for any
@@ -27,16 +27,16 @@ class Agenda:
 
     def __init__(self) -> None:
         self.now_s = 0.0
-        self._heap: list[tuple[float, int, AgendaEntry]] = []
+        self._heap: list[tuple[float, int, ScheduledCallback]] = []
         self._entries = 0
 
-    def at(self, t_s: float, callback: Callable[[], None]) -> AgendaEntry:
-        entry = AgendaEntry(callback)
+    def at(self, t_s: float, callback: Callable[[], None]) -> ScheduledCallback:
+        entry = ScheduledCallback(callback)
         self._entries += 1
         heapq.heappush(self._heap, (t_s, self._entries, entry))
         return entry
 
-    def after(self, delay_s: float, callback: Callable[[], None]) -> AgendaEntry:
+    def after(self, delay_s: float, callback: Callable[[], None]) -> ScheduledCallback:
         return self.at(self.now_s + delay_s, callback)
 
     def run_until(self, t_s: float) -> None:

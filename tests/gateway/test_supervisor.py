@@ -9,8 +9,8 @@ from collections.abc import AsyncIterator
 import pytest
 from patience import until
 
-from flying_vines.gateway import keep_alive as module
-from flying_vines.gateway.keep_alive import keep_alive
+from flying_vines.gateway import supervisor
+from flying_vines.gateway.supervisor import supervise
 
 WHYS = [
     (ValueError("nonsense"), "ValueError: nonsense"),
@@ -43,7 +43,7 @@ class Part:
 
     @contextlib.asynccontextmanager
     async def kept(self) -> AsyncIterator[None]:
-        keeping = asyncio.create_task(keep_alive("page", self.run, self.told.append))
+        keeping = asyncio.create_task(supervise("page", self.run, self.told.append))
         try:
             yield
         finally:
@@ -53,9 +53,9 @@ class Part:
 
 @pytest.fixture(autouse=True)
 def in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "FIRST_WAIT_S", 0.001)
-    monkeypatch.setattr(module, "MAX_WAIT_S", 0.004)
-    monkeypatch.setattr(module, "STABLE_S", 0.02)
+    monkeypatch.setattr(supervisor, "FIRST_WAIT_S", 0.001)
+    monkeypatch.setattr(supervisor, "MAX_WAIT_S", 0.004)
+    monkeypatch.setattr(supervisor, "STABLE_S", 0.02)
 
 
 @pytest.mark.parametrize("error, why", [*WHYS, ("it hung", "it hung")])
@@ -91,5 +91,5 @@ async def test_the_wait_grows_and_stays_short(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.undo()
     monkeypatch.setattr(asyncio, "sleep", sleep)
     with pytest.raises(asyncio.CancelledError):
-        await keep_alive("page", Part("it hung").run, lambda text: None)
+        await supervise("page", Part("it hung").run, lambda text: None)
     assert waited == [0.2, 0.4, 0.8, 1.5, 1.5, 1.5]

@@ -69,7 +69,7 @@ class _Beat(msgspec.Struct, frozen=True, tag="beat", tag_field="kind"):
 _Message = _Hello | _Answer | _Missed | _Beat | Happened | SnapshotMessage
 
 
-class Viewer:
+class ViewerSession:
     """The server side of one WebSocket."""
 
     def __init__(self, feed: Feed, history: History, socket: WebSocketResponse, may_ask: bool) -> None:

@@ -11,7 +11,7 @@ STABLE_S = 5.0
 """After this run time the part counts as running again."""
 
 
-async def keep_alive(
+async def supervise(
     name: str, run: Callable[[], Coroutine[None, None, str]], report: Callable[[str], None]
 ) -> None:
     """Runs until cancelled. `run` returns why it ended, or raises.
