@@ -60,7 +60,7 @@ class LinkWatch:
                 if data:
                     self._link.write(data)
                 self._received += sent
-                news = self.monitor.answer.news(self.t)
+                news = self.monitor.answer_check.news(self.t)
                 if news:
                     self._report_port(news, False)
                 show(self._take_received())

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any
 
 from firmware_link.actuator import ActuatorLine, Line, PhlosarLine
-from firmware_link.answer import Answer
+from firmware_link.answer_check import AnswerCheck
 from flying_vines.config.address import parse_address
 from flying_vines.config.config import Config, FirmwareConfig
 from flying_vines.config.plugins import PluginError, find
@@ -101,7 +101,7 @@ class Service:
         )
         self._mavlink = MavlinkCodec(config.vehicle.system_id, config.vehicle.component_id, signing, read)
         self._serial = line_to(config.firmware)
-        self._answer = Answer()
+        self._answer_check = AnswerCheck()
         self._unread_reported = False
         self._stopping = asyncio.Event()
         self._vehicle = open_link(
@@ -283,7 +283,7 @@ class Service:
             messages = self._serial.decode(now, data)
             for message in messages:
                 self._feed(FirmwareMessage(now, message))
-            self._answer.received(data, messages)
+            self._answer_check.received(data, messages)
         except Exception as error:
             self.failed("actuator bytes", error, needed=True)
 
@@ -295,9 +295,9 @@ class Service:
         self.link_problems["firmware"] = "" if up else why
         if up:
             self._serial.restart()
-            self._answer.opened(self.now)
+            self._answer_check.opened(self.now)
         else:
-            self._answer.closed()
+            self._answer_check.closed()
         self._feed(LinkChanged(self.now, "firmware", up, why))
 
     def _report_unread(self) -> None:
@@ -309,7 +309,7 @@ class Service:
 
     def _report_silence(self, t: float) -> None:
         """Report an open port without answer: it may belong to another device, or the board does not run."""
-        problem = self._answer.news(t)
+        problem = self._answer_check.news(t)
         if problem is None:
             return
         self.link_problems["firmware"] = problem

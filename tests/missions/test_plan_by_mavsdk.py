@@ -13,8 +13,8 @@ from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer
 from flying_vines.vehicle.mission.item import has_place
 from flying_vines.vehicle.mission.storage import AutopilotKind
-from missions.carriers import over_the_wire
 from missions.files import load_items
+from missions.item_for_intent import over_the_wire
 from missions.link import vehicle
 
 pytest.importorskip(

@@ -154,9 +154,9 @@ async def test_texts_are_printed_when_mavproxy_looks_at_all_components(flight: F
 async def test_a_plan_with_vine_items_is_loaded_and_listed(flight: Flight) -> None:
     plan = EXAMPLES / f"bridge_inspection-{flight.kind}.waypoints"
     text = plan.read_text()
-    carrier = {"ardupilot": 217, "px4": 187}[flight.kind]
+    item_command = {"ardupilot": 217, "px4": 187}[flight.kind]
     items = [line.split() for line in text.splitlines()[1:]]
-    bends = [item[4:6] for item in items if int(item[3]) == carrier]
+    bends = [item[4:6] for item in items if int(item[3]) == item_command]
     assert bends
     ground = flight.ground
     ground.type("vehicle 1:1")
@@ -164,7 +164,7 @@ async def test_a_plan_with_vine_items_is_loaded_and_listed(flight: Flight) -> No
     await ground.sees(f"Sent all {len(items)} waypoints")
     await ground.sees("Got MISSION_ACK: TYPE_MISSION: ACCEPTED")
     await ground.answers("wp list", "Saved waypoints to way.txt")
-    listed = re.findall(rf"\n{carrier} .* p1={NUMBER} p2={NUMBER}", ground.answer)
+    listed = re.findall(rf"\n{item_command} .* p1={NUMBER} p2={NUMBER}", ground.answer)
     assert [[float(p1), float(p2)] for p1, p2 in listed] == [[float(p1), float(p2)] for p1, p2 in bends]
 
 

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from real_time import real_time
 from service_bench import Bench, on_bench
 
-from firmware_link import answer
+from firmware_link import answer_check
 from firmware_link.protocol import Fault, Vent
 from firmware_link.serial_port import SerialPort
 from flying_vines.config import config
@@ -132,7 +132,7 @@ async def test_a_watcher_that_fails_sees_no_more_and_the_others_do(bench: Bench)
 async def test_a_silent_port_is_told_to_the_pilot_once_and_on_the_screen(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(answer, "ANSWER_WITHIN_S", 0.3)
+    monkeypatch.setattr(answer_check, "ANSWER_WITHIN_S", 0.3)
     silent, hosts = os.openpty()
     tty.setraw(hosts)
     seen: list[Action] = []

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from examples import examples
-from flying_vines.config.config import CARRIERS
+from flying_vines.config.config import ITEM_COMMANDS
 from flying_vines.vehicle.autopilots.ardupilot_mission import (
     ASK_AGAIN_S,
     GIVE_UP_S,
@@ -315,7 +315,7 @@ def test_a_copy_of_a_frame_that_comes_late_is_no_second_execution() -> None:
 
 
 def handed_over(air: Air, params: tuple[float, ...]) -> Execution | None:
-    return air.watch.command(air.t, CARRIERS["user_1"], params, 0)
+    return air.watch.command(air.t, ITEM_COMMANDS["user_1"], params, 0)
 
 
 def test_an_item_from_the_script_is_not_added_again() -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import NamedTuple
 
-from flying_vines.config.config import CARRIERS
+from flying_vines.config.config import ITEM_COMMANDS
 from flying_vines.vehicle.autopilots.autopilot import MissionWatch
 from flying_vines.vehicle.clock import AutopilotClock, Mark
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
@@ -131,7 +131,7 @@ class ArduPilotWatch(MissionWatch):
     def command(
         self, t: float, command: int, params: tuple[float, ...], confirmation: int
     ) -> Execution | None:
-        if command != CARRIERS["user_1"]:
+        if command != ITEM_COMMANDS["user_1"]:
             return super().command(t, command, params, confirmation)
         return self._handed_over(t, params[:4])
 

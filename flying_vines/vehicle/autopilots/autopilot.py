@@ -86,10 +86,10 @@ class Autopilot:
     """Detects which mission items ran."""
     begins_with_home = False
     """Item 0 of a mission is the home position."""
-    carriers: tuple[str, ...] = ()
+    item_commands: tuple[str, ...] = ()
     """Mission commands that can carry a vine action, best first. The best ones move nothing but the vine."""
-    carrier_match = ""
-    """An extra match for an `[[items]]` rule. With it the first carrier moves nothing but the vine."""
+    item_match = ""
+    """An extra match for an `[[items]]` rule. With it the first command moves nothing but the vine."""
     gives_items_in_any_order = False
     """It answers a request for any item at any time."""
     own_rates_Hz: ClassVar[Mapping[str, float]] = {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from firmware_link.answer import ANSWER_WITHIN_S, Answer
+from firmware_link.answer_check import ANSWER_WITHIN_S, AnswerCheck
 from firmware_link.protocol import (
     PROTOCOL_VERSION,
     Codec,
@@ -22,12 +22,12 @@ WELCOME = Welcome(PROTOCOL_VERSION, 1, 1, "test", 1, 30.0, 28.0, 760.0, 200.0, 3
 GPS = b"$GNGGA,092725.00,4717.11399,N,00833.91590,E,1,08,1.01,499.6,M,48.0,M,,*45\r\n"
 
 
-def answer_after(*pieces: bytes) -> Answer:
-    answer, codec = Answer(), Codec()
-    answer.opened(10.0)
+def check_after(*pieces: bytes) -> AnswerCheck:
+    check, codec = AnswerCheck(), Codec()
+    check.opened(10.0)
     for data in pieces:
-        answer.received(data, codec.decode(data))
-    return answer
+        check.received(data, codec.decode(data))
+    return check
 
 
 @pytest.mark.parametrize(
@@ -40,34 +40,34 @@ def answer_after(*pieces: bytes) -> Answer:
     ],
 )
 def test_each_silence_is_reported_once_after_a_while(pieces: tuple[bytes, ...], says: str) -> None:
-    answer = answer_after(*pieces)
-    assert answer.news(10.0 + ANSWER_WITHIN_S - 0.01) is None
-    told = answer.news(10.0 + ANSWER_WITHIN_S)
+    check = check_after(*pieces)
+    assert check.news(10.0 + ANSWER_WITHIN_S - 0.01) is None
+    told = check.news(10.0 + ANSWER_WITHIN_S)
     assert told is not None
     assert says in told
-    assert answer.news(10.0 + ANSWER_WITHIN_S + 1.0) is None
+    assert check.news(10.0 + ANSWER_WITHIN_S + 1.0) is None
 
 
 @pytest.mark.parametrize("message", [WELCOME, Refusal(0, RefusalReason.VERSION)])
 def test_an_answer_ends_the_silence(message: Message) -> None:
-    answer = answer_after(Codec().encode(message))
-    assert answer.news(100.0) is None
+    check = check_after(Codec().encode(message))
+    assert check.news(100.0) is None
 
 
 def test_a_late_answer_ends_it() -> None:
-    answer = answer_after()
-    assert answer.news(20.0)
-    answer.received(b"", [WELCOME])
-    assert answer.news(20.1) == ""
-    assert answer.news(20.2) is None
+    check = check_after()
+    assert check.news(20.0)
+    check.received(b"", [WELCOME])
+    assert check.news(20.1) == ""
+    assert check.news(20.2) is None
 
 
 def test_a_closed_port_has_its_own_reason_and_each_opening_counts_anew() -> None:
-    answer = answer_after(GPS)
-    answer.closed()
-    assert answer.news(100.0) is None
-    answer.opened(100.0)
-    assert answer.news(101.0) is None
-    told = answer.news(103.0)
+    check = check_after(GPS)
+    check.closed()
+    assert check.news(100.0) is None
+    check.opened(100.0)
+    assert check.news(101.0) is None
+    told = check.news(103.0)
     assert told is not None
     assert "silent" in told

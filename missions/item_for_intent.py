@@ -10,7 +10,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import replace
 
-from flying_vines.config.config import CARRIERS, Config, ItemConfig
+from flying_vines.config.config import ITEM_COMMANDS, Config, ItemConfig
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem, has_place, is_nav
 from flying_vines.vehicle.mission.storage import MISSION_FRAME, AutopilotKind, MissionRefused, Params
@@ -21,7 +21,7 @@ ANGLE_TOLERANCE_DEG = 0.01
 """Rounding error of an angle in 32-bit floats with a scale."""
 
 
-def carrier(intent: Intent, config: Config, kind: AutopilotKind) -> MissionItem | None:
+def item_for_intent(intent: Intent, config: Config, kind: AutopilotKind) -> MissionItem | None:
     """An item (with seq 0) that means `intent` on this autopilot, or None."""
     rules = Rules(config)
     for command, rule in _by_preference(config, kind):
@@ -51,11 +51,11 @@ def over_the_wire(item: MissionItem) -> MissionItem:
 def suggestion(intent: Intent, config: Config, kind: AutopilotKind) -> str:
     """One line with the `[[items]]` entry that would add an item for `intent`."""
     autopilot = AUTOPILOTS[kind]
-    name = autopilot.carriers[0]
-    used = {rule.match.get("param1") for rule in config.items if CARRIERS[name] in rule.command_ids}
+    name = autopilot.item_commands[0]
+    used = {rule.match.get("param1") for rule in config.items if ITEM_COMMANDS[name] in rule.command_ids}
     number = next(n for n in range(1000) if n not in used)
     does = f'profile = "{intent.name}"' if isinstance(intent, StartProfile) else 'bend = "param2"'
-    return f'[[items]] command = "{name}" match = {{ param1 = {number}{autopilot.carrier_match} }} {does}'
+    return f'[[items]] command = "{name}" match = {{ param1 = {number}{autopilot.item_match} }} {does}'
 
 
 def described(item: MissionItem) -> str:
@@ -70,7 +70,7 @@ def described(item: MissionItem) -> str:
 def _by_preference(config: Config, kind: AutopilotKind) -> Iterator[tuple[int, ItemConfig]]:
     """Pairs of command and rule, the best first; actuators that move no autopilot output come first."""
     pairs = [(command, rule) for rule in config.items for command in rule.command_ids if not is_nav(command)]
-    ranks = {CARRIERS[name]: rank for rank, name in enumerate(AUTOPILOTS[kind].carriers)}
+    ranks = {ITEM_COMMANDS[name]: rank for rank, name in enumerate(AUTOPILOTS[kind].item_commands)}
 
     def rank(pair: tuple[int, ItemConfig]) -> tuple[int, bool]:
         command, rule = pair

@@ -10,7 +10,7 @@ ANSWER_WITHIN_S = 3.0
 """The time of six greetings; longer than a board takes to start."""
 
 
-class Answer:
+class AnswerCheck:
     """Watches for an answer to our greeting after each opening of a port."""
 
     def __init__(self) -> None:

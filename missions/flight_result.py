@@ -9,7 +9,7 @@ from flying_vines.vehicle.mission.item import MissionItem
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class FlightResult:
     """The result. Pressures are gauge."""
 
     ran: tuple[MissionItem, ...]
