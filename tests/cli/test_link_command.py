@@ -110,7 +110,7 @@ def test_settings_are_shown_and_changed(board: str, capsys: pytest.CaptureFixtur
     assert (status, err) == (2, "flying-vines: dead_man_ms is from 50 to 300, not 900\n")
 
 
-async def test_a_board_that_is_unplugged_half_way_ends_the_talk_about_its_settings(
+async def test_a_board_that_is_unplugged_half_way_ends_the_exchange_of_settings(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(link_settings, "ANSWERS_WITHIN_S", 0.5)
@@ -159,7 +159,7 @@ def test_bad_input(arguments: tuple[str, ...], says: str, capsys: pytest.Capture
     assert err.count("\n") == 1
 
 
-def test_nobody_there_is_status_1_and_says_why(capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_answer_is_status_1_with_a_reason(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "link", "usb:ffff:ffff", "--seconds", "0.2")
     assert status == 1
     assert "usb:ffff:ffff is not there" in out
@@ -184,7 +184,7 @@ async def screen_of(address: str, over: Callable[[LinkWatch], bool]) -> tuple[st
     return console.file.getvalue(), watch
 
 
-async def test_the_screen_says_at_a_glance_how_it_is(tmp_path: Path) -> None:
+async def test_the_screen_shows_the_state_at_a_glance(tmp_path: Path) -> None:
     phlosar = SimulatedPhlosar(effects=Effects())
     phlosar.firmware.reset(watchdog=True)
     with PtyPhlosar(phlosar, tmp_path / "port") as port:

@@ -69,7 +69,7 @@ def test_one_absurd_frame_changes_nothing(bends: bool) -> None:
 
 @pytest.mark.parametrize("field", PLAUSIBLE_KPA)
 @pytest.mark.parametrize("value", [1e30, -1e30, math.nan])
-def test_a_sensor_that_says_what_none_can_is_a_fault_that_a_person_clears(field: str, value: float) -> None:
+def test_an_impossible_reading_is_a_fault_that_a_person_clears(field: str, value: float) -> None:
     flight = bent()
     Spoiled(flight).spoil_next(10, {field: value})
     actions = run_for(flight, 1.0)
@@ -100,7 +100,7 @@ def test_a_sensor_that_says_what_none_can_is_a_fault_that_a_person_clears(field:
     ],
 )
 @pytest.mark.parametrize("frames", [pytest.param(1, marks=pytest.mark.long), 50])
-def test_whatever_else_a_frame_says_the_flight_continues_or_the_vine_is_vented(
+def test_with_any_other_value_in_a_frame_the_flight_continues_or_the_vine_is_vented(
     frames: int, values: dict[str, float]
 ) -> None:
     flight = bent()

@@ -297,7 +297,7 @@ def test_a_latched_loss_of_air_outlasts_a_restart_until_a_person_clears_it() -> 
     assert [d.safety for d in decisions(run_for(flight, 1.0))] == ["accepted"]
 
 
-def test_an_empty_bottle_vents_refuses_and_tells() -> None:
+def test_an_empty_bottle_vents_refuses_and_is_reported() -> None:
     flight = bent(conf=configured(checks=config.ChecksConfig(bottle_loss="warn")))
     flight.phlosar.mishaps.bottle = Hole(bore_mm=4.0)
     actions = run_for(flight, 4.0)

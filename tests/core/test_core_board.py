@@ -269,7 +269,7 @@ def test_one_restart_is_cleared_as_ever() -> None:
     assert "Vine: cleared firmware_reset" in told(run_for(flight, 1.0))
 
 
-def test_a_restart_says_nothing_of_the_switch() -> None:
+def test_a_restart_has_no_text_about_the_switch() -> None:
     flight = bent()
     flight.phlosar.reset_firmware()
     run_for(flight, 0.3)

@@ -187,7 +187,7 @@ def test_a_gimbal_may_vent_and_nothing_else() -> None:
     assert_vented(flight)
 
 
-def test_a_strangers_vent_clears_no_fault() -> None:
+def test_a_vent_by_an_unknown_sender_clears_no_fault() -> None:
     flight = bent()
     flight.phlosar.reset_firmware()
     run_for(flight, 1.0)
@@ -206,7 +206,7 @@ def test_a_station_without_a_heartbeat_may_bend(sender: tuple[int, int]) -> None
 
 
 @pytest.mark.parametrize("sender", STRANGERS)
-def test_a_stranger_may_not(sender: tuple[int, int]) -> None:
+def test_an_unknown_sender_may_not_bend(sender: tuple[int, int]) -> None:
     flight = airborne()
     assert answers(order(flight, USER_2, 30.0, sender=sender)) == [(USER_2, DENIED)]
     run_for(flight, 0.5)

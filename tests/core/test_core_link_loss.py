@@ -107,7 +107,7 @@ def test_a_closed_link_is_reported_as_such() -> None:
     assert told(lives(flight, 10.0)) == ["Vine: vehicle link is back", WAITING]
 
 
-def test_a_link_that_is_back_without_rc_says_so() -> None:
+def test_a_link_that_is_back_without_rc_is_reported() -> None:
     flight = bent()
     flight.autopilot.mute(5.0)
     lives(flight, 4.9)

@@ -77,7 +77,7 @@ def test_it_ends_when_nobody_asks_any_more(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 @pytest.mark.parametrize("how", ["frozen", "jump"])
-def test_rc_that_goes_off_vents_and_is_not_said_to_be_back(how: str) -> None:
+def test_rc_that_is_switched_off_vents_and_is_not_reported_as_back(how: str) -> None:
     flight = bent_on_the_bench()
     flight.autopilot.lose_rc(how)  # type: ignore[arg-type]
     told = notices(run_for(flight, 3.0))

@@ -367,7 +367,7 @@ CHEATS = [
 
 
 @pytest.mark.parametrize("cheat", CHEATS, ids=lambda c: f"{c.core.__name__}-{c.board.__name__}")
-def test_the_referee_sees_who_cheats(cheat: Cheat) -> None:
+def test_the_referee_finds_each_violation(cheat: Cheat) -> None:
     cheating = RefereedFlight(cheat.setup, cheat.core, cheat.board())
     cheat.flown(cheating)
     assert cheat.rules & {foul.rule for foul in cheating.fouls}, cheating.timeline
@@ -377,7 +377,7 @@ def test_the_referee_sees_who_cheats(cheat: Cheat) -> None:
 @pytest.mark.parametrize(
     "cheat", {cheat.flown: cheat for cheat in CHEATS}.values(), ids=lambda c: c.flown.__name__
 )
-def test_the_real_core_has_no_foul(cheat: Cheat) -> None:
+def test_the_real_core_has_no_violation(cheat: Cheat) -> None:
     flight = RefereedFlight(cheat.setup, board=Firmware())
     cheat.flown(flight)
     assert flight.fouls == []

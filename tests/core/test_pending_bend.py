@@ -41,7 +41,7 @@ def test_a_vent_by_another_person_waits_for_the_switch_and_is_reported_once() ->
     assert waiting(flight) is None
 
 
-def test_after_a_loss_of_rc_it_says_what_vented_and_is_reported_when_rc_is_back() -> None:
+def test_after_a_loss_of_rc_the_reason_is_shown_and_reported_when_rc_is_back() -> None:
     flight = bent()
     flight.autopilot.lose_rc("jump")
     told = notices(run_for(flight, 3.0))
@@ -87,7 +87,7 @@ def test_a_command_that_a_failsafe_ended_waits_for_a_request() -> None:
     assert waiting(flight) is None, "a person's vent takes the request back"
 
 
-def test_bench_mode_that_ends_says_so() -> None:
+def test_the_end_of_bench_mode_is_reported() -> None:
     flight = airborne()
     flight.autopilot.disarm()
     run_for(flight, 2.0)
@@ -120,7 +120,7 @@ class Oracle:
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2, 3))])
-def test_it_is_said_whenever_somebody_asks_in_vain_and_never_otherwise(seed: int) -> None:
+def test_it_is_reported_whenever_a_request_has_no_effect_and_never_otherwise(seed: int) -> None:
     """Random moves, requests and losses; every profile of the switch keeps the vine bent."""
     draw = random.Random(seed)
     flight = airborne()

@@ -264,7 +264,7 @@ def test_a_board_that_is_gone_is_one_loss() -> None:
     assert entered.name == "serial"
 
 
-def test_a_board_that_does_not_move_is_deaf_and_one_that_does_not_vent_latches() -> None:
+def test_a_board_that_ignores_a_setpoint_vents_and_one_that_does_not_vent_latches() -> None:
     for moving, name in ((True, "deaf"), (False, "regulates")):
         machine = safety()
         (entered,) = machine.watch(0.0, but(BENT, moving=moving, mode_mismatch_s=0.31))

@@ -379,7 +379,7 @@ def test_px4_sends_mission_current_as_it_likes(rate_Hz: float, verdict: str) -> 
     assert "refuses" not in finding.what and "extras.txt" not in finding.do
 
 
-def test_how_a_service_is_ended_is_said_of_that_service() -> None:
+def test_the_way_to_end_a_service_is_that_of_the_running_one() -> None:
     assert "(sudo systemctl stop flying-vines.service)" in service.check([SERVICE], [SERVICE]).do
     assert "(kill 7)" in service.check([Process(7, "flying-vines run")], []).do
 
@@ -389,12 +389,12 @@ def test_no_line_is_without_a_case() -> None:
     assert untold == []
 
 
-def test_every_warning_says_what_to_do() -> None:
+def test_every_warning_has_a_remedy() -> None:
     for line in every_line():
         assert bool(line.do) == (line.verdict in ("warning", "bad")), line
 
 
-def test_both_ports_say_the_same_of_their_own_link() -> None:
+def test_both_ports_report_the_same_about_their_own_link() -> None:
     for name, line in port.LINES["phloSAR"].items():
         other = port.LINES["vehicle"][name]
         assert other.check == "vehicle port"
@@ -419,7 +419,7 @@ HEALTHY: list[Sequence[DoctorFinding]] = [
 ]
 
 
-def test_of_what_is_well_nothing_else_is_said() -> None:
+def test_good_findings_have_no_other_text() -> None:
     findings = [finding for found in HEALTHY for finding in found]
     assert {finding.verdict for finding in findings} == {"good"}
     assert may_fly(findings)
@@ -467,7 +467,7 @@ def test_a_limit_that_is_too_low_is_reported_with_what_to_raise_it_to() -> None:
         ((later(HELD, 3.1),), False),
     ],
 )
-def test_a_receiver_is_safe_where_the_service_is_told_before_it_bends(
+def test_a_receiver_is_safe_if_the_loss_is_reported_before_a_bend(
     losses: tuple[TransmitterLoss, ...], safe: bool
 ) -> None:
     assert may_fly(of_receiver(losses=losses)) is safe

@@ -94,7 +94,7 @@ def test_services_are_known_by_how_they_were_called(tmp_path: Path) -> None:
     assert not processes.named("minicom", there)
 
 
-def test_a_machine_without_proc_tells_nothing(tmp_path: Path) -> None:
+def test_a_machine_without_proc_gives_no_facts(tmp_path: Path) -> None:
     nowhere = tmp_path / "proc"
     assert processes.services(nowhere) == []
     assert processes.port_holders("udp", 14540, nowhere) == ()
@@ -167,7 +167,7 @@ def test_a_board_that_is_pulled_out_meanwhile_is_no_error() -> None:
 @pytest.mark.parametrize(
     ("said", "kept_off"), [("E:ID_MM_DEVICE_IGNORE=1\n", True), ("E:ID_MODEL=x\n", False), (None, False)]
 )
-def test_udev_s_word_to_modem_manager_is_read(
+def test_the_udev_rule_for_modem_manager_is_read(
     said: str | None, kept_off: bool, terminal: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     number = Path(terminal).stat().st_rdev
@@ -192,7 +192,7 @@ def test_the_kernel_s_console_is_known(
     assert ports.serial_port("vehicle", "serial:x", SerialAddress("/dev/null"), list).console
 
 
-def test_a_raspberry_pi_s_word_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_raspberry_pi_s_throttling_word_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     word, zones = tmp_path / "get_throttled", tmp_path / "thermal"
     (zones / "thermal_zone0").mkdir(parents=True)
     (zones / "thermal_zone0" / "temp").write_text("61250\n")
@@ -233,7 +233,7 @@ def test_the_clock_is_asked_and_its_jumps_are_seen(monkeypatch: pytest.MonkeyPat
     assert clock.when(0.0).startswith("19")
 
 
-def test_where_the_kernel_may_not_be_asked_timesyncd_tells(
+def test_if_the_kernel_may_not_be_asked_timesyncd_answers(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     class Sandbox:
@@ -304,7 +304,7 @@ def test_the_files_that_the_broker_needs_are_read(tmp_path: Path) -> None:
     assert none in of_broker("mqtts://127.0.0.1:9", ca_file=none).problem
 
 
-def test_without_the_library_that_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_library_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "aiomqtt", None)
     found = of_broker("mqtt://127.0.0.1:9")
     assert found.missing_package

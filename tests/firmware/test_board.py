@@ -333,7 +333,7 @@ def test_a_crash_vents_at_once_and_resets(teensy: Teensy) -> None:
     assert teensy.vented
 
 
-def test_the_next_start_says_that_the_watchdog_ended_the_last(teensy: Teensy) -> None:
+def test_the_next_start_reports_that_the_watchdog_ended_the_last(teensy: Teensy) -> None:
     teensy.start(by_watchdog=True)
     assert teensy.telemetry().faults == Fault.WATCHDOG_RESET
 
@@ -521,7 +521,7 @@ def test_a_mistake_in_the_layer_is_found(what: str, tmp_path: Path) -> None:
         test_a_step_that_hangs_is_vented_or_reset_within_0p26_s,
         test_a_processor_that_hangs_is_reset_in_the_watchdogs_time,
         test_a_crash_vents_at_once_and_resets,
-        test_the_next_start_says_that_the_watchdog_ended_the_last,
+        test_the_next_start_reports_that_the_watchdog_ended_the_last,
         test_a_host_that_does_not_read_costs_no_time_and_no_part_of_a_frame,
         test_without_a_program_at_the_other_end_nothing_is_kept_for_the_next,
         lambda teensy: test_settings_survive_the_power_and_the_slowest_memory(

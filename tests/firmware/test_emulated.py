@@ -43,7 +43,7 @@ def test_the_chip_does_what_the_golden_run_holds(golden: Run, part: Part) -> Non
     assert difference(part, done) == ""
 
 
-def test_the_chip_answers_golden_frames_as_the_protocol_says(program: Program, tmp_path: Path) -> None:
+def test_the_chip_answers_golden_frames_by_the_protocol(program: Program, tmp_path: Path) -> None:
     vectors = [bytes.fromhex(vector["frame_hex"]) for vector in VECTORS["frames"]]
     hosts = [of_host_frame(frame) for frame in vectors if frame_type(frame) < 0x80]
     devices = [to_device_frame(frame) for frame in vectors if frame_type(frame) > 0x80]

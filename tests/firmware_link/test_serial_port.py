@@ -270,7 +270,7 @@ async def test_a_port_is_opened_by_one_alone(link: Path, terminal: Terminal) -> 
             assert "in use by another program" in second.states[0][1]
 
 
-async def test_no_permission_says_what_to_do(
+async def test_no_permission_is_reported_with_a_remedy(
     link: Path, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object, **__: object) -> None:

@@ -120,7 +120,7 @@ async def test_a_gateway_that_is_killed_leaves_its_last_will_and_comes_back(
     await people.until(f"{BASE}/status", status="offline", count=2)
 
 
-async def test_a_gateway_whose_service_was_killed_says_so(broker: Broker, people: Onlooker) -> None:
+async def test_a_gateway_reports_that_its_service_was_killed(broker: Broker, people: Onlooker) -> None:
     """It ends by itself, without an error."""
     service = Service(broker=broker.url, name="heron")
     async with service.living():
@@ -249,7 +249,7 @@ async def test_a_page_that_fails_is_served_again_and_the_broker_does_not_notice(
     ]
 
 
-async def test_a_gateway_that_talks_nonsense_is_ended(played: Callable[[str], None]) -> None:
+async def test_a_gateway_that_sends_invalid_messages_is_ended(played: Callable[[str], None]) -> None:
     played('receive()\nservice.send(b\'{"kind": "order"}\')\ntime.sleep(3600)\n')
     async with Service().living() as service:
         await until(lambda: len(service.said) == 1, "it is ended")

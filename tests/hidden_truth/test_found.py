@@ -98,7 +98,7 @@ def test_causes_that_the_data_cannot_separate_are_all_named(tmp_path: Path) -> N
 
 @pytest.mark.long
 @pytest.mark.parametrize("runs", [2, 4])
-def test_a_clean_rig_is_not_accused(runs: int, tmp_path: Path) -> None:
+def test_a_clean_rig_has_no_false_cause(runs: int, tmp_path: Path) -> None:
     _, verdict = verdict_on("null", 0, tmp_path, runs)
     assert verdict.cause == "none"
     assert verdict.confidence > 0.9

@@ -161,7 +161,7 @@ REMARKED = {
 
 
 @pytest.mark.parametrize("what", REMARKED)
-def test_a_remark_says_what_was_assumed(folder: Path, what: str) -> None:
+def test_a_remark_names_what_was_assumed(folder: Path, what: str) -> None:
     content, expected = REMARKED[what]
     read(folder, content)
     (remark,) = read_case(folder).remarks

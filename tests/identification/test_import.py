@@ -361,7 +361,7 @@ def test_names_of_columns(name: str, tmp_path: Path) -> None:
     assert found == expected
 
 
-def test_an_error_says_which_column_is_read_as_what(tmp_path: Path) -> None:
+def test_an_error_names_the_meaning_of_each_column(tmp_path: Path) -> None:
     rows = "\n".join(f"{i / 10},{i},{600 - i},{i}" for i in range(40))
     with pytest.raises(CaseError, match=r"2 Angle \(ignored\), 3 tank kPa \(reservoir_pressure\)"):
         proposed(tmp_path / "a.csv", f"t,Angle,tank kPa,chamber kPa\n{rows}")
@@ -543,7 +543,7 @@ def copied(tmp_path: Path, name: str = "plenum_discharge.csv") -> Path:
     return Path(shutil.copy(EXCERPTS / name, tmp_path))
 
 
-def test_the_command_says_what_is_missing_and_keeps_the_answer(
+def test_the_command_reports_what_is_missing_and_stores_the_answer(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = copied(tmp_path)

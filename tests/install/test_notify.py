@@ -80,7 +80,7 @@ def test_ready_once_and_alive_four_times_in_the_watchdogs_time(listener: Listene
     assert said == ["READY=1"] + ["WATCHDOG=1"] * int(2.0 / 0.5 * PER_WATCHDOG)
 
 
-def test_only_a_tick_says_that_the_loop_turns(listener: Listener) -> None:
+def test_only_a_tick_shows_that_the_loop_runs(listener: Listener) -> None:
     manager = listener.manager()
     for second in range(20):
         manager.event(LinkChanged(float(second), "vehicle", up=True))
@@ -88,7 +88,7 @@ def test_only_a_tick_says_that_the_loop_turns(listener: Listener) -> None:
 
 
 @pytest.mark.parametrize("of_another", [{}, {"WATCHDOG_USEC": "400000", "WATCHDOG_PID": "1"}])
-def test_without_a_watchdog_of_ours_it_says_that_it_is_ready_and_no_more(
+def test_without_a_watchdog_of_ours_it_notifies_ready_and_no_more(
     listener: Listener, of_another: dict[str, str]
 ) -> None:
     (manager,) = service_manager({"NOTIFY_SOCKET": listener.address, **of_another})
@@ -137,7 +137,7 @@ def test_nobody_adds_a_line_to_the_status() -> None:
     assert "odd WATCHDOG=trigger" in status_line(snapshot)
 
 
-async def test_a_loop_that_hangs_does_not_say_that_it_is_alive(tmp_path: Path) -> None:
+async def test_a_loop_that_hangs_does_not_notify_the_watchdog(tmp_path: Path) -> None:
     listener = Listener(str(tmp_path / "notify"))
     received_at: list[float] = []
 
@@ -163,7 +163,7 @@ async def test_a_loop_that_hangs_does_not_say_that_it_is_alive(tmp_path: Path) -
     assert not [t for t in received_at if hangs_at + 0.05 < t < goes_on_at]
 
 
-def test_the_command_says_that_it_is_ready_alive_and_stopping(tmp_path: Path) -> None:
+def test_the_command_notifies_ready_watchdog_and_stopping(tmp_path: Path) -> None:
     listener = Listener(str(tmp_path / "notify"))
     profile = tmp_path / "vine.toml"
     profile.write_text(between(free_port(), str(tmp_path / "none")), encoding="utf-8")

@@ -90,7 +90,7 @@ def test_a_vine_with_hysteresis_is_let_down_further() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ["ardupilot", "px4"])
-def test_the_service_flies_what_the_budget_says(kind: AutopilotKind) -> None:
+def test_the_service_flies_as_the_budget_predicts(kind: AutopilotKind) -> None:
     given = built(SHORT, kind)
     prior = nominal(CONFIG.pneumatics)
     report = review("short", given, kind, HOMES[kind], CONFIG, prior, 690.0)

@@ -42,7 +42,7 @@ def errors(kind: AutopilotKind, *entries: tuple[float, ...], frame: int = 2) -> 
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_good_mission_has_nothing_to_say(kind: AutopilotKind) -> None:
+def test_a_good_mission_has_no_findings(kind: AutopilotKind) -> None:
     report = reviewed(built(HEAD + waypoint("{ profile = 'reach' }"), kind), kind)
     assert report.findings == []
 
@@ -183,7 +183,7 @@ def test_an_item_without_a_rule_is_only_a_warning() -> None:
     assert "refused: no rule for script_message (77" in said(report, "warning")[0]
 
 
-def test_a_bottle_that_is_too_low_refuses_and_says_so() -> None:
+def test_a_bend_with_too_little_air_is_refused_with_this_reason() -> None:
     given = built(HEAD + waypoint("{ bend_deg = 50 }, { profile = 'straight' }"), "px4")
     report = reviewed(given, "px4", reservoir_kPa=50.0)
     text = said(report)[0]

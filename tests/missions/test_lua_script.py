@@ -171,7 +171,7 @@ def autopilot() -> ArduPilot:
     return autopilot
 
 
-def test_it_says_that_it_runs(autopilot: ArduPilot) -> None:
+def test_it_reports_that_it_runs(autopilot: ArduPilot) -> None:
     assert autopilot.texts == ["Vine: script runs"]
     assert autopilot.sent == []
 
@@ -196,7 +196,7 @@ def test_it_is_repeated_until_it_is_acknowledged(autopilot: ArduPilot) -> None:
     assert autopilot.texts == ["Vine: script runs"]
 
 
-def test_without_an_answer_it_gives_up_and_says_so(autopilot: ArduPilot) -> None:
+def test_without_an_answer_it_gives_up_and_reports_it(autopilot: ArduPilot) -> None:
     autopilot.item(1, 40.0)
     autopilot.run(10_000)
     assert [m.confirmation for _, m in autopilot.sent] == [0, 1, 2, 3]

@@ -31,7 +31,7 @@ def said(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 
 
 @ACTIONS
-def test_without_mavsdk_it_says_what_to_install(
+def test_without_mavsdk_it_names_what_to_install(
     arguments: tuple[object, ...], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "mavsdk", None)
@@ -39,7 +39,7 @@ def test_without_mavsdk_it_says_what_to_install(
     assert error == "mavsdk is missing: pip install 'flying-vines[missions]', on 64-bit systems"
 
 
-def test_where_its_library_does_not_load_the_first_line_says_so(
+def test_if_its_library_does_not_load_the_first_line_reports_it(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     package = tmp_path / "mavsdk"

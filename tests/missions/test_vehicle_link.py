@@ -96,7 +96,7 @@ def test_a_loop_that_has_ended_is_no_error() -> None:
         ("serial:/dev/ttyUSB0:57600", "serial:///dev/ttyUSB0:57600"),
     ],
 )
-def test_links_are_written_in_mavsdks_words(link: str, url: str) -> None:
+def test_links_are_written_as_mavsdk_writes_them(link: str, url: str) -> None:
     assert mavsdk_url(link) == url
 
 

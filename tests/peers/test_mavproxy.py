@@ -102,7 +102,7 @@ async def test_the_gauge_is_seen_by_the_name_of_each_value(flight: Flight) -> No
     assert shown_kPa == pytest.approx(flight.phlosar.reservoir_kPa, abs=5)
 
 
-async def test_commands_move_the_vine_and_are_answered_in_words(flight: Flight) -> None:
+async def test_commands_move_the_vine_and_are_answered_as_text(flight: Flight) -> None:
     ground = flight.ground
     ground.type("vehicle 1:191")
     await ground.answers("long 31011 30", "Got COMMAND_ACK: USER_2: ACCEPTED")
@@ -183,7 +183,7 @@ async def test_parameters_are_fetched_set_and_kept_within_their_bounds(flight: F
     )
 
 
-async def test_signed_commands_are_obeyed_and_those_of_another_key_are_not(tmp_path: Path) -> None:
+async def test_signed_commands_are_carried_out_and_those_of_another_key_are_not(tmp_path: Path) -> None:
     """The passphrase in our key file and the one typed into MAVProxy give the same key."""
     file = tmp_path / "key"
     file.write_text("passphrase: vines-over-the-lake\n")

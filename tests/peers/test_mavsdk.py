@@ -207,7 +207,7 @@ async def test_changes_by_the_storage_are_reported(tmp_path: Path) -> None:
     assert "item 3 (script message (1.9, 40)): param1 1.9 is stored as 1." in written(console)
 
 
-async def test_nobody_there_is_said_in_one_line() -> None:
+async def test_no_vehicle_is_reported_in_one_line() -> None:
     with pytest.raises(VehicleLinkError, match=r"^udpin:127\.0\.0\.1:\d+: no vehicle found within 0\.5 s$"):
         async with vehicle(f"udpin:127.0.0.1:{free_port()}", within_s=0.5):
             pass

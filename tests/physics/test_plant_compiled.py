@@ -211,7 +211,7 @@ def finer(plant: Plant, tick_s: float) -> PlantNumbers:
     return numbers_of(plant, tick_s)._replace(min_steps=40)
 
 
-def test_it_starts_where_it_is_told_and_writes_every_so_often() -> None:
+def test_it_starts_in_the_given_state_and_writes_at_the_given_interval() -> None:
     plant = Plant(Rig(), dataclasses.replace(LIKELY, evp_motion=ValveMotion(delay_s=0.02)))
     state = at_rest(plant, 300.0, 15.0)
     inputs = told(501, 2)
@@ -300,7 +300,7 @@ def test_without_a_cache_it_is_compiled(tmp_path: Path, monkeypatch: pytest.Monk
     assert compiler.compiled.__wrapped__(dead_zone)(0.65, 0.3) == dead_zone(0.65, 0.3)
 
 
-def test_without_numba_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_numba_it_names_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "numba", None)
     with pytest.raises(compiler.NoCompiler, match=r"pip install 'flying-vines\[analysis\]'"):
         compiler.compiled.__wrapped__(dead_zone)

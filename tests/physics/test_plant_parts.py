@@ -149,7 +149,7 @@ def test_backlash_and_dead_zone() -> None:
     assert [dead_zone(u, 0.25) for u in (0.0, 0.25, 0.625, 1.0)] == [0.0, 0.0, 0.5, 1.0]
 
 
-def test_a_delayed_valve_does_before_what_it_was_told() -> None:
+def test_a_delayed_valve_still_follows_the_command_before() -> None:
     plant = Plant(Rig(), Effects(evp_motion=ValveMotion(delay_s=0.003)))
     simulator = Simulator(plant, initial=Inputs(0.9, 0.0, False))
     targets = []
@@ -277,7 +277,7 @@ def drawn(ejector: Ejector, law: Ohm | Iso6358, p: float, theta: float, vacuum: 
     st.floats(0.0, 0.6),
     st.floats(1.0, 30.0),
 )
-def test_an_ejector_draws_what_its_characteristic_says(
+def test_the_suction_flow_of_an_ejector_is_that_of_its_characteristic(
     p: float, theta: float, vacuum: float, free: float, b: float, passage: float
 ) -> None:
     ejector = Ejector(passage_resistance_kPa_s_per_SL=passage)

@@ -157,7 +157,7 @@ def test_the_second_flight_of_a_service_is_replayed_from_the_first(tmp_path: Pat
         replay_flight(FlightLog(second))
 
 
-def test_another_answer_is_found_and_said(flown: Path, tmp_path: Path) -> None:
+def test_another_answer_is_found_and_reported(flown: Path, tmp_path: Path) -> None:
     def other_setpoint(entry: LogEntry) -> bytes:
         if entry.topic != "decision":
             return entry.data
@@ -189,7 +189,7 @@ def test_a_damaged_log_is_compared_up_to_there(flown: Path, tmp_path: Path) -> N
     assert not again.differences and "damaged" in again.damage
 
 
-def test_the_command_says_whether_it_is_the_same(
+def test_the_command_reports_whether_it_is_the_same(
     flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     profile = tmp_path / "grounded.toml"

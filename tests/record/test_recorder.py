@@ -88,7 +88,7 @@ def test_another_reader_finds_the_same(flown: Path) -> None:
     assert summary.statistics.message_start_time == ours[0][1]
 
 
-def test_every_message_is_as_its_schema_says(flown: Path) -> None:
+def test_every_message_fits_its_schema(flown: Path) -> None:
     schemas = {topic.name: topic.schema for topic in TOPICS}
     seen: Counter[str] = Counter()
     for entry in FlightLog(flown).entries():
@@ -215,7 +215,7 @@ def test_a_write_error_ends_only_the_log(tmp_path: Path) -> None:
     assert len(list(FlightLog(recorder.folder).entries())) == 1
 
 
-def test_the_folder_says_what_flew(tmp_path: Path) -> None:
+def test_the_folder_has_the_versions_and_files_of_the_flight(tmp_path: Path) -> None:
     began = dataclasses.replace(
         BEGAN, rig="[cv]\nvolume_L = 0.1\n", stored=StoredState({"VINE_RATE_HZ": 3.0})
     )
@@ -376,7 +376,7 @@ def test_a_disk_that_is_read_only_for_a_while_is_reported_once_and_leaves_no_lit
     assert ticks(recorder.folder)
 
 
-def test_a_replay_says_where_nothing_was_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_replay_reports_gaps_of_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Usage = namedtuple("Usage", "total used free")
     free_MB = [500.0]
     monkeypatch.setattr(shutil, "disk_usage", lambda path: Usage(1e9, 5e8, free_MB[0] * 1e6))

@@ -72,7 +72,7 @@ async def test_what_moves_the_vine_is_sent_before_any_text(
     assert done[2:] == ["Notice", "ToFirmware", "Notice", "ToFirmware"]
 
 
-async def test_a_stranger_on_the_network_bends_nothing(bench: Bench) -> None:
+async def test_an_unknown_sender_on_the_network_bends_nothing(bench: Bench) -> None:
     # A whole autopilot in the air, from another address than the configured one, and a command.
     seen: list[Action] = []
     link = config.parse(bench.profile, "test").vehicle.link
@@ -129,7 +129,7 @@ async def test_a_watcher_that_fails_sees_no_more_and_the_others_do(bench: Bench)
     assert texts() == ["Vine: one", "Vine: Clumsy failed, flight goes on", "Vine: two"]
 
 
-async def test_a_silent_port_is_told_to_the_pilot_once_and_on_the_screen(
+async def test_a_silent_port_is_reported_to_the_pilot_once_and_on_the_screen(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(answer_check, "ANSWER_WITHIN_S", 0.3)
@@ -193,7 +193,7 @@ async def test_sigterm_vents_and_leaves_no_fault(bench: Bench, tmp_path: Path) -
     assert again.compared["decision"] >= 1
 
 
-async def test_a_service_is_told_that_the_pneumatics_were_disarmed_before_it(
+async def test_a_service_knows_that_the_pneumatics_were_disarmed_before_its_start(
     bench: Bench, tmp_path: Path
 ) -> None:
     (tmp_path / "profile.disarmed").touch()

@@ -64,7 +64,9 @@ def test_a_motion_that_comes_counts() -> None:
         ({4.0: 11.4}, 0, "at 3.5 s: 0.0 kPa since bend 30° at 1.0 s"),
     ],
 )
-def test_a_motion_missed_or_unasked_is_a_foul(plant: dict[float, float], motions: int, foul: str) -> None:
+def test_a_missed_motion_or_one_without_a_request_is_a_violation(
+    plant: dict[float, float], motions: int, foul: str
+) -> None:
     tally = judged(plant)
     assert tally.motions == motions
     assert tally.fouls[0] == foul

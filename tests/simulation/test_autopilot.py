@@ -153,7 +153,7 @@ def test_an_upload_is_asked_for_again_and_then_given_up() -> None:
     assert [message.type for message in world.gcs.of("MISSION_ACK")] == [15]
 
 
-def test_px4_tells_a_mission_id_that_changes_with_the_mission() -> None:
+def test_px4_reports_a_mission_id_that_changes_with_the_mission() -> None:
     world = World(FakeAutopilot("px4"))
     world.companion.hello()
     world.on(1.5)
@@ -227,7 +227,7 @@ def test_px4_takes_an_acknowledgement_for_the_oldest_command_of_that_number() ->
     assert len(commands_187(world)) == 3
 
 
-def test_px4_tells_an_old_current_item_after_a_jump() -> None:
+def test_px4_reports_an_old_current_item_after_a_jump() -> None:
     world = World(FakeAutopilot("px4", mission=px4_plan((93, 3), (93, 3), (93, 3))))
     world.request_streams()
     world.autopilot.start_mission()
@@ -240,7 +240,7 @@ def test_px4_tells_an_old_current_item_after_a_jump() -> None:
     assert world.companion.of("MISSION_CURRENT")[-1].seq == 3
 
 
-def test_ardupilot_does_not_tell_of_another_mission_of_the_same_length() -> None:
+def test_ardupilot_does_not_report_another_mission_of_the_same_length() -> None:
     world = World(FakeAutopilot("ardupilot", mission=plan(TAKEOFF, (217, 1, 40), (93, 9), LAND)))
     world.gcs.hello()
     world.request_streams()
@@ -254,7 +254,7 @@ def test_ardupilot_does_not_tell_of_another_mission_of_the_same_length() -> None
     assert world.autopilot.items[2].params[1] == 11
 
 
-def test_px4_tells_of_another_mission_by_its_id() -> None:
+def test_px4_reports_another_mission_by_its_id() -> None:
     world = World(FakeAutopilot("px4", mission=px4_plan((187, 0.4), (93, 9))))
     world.request_streams()
     world.on(1.0)
@@ -418,7 +418,7 @@ def test_a_reboot_is_silent_then_knows_nobody() -> None:
     assert len(world.autopilot.items) == 3
 
 
-def test_an_upload_right_after_boot_finds_no_space_and_ready_is_said_later() -> None:
+def test_an_upload_right_after_boot_finds_no_space_and_ready_is_reported_later() -> None:
     world = World(FakeAutopilot("ardupilot"))
     world.autopilot.reboot()
     world.on(1.3)
@@ -428,7 +428,7 @@ def test_an_upload_right_after_boot_finds_no_space_and_ready_is_said_later() -> 
     assert world.gcs.texts() == ["ArduPilot Ready"]
 
 
-def test_muted_links_carry_nothing_either_way_and_the_gap_shows() -> None:
+def test_interrupted_links_carry_nothing_either_way_and_the_gap_shows() -> None:
     world = streaming(FakeAutopilot("ardupilot"), 1.0)
     last = world.companion.frames[-1][4]
     world.companion.forget()

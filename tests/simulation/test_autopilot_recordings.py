@@ -298,7 +298,7 @@ def test_px4_crsf_losses_as_recorded() -> None:
     assert gone[0] == pytest.approx(gone[1], abs=0.16)
 
 
-def test_ardupilot_losses_told_and_hidden_as_recorded() -> None:
+def test_ardupilot_losses_reported_and_hidden_as_recorded() -> None:
     real = recording("ardupilot_hidden_rc_loss")
     world = World(FakeAutopilot("ardupilot", rc_failsafe_mode=None))
     autopilot = world.autopilot

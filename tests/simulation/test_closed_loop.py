@@ -109,7 +109,7 @@ def test_it_holds_what_the_whole_firmware_holds() -> None:
     assert apart_kPa[-500:].max() < 0.3
 
 
-def test_the_table_tells_what_is_wanted_and_held() -> None:
+def test_the_table_has_the_requested_and_the_held_setpoint() -> None:
     table = closed_loop(PLANTS["baseline"], SETPOINTS, 1.8).table
     assert len(table) == 180
     assert np.diff(table["time_s"]) == pytest.approx(0.01)

@@ -154,7 +154,7 @@ def test_both_may_be_wrong_at_once_and_well_again() -> None:
 
 
 @likely_and_ideal
-def test_an_inflation_valve_stuck_open_lets_air_in_whatever_it_is_told(effects: Effects | None) -> None:
+def test_an_inflation_valve_stuck_open_lets_air_in_with_any_command(effects: Effects | None) -> None:
     phlosar, _ = rigged(SHUT, effects)
     phlosar.mishaps.evp = StuckAt(1.0)
     phlosar.advance(1.0)
@@ -281,7 +281,7 @@ def test_a_slow_leak_comes_beside_the_rigs_own(own: Ohm | None) -> None:
     assert phlosar.state.vented_SL == pytest.approx(0.1 * out_SL_per_s, rel=0.01)
 
 
-def test_a_hole_in_the_bottle_empties_it_as_the_textbook_says() -> None:
+def test_a_hole_in_the_bottle_empties_it_as_in_the_textbook() -> None:
     phlosar, _ = rigged(SHUT, Effects())
     phlosar.mishaps.bottle = Hole(2.0)
     phlosar.advance(1.0)

@@ -59,7 +59,7 @@ class Flight:
 
 @pytest.mark.parametrize("effects", [None, Effects()], ids=["likely", "ideal"])
 @pytest.mark.parametrize("volume_L", [0.1, 0.5, 1.0])
-def test_it_goes_where_it_is_told_and_stays(volume_L: float, effects: Effects | None) -> None:
+def test_it_reaches_the_setpoint_and_stays_there(volume_L: float, effects: Effects | None) -> None:
     flight = Flight(SimulatedPhlosar(Rig(cv=ControlVolume(volume_L=volume_L)), effects=effects))
     flight.command(Regulate(20.7, 20.0))
     # A pouch fills before its pressure rises.

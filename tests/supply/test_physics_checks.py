@@ -91,7 +91,9 @@ def likely(cv_volume_L: float = 0.1, bottle_kPa: float = 690.0) -> SimulatedPhlo
 
 @pytest.mark.parametrize("believed_share", [0.5, pytest.param(1.0, marks=pytest.mark.long), 2.0])
 @pytest.mark.parametrize(("cv_volume_L", "bottle_kPa"), [(0.05, 690.0), (0.1, 120.0), (1.0, 600.0)])
-def test_a_healthy_rig_is_not_accused(cv_volume_L: float, bottle_kPa: float, believed_share: float) -> None:
+def test_a_healthy_rig_has_no_false_fault(
+    cv_volume_L: float, bottle_kPa: float, believed_share: float
+) -> None:
     flying = Flying(likely(cv_volume_L, bottle_kPa), checks_of(believed_share * cv_volume_L))
     flying.run(2.0, None)
     for target_kPa in (TOP_KPA, 8.0, TOP_KPA, 0.0, TOP_KPA, None):
@@ -167,7 +169,7 @@ def test_a_hose_off_before_the_bend_is_found_at_10_Hz_nearly_as_soon_as_at_100_H
     "loses", [*(pytest.param(share, marks=pytest.mark.long) for share in (0.0, 0.2)), 0.5]
 )
 @pytest.mark.parametrize("cv_volume_L", [pytest.param(0.05, marks=pytest.mark.long), 0.3])
-def test_a_healthy_rig_is_not_accused_by_telemetry_of_10_Hz(cv_volume_L: float, loses: float) -> None:
+def test_a_healthy_rig_has_no_false_fault_with_telemetry_of_10_Hz(cv_volume_L: float, loses: float) -> None:
     flying = slowly_told(1, loses, cv_volume_L)
     flying.run(2.0, None)
     for target_kPa in (TOP_KPA, 8.0, TOP_KPA, 0.0, TOP_KPA, None) * 2:
@@ -197,7 +199,7 @@ def test_a_bottle_sensor_that_is_stuck_is_found_within_eight_bends() -> None:
     assert at_s > 4.0, "one bend of this vine moves the bottle by less than its sensor tells apart"
 
 
-def test_the_sentence_says_where_the_air_went() -> None:
+def test_the_sentence_names_where_the_air_went() -> None:
     for place, kind, sentence in (
         ("evp", StuckAt(0.0), "not filling, bottle loses no air: valve"),
         ("hose", HoseOff(), "not filling, air is lost: hose or actuator"),

@@ -123,7 +123,7 @@ def test_a_pause_is_a_wait_and_not_the_rhythm() -> None:
     assert after.expected > 0.8 * before.expected
 
 
-def test_a_slower_rhythm_with_a_leak_says_why_the_number_falls() -> None:
+def test_a_slower_rhythm_with_a_leak_gives_the_reason_for_the_lower_number() -> None:
     told = Told(Bench(cost_kPa=2.07, leak_per_s=1e-3))
     told.rest(6.0)
     before = told.bend(6)[-1]
@@ -200,7 +200,7 @@ def test_the_number_after_a_jump_agrees_with_that_at_the_jump() -> None:
     assert len(told.events) == 1
 
 
-def test_a_latched_loss_says_0_until_it_is_cleared_and_then_learns_again() -> None:
+def test_a_latched_loss_reports_0_until_it_is_cleared_and_then_learns_again() -> None:
     told = Told(Bench())
     told.rest(6.0)
     before = told.bend(6)[-1]

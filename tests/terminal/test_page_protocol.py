@@ -68,7 +68,7 @@ def test_the_past_is_reported_once() -> None:
     assert decoder.began == 5.0
 
 
-def test_a_machine_that_was_started_anew_begins_a_new_story() -> None:
+def test_a_restarted_machine_begins_a_new_list_of_events() -> None:
     decoder = PageDecoder()
     decoder.take(0.0, hello(1000.0, notice(999.0)))
     again = notice(3.0)

@@ -70,7 +70,7 @@ async def test_on_a_pipe_an_event_is_a_line(bench: Bench) -> None:
     assert not err
 
 
-async def test_as_json_it_is_all_that_the_page_is_told(bench: Bench) -> None:
+async def test_as_json_it_prints_all_messages_of_the_page(bench: Bench) -> None:
     async with showing(bench):
         out, _ = await watch("--url", bench.url, "--seconds", "0.8", "--json", status=0)
     kinds = [json.loads(line)["kind"] for line in out.splitlines()]
@@ -97,7 +97,7 @@ def test_bad_input_is_a_line_and_status_2(
     assert not out
 
 
-def test_nobody_there_is_status_1(capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_vehicle_is_status_1(capsys: pytest.CaptureFixture[str]) -> None:
     port = free_port()
     status, out, _ = run(capsys, "watch", "--url", f"http://127.0.0.1:{port}", "--seconds", "0.3")
     assert status == 1

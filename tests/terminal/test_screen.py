@@ -51,7 +51,7 @@ def test_a_fault_and_the_latest_event_are_whole(width: int) -> None:
 
 
 @pytest.mark.parametrize("width", [60, 80, 120])
-def test_without_a_fault_it_says_what_vented_and_what_it_waits_for(width: int) -> None:
+def test_without_a_fault_it_shows_what_vented_and_the_awaited_request(width: int) -> None:
     text = " ".join(lines(width, waiting=WAITING))
     assert "vented: vent by the page waiting for: switch down, then up" in " ".join(text.split())
 

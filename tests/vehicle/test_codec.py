@@ -149,7 +149,7 @@ def test_a_copy_comes_out_once_also_behind_another_frame() -> None:
     assert codec.lost_frames == 0
 
 
-def test_the_same_text_said_again_is_no_copy() -> None:
+def test_the_same_text_sent_again_is_no_copy() -> None:
     codec, sender = MavlinkCodec(1, 191), Sender()
     found = [texts_of(codec.decode(sender.frame(text("Mission: 3 Scripting")))) for _ in range(300)]
     assert all(found)
@@ -275,7 +275,7 @@ def test_a_key_that_is_sent_to_us_does_not_come_out() -> None:
     assert codec.lost_frames == 0
 
 
-def test_strangers_without_end_neither_fill_the_memory_nor_crowd_the_autopilot_out() -> None:
+def test_many_unknown_senders_neither_fill_the_memory_nor_displace_the_autopilot() -> None:
     codec, autopilot = MavlinkCodec(1, 191), Sender()
     for i in range(2 * REMEMBERED_FRAMES):
         codec.decode(autopilot.frame(clock(i)))

@@ -60,7 +60,7 @@ def gaps_s(times_s: list[float]) -> list[float]:
     return [b - a for a, b in itertools.pairwise(times_s)]
 
 
-def test_a_heartbeat_each_second_that_says_what_we_are() -> None:
+def test_a_heartbeat_each_second_has_our_type() -> None:
     beats = of("HEARTBEAT", run(component(), 100.0))
     assert len(beats) == 100
     assert all(gap_s == pytest.approx(1.0) for gap_s in gaps_s([t for t, _ in beats]))
@@ -207,7 +207,7 @@ def test_long_texts_come_in_chunks_that_join_again(texts: list[str]) -> None:
 @pytest.mark.parametrize(
     ("length", "chunks"), [(49, 1), (50, 1), (51, 2), (99, 2), (100, 3), (101, 3), (150, 4), (199, 4)]
 )
-def test_a_receiver_can_tell_where_a_text_ends(length: int, chunks: int) -> None:
+def test_a_receiver_finds_the_end_of_a_text(length: int, chunks: int) -> None:
     words = "Vine: ".ljust(length, "x")
     sent = said([words])
     assert len(sent) == chunks
@@ -246,7 +246,7 @@ def test_a_flood_of_texts_stays_bounded() -> None:
     assert sent[-1][1].text == "Vine: 999"
 
 
-def test_a_flood_does_not_tear_a_text_that_is_half_told() -> None:
+def test_a_flood_does_not_interrupt_a_text_that_is_half_sent() -> None:
     texts, long = Texts(), "Vine: " + 150 * "x"
     texts.say(0.0, 4, long)
     sent = texts.due(0.0)

@@ -32,7 +32,7 @@ def raws(found: list[Frame]) -> list[bytes]:
     return [frame.raw for frame in found]
 
 
-def test_a_frame_says_what_its_header_says() -> None:
+def test_a_frame_has_the_values_of_its_header() -> None:
     (frame,) = Frames().take(packed(1)[0])
     assert (frame.message_id, frame.system, frame.component, frame.sequence) == (30, 1, 1, 0)
     assert frame.known and not frame.signed

@@ -264,7 +264,7 @@ async def test_senders_that_are_not_the_autopilot_are_read_and_not_answered() ->
         assert script.received.empty()
 
 
-async def test_half_a_frame_of_a_stranger_does_not_hold_the_autopilots_up() -> None:
+async def test_half_a_frame_of_an_unknown_sender_does_not_delay_the_autopilots() -> None:
     port = free_port()
     async with (
         serving(NetworkAddress("udpin", HOST, port)) as (watched, believed),
@@ -339,7 +339,7 @@ async def test_on_an_open_port_only_a_signature_opens() -> None:
         assert len(watched.link._peers) == 1
 
 
-async def test_a_datagram_too_large_for_mavlink_is_not_read_from_strangers() -> None:
+async def test_a_datagram_too_large_for_mavlink_is_not_read_from_unknown_senders() -> None:
     port = free_port()
     async with (
         serving(NetworkAddress("udpin", HOST, port)) as (watched, believed),
@@ -462,7 +462,7 @@ async def test_tcp_comes_back_when_the_server_does() -> None:
             assert [up for up, _ in watched.states].count(True) == round_number + 2
 
 
-async def test_tcp_says_once_why_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_tcp_reports_once_why_there_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     loop, tried = asyncio.get_running_loop(), asyncio.Semaphore(0)
     connect = loop.create_connection
 

@@ -123,7 +123,7 @@ def sentences() -> list[str]:
     return found
 
 
-def test_nothing_that_the_code_says_has_to_be_broken() -> None:
+def test_no_text_in_the_code_breaks_a_rule() -> None:
     said = sentences()
     assert len(said) > 50
     assert any("autopilot rebooted, vented" in text for text in said)

@@ -212,7 +212,7 @@ def test_the_same_total_with_another_mission_id() -> None:
     autopilot.reads_within(2.0)
 
 
-def test_the_same_total_that_only_the_text_tells() -> None:
+def test_with_the_same_total_only_the_text_shows_a_change() -> None:
     autopilot = read(12)
     autopilot.items = mission(12, angle_deg=5.0)
     autopilot.run(30.0)
@@ -222,7 +222,7 @@ def test_the_same_total_that_only_the_text_tells() -> None:
     autopilot.reads_within(2.0)
 
 
-def test_another_text_tells_nothing() -> None:
+def test_another_text_shows_no_change() -> None:
     autopilot = read(12)
     for words in ("Flight plan", "Mission: 3 Scripting", "Radio Failsafe"):
         autopilot.deliver(text(words))

@@ -98,7 +98,7 @@ def test_another_mission_of_the_same_length_never_runs_with_the_numbers_of_befor
     assert ran > 20
 
 
-def test_the_storms_are_storms() -> None:
+def test_the_drawn_flights_have_executed_lost_and_unknown_items() -> None:
     ran = lost = unknown = 0
     for seed in range(8):
         dice = random.Random(seed)

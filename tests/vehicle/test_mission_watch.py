@@ -386,7 +386,7 @@ def test_an_item_needs_no_book() -> None:
     assert (air.payloads(), air.asked) == ([3], [3])
 
 
-def test_a_mission_of_the_same_length_that_nobody_told_of_gives_its_own_numbers() -> None:
+def test_an_unannounced_mission_of_the_same_length_gives_its_own_numbers() -> None:
     air = having_read(PLAN)
     other = [replace(one, params=(1.0, -11.0, 0.0, 0.0, 0.0, 0.0, 0.0)) for one in PLAN]
     air.stores(other)

@@ -143,7 +143,7 @@ class Radio:
         return [output.text for _, output in self.outputs if isinstance(output, Notice)]
 
 
-def test_a_bend_on_px4_waits_until_the_status_would_have_told_of_a_loss() -> None:
+def test_a_bend_on_px4_waits_until_the_status_would_have_reported_a_loss() -> None:
     radio = Radio()
     moved_s = radio.now_s
     radio.move(2, 5.0)
@@ -258,20 +258,20 @@ def test_every_move_of_the_pilot_counts_once(positions: list[int]) -> None:
     assert [name for _, name, _ in radio.asked] == wanted
 
 
-def test_rc_by_a_ground_station_needs_no_receiver_and_is_said() -> None:
+def test_rc_by_a_ground_station_needs_no_receiver_and_is_reported() -> None:
     radio = Radio(by_station=True)
     radio.move(2, 0.3)
     assert len(radio.bends) == 1
     assert radio.told_at_start == ["Vine: RC comes from a ground station"]
 
 
-def test_a_receiver_that_knows_its_signal_tells_of_a_loss_before_the_status() -> None:
+def test_a_receiver_with_a_signal_value_shows_a_loss_before_the_status() -> None:
     radio = Radio(rssi=61)
     radio.lose(0.75)
     assert radio.pilot.radio.problem(radio.now_s) == "the receiver hears no transmitter"
 
 
-def test_a_receiver_that_reports_no_signal_is_lost_whatever_the_status_says() -> None:
+def test_a_receiver_that_reports_no_signal_is_lost_with_any_status() -> None:
     """CRSF frames continue with a link quality of 0, and PX4's status stays good."""
     radio = Radio(rssi=53, rssi_when_lost=0, bits_after_s=100.0, preset={9: 2000})
     radio.lose(10.0)
@@ -426,7 +426,7 @@ def test_a_loss_overtakes_a_bend_that_waits() -> None:
     assert radio.bends == []
 
 
-def test_without_a_status_a_bend_is_refused_and_said() -> None:
+def test_without_a_status_a_bend_is_refused_and_reported() -> None:
     radio = Radio()
     radio.move(2, 0.5)
     radio.run_without_status(10.0)
@@ -524,7 +524,7 @@ def test_without_a_status_a_straightening_is_not_refused_afterwards() -> None:
     assert [name for _, name, _ in radio.asked] == ["bend-full", "straight"]
 
 
-def test_on_ardupilot_the_status_says_nothing_of_what_its_parameters_hide() -> None:
+def test_on_ardupilot_the_status_does_not_show_what_its_parameters_hide() -> None:
     radio = Radio("ardupilot", by_station=True)
     radio.receive(param_value("FS_THR_ENABLE", 0.0))
     radio.move(2, 1.0)
@@ -621,7 +621,7 @@ def test_while_another_bends_the_vine_a_position_that_is_left_too_soon_straighte
     assert [name for _, name, _ in radio.asked] == ["straight"]
 
 
-def test_a_bend_that_waits_gives_way_to_another_position() -> None:
+def test_a_waiting_bend_is_replaced_by_another_position() -> None:
     radio = Radio()
     radio.move(1, 0.5)
     radio.move(2, 3.0)
@@ -629,7 +629,7 @@ def test_a_bend_that_waits_gives_way_to_another_position() -> None:
 
 
 @pytest.mark.parametrize("steps", range(8))
-def test_the_status_that_tells_of_a_loss_confirms_no_bend(steps: int) -> None:
+def test_a_status_that_reports_a_loss_confirms_no_bend(steps: int) -> None:
     radio = Radio()
     radio.move(2, steps * PERIOD_S)
     radio.lose()

@@ -187,7 +187,7 @@ def test_a_request_that_requests_nothing_is_denied(number: int, param: float) ->
 # Rates.
 
 
-def test_the_interval_of_values_is_set_told_and_kept() -> None:
+def test_the_interval_of_values_is_set_reported_and_kept() -> None:
     bench = Bench()
     for interval_us in (1e5, 2.5e5, 1e6, 1e7):
         assert bench.ask(SET_INTERVAL, 251, interval_us) == (ACCEPTED, [])

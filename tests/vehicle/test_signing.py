@@ -191,7 +191,7 @@ def test_without_a_clock_what_was_saved_goes_on() -> None:
     assert ours.signing.next_timestamp() == NOW + 90 * UNITS_PER_S + 1
 
 
-def test_without_a_clock_the_autopilot_tells_the_time() -> None:
+def test_without_a_clock_the_time_is_the_autopilots() -> None:
     ours = Ours(clock_s=None)
     assert ours.receive(Peer().say("I have GPS")) == ["I have GPS"]
     assert ours.signing.next_timestamp() == NOW + 2

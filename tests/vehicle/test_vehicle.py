@@ -148,7 +148,7 @@ def test_two_autopilots_are_reported_and_neither_is_served() -> None:
     assert "autopilots 1 and 2" in link.notices[-1].text
 
 
-def test_nothing_is_said_before_a_vehicle_is_found() -> None:
+def test_nothing_is_sent_before_a_vehicle_is_found() -> None:
     link = Link()
     link.receive(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), 255, 190)
     link.receive(mavlink.MAVLink_command_long_message(1, 191, 31011, 0, 20, 0, 0, 0, 0, 0, 0), 255, 190)

@@ -121,7 +121,7 @@ def test_a_hold_stays_where_it_is() -> None:
     assert plan([HoldFor(for_s=3)], CURVE, 4.0, 6.0, MAX_KPA).final_kPa == 4.0
 
 
-def test_a_sine_swings_as_told_while_the_rate_allows() -> None:
+def test_a_sine_swings_as_commanded_while_the_rate_allows() -> None:
     sine = Sine(frequency_Hz=0.5, cycles=3, from_kPa=2, to_kPa=12)
     motion = plan([sine], CURVE, 2.0, 60.0, MAX_KPA)
     assert motion.duration_s == pytest.approx(6.0)

@@ -185,7 +185,7 @@ async def test_vehicles_of_a_fleet_are_distinguished(broker: Broker, people: Onl
         assert not people.on("flying-vines/heron/answer")
 
 
-async def test_two_vehicles_of_one_name_are_told_so(broker: Broker, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_two_vehicles_of_one_name_are_reported(broker: Broker, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(health, "STABLE_S", 3.0)
     monkeypatch.setattr(health, "REPORT_AFTER_S", 5.0)
     heron = {"broker": broker.url, "name": "heron"}

@@ -66,7 +66,9 @@ async def test_all_files_are_served_and_nothing_but_them(bench: Bench, session: 
         assert response.status == 405
 
 
-async def test_the_browser_is_told_to_load_nothing_else(bench: Bench, session: ClientSession) -> None:
+async def test_the_headers_forbid_the_browser_to_load_anything_else(
+    bench: Bench, session: ClientSession
+) -> None:
     async with session.get(bench.url) as response:
         policy = response.headers["Content-Security-Policy"]
         text = await response.text()
@@ -86,7 +88,7 @@ async def test_the_browser_is_told_to_load_nothing_else(bench: Bench, session: C
     assert "<script>" not in text
 
 
-async def test_a_viewer_is_told_what_was_and_what_is(bench: Bench, session: ClientSession) -> None:
+async def test_a_viewer_gets_past_events_and_the_present_state(bench: Bench, session: ClientSession) -> None:
     bench.happen(Notice(1.0, Severity.INFO, "Vine: ready"))
     bench.show(snapshot(2.0, cv_kPa=3.0))
     await asyncio.sleep(0)
