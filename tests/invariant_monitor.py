@@ -1,4 +1,4 @@
-"""A referee at the valves of a simulated phloSAR: it reports what must never happen, whatever the cause.
+"""A monitor at the valves of a simulated phloSAR: it reports what must never happen, whatever the cause.
 
 It uses facts only: the bytes that reach the board, the readings and valve commands, the true pressures, and
 the events that the director of the flight reports. It asks neither the service nor the firmware.
@@ -49,7 +49,7 @@ RAMP_S = 1.5
 _STEP_S = 0.001
 
 
-class Foul(NamedTuple):
+class Violation(NamedTuple):
     """A broken rule."""
 
     t: float
@@ -85,14 +85,14 @@ class _Target(NamedTuple):
     kPa: float | None
 
 
-class Referee:
-    """The referee of one flight. Times are seconds of the board's clock, which never goes back.
+class InvariantMonitor:
+    """The monitor of one flight. Times are seconds of the board's clock, which never goes back.
 
-    The director of the flight reports events of the world; a `RefereedBoard` reports the rest.
+    The director of the flight reports events of the world; a `MonitoredBoard` reports the rest.
     """
 
     def __init__(self, rules: Rules) -> None:
-        self.fouls: list[Foul] = []
+        self.violations: list[Violation] = []
         self.highest_kPa = 0.0
         self.longest_blind_s = 0.0
         """Longest time with the inflation valve commanded open while the vine was above the firmware's
@@ -423,10 +423,10 @@ class Referee:
         self._no_inflation_from_s = min(self._no_inflation.values(), default=math.inf)
 
     def _call(self, t: float, rule: str, what: str) -> None:
-        """Report a foul once for each rule, because the next ones are the same."""
+        """Report a violation once for each rule, because the next ones are the same."""
         if rule not in self._called:
             self._called.add(rule)
-            self.fouls.append(Foul(t, rule, what))
+            self.violations.append(Violation(t, rule, what))
 
 
 def _excused(excuses: dict[str, float], t: float) -> bool:
@@ -437,25 +437,25 @@ def _holding(table: dict[str, float], t: float) -> str:
     return ", ".join(name for name, from_s in table.items() if from_s <= t)
 
 
-class RefereedBoard(WrappedBoard):
-    """Replaces the firmware of a simulated phloSAR, and reports to the referee."""
+class MonitoredBoard(WrappedBoard):
+    """Replaces the firmware of a simulated phloSAR, and reports to the monitor."""
 
-    def __init__(self, phlosar: SimulatedPhlosar, referee: Referee) -> None:
+    def __init__(self, phlosar: SimulatedPhlosar, monitor: InvariantMonitor) -> None:
         super().__init__(phlosar.firmware)
         self._phlosar = phlosar
-        self._referee = referee
+        self._monitor = monitor
         phlosar.firmware = self
 
     def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Inputs:
         drive = super().step(now_us, cv_kPa, reservoir_kPa)
         phlosar = self._phlosar
-        self._referee.stepped(now_us / 1e6, cv_kPa, reservoir_kPa, phlosar.cv_kPa, phlosar.line_kPa, drive)
+        self._monitor.stepped(now_us / 1e6, cv_kPa, reservoir_kPa, phlosar.cv_kPa, phlosar.line_kPa, drive)
         return drive
 
     def receive(self, data: bytes) -> None:
-        self._referee.received(data)
+        self._monitor.received(data)
         super().receive(data)
 
     def reset(self, *, watchdog: bool = False) -> None:
         super().reset(watchdog=watchdog)
-        self._referee.restarted()
+        self._monitor.restarted()
