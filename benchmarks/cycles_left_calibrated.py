@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean, median
 
-from cycles_left_flights import FEWEST_CYCLES, began, fly, told
+from cycles_left_flights import FEWEST_CYCLES, began, fly, telemetry_messages
 from cycles_left_guess import Guess, by_paper, quantity
 from cycles_left_rigs import Case, Manoeuvre
 from rich.table import Table
@@ -193,7 +193,7 @@ def judge(seed: int) -> Outcome | None:
     estimates = [ReservoirEstimate(prior) for prior in priors]
     guesses: tuple[list[Guess], list[Guess]] = ([], [])
     moments = [began(flight, cycles) for cycles in MOMENTS.values()]
-    for t, telemetry in told(flight.telemetry):
+    for t, telemetry in telemetry_messages(flight.telemetry):
         for reader, estimate in zip(readers, estimates, strict=True):
             estimate.update(reader.read(t, telemetry))
         if t < flight.begins_s[moments[len(guesses[0])]]:

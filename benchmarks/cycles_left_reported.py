@@ -19,7 +19,7 @@ import sys
 from collections import Counter
 from dataclasses import dataclass, field, replace
 
-from cycles_left_flights import fly, told
+from cycles_left_flights import fly, telemetry_messages
 from cycles_left_rigs import HOST_TICK_S, Case, draw
 
 from flying_vines.physics.plant.flow import Ohm
@@ -80,7 +80,7 @@ class Flown:
             seed=case.seed,
         )
         self.state = run.state
-        for t, telemetry in told(run.table, self.t):
+        for t, telemetry in telemetry_messages(run.table, self.t):
             self.estimate.update(self.reader.read(t, telemetry))
             left = self.cycles.left
             flown = left is None or left.measured_cycles != self.estimate.measured_cycles

@@ -124,7 +124,7 @@ class Tally:
         self._blind[name] = max(self._blind[name], outcome.longest_blind_s)
         if outcome.bent[0]:
             self._bent[name] += 1
-            self._told[name][re.sub(r"-?\d+(\.\d+)?", "#", outcome.told[0])] += 1
+            self._told[name][re.sub(r"-?\d+(\.\d+)?", "#", outcome.texts[0])] += 1
 
     def print(self, minutes: float) -> None:
         print(

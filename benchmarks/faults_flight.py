@@ -226,7 +226,7 @@ class MonitoredFlight:
         self.flight.world.to_phlosar = self.to_board
         self.flight.world.from_phlosar = self.from_board
         self.flight.from_autopilot = self.from_autopilot
-        self.told: list[tuple[float, str]] = []
+        self.texts: list[tuple[float, str]] = []
         """Texts that the pilot reads."""
         self._station = MavlinkCodec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
         self._position = 0
@@ -901,7 +901,7 @@ class MonitoredFlight:
     def _take(self, actions: list[Action]) -> None:
         for action in actions:
             if isinstance(action, Notice):
-                self.told.append((action.t, action.text))
+                self.texts.append((action.t, action.text))
                 self.timeline.append((action.t, f"    pilot reads: {action.text}"))
             elif isinstance(action, Decision):
                 reason = f": {action.reason}" if action.reason else ""

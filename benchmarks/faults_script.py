@@ -72,7 +72,7 @@ class Outcome(NamedTuple):
     faults: tuple[str, ...]
     bent: tuple[bool, ...]
     """For each fault: true if the vine was under pressure when the fault began."""
-    told: tuple[str, ...]
+    texts: tuple[str, ...]
     """For each fault: the first text that the pilot read within `TOLD_S`, or an empty text."""
     violations: tuple[Violation, ...]
     begins: int
@@ -158,7 +158,7 @@ def fly(script: Script) -> Outcome:
         script.seed,
         tuple(fault.name for fault in script.faults),
         tuple(bent),
-        tuple(_first_told(flight, t) for t in began_s),
+        tuple(_first_text(flight, t) for t in began_s),
         tuple(flight.violations),
         len(flight.monitor.begins),
         sum(what.startswith(LIMIT) for _, what in flight.monitor.begins),
@@ -168,8 +168,8 @@ def fly(script: Script) -> Outcome:
     )
 
 
-def _first_told(flight: MonitoredFlight, since_s: float) -> str:
-    for t, text in flight.told:
+def _first_text(flight: MonitoredFlight, since_s: float) -> str:
+    for t, text in flight.texts:
         if since_s <= t <= since_s + TOLD_S and not any(words in text for words in _NO_NEWS):
             return text.removeprefix("Vine: ")
     return ""

@@ -130,7 +130,7 @@ def _attacks(target: Target, harm: Harm) -> list[Attack]:
 
         return attack
 
-    def told(kind: str, message: Callable[[], bytes], retain: bool = False) -> Attack:
+    def mqtt_attack(kind: str, message: Callable[[], bytes], retain: bool = False) -> Attack:
         def attack(address: str) -> None:
             with _connected(target.broker_port, address) as broker:
                 broker.sendall(_connect())
@@ -194,11 +194,11 @@ def _attacks(target: Target, harm: Harm) -> list[Attack]:
         sends("command of a viewer", _frame(b'{"id":1,"command":"vent"}')),
         sends("command not understood", _frame(b"[" * 400)),
         sends("command too large", _frame(b"x" * 1_000_000)),
-        told("message not understood", lambda: b'{"command": [[[[' + b"[" * 900),
-        told("message too large", lambda: b"x" * 3000),
-        told("retained message", fresh, retain=True),
-        told("command not listed", lambda: fresh().replace(target.allowed.encode(), b"vent")),
-        told("asked too often", fresh),
+        mqtt_attack("message not understood", lambda: b'{"command": [[[[' + b"[" * 900),
+        mqtt_attack("message too large", lambda: b"x" * 3000),
+        mqtt_attack("retained message", fresh, retain=True),
+        mqtt_attack("command not listed", lambda: fresh().replace(target.allowed.encode(), b"vent")),
+        mqtt_attack("asked too often", fresh),
     ]
 
 

@@ -75,8 +75,8 @@ def test_an_impossible_reading_is_a_fault_that_a_person_clears(field: str, value
     actions = run_for(flight, 1.0)
     (lost,) = decisions(actions)
     assert lost.what == {"loss": "sensor"} and lost.t - 10.0 < 0.05
-    told = [text for text in notices(actions) if "waiting for" not in text]
-    assert [text for text in told if text.startswith(SAID[field])] == told
+    texts = [text for text in notices(actions) if "waiting for" not in text]
+    assert [text for text in texts if text.startswith(SAID[field])] == texts
     assert_vented(flight)
     flight.autopilot.set_rc(9, MIDDLE)
     assert [d.safety for d in decisions(run_for(flight, 1.0))] == ["refused"]

@@ -156,27 +156,27 @@ def test_the_vent_does_not_need_what_failed(method: Method, after_s: float) -> N
 
 
 @pytest.mark.parametrize(
-    ("method", "told"),
+    ("method", "part"),
     [((ReservoirEstimate, "cycles_left"), "cycles left"), ((Core, "_named_values"), "named values")],
 )
-def test_a_failing_display_is_switched_off_and_the_flight_continues(method: Method, told: str) -> None:
+def test_a_failing_display_is_switched_off_and_the_flight_continues(method: Method, part: str) -> None:
     broken = Broken(method, 0.0)
     with breakable(method, broken.raises, broken.raised):
         broken.flight.autopilot.set_rc(9, HIGH)
         broken.run(2.0)
     assert (broken.only_shown, broken.core.internal_error) == (1, False)
-    assert broken.texts() == [f"Vine: {told} failed, flight goes on"]
+    assert broken.texts() == [f"Vine: {part} failed, flight goes on"]
     assert broken.flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
 
 
 def test_a_display_that_fails_is_blank_and_reported() -> None:
-    told: list[Exception] = []
+    errors: list[Exception] = []
     flight = bent()
-    crash_safe = CrashSafeCore(flight.core, told.append)
+    crash_safe = CrashSafeCore(flight.core, errors.append)
     with breakable((Core, "snapshot"), lambda: True):
         snapshot = crash_safe.snapshot(flight.world.now)
     assert snapshot.doing == "display failed" and math.isnan(snapshot.cv_kPa)
-    assert [str(error) for error in told] == ["Core.snapshot"]
+    assert [str(error) for error in errors] == ["Core.snapshot"]
     assert crash_safe.snapshot(flight.world.now).doing != "display failed"
 
 

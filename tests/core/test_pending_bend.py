@@ -30,9 +30,9 @@ def vent_on_page(flight: SimulatedFlight) -> None:
 def test_a_vent_by_another_person_waits_for_the_switch_and_is_reported_once() -> None:
     flight = bent()
     vent_on_page(flight)
-    told = notices(run_for(flight, 5.0))
+    texts = notices(run_for(flight, 5.0))
     assert waiting(flight) == PendingBend("vent by the page", UP_AGAIN)
-    assert told == [f"Vine: waiting for: {UP_AGAIN}"]
+    assert texts == [f"Vine: waiting for: {UP_AGAIN}"]
     flight.autopilot.set_rc(9, LOW)
     run_for(flight, 1.0)
     assert waiting(flight) is None
@@ -44,8 +44,8 @@ def test_a_vent_by_another_person_waits_for_the_switch_and_is_reported_once() ->
 def test_after_a_loss_of_rc_the_reason_is_shown_and_reported_when_rc_is_back() -> None:
     flight = bent()
     flight.autopilot.lose_rc("jump")
-    told = notices(run_for(flight, 3.0))
-    assert not [text for text in told if "waiting" in text]
+    texts = notices(run_for(flight, 3.0))
+    assert not [text for text in texts if "waiting" in text]
     during = waiting(flight)
     assert during is not None and "RC lost" in during.stopped_by and during.awaited == UP_AGAIN
     flight.autopilot.return_rc()

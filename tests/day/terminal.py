@@ -84,7 +84,7 @@ class Terminal:
                 self._shown += data
 
     @property
-    def said(self) -> str:
+    def output(self) -> str:
         """All output, without colours."""
         return CODE.sub("", self._shown.decode(errors="replace"))
 
@@ -102,7 +102,7 @@ class Terminal:
     def wait_for(self, pattern: str, seconds: float = PATIENCE_S) -> re.Match[str]:
         """Wait until it has printed this."""
         until = monotonic() + seconds
-        while not (found := re.search(pattern, self.said)):
+        while not (found := re.search(pattern, self.output)):
             if self._process.poll() is not None or monotonic() > until:
                 raise Ended(f"never showed {pattern!r}:\n{self.now.plain}")
             sleep(0.05)
@@ -118,9 +118,9 @@ class Terminal:
         """Wait for the end. Returns all output."""
         ended = self._process.wait(seconds)
         self._reading.join()
-        if ended != status or "Traceback" in self.said:
+        if ended != status or "Traceback" in self.output:
             raise Ended(f"{self._words[-1]}: ended with {ended}:\n{self.now.plain}")
-        return self.said
+        return self.output
 
     def svg(self, title: str) -> str:
         """A picture of what the terminal shows now."""

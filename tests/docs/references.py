@@ -262,8 +262,8 @@ def _fault(row: Row) -> str:
     if row.highest_kPa is not None:
         state += f"; **up to {row.highest_kPa:g} kPa before**"
     numbers = (str(ms) if ms is not None else "–" for ms in (row.allowed_ms, row.measured_ms))
-    told = f"“{row.told}”" if row.told else "–"
-    return _row(row.fault, row.seen_by, *numbers, state, told, row.cleared.value)
+    text = f"“{row.pilot_text}”" if row.pilot_text else "–"
+    return _row(row.fault, row.seen_by, *numbers, state, text, row.cleared.value)
 
 
 def _row(*cells: str) -> str:

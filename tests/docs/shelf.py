@@ -11,7 +11,7 @@ from tempfile import mkdtemp
 
 from recorded_flight import PROFILE, one_bend
 
-from docs.commands_said import ROOT
+from docs.documented_commands import ROOT
 from flying_vines.config import config
 from flying_vines.gateway.page_token import read_or_make
 from flying_vines.physics.plant.true_rig import load_true_rig

@@ -27,7 +27,7 @@ from typing import Any, NoReturn, TypeVar
 from patience import PATIENCE_S
 from ports import free_port
 
-from docs.commands_said import ROOT
+from docs.documented_commands import ROOT
 from flying_vines.cli.main import main
 
 T = TypeVar("T")
@@ -209,10 +209,10 @@ class Running:
     """A command of ours as a process. Leaving the context ends everything that it has started."""
 
     def __init__(self, folder: Path, words: Sequence[str], run: Callable[[list[str]], None] = main) -> None:
-        self._said = folder / f".said-{len(list(folder.glob('.said-*')))}"
-        self._said.touch()
+        self._output = folder / f".output-{len(list(folder.glob('.output-*')))}"
+        self._output.touch()
         self._process: BaseProcess = FORKS.Process(
-            target=_become, args=(folder, self._said, list(words), run)
+            target=_become, args=(folder, self._output, list(words), run)
         )
         self._process.start()
 
@@ -230,15 +230,15 @@ class Running:
         return self._process.pid
 
     @property
-    def said(self) -> str:
-        return self._said.read_text(encoding="utf-8", errors="replace")
+    def output(self) -> str:
+        return self._output.read_text(encoding="utf-8", errors="replace")
 
     def wait_for(self, pattern: str) -> None:
         """Wait until it has printed this."""
         patient_until = monotonic() + PATIENCE_S
-        while not re.search(pattern, self.said):
+        while not re.search(pattern, self.output):
             if not self._process.is_alive() or monotonic() > patient_until:
-                raise Ended(f"was never up: {self.said}")
+                raise Ended(f"was never up: {self.output}")
             sleep(0.02)
 
     def interrupt(self) -> None:
@@ -250,9 +250,9 @@ class Running:
         """Wait for its end; 130 means Ctrl-C."""
         self._process.join(PATIENCE_S)
         if self._process.exitcode not in (status, 130 if status == 0 else status):
-            raise Ended(f"ended with {self._process.exitcode} instead of {status}: {self.said}")
-        if "Traceback" in self.said:
-            raise Ended(self.said)
+            raise Ended(f"ended with {self._process.exitcode} instead of {status}: {self.output}")
+        if "Traceback" in self.output:
+            raise Ended(self.output)
 
 
 def parse_only(script: list[str]) -> None:

@@ -205,12 +205,12 @@ def test_used_signing_timestamps_are_not_used_again(seen: dict[str, Examined], f
 def test_nothing_is_commanded(seen: dict[str, Examined]) -> None:
     boards = [look.phlosar.firmware for look in seen.values() if look.phlosar]
     assert len(boards) == 3
-    received = {type(message) for board in boards if isinstance(board, Board) for message in board.told}
+    received = {type(message) for board in boards if isinstance(board, Board) for message in board.received}
     assert received == {Hello, Ping, GetSetting}
 
 
 def test_the_vehicle_is_only_asked(seen: dict[str, Examined]) -> None:
-    told = [message for look in seen.values() for message in look.vehicle.told]
+    told = [message for look in seen.values() for message in look.vehicle.received]
     assert {message.get_type() for message in told} <= {
         "HEARTBEAT",
         "COMMAND_LONG",
@@ -225,5 +225,5 @@ def test_the_vehicle_is_only_asked(seen: dict[str, Examined]) -> None:
 
 def test_findings_are_reported_in_order_as_they_come(seen: dict[str, Examined]) -> None:
     for look in seen.values():
-        assert [finding for told in look.told for finding in told] == look.findings
-        assert len(look.told) > 5
+        assert [finding for told in look.reported for finding in told] == look.findings
+        assert len(look.reported) > 5

@@ -9,7 +9,7 @@ from dataclasses import replace
 import msgspec
 import pytest
 
-from doctor.known_lines import every_line, says
+from doctor.known_lines import every_line, matches
 from firmware_link.protocol import PROTOCOL_VERSION, Fault, Setting, Units, Welcome
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
@@ -366,7 +366,7 @@ def named(case: tuple[FindingText, list[DoctorFinding]]) -> str:
 
 @pytest.mark.parametrize(("line", "found"), CASES, ids=map(named, CASES))
 def test_the_facts_call_for_the_line(line: FindingText, found: list[DoctorFinding]) -> None:
-    assert any(says(line, finding) for finding in found), found
+    assert any(matches(line, finding) for finding in found), found
 
 
 @pytest.mark.parametrize(
@@ -476,7 +476,7 @@ def test_a_receiver_is_safe_if_the_loss_is_reported_before_a_bend(
 def test_on_ardupilot_nothing_waits_for_a_preset_that_is_reported_late() -> None:
     """ArduPilot's status changes 0.9 s after the jump, and the switch acts after `debounce_s`."""
     late = of_receiver(autopilot="ardupilot", losses=(PRESET,))
-    assert any(says(receiver.BENDS, finding) for finding in late)
+    assert any(matches(receiver.BENDS, finding) for finding in late)
     assert not may_fly(late)
 
 

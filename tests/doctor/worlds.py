@@ -56,12 +56,12 @@ class Vehicle(FakeAutopilot):
     ) -> None:
         super().__init__(kind, unix_s=time.time(), **others)
         self.set_rc(9, 1000)
-        self.told: list[Any] = []
+        self.received: list[Any] = []
         self._decoder = MavlinkCodec(0, 0)
         self._mute = mute
 
     def receive(self, t: float, link: str, data: bytes) -> None:
-        self.told += self._decoder.decode(data)
+        self.received += self._decoder.decode(data)
         super().receive(t, link, data)
 
     def advance(self, t: float) -> list[tuple[str, bytes]]:
@@ -77,11 +77,11 @@ class Board(WrappedBoard):
 
     def __init__(self) -> None:
         super().__init__(Firmware())
-        self.told: list[protocol.Message] = []
+        self.received: list[protocol.Message] = []
         self._decoder = protocol.Codec()
 
     def receive(self, data: bytes) -> None:
-        self.told += self._decoder.decode(data)
+        self.received += self._decoder.decode(data)
         super().receive(data)
 
 
@@ -166,7 +166,7 @@ class World:
 @dataclass(frozen=True)
 class Examined:
     findings: list[DoctorFinding]
-    told: list[Sequence[DoctorFinding]]
+    reported: list[Sequence[DoctorFinding]]
     vehicle: Vehicle
     phlosar: SimulatedPhlosar | None
 

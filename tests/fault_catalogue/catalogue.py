@@ -23,7 +23,7 @@ class Row:
     id: str
     fault: str
     seen_by: str
-    told: str
+    pilot_text: str
     """Text that the pilot reads; the test looks for exactly these words. Empty if there is no text."""
     cleared: Cleared
     allowed_ms: int | None = None

@@ -123,7 +123,7 @@ class Served:
     async def vented(self) -> None:
         await until(lambda: self.phlosar.cv_kPa < 1.0 and self.phlosar.drive.solenoid, "the vine vents")
 
-    async def told(self, text: str) -> None:
+    async def until_text(self, text: str) -> None:
         await until(lambda: text in "".join(self.ground.texts), f"the ground station reads {text!r}")
 
     async def output(self) -> str:

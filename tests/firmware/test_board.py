@@ -250,9 +250,9 @@ def test_the_converter_has_sixteen_bits(teensy: Teensy, counts: int) -> None:
     teensy.start()
     teensy.greet()
     teensy.state.analog[RESERVOIR] = counts
-    told = teensy.telemetry().reservoir_kPa
+    reading_kPa = teensy.telemetry().reservoir_kPa
     right = (counts / SUPPLY_COUNTS - 0.1) / 0.8 * 1500.0
-    assert told == pytest.approx(right, abs=1500 / 0.8 * 20 / SUPPLY_COUNTS)
+    assert reading_kPa == pytest.approx(right, abs=1500 / 0.8 * 20 / SUPPLY_COUNTS)
 
 
 @pytest.mark.parametrize(
@@ -340,8 +340,8 @@ def test_the_next_start_reports_that_the_watchdog_ended_the_last(teensy: Teensy)
 
 def test_a_usual_start_has_no_fault(teensy: Teensy) -> None:
     teensy.start()
-    told = teensy.telemetry()
-    assert (told.mode, told.faults) == (Mode.VENT, Fault.NONE)
+    telemetry = teensy.telemetry()
+    assert (telemetry.mode, telemetry.faults) == (Mode.VENT, Fault.NONE)
     assert teensy.greet().firmware_build == f"1.1 {teensy.model.name}"
 
 
@@ -472,7 +472,7 @@ MUTANTS = {
         "monitor.step(now_us, turned)",
         "monitor.step(now_us, true || turned)",
     ),
-    "the watchdog's reset not told": Mistake("run.cpp", "board::reset_by_watchdog()", "false"),
+    "the watchdog's reset not reported": Mistake("run.cpp", "board::reset_by_watchdog()", "false"),
     "settings not stored": Mistake("run.cpp", "        settings_memory::store(image);\n", ""),
     "no guard behind the watchdog": Mistake(
         "board/teensy4.cpp",
@@ -497,7 +497,7 @@ MUTANTS = {
         "void begin_slow_work() { feed_watchdog(); }\nvoid end_slow_work() { feed_watchdog(); }",
         "void begin_slow_work() {}\nvoid end_slow_work() {}",
     ),
-    "LC: a lockup that is not told": Mistake(
+    "LC: a lockup that is not reported": Mistake(
         "board/teensy_lc.cpp", "(RCM_SRS0 & RCM_SRS0_WDOG) != 0 || ", ""
     ),
 }

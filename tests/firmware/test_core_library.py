@@ -157,7 +157,7 @@ def test_the_prebuilt_libraries_are_what_these_sources_give(target: str, tmp_pat
 @needs_compiler
 @pytest.mark.parametrize("part", read(), ids=lambda part: part.name)
 def test_the_library_built_here_repeats_the_golden_run(part: Part) -> None:
-    assert difference(part, on_host(part.told, core_library.opened(core_library.build()))) == ""
+    assert difference(part, on_host(part.inputs, core_library.opened(core_library.build()))) == ""
 
 
 @needs_compiler

@@ -28,8 +28,8 @@ from flying_vines.gateway.gateway import Gateway
 from flying_vines.gateway.messages import Alive, GatewayStart, Trouble, packet, read_from_gateway
 from flying_vines.vine.intent import Asker, Hold, Intent, StartBench, VentVine
 
+from .gateway_inputs import configured, decision, notice, snapshot
 from .mqtt.brokers import Broker, Onlooker
-from .told import configured, decision, notice, snapshot
 
 pytestmark = real_time
 
@@ -48,11 +48,11 @@ class Service:
     """The part of a service that a gateway needs; `run` is a real process, or a script in its place."""
 
     def __init__(self, **mqtt: Any) -> None:
-        self.said: list[str] = []
+        self.reports: list[str] = []
         self.asked: list[tuple[Asker, Intent]] = []
         self.times: list[tuple[float | None, float | None]] = []
         """For each request: its time, and the time of the state that its sender saw."""
-        self.gateway = Gateway(configured(**mqtt), self._ask, self.said.append)
+        self.gateway = Gateway(configured(**mqtt), self._ask, self.reports.append)
         self.latest_turn_s = 0.0
 
     def _ask(self, by: Asker, intent: Intent, made_at: float | None, seen_at: float | None) -> Decision:
@@ -114,7 +114,7 @@ async def test_a_gateway_that_is_killed_leaves_its_last_will_and_comes_back(
         service.gateway.action(notice(2.0, "while it was away"))
         await people.until(f"{BASE}/status", status="online", count=2)
         await people.until(f"{BASE}/event", text="while it was away")
-        assert service.said == ["page and broker stopped (it ended), starting again"]
+        assert service.reports == ["page and broker stopped (it ended), starting again"]
         assert service.latest_turn_s < 0.5
     # The service ends, and its gateway with it. The subscribers are told.
     await people.until(f"{BASE}/status", status="offline", count=2)
@@ -139,14 +139,14 @@ async def test_a_gateway_that_hangs_is_replaced_and_holds_nobody_up(
     monkeypatch.setattr(gateway, "HANGS_S", 0.5)
     played("receive()\nsay(Trouble(str(os.getpid())))\ntime.sleep(3600)\n")
     async with Service().living() as service:
-        await until(lambda: len(service.said) == 1, "it has started")
-        first = int(service.said[0])
+        await until(lambda: len(service.reports) == 1, "it has started")
+        first = int(service.reports[0])
         # The socket's buffer is soon full.
         for number in range(2000):
             service.gateway.action(notice(0.0, f"{number}"))
             service.gateway.snapshot(snapshot(0.0))
-        await until(lambda: len(service.said) == 3, "it is replaced")
-        assert service.said[1] == "page and broker stopped (it hung), starting again"
+        await until(lambda: len(service.reports) == 3, "it is replaced")
+        assert service.reports[1] == "page and broker stopped (it hung), starting again"
         await until(lambda: not Path(f"/proc/{first}").exists(), "it is ended")
         assert service.latest_turn_s < 0.5
 
@@ -162,7 +162,7 @@ async def test_a_stopped_gateway_is_replaced(
         os.kill(gateway_of(os.getpid()), signal.SIGSTOP)
         await people.until(f"{BASE}/status", status="offline")
         await people.until(f"{BASE}/status", status="online", count=2)
-        assert service.said == ["page and broker stopped (it hung), starting again"]
+        assert service.reports == ["page and broker stopped (it hung), starting again"]
 
 
 async def test_a_gateway_is_not_to_blame_where_the_service_stopped(
@@ -177,7 +177,7 @@ async def test_a_gateway_is_not_to_blame_where_the_service_stopped(
             time.sleep(0.7)  # noqa: ASYNC251
             await asyncio.sleep(0.2)
         assert gateway_of(os.getpid()) == pid
-    assert not service.said
+    assert not service.reports
 
 
 async def test_a_gateway_has_time_to_start(
@@ -188,8 +188,8 @@ async def test_a_gateway_has_time_to_start(
     played("receive()\ntime.sleep(3600)\n")
     async with Service().living() as service:
         began = time.monotonic()
-        await until(lambda: bool(service.said), "it is ended")
-    assert "it hung" in service.said[0]
+        await until(lambda: bool(service.reports), "it is ended")
+    assert "it hung" in service.reports[0]
     assert time.monotonic() - began >= 1.0
 
 
@@ -201,7 +201,7 @@ async def test_a_gateway_that_dies_at_once_is_reported_once(
     played(f"open({str(tries)!r}, 'a').write('.')\nsys.exit('first line\\nthe reason')\n")
     async with Service().living() as service:
         await until(lambda: len(tries.read_text()) == 3, "three tries")
-    assert service.said == ["page and broker stopped (the reason), starting again"]
+    assert service.reports == ["page and broker stopped (the reason), starting again"]
 
 
 async def test_a_page_that_fails_is_served_again_and_the_broker_does_not_notice(
@@ -252,8 +252,8 @@ async def test_a_page_that_fails_is_served_again_and_the_broker_does_not_notice(
 async def test_a_gateway_that_sends_invalid_messages_is_ended(played: Callable[[str], None]) -> None:
     played('receive()\nservice.send(b\'{"kind": "order"}\')\ntime.sleep(3600)\n')
     async with Service().living() as service:
-        await until(lambda: len(service.said) == 1, "it is ended")
-    assert "it sent an invalid message: Invalid value 'order'" in service.said[0]
+        await until(lambda: len(service.reports) == 1, "it is ended")
+    assert "it sent an invalid message: Invalid value 'order'" in service.reports[0]
     assert not service.asked
 
 
@@ -263,11 +263,14 @@ async def test_a_gateway_that_cannot_be_started_is_tried_again(
     command = gateway.COMMAND
     monkeypatch.setattr(gateway, "COMMAND", ("/no/such/python",))
     async with Service().living() as service:
-        await until(lambda: len(service.said) == 1, "it is told")
+        await until(lambda: len(service.reports) == 1, "it is told")
         monkeypatch.setattr(gateway, "COMMAND", command)
         played("receive()\nsay(Trouble('started'))\ntime.sleep(3600)\n")
-        await until(lambda: len(service.said) == 2, "it is tried again")
-    assert service.said == ["page and broker stopped (No such file or directory), starting again", "started"]
+        await until(lambda: len(service.reports) == 2, "it is tried again")
+    assert service.reports == [
+        "page and broker stopped (No such file or directory), starting again",
+        "started",
+    ]
 
 
 async def test_a_client_that_asks_too_often_may_still_vent(played: Callable[[str], None]) -> None:
@@ -283,8 +286,8 @@ async def test_a_client_that_asks_too_often_may_still_vent(played: Callable[[str
         "time.sleep(3600)\n"
     )
     async with Service().living() as service:
-        await until(lambda: len(service.said) == 1, "it has asked")
-    refused, vented = service.said[0].split(" ", 1)
+        await until(lambda: len(service.reports) == 1, "it has asked")
+    refused, vented = service.reports[0].split(" ", 1)
     assert vented == "limitedas a test"
     asked = [intent for _, intent in service.asked]
     assert asked[-1] == VentVine()
@@ -305,8 +308,8 @@ async def test_a_flood_of_vents_is_a_few_vents_and_each_is_answered(played: Call
         "time.sleep(3600)\n"
     )
     async with Service().living() as service:
-        await until(lambda: len(service.said) == 1, "all is answered")
-    assert service.said == ["{'limited'}"]
+        await until(lambda: len(service.reports) == 1, "all is answered")
+    assert service.reports == ["{'limited'}"]
     asked = [intent for _, intent in service.asked]
     assert 2 <= asked.count(VentVine()) < 20
     # No request after a vent is executed before it.
@@ -359,5 +362,5 @@ async def test_events_before_the_gateway_reads_are_sent_in_order(
     for number in range(600):
         service.gateway.action(notice(0.0, str(number)))
     async with service.living():
-        await until(lambda: len(service.said) == 1, "it has received them")
-    assert service.said == ["GatewayStart True"]
+        await until(lambda: len(service.reports) == 1, "it has received them")
+    assert service.reports == ["GatewayStart True"]

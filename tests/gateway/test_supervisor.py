@@ -27,7 +27,7 @@ class Part:
         self.why: Exception | str | None = why
         self.starts = 0
         self.ended = False
-        self.told: list[str] = []
+        self.reports: list[str] = []
 
     async def run(self) -> str:
         self.starts += 1
@@ -43,7 +43,7 @@ class Part:
 
     @contextlib.asynccontextmanager
     async def kept(self) -> AsyncIterator[None]:
-        keeping = asyncio.create_task(supervise("page", self.run, self.told.append))
+        keeping = asyncio.create_task(supervise("page", self.run, self.reports.append))
         try:
             yield
         finally:
@@ -65,10 +65,10 @@ async def test_many_failures_in_a_row_are_reported_once_and_so_is_their_end(
     part = Part(error)
     async with part.kept():
         await until(lambda: part.starts > 5, "it is tried again and again")
-        assert part.told == [f"page stopped ({why}), starting again"]
+        assert part.reports == [f"page stopped ({why}), starting again"]
         part.why = None
-        await until(lambda: len(part.told) == 2, "it is well")
-        assert part.told[1] == "page running again"
+        await until(lambda: len(part.reports) == 2, "it is well")
+        assert part.reports[1] == "page running again"
     assert part.ended
 
 
@@ -77,7 +77,7 @@ async def test_one_that_never_failed_is_not_reported() -> None:
     part.why = None
     async with part.kept():
         await asyncio.sleep(0.05)
-    assert (part.starts, part.told, part.ended) == (1, [], True)
+    assert (part.starts, part.reports, part.ended) == (1, [], True)
 
 
 async def test_the_wait_grows_and_stays_short(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import msgspec
 import pytest
-from mission_building import HEAD, HOMES, built, reviewed, said, waypoint
+from mission_building import HEAD, HOMES, built, finding_texts, reviewed, waypoint
 
 from flying_vines.config import config as configuration
 from flying_vines.physics.plant.effects import Effects
@@ -128,4 +128,4 @@ def test_a_mission_with_errors_is_not_flown() -> None:
     home: Home = HOMES["px4"]
     report = review("low", given, "px4", home, CONFIG, nominal(CONFIG.pneumatics), 690.0)
     report = with_flight(report, CONFIG, 690.0)
-    assert said(report) and report.flight_result is None
+    assert finding_texts(report) and report.flight_result is None

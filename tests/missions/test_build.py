@@ -20,8 +20,8 @@ from mission_building import (
     WINCH,
     WP,
     built,
+    finding_texts,
     reviewed,
-    said,
     waypoint,
 )
 
@@ -158,7 +158,7 @@ def test_any_mission_passes_its_own_check_and_means_the_same_once_stored(
     items = built(text, kind)
     report = reviewed(items, kind)
     # Only the time of the bend depends on the mission, because legs may have any length.
-    assert [text for text in said(report) if "max_bent_s" not in text] == []
+    assert [text for text in finding_texts(report) if "max_bent_s" not in text] == []
     rules = Rules(DEFAULT)
     stored = [AUTOPILOTS[kind].store(over_the_wire(item)) for item in items]
     found = [rules.for_command(i.command, i.params)[0] for i in stored if i.command in rules.commands]

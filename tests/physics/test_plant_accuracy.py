@@ -30,8 +30,8 @@ EVERYTHING = dataclasses.replace(
 def switching(seconds: float, seed: int) -> list[Inputs]:
     """Inflate, trim, hold, vent passively, vent with the Venturi: about a second each."""
     rng = random.Random(seed)
-    told: list[Inputs] = []
-    while len(told) < round(seconds * 1000):
+    given_commands: list[Inputs] = []
+    while len(given_commands) < round(seconds * 1000):
         command = rng.choice(
             [
                 Inputs(1.0, 0.0, False),
@@ -41,8 +41,8 @@ def switching(seconds: float, seed: int) -> list[Inputs]:
                 Inputs(0.0, rng.choice([0.6, 1.0]), True),
             ]
         )
-        told += [command] * rng.randrange(100, 2000)
-    return told[: round(seconds * 1000)]
+        given_commands += [command] * rng.randrange(100, 2000)
+    return given_commands[: round(seconds * 1000)]
 
 
 def difference_kPa(a: Conditions, b: Conditions) -> float:

@@ -160,10 +160,10 @@ def test_a_delayed_valve_still_follows_the_command_before() -> None:
 
 
 def test_a_slow_solenoid() -> None:
-    told = [True] * 4 + [False] * 5 + [True, False, False, False, False]
+    commanded = [True] * 4 + [False] * 5 + [True, False, False, False, False]
     is_open, waited, seen = False, 0, []
-    for told_open in told:
-        is_open, waited = solenoid_after(is_open, waited, told_open, 2, 3)
+    for commanded_open in commanded:
+        is_open, waited = solenoid_after(is_open, waited, commanded_open, 2, 3)
         seen.append(int(is_open))
     assert seen == [0, 0, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0]
 

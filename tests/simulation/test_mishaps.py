@@ -177,9 +177,9 @@ def test_one_stuck_shut_lets_none_in(effects: Effects | None) -> None:
     assert phlosar.cv_kPa > 20.0
 
 
-@pytest.mark.parametrize("told", [SHUT, INFLATING])
-def test_one_stuck_in_between_is_open_that_far_with_no_dead_zone(told: Inputs) -> None:
-    phlosar, _ = rigged(told)
+@pytest.mark.parametrize("commanded", [SHUT, INFLATING])
+def test_one_stuck_in_between_is_open_that_far_with_no_dead_zone(commanded: Inputs) -> None:
+    phlosar, _ = rigged(commanded)
     phlosar.mishaps.evp = phlosar.mishaps.dvp = StuckAt(0.1)
     phlosar.advance(0.3)
     assert phlosar.state.evp_opening == pytest.approx(0.1)
@@ -205,11 +205,11 @@ def test_a_supply_valve_stuck_shut_does_not_pull(effects: Effects | None) -> Non
 
 
 @likely_and_ideal
-@pytest.mark.parametrize(("told", "opening", "vented"), [(SAFE, 0.0, False), (SHUT, 1.0, True)])
+@pytest.mark.parametrize(("commanded", "opening", "vented"), [(SAFE, 0.0, False), (SHUT, 1.0, True)])
 def test_a_solenoid_may_stick_either_way(
-    effects: Effects | None, told: Inputs, opening: float, vented: bool
+    effects: Effects | None, commanded: Inputs, opening: float, vented: bool
 ) -> None:
-    phlosar, _ = rigged(told, effects, cv_kPa=20.0)
+    phlosar, _ = rigged(commanded, effects, cv_kPa=20.0)
     phlosar.mishaps.solenoid = StuckAt(opening)
     phlosar.advance(0.5)
     assert (phlosar.cv_kPa < 1.0) is vented
@@ -228,12 +228,12 @@ def test_no_air_is_made_or_lost(index: int, effects: Effects | None) -> None:
     place, make = DRAWN[index]
     phlosar, board = rigged(INFLATING, effects)
     all_SL = air_SL(phlosar)
-    for told in (INFLATING, SHUT, SAFE, Inputs(0.0, 1.0, True), INFLATING):
-        if told is SHUT:
+    for commanded in (INFLATING, SHUT, SAFE, Inputs(0.0, 1.0, True), INFLATING):
+        if commanded is SHUT:
             phlosar.inject(place, make(Random(index)))
         elif phlosar.now_s > 0.16:
             phlosar.inject(place, None)
-        board.drive = told
+        board.drive = commanded
         phlosar.advance(phlosar.now_s + 0.05)
         assert air_SL(phlosar) == pytest.approx(all_SL, rel=1e-12)
         assert phlosar.reservoir_kPa > -0.01
@@ -337,8 +337,8 @@ def test_the_firmware_is_content_with_what_is_before_a_kink(effects: Effects | N
     phlosar = SimulatedPhlosar(effects=effects)
     phlosar.mishaps.hose = Kinked()
     sent = hold(phlosar, greeted(phlosar), 0.4)
-    told = [message.cv_kPa for message in Codec().decode(sent) if isinstance(message, Telemetry)]
-    assert 17.0 < max(told) < 23.0
+    readings = [message.cv_kPa for message in Codec().decode(sent) if isinstance(message, Telemetry)]
+    assert 17.0 < max(readings) < 23.0
     assert phlosar.firmware.mode is Mode.REGULATE
     assert phlosar.cv_kPa < 0.1
 

@@ -159,7 +159,7 @@ def test_the_bottle_as_a_fuel_tank_only_for_who_wants_it() -> None:
 # Texts.
 
 
-def said(texts: list[str], for_s: float = 20.0) -> list[tuple[float, MavlinkMessage]]:
+def sent_texts(texts: list[str], for_s: float = 20.0) -> list[tuple[float, MavlinkMessage]]:
     ours = component()
     for words in texts:
         ours.say(0.0, 4, words)
@@ -178,7 +178,7 @@ def joined(sent: list[tuple[float, MavlinkMessage]]) -> list[str]:
 
 def test_texts_keep_their_order_and_their_distance() -> None:
     words = [f"Vine: line {i}" for i in range(12)]
-    sent = said(words)
+    sent = sent_texts(words)
     assert [message.text for _, message in sent] == words
     assert all(gap_s >= SPACING_S - 1e-9 for gap_s in gaps_s([t for t, _ in sent]))
     assert {message.severity for _, message in sent} == {4}
@@ -193,7 +193,7 @@ LINES = st.text("abxyz 019()%/-", min_size=1, max_size=180).map(
 @settings(max_examples=examples(60), deadline=None)
 def test_long_texts_come_in_chunks_that_join_again(texts: list[str]) -> None:
     different = list(dict.fromkeys(texts))
-    sent = said(different, for_s=5.0)
+    sent = sent_texts(different, for_s=5.0)
     assert joined(sent) == different
     for _, message in sent:
         assert len(message.text) <= CHUNK_LENGTH
@@ -209,20 +209,20 @@ def test_long_texts_come_in_chunks_that_join_again(texts: list[str]) -> None:
 )
 def test_a_receiver_finds_the_end_of_a_text(length: int, chunks: int) -> None:
     words = "Vine: ".ljust(length, "x")
-    sent = said([words])
+    sent = sent_texts([words])
     assert len(sent) == chunks
     assert joined(sent) == [words]
     assert chunks == 1 or len(sent[-1][1].text) < CHUNK_LENGTH
 
 
 def test_a_text_without_end_is_cut() -> None:
-    (words,) = joined(said(["Vine: " + 5000 * "x"]))
+    (words,) = joined(sent_texts(["Vine: " + 5000 * "x"]))
     assert len(words) == MAX_TEXT_LENGTH
     assert words.endswith("x..")
 
 
 def test_two_long_texts_have_different_ids() -> None:
-    sent = said(["Vine: " + "a" * 120, "Vine: " + "b" * 120])
+    sent = sent_texts(["Vine: " + "a" * 120, "Vine: " + "b" * 120])
     assert len({message.id for _, message in sent}) == 2
 
 
@@ -421,7 +421,7 @@ def test_in_flight_all_that_we_send_leaves_in_pairs(
 # A signing key that a ground station gives the vehicle.
 
 
-def told_of_key(profile: config.Config, target_system: int, times: int = 1) -> list[str]:
+def texts_about_key(profile: config.Config, target_system: int, times: int = 1) -> list[str]:
     """The texts when a ground station gives a vehicle its key."""
     core, codec = Core(profile), MavlinkCodec(0, US)
     autopilot, station = mavlink.MAVLink(None, 1, 1), mavlink.MAVLink(None, 255, 190)
@@ -440,15 +440,15 @@ def told_of_key(profile: config.Config, target_system: int, times: int = 1) -> l
 
 @pytest.mark.parametrize("target_system", [0, 1])
 def test_a_key_for_a_vehicle_without_one_in_its_profile_is_reported_once(target_system: int) -> None:
-    told = told_of_key(config.default(), target_system, times=3)
+    told = texts_about_key(config.default(), target_system, times=3)
     assert told == ["Vine: SETUP_SIGNING ignored: no key in profile"]
 
 
 def test_a_key_for_another_vehicle_or_beside_our_own_is_not_reported() -> None:
-    assert told_of_key(config.default(), 2) == []
+    assert texts_about_key(config.default(), 2) == []
     profile = config.default()
     with_key = msgspec.structs.replace(profile.vehicle, signing_key="key.txt")
-    assert told_of_key(msgspec.structs.replace(profile, vehicle=with_key), 1) == []
+    assert texts_about_key(msgspec.structs.replace(profile, vehicle=with_key), 1) == []
 
 
 def test_in_a_simulated_flight_the_answer_to_a_fed_command_reaches_the_autopilot(

@@ -64,7 +64,7 @@ class Radio:
         self.move(0)
         self.received = list(self.sticks)
         self.run(2.0)
-        self.told_at_start = self.told
+        self.texts_at_start = self.texts
         self.outputs.clear()
 
     @property
@@ -139,7 +139,7 @@ class Radio:
         return [t for t, name, _ in self.asked if name.startswith("bend")]
 
     @property
-    def told(self) -> list[str]:
+    def texts(self) -> list[str]:
         return [output.text for _, output in self.outputs if isinstance(output, Notice)]
 
 
@@ -233,7 +233,7 @@ def test_a_switch_that_moved_while_rc_was_lost_bends_nothing(
     radio.run(lasts_s - min(moved_after_s, lasts_s))
     radio.restore(4.0)
     assert radio.bends == []
-    assert any("moved while RC was lost, move it again" in text for text in radio.told)
+    assert any("moved while RC was lost, move it again" in text for text in radio.texts)
 
 
 @given(dwells=st.lists(st.tuples(st.sampled_from([0, 1, 2]), st.floats(0.05, 1.4)), max_size=8))
@@ -262,7 +262,7 @@ def test_rc_by_a_ground_station_needs_no_receiver_and_is_reported() -> None:
     radio = Radio(by_station=True)
     radio.move(2, 0.3)
     assert len(radio.bends) == 1
-    assert radio.told_at_start == ["Vine: RC comes from a ground station"]
+    assert radio.texts_at_start == ["Vine: RC comes from a ground station"]
 
 
 def test_a_receiver_with_a_signal_value_shows_a_loss_before_the_status() -> None:
@@ -297,7 +297,7 @@ def test_several_channels_that_jump_with_the_switch_are_no_pilot(
     radio.sticks[:4] = [1100, 1900, 1000, 1500]
     radio.move(2, 4.0)
     assert radio.bends == []
-    assert radio.told == ["Vine: switch ch9 moved with other channels, move it again"]
+    assert radio.texts == ["Vine: switch ch9 moved with other channels, move it again"]
 
 
 def test_channels_that_jump_still_straighten_but_clear_nothing() -> None:
@@ -322,7 +322,7 @@ def test_a_slow_stick_beside_the_switch_is_the_pilot() -> None:
 def test_if_ardupilot_hides_losses_the_switch_only_straightens() -> None:
     radio = Radio("ardupilot")
     radio.receive(param_value("FS_THR_ENABLE", 0.0))
-    assert radio.told == ["Vine: FS_THR_ENABLE 0 hides RC loss: switch cannot bend"]
+    assert radio.texts == ["Vine: FS_THR_ENABLE 0 hides RC loss: switch cannot bend"]
     radio.move(2, 1.0)
     (refused,) = [output for _, output in radio.outputs if isinstance(output, Trigger)]
     assert refused.intent is None
@@ -330,7 +330,7 @@ def test_if_ardupilot_hides_losses_the_switch_only_straightens() -> None:
     radio.move(0, 1.0)
     assert radio.asked[-1][1] == "straight"
     radio.receive(param_value("FS_THR_ENABLE", 1.0))
-    assert "can bend" in radio.told[-1]
+    assert "can bend" in radio.texts[-1]
     radio.move(2, 1.0)
     assert len(radio.bends) == 1
 
@@ -347,7 +347,7 @@ def test_an_override_that_ends_bends_nothing_again() -> None:
     radio = Radio("ardupilot")
     overridden(radio, 7.0)
     assert len(radio.bends) == 1
-    assert radio.told[-1] == "Vine: switch ch9 is back where it was, move it again"
+    assert radio.texts[-1] == "Vine: switch ch9 is back where it was, move it again"
     radio.move(0, 1.0)
     radio.move(2, 1.0)
     assert len(radio.bends) == 2, "a fresh move counts"
@@ -375,7 +375,7 @@ def test_an_override_whose_end_is_reported_is_no_move() -> None:
     radio.run(3.0)
     radio.move(2, 1.0)
     assert radio.bends == []
-    assert radio.told[-1] == "Vine: switch ch9 moved as an override ended, move it again"
+    assert radio.texts[-1] == "Vine: switch ch9 moved as an override ended, move it again"
 
 
 def test_a_bend_that_waits_is_overtaken_by_what_others_ask() -> None:
@@ -439,7 +439,7 @@ def test_a_gap_that_nobody_saw_is_a_loss() -> None:
     radio.steps += 120  # our process paused
     radio.move(2, 3.0)
     assert radio.bends == []
-    assert "moved while RC was lost" in radio.told[-1]
+    assert "moved while RC was lost" in radio.texts[-1]
 
 
 @pytest.mark.parametrize(("channel", "pulse_us"), [(9, 65534), (8, 65534), (8, 0)])
@@ -448,7 +448,7 @@ def test_a_switch_that_moves_as_its_override_is_released_was_not_moved(channel: 
     radio.override(pulse_us)
     radio.move(2, 1.0)
     assert radio.bends == []
-    assert radio.told[-1] == f"Vine: switch ch{channel} moved as an override ended, move it again"
+    assert radio.texts[-1] == f"Vine: switch ch{channel} moved as an override ended, move it again"
 
 
 @pytest.mark.parametrize(("channel", "pulse_us"), [(9, 0), (9, 65535), (8, 65535), (8, 1000)])
@@ -542,10 +542,10 @@ def test_a_receiver_that_px4_does_not_use_is_refused_and_a_ground_station_is_not
 def test_a_parameter_that_hides_losses_is_reported_once() -> None:
     radio = Radio("ardupilot")
     radio.receive(param_value("RC_OVERRIDE_TIME", 4.0))
-    assert radio.told == []
+    assert radio.texts == []
     radio.receive(param_value("FS_THR_ENABLE", 0.0))
     radio.receive(param_value("RC_OVERRIDE_TIME", 5.0))
-    assert len(radio.told) == 1
+    assert len(radio.texts) == 1
 
 
 def test_a_single_message_with_the_throttle_in_failsafe_is_a_loss() -> None:
@@ -562,7 +562,7 @@ def test_a_single_message_with_the_throttle_in_failsafe_is_a_loss() -> None:
         radio.receive_channels()
         assert radio.now_s < good_from_s + 2.0
     assert radio.now_s - good_from_s == pytest.approx(radio.profile.switch.settle_s, abs=PERIOD_S / 2)
-    assert radio.told == ["Vine: switch ch9 moved while RC was lost, move it again"]
+    assert radio.texts == ["Vine: switch ch9 moved while RC was lost, move it again"]
 
 
 def test_after_a_loss_the_switch_may_go_where_it_stood_before() -> None:
@@ -591,7 +591,7 @@ def test_a_straightening_that_was_the_receivers_is_no_move_to_hold() -> None:
     radio.move(2, 3.0)
     radio.lose(0.9)
     radio.restore(5.0)
-    assert radio.told == ["Vine: switch ch9 is back where it was, move it again"]
+    assert radio.texts == ["Vine: switch ch9 is back where it was, move it again"]
 
 
 HOLD_ON = "Vine: hold switch ch9 for 1.6 s to bend"
@@ -601,7 +601,7 @@ def test_a_position_that_is_left_too_soon_asks_for_nothing_and_the_pilot_reads_w
     radio = Radio(vented=True)
     radio.move(2, 0.5)
     radio.move(0, 3.0)
-    assert radio.told == [HOLD_ON]
+    assert radio.texts == [HOLD_ON]
     assert radio.asked == []
 
 
@@ -610,7 +610,7 @@ def test_from_a_bend_to_another_and_back_too_soon_asks_for_nothing() -> None:
     radio.move(1, 3.0)
     radio.move(2, 0.5)
     radio.move(1, 3.0)
-    assert radio.told == [HOLD_ON]
+    assert radio.texts == [HOLD_ON]
     assert [name for _, name, _ in radio.asked] == ["bend-half"]
 
 

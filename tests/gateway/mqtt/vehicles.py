@@ -11,7 +11,7 @@ from flying_vines.gateway import mqtt
 from flying_vines.gateway.feed import Feed
 from flying_vines.gateway.messages import Answered, FromGateway, Request, Trouble
 
-from ..told import happened, notice, profile, seen
+from ..gateway_inputs import happened, notice, profile, seen
 
 PATIENCE_S = 10.0
 

@@ -39,7 +39,7 @@ async def ready(viewing: ClientWebSocketResponse) -> None:
 
 async def test_it_bends_and_vents_the_vine_and_its_process_may_die(tmp_path: Path) -> None:
     async with serving(tmp_path) as served, client() as session:
-        assert f"Page {served.url}" in served.said.read_text()
+        assert f"Page {served.url}" in served.output.read_text()
         async with session.ws_connect(served.url + "live") as viewing:
             await ready(viewing)
             only_there = ("refused", "the page can bend the vine only in bench mode")
@@ -87,7 +87,7 @@ async def test_a_page_that_hangs_or_dies_is_back_within_five_seconds(tmp_path: P
             assert await ask(viewing, "vent") == ("accepted", "")
         await until(served.bench.vented, "the vine is vented")
         assert not served.bench.phlosar.firmware.faults
-        said = served.said.read_text()
+        said = served.output.read_text()
     assert said.count("page and broker stopped") == 1, "two in a row are told once"
     assert "page and broker stopped (it hung), starting again" in said
 
@@ -187,7 +187,7 @@ async def test_its_token_is_made_and_never_logged(tmp_path: Path) -> None:
     async with serving(tmp_path, host="0.0.0.0") as served, client() as session:
         file = tmp_path / "vine.page-token"
         token = page_token.read(file)
-        said = served.said.read_text()
+        said = served.output.read_text()
         assert f"token in {file}" in said
         assert token not in said
         assert await _status(session, served.url) == 401

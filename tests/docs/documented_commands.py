@@ -25,7 +25,7 @@ OURS = re.compile(r"(?<!\S)(?:\S*/)?flying-vines (.*)")
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class DocumentedCommand:
     """A command on a page: its text without comment and without the path of the environment."""
 
     page: Path
@@ -50,18 +50,18 @@ def needs_a_shell(text: str) -> bool:
     return bool(re.search(r"[|&;<>$*]", bare))
 
 
-def blocks_and_spans(page: Path) -> tuple[list[Said], list[Said]]:
+def blocks_and_spans(page: Path) -> tuple[list[DocumentedCommand], list[DocumentedCommand]]:
     """The commands in a page's blocks, and all its spans of code, in the order of the page."""
     text = page.read_text(encoding="utf-8")
-    given = [_said(page, line, given) for line, given in _in_blocks(text)]
-    spans = [_said(page, line, given) for line, given in _in_spans(text)]
+    given = [_documented(page, line, given) for line, given in _in_blocks(text)]
+    spans = [_documented(page, line, given) for line, given in _in_spans(text)]
     return given, spans
 
 
-def _said(page: Path, line: int, given: str) -> Said:
+def _documented(page: Path, line: int, given: str) -> DocumentedCommand:
     given = re.sub(r"\s+# .*$", "", given).strip()
     text = re.sub(r"(?<!\S)(?:\.venv|/opt/flying-vines)/bin/", "", given)
-    return Said(page, line, text, given)
+    return DocumentedCommand(page, line, text, given)
 
 
 def _in_blocks(text: str) -> Iterator[tuple[int, str]]:
