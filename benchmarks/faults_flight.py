@@ -772,7 +772,7 @@ class MonitoredFlight:
             for name, due_s in self._conditions.items():
                 if due_s == math.inf:
                     held_s = HELD_AT_MOST_S if self.setup.holds and name == "RC lost" else 0.0
-                    self._conditions[name] = now_s + _TOLD_BY_VEHICLE[name] + held_s + self._patience_s
+                    self._conditions[name] = now_s + _TOLD_BY_VEHICLE[name] + held_s + self._max_wait_s
                     self.monitor.forbid(name, self._conditions[name])
         if self._unseen:
             return
@@ -794,7 +794,7 @@ class MonitoredFlight:
         self._settle()
 
     @property
-    def _patience_s(self) -> float:
+    def _max_wait_s(self) -> float:
         return LATE_S if self._vehicle_is_spoiled else 0.0
 
     def _look_around(self) -> None:
@@ -825,7 +825,7 @@ class MonitoredFlight:
         silent = bool(self._unseen.keys() & {"silence", "link", "link stalled"})
         held_s = HELD_AT_MOST_S if self.setup.holds else 0.0
         if rc_lost and held_s and "RC lost" not in self._conditions:
-            self._held_from_s = now_s + rc_lost_s + self._patience_s
+            self._held_from_s = now_s + rc_lost_s + self._max_wait_s
             self.monitor.hold_still(self._held_from_s)
         self._watch("disarmed", not autopilot.armed, _TOLD_BY_VEHICLE["disarmed"])
         told_height = ALTITUDE not in self.from_autopilot.without
@@ -875,7 +875,7 @@ class MonitoredFlight:
         due_s = self.now_s + within_s
         if name in _TOLD_BY_VEHICLE:
             received = self._station_is_received and not self._stalled_s
-            due_s = due_s + self._patience_s if received else math.inf
+            due_s = due_s + self._max_wait_s if received else math.inf
         self._conditions[name] = due_s
         self.monitor.forbid(name, due_s)
 

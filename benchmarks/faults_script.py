@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 
-from drawn_mishaps import draw_mishap
 from faults_flight import ACTUATOR, LIMIT, PULSES_US, SCRIPT_MESSAGE, SWITCH, MonitoredFlight, Setup
 from invariant_monitor import Violation
+from random_mishaps import draw_mishap
 
 from flying_vines.simulation.autopilot.receiver import LOSSES, RcLoss, RcSource
 from flying_vines.simulation.phlosar.mishaps import Hole, StuckAt

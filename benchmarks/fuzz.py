@@ -29,7 +29,7 @@ from time import perf_counter
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from babble import Babble, serving_vehicle_1
+from random_frames import RandomFrames, serving_vehicle_1
 
 from firmware_link.framing import FRAME_END, encode_frame
 from firmware_link.host import VENTING, HostSession, Regulate, SessionState
@@ -234,7 +234,7 @@ def mutated(frame: bytes, other: bytes, dice: random.Random) -> bytes:
             return dice.randbytes(dice.randrange(1, 400))
 
 
-def babble(seed: int, session: HostSession) -> Iterator[bytes]:
+def random_bytes(seed: int, session: HostSession) -> Iterator[bytes]:
     """An endless stream of a device's bytes, in pieces of any size; a third of the frames are damaged."""
     dice = random.Random(seed)
     # The device knows the host's nonce only from the host.
@@ -297,7 +297,7 @@ def listen(seed: int, most_bytes: int) -> Decoded:
     whole = encode(Pong(1, 2), 0)
     t = 0.0
     session.opened(t)
-    for pieces, data in enumerate(babble(seed, session), 1):
+    for pieces, data in enumerate(random_bytes(seed, session), 1):
         t += 0.001
         decoded.fed_bytes += len(data)
         for message in codec.decode(data):
@@ -344,7 +344,7 @@ def serve(seed: int, most_bytes: int) -> Served:
         MavlinkCodec(0, 191),
         Codec(),
     )
-    line, air = babble(seed, core._firmware), Babble(seed, disarmed=True)
+    line, air = random_bytes(seed, core._firmware), RandomFrames(seed, disarmed=True)
     served = Served(Memory(most_bytes))
     core.handle(LinkChanged(0.0, "firmware", True))
     fed_bytes = step = 0

@@ -26,7 +26,7 @@ HELD = 1000
 """Connections that one attacker keeps open, each with half a request."""
 SLOW_READERS = 16
 FIRST_ADDRESS = 10
-PATIENCE_S = 0.5
+MAX_WAIT_S = 0.5
 BATCH = 50
 """Messages to the broker in one write."""
 Attack = Callable[[str], None]
@@ -157,7 +157,7 @@ def _attacks(target: Target, harm: Harm) -> list[Attack]:
                 viewer = socket.socket()
                 stack.callback(viewer.close)
                 viewer.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
-                viewer.settimeout(PATIENCE_S)
+                viewer.settimeout(MAX_WAIT_S)
                 viewer.bind((address, 0))
                 viewer.connect(("127.0.0.1", target.page_port))
                 viewer.sendall(_upgrade(page, target.token))
@@ -203,7 +203,7 @@ def _attacks(target: Target, harm: Harm) -> list[Attack]:
 
 
 def _connected(port: int, address: str) -> socket.socket:
-    return socket.create_connection(("127.0.0.1", port), PATIENCE_S, (address, 0))
+    return socket.create_connection(("127.0.0.1", port), MAX_WAIT_S, (address, 0))
 
 
 def _upgrade(page: str, token: str) -> bytes:

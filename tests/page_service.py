@@ -11,9 +11,9 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 from gateway_process import gateway_of
-from patience import until
 from ports import free_port
 from service_bench import Bench, on_bench
+from waiting import until
 
 from flying_vines.simulation.autopilot import FakeAutopilot
 

@@ -15,10 +15,10 @@ from typing import Any
 import pytest
 from command_line import run as call
 from core.flights import decisions, notices, run_for
-from patience import until
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from real_time import real_time
 from service_bench import Bench, on_bench
+from waiting import until
 
 from firmware_link import protocol
 from firmware_link.actuator import Reading

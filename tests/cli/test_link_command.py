@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 from command_line import run
-from patience import PATIENCE_S
 from real_time import real_time
 from rich.console import Console
+from waiting import MAX_WAIT_S
 
 from firmware_link.host import HostSession, Incompatible, Ready, SessionState
 from firmware_link.monitor import SeenFrame
@@ -137,7 +137,7 @@ async def test_a_board_that_is_unplugged_half_way_ends_the_exchange_of_settings(
 
     loop.add_reader(board, receive)
     with pytest.raises(link_settings.SettingsError, match="is not there"):
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             await link_command.settings(address, {}, objects=True)
 
 
@@ -176,7 +176,7 @@ def test_the_profile_says_where(tmp_path: Path, capsys: pytest.CaptureFixture[st
 async def screen_of(address: str, over: Callable[[LinkWatch], bool]) -> tuple[str, LinkWatch]:
     watch = LinkWatch(SerialAddress(address))
     view = LinkView("test")
-    async with asyncio.timeout(PATIENCE_S):
+    async with asyncio.timeout(MAX_WAIT_S):
         await watch.run(view.take, lambda: over(watch))
     console = Console(file=io.StringIO(), width=120)
     console.print(view.render(watch))

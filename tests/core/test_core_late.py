@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from mission_storm import SCRIPT, WP
+from mission_on_bad_link import SCRIPT, WP
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config

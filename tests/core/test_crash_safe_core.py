@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from breaking import Method, breakable, methods_within
+from error_injection import Method, breakable, methods_within
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from drawn_mishaps import DRAWN
 from hypothesis import note, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
-from needed import needs_compiler
+from random_mishaps import DRAWN
+from required_programs import needs_compiler
 
 from examples import examples
 from firmware_link import host, protocol

@@ -20,7 +20,7 @@ from time import monotonic, sleep
 from rich.console import Console
 from rich.text import Text
 
-PATIENCE_S = 120.0
+MAX_WAIT_S = 120.0
 SCREEN = b"\x1b[?1049h"
 HOME = b"\x1b[H"
 MOVES = re.compile(r"(\r|\n|\x1b\[2K|\x1b\[1A|\x1b\[\?[0-9]+[hl])")
@@ -99,7 +99,7 @@ class Terminal:
             shown = screens[-2] if len(screens) > 2 else screens[-1]
         return Text.from_ansi(_lines(shown.decode(errors="replace")))
 
-    def wait_for(self, pattern: str, seconds: float = PATIENCE_S) -> re.Match[str]:
+    def wait_for(self, pattern: str, seconds: float = MAX_WAIT_S) -> re.Match[str]:
         """Wait until it has printed this."""
         until = monotonic() + seconds
         while not (found := re.search(pattern, self.output)):

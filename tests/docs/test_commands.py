@@ -22,8 +22,8 @@ import pytest
 from real_time import real_time
 
 from docs.documented_commands import BEGINS, PAGES, ROOT, DocumentedCommand, blocks_and_spans, needs_a_shell
+from docs.example_files import maker
 from docs.references import commands
-from docs.shelf import maker
 from docs.stage import LASTING, Ended, Stage
 from flying_vines.cli.main import _parser
 

@@ -14,8 +14,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from patience import PATIENCE_S
 from serial.tools.list_ports_common import ListPortInfo
+from waiting import MAX_WAIT_S
 
 from firmware_link.find import UsbBoard
 from flying_vines.config import config as configuration
@@ -282,7 +282,7 @@ def test_a_broker_is_asked_to_let_us_in(answer: bytes, says: str, needs_person: 
 
     async def ask() -> BrokerFacts:
         server = await asyncio.start_server(serve, "127.0.0.1", 0)
-        async with server, asyncio.timeout(PATIENCE_S):
+        async with server, asyncio.timeout(MAX_WAIT_S):
             port = server.sockets[0].getsockname()[1]
             found = await broker.facts(MqttConfig(broker=f"mqtt://127.0.0.1:{port}", username="vine"))
             await gone.wait()

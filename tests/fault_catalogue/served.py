@@ -9,10 +9,10 @@ import sys
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
-from patience import until
 from ports import free_port
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from service_bench import between
+from waiting import until
 
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.record.reader import FlightLog, LogError

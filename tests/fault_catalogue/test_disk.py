@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from patience import until
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from real_time import real_time
 from service_bench import on_bench
+from waiting import until
 
 from flying_vines.config import config
 from flying_vines.service.persistent_state import PersistentState

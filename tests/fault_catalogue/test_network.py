@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from gateway.mqtt.brokers import Broker, onlooker, running
 from gateway_process import gateway_of
-from patience import until
 from real_time import real_time
+from waiting import until
 
 from .catalogue import ROWS
 from .served import Served, on_bench

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from needed import needs_compiler
+from required_programs import needs_compiler
 
 from flying_vines.config.config import Config
 from flying_vines.core.core import Core

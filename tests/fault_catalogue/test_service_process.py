@@ -12,8 +12,8 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from patience import PATIENCE_S, until
 from real_time import real_time
+from waiting import MAX_WAIT_S, until
 
 from firmware_link.protocol import Fault
 from flying_vines.record.reader import FlightLog
@@ -140,7 +140,7 @@ async def test_a_flight_continues_whatever_happens_around_it(served: Served) -> 
         *served.command, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT
     )
     assert second.stdout is not None
-    async with asyncio.timeout(PATIENCE_S):
+    async with asyncio.timeout(MAX_WAIT_S):
         while ROWS["second_copy"].pilot_text not in (await second.stdout.readline()).decode():
             pass
     second.terminate()
@@ -189,7 +189,7 @@ async def test_a_frozen_terminal_holds_nobody_up(served: Served) -> None:
         served.straighten()
         await served.vented()
         served.process.terminate()
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             assert await served.process.wait() == 0
     finally:
         os.close(ours)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from needed import host_compiler
+from required_programs import host_compiler
 
 from firmware_link.protocol import (
     PROTOCOL_VERSION,

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-from needed import needs_compiler
+from required_programs import needs_compiler
 
 from firmware_link.protocol import (
     PROTOCOL_VERSION,

@@ -6,7 +6,7 @@ import itertools
 from pathlib import Path
 
 import pytest
-from needed import ARM_TOOLS, need
+from required_programs import ARM_TOOLS, need
 
 from .emulated import CHIPS, MADE, Chip, Instructions, Program, Run, build, results, run, trace
 from .golden_frames import VECTORS, answers_in, frames, of_host_frame, to_device_frame

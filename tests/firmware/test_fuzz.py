@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from needed import host_compiler, needs_compiler
+from required_programs import host_compiler, needs_compiler
 
 from flying_vines.simulation.phlosar.core_library import SOURCES
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from needed import ARM_TOOLS, host_compiler, need
+from required_programs import ARM_TOOLS, host_compiler, need
 
 from flying_vines.install import files
 

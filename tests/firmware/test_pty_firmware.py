@@ -9,9 +9,9 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from needed import host_compiler, need
-from patience import PATIENCE_S, until
 from real_time import real_time
+from required_programs import host_compiler, need
+from waiting import MAX_WAIT_S, until
 
 from firmware_link.host import HostEvent, Ready, Regulate, TelemetryReceived
 from firmware_link.link import FirmwareLink
@@ -42,7 +42,7 @@ async def running(program: Path, *options: str) -> AsyncIterator[str]:
     process = await asyncio.create_subprocess_exec(program, *options, stdout=asyncio.subprocess.PIPE)
     try:
         assert process.stdout is not None
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             yield (await process.stdout.readline()).decode().strip()
     finally:
         process.terminate()
@@ -184,7 +184,7 @@ async def test_sensors_that_always_read_the_same(program: Path) -> None:
     ],
 )
 def test_bad_options_are_named(program: Path, options: list[str], text: str) -> None:
-    ran = subprocess.run([program, *options], capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    ran = subprocess.run([program, *options], capture_output=True, text=True, timeout=MAX_WAIT_S, check=False)
     assert ran.returncode == 2
     assert text in ran.stderr
     assert not ran.stdout

@@ -15,9 +15,9 @@ from typing import Any
 import msgspec
 import pytest
 from gateway_process import gateway_of
-from patience import PATIENCE_S, until
 from ports import free_port
 from real_time import real_time
+from waiting import MAX_WAIT_S, until
 
 from flying_vines.config.config import PageConfig
 from flying_vines.core.events import Decision
@@ -232,7 +232,7 @@ async def test_a_page_that_fails_is_served_again_and_the_broker_does_not_notice(
         theirs.setblocking(False)
         serving = asyncio.create_task(gateway_process.serve(theirs))
         ours.send(packet(GatewayStart(config, "1.2.3")))
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             await served.wait()
             alive = 0
             while alive < 2:

@@ -7,7 +7,7 @@ import contextlib
 from collections.abc import AsyncIterator
 
 import pytest
-from patience import until
+from waiting import until
 
 from flying_vines.gateway import supervisor
 from flying_vines.gateway.supervisor import supervise

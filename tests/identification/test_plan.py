@@ -22,10 +22,10 @@ from flying_vines.identification.plan import (
     recommend,
 )
 from flying_vines.identification.plan.cause_distance import SETTLED, cause_distances
-from flying_vines.identification.plan.check import FullFits
 from flying_vines.identification.plan.choose import gram_of
+from flying_vines.identification.plan.full_fits import FullFits
 from flying_vines.identification.plan.library import CandidateRun, library
-from flying_vines.identification.plan.rehearsal import rehearsed
+from flying_vines.identification.plan.nominal_run import nominal_run
 from flying_vines.identification.plan.strengths import strengths, typical
 from flying_vines.identification.plan.traces import CandidatePart, Layout, _moved, layout_of, parts_of
 from flying_vines.identification.plan.write import profiles_text, scenario_text
@@ -163,7 +163,7 @@ def test_rehearsed_is_what_the_simulator_records() -> None:
     for candidate in library(quiet):
         if candidate.name in ("bends_low", "random_full", "pulses", "vent_venturi_half"):
             kind = candidate.make(candidate.counts[0])
-            ours, theirs = rehearsed(quiet, kind), simulate(quiet, kind)
+            ours, theirs = nominal_run(quiet, kind), simulate(quiet, kind)
             for name in ("time_s", "evp_opening", "dvp_opening", "solenoid"):
                 assert np.array_equal(getattr(ours, name), getattr(theirs, name)), (candidate.name, name)
 
@@ -171,7 +171,7 @@ def test_rehearsed_is_what_the_simulator_records() -> None:
 def test_parts_begin_alike() -> None:
     for candidate in library(HALF):
         short, whole = (
-            rehearsed(HALF, candidate.make(n)) for n in (candidate.counts[0], candidate.counts[-1])
+            nominal_run(HALF, candidate.make(n)) for n in (candidate.counts[0], candidate.counts[-1])
         )
         n = len(short.time_s) - 1
         assert n < len(whole.time_s)

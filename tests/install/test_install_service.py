@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 
 import pytest
 from command_line import run
-from needed import need
+from required_programs import need
 
 from firmware_link.find import UsbBoard
 from flying_vines.config import config

@@ -16,10 +16,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from patience import until
 from ports import free_port
 from real_time import real_time
 from service_bench import between
+from waiting import until
 
 from flying_vines.config import config
 from flying_vines.core.core import Core

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 from docs.documented_commands import PAGES, blocks_and_spans
-from docs.shelf import maker
+from docs.example_files import maker
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 

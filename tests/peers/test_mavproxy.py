@@ -18,10 +18,10 @@ from pathlib import Path
 
 import pytest
 import pytest_asyncio
-from patience import PATIENCE_S, until
 from ports import free_port
 from real_time import real_time
 from service_bench import between
+from waiting import MAX_WAIT_S, until
 
 from flying_vines.config import config
 from flying_vines.service.service import Service
@@ -56,7 +56,7 @@ class Flight:
 
     async def value(self, name: str, wanted: Callable[[float], bool]) -> float:
         """Wait until MAVProxy shows such a number of a named value."""
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             while True:
                 self.ground.type(f"status *{name}*")
                 seen = await self.ground.sees(rf"name : {name}, value : {NUMBER}", again=f"status *{name}*")

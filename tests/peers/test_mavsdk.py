@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
-from patience import PATIENCE_S, until
 from ports import free_port
 from real_time import real_time
 from rich.console import Console
 from service_bench import between
+from waiting import MAX_WAIT_S, until
 
 from flying_vines.config import config
 from flying_vines.core.events import Action, Decision
@@ -106,7 +106,7 @@ def written(console: Console) -> str:
 
 async def first_of(queue: MessageQueue, what: Callable[[ReceivedMessage], bool]) -> ReceivedMessage:
     """The first matching message."""
-    async with asyncio.timeout(PATIENCE_S):
+    async with asyncio.timeout(MAX_WAIT_S):
         while True:
             for message in await queue.receive(1.0):
                 if what(message):

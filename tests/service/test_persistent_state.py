@@ -9,10 +9,10 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
-from patience import until
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from real_time import real_time
 from service_bench import Bench, on_bench
+from waiting import until
 
 from flying_vines.config import config
 from flying_vines.core.events import Action, Decision

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 from fault_catalogue.black_box import STEP_S, BlackBox
 from fault_catalogue.catalogue import ROWS
-from patience import until
 from real_time import real_time
 from service_bench import Bench, on_bench
+from waiting import until
 
 from firmware_link import protocol
 from firmware_link.actuator import PhlosarLine

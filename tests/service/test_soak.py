@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from needed import needs_compiler
+from required_programs import needs_compiler
 
 from flying_vines.vehicle.mission.storage import AutopilotKind
 

@@ -9,9 +9,9 @@ from collections.abc import AsyncIterator
 from typing import Any, cast
 
 import pytest
-from patience import PATIENCE_S
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from real_time import real_time
+from waiting import MAX_WAIT_S
 
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot_server import MAX_CLIENTS, AutopilotServer
@@ -46,7 +46,7 @@ class Listener(asyncio.DatagramProtocol):
         self.transport.sendto(message.pack(self._mav), self._peer)
 
     async def receive(self, name: str, count: int = 1) -> list[Any]:
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             while len(found := [m for m in self.messages if m.get_type() == name]) < count:
                 self.arrived.clear()
                 await self.arrived.wait()
@@ -163,7 +163,7 @@ class Client:
         self.writer.write(message.pack(self._mav))
 
     async def receive(self, name: str) -> Any:
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             while True:
                 data = await self._reader.read(4096)
                 assert data, "the connection stands"

@@ -7,7 +7,7 @@ from statistics import pstdev
 
 import pytest
 from closed_forms import choked_time_constant_s, isothermal_choked_discharge_kPa_abs
-from drawn_mishaps import DRAWN, Mishap, Momentary, draw_mishap
+from random_mishaps import DRAWN, Mishap, Momentary, draw_mishap
 from still_board import StillBoard
 
 from firmware_link.protocol import PROTOCOL_VERSION, Codec, Hello, Mode, Setpoint, Telemetry, Vent

@@ -13,8 +13,8 @@ from statistics import median
 import command_line
 import pytest
 import serial
-from patience import until
 from still_board import StillBoard
+from waiting import until
 
 from firmware_link.host import VENTING, HostCommand, HostSession, Regulate, SessionState
 from firmware_link.protocol import Codec, Fault, Mode, Telemetry

@@ -26,8 +26,8 @@ from flying_vines.studies.paper.diagnosis.discharge import (
     analyse,
     paper_case,
 )
+from flying_vines.studies.paper.diagnosis.other_causes import VALVE_SETTLES
 from flying_vines.studies.paper.diagnosis.response import FLOOR, SUSPECTS, Responses, account_for
-from flying_vines.studies.paper.diagnosis.rivals import VALVE_SETTLES
 from flying_vines.studies.paper.diagnosis.show import show
 from flying_vines.studies.paper.diagnosis.words import as_json, findings
 

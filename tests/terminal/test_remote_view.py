@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 from command_line import run
 from page_bench import TOKEN, Bench, served, snapshot
-from patience import PATIENCE_S, until
 from ports import free_port
 from real_time import real_time
+from waiting import MAX_WAIT_S, until
 
 from flying_vines.core.events import Decision
 from flying_vines.vehicle.notice import Notice, Severity
@@ -39,7 +39,7 @@ async def watch(*arguments: str, status: int) -> tuple[str, str]:
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
     )
-    async with asyncio.timeout(PATIENCE_S):
+    async with asyncio.timeout(MAX_WAIT_S):
         out, err = await process.communicate()
     assert process.returncode == status, err.decode()
     return out.decode(), err.decode()
@@ -180,7 +180,7 @@ async def test_on_a_terminal_it_is_live_and_v_twice_vents(bench: Bench) -> None:
         await terminal.shows("VENT confirmed after")
         assert {ask.command for ask in bench.asked} == {"vent"}
         terminal.type("q")
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             assert await terminal.process.wait() == 0
 
 
@@ -194,6 +194,6 @@ async def test_a_link_that_is_lost_is_reported_and_comes_back(bench: Bench) -> N
         async with showing(bench):
             await terminal.shows("link: open")
         terminal.process.send_signal(signal.SIGINT)
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             assert await terminal.process.wait() == 130
     assert "Traceback" not in terminal.screen

@@ -14,8 +14,8 @@ from threadpoolctl import threadpool_limits
 
 from flying_vines.identification.noise import Noise
 from flying_vines.identification.plan.cause_distance import SETTLED, cause_distances
-from flying_vines.identification.plan.check import FullFits
 from flying_vines.identification.plan.choose import RecordingBudget, choose, gram_of
+from flying_vines.identification.plan.full_fits import FullFits
 from flying_vines.identification.plan.library import (
     FULL_KPA,
     LOW_KPA,

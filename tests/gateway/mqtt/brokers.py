@@ -16,9 +16,9 @@ from typing import Any
 import aiomqtt
 import msgspec
 import pytest
-from needed import need
-from patience import PATIENCE_S, until
 from ports import free_port
+from required_programs import need
+from waiting import MAX_WAIT_S, until
 
 MOSQUITTO_HOW = "sudo apt install mosquitto"
 AMQTT = """\
@@ -158,7 +158,7 @@ class Onlooker:
 
     async def until(self, topic: str, count: int = 1, **fields: Any) -> dict[str, Any]:
         """The latest message on a topic, after at least `count` with these fields."""
-        deadline = time.monotonic() + PATIENCE_S
+        deadline = time.monotonic() + MAX_WAIT_S
         while True:
             fit = [told for told in self.on(topic) if all(told.get(key) == fields[key] for key in fields)]
             if len(fit) >= count:

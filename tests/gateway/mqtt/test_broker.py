@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from needed import need
-from patience import until
 from real_time import real_time
+from required_programs import need
+from waiting import until
 
 from flying_vines.gateway.mqtt import connection, health
 from flying_vines.gateway.mqtt.publisher import Publication

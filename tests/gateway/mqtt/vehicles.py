@@ -13,7 +13,7 @@ from flying_vines.gateway.messages import Answered, FromGateway, Request, Troubl
 
 from ..gateway_inputs import happened, notice, profile, seen
 
-PATIENCE_S = 10.0
+MAX_WAIT_S = 10.0
 
 
 class Vehicle:
@@ -48,7 +48,7 @@ class Vehicle:
             await asyncio.sleep(0.1)
 
     async def in_trouble(self, text: str) -> None:
-        deadline = self.t + PATIENCE_S
+        deadline = self.t + MAX_WAIT_S
         while not any(text in trouble for trouble in self.troubles):
             assert self.t < deadline, f"'{text}' is not in {self.troubles}"
             await asyncio.sleep(0.01)

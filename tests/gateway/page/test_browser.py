@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from needed import need
 from page_bench import Bench, served, snapshot
 from page_service import serving
-from patience import PATIENCE_S, until
 from real_time import real_time
+from required_programs import need
+from waiting import MAX_WAIT_S, until
 
 from flying_vines.core.pending_bend import PendingBend
 from flying_vines.core.snapshot import Snapshot
@@ -96,7 +96,7 @@ async def browser() -> AsyncIterator[Browser]:
 async def opened(browser: Browser, url: str, device: Mapping[str, Any]) -> tuple[Page, list[str]]:
     """A new visitor's page, and its errors."""
     context = await browser.new_context(**device)
-    context.set_default_timeout(1000.0 * PATIENCE_S)
+    context.set_default_timeout(1000.0 * MAX_WAIT_S)
     page = await context.new_page()
     wrong: list[str] = []
     page.on("pageerror", lambda error: wrong.append(str(error)))
@@ -223,7 +223,7 @@ async def test_a_link_that_is_cut_is_seen_and_comes_back(browser: Browser, tmp_p
 
         # A page that is loaded anew shows the earlier events, some seconds after the restart of the service.
         hello: dict[str, Any] = {}
-        for _ in range(round(PATIENCE_S)):
+        for _ in range(round(MAX_WAIT_S)):
             hello = await _greeting(page)
             await until_shown(page, "#events", "page → vent: accepted")
             if len(hello["history"]) > 5:
@@ -249,7 +249,7 @@ async def test_a_request_has_its_time_and_the_shown_state(browser: Browser, tmp_
         await page.click("#bench-mode")
         await until_shown(page, "#said", "bench mode: accepted")
         (pressed,) = sent
-        assert time.monotonic() - PATIENCE_S < pressed["seen_at"] <= pressed["made_at"] <= time.monotonic()
+        assert time.monotonic() - MAX_WAIT_S < pressed["seen_at"] <= pressed["made_at"] <= time.monotonic()
 
         # The shown state does not change but gets older. A vent reports that there is nothing newer.
         os.kill(served.pid, signal.SIGSTOP)

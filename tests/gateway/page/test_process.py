@@ -15,8 +15,8 @@ import pytest
 from aiohttp import ClientSession, ClientWebSocketResponse
 from page_bench import client, next_of_kind
 from page_service import Served, serving
-from patience import until
 from real_time import real_time
+from waiting import until
 
 from flying_vines.gateway import page_token
 

@@ -14,9 +14,9 @@ from importlib import resources
 import pytest
 from aiohttp import ClientSession, TCPConnector, WSMsgType, WSServerHandshakeError
 from page_bench import TOKEN, Bench, client, next_of_kind, served, snapshot
-from patience import PATIENCE_S
 from ports import free_port
 from real_time import real_time
+from waiting import MAX_WAIT_S
 
 from flying_vines.config.config import PageConfig
 from flying_vines.core.events import Decision
@@ -227,7 +227,7 @@ async def test_an_invalid_message_ends_only_its_own_socket(
         session.ws_connect(bench.url + "/live") as other,
     ):
         await (other.send_str(said) if isinstance(said, str) else other.send_bytes(said))
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             async for message in other:
                 assert message.type is WSMsgType.TEXT
         assert other.close_code == code
@@ -243,7 +243,7 @@ async def test_a_client_that_asks_too_often_is_disconnected(bench: Bench, sessio
         with contextlib.suppress(ConnectionError):
             for i in range(1000):
                 await flood.send_str(f'{{"id": {i}, "command": "vent"}}')
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             async for _ in flood:
                 pass
         assert flood.close_code in (1013, 1006)
@@ -259,7 +259,7 @@ async def test_pings_are_answered_but_not_too_many(bench: Bench, session: Client
         with contextlib.suppress(ConnectionError):
             for _ in range(1000):
                 await flood.ping()
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             async for _ in flood:
                 pass
         assert flood.close_code in (1013, 1006)
@@ -300,7 +300,7 @@ async def test_of_too_many_pilots_the_oldest_goes(bench: Bench, session: ClientS
         ]
         await _vents(pilots[-1])
         await _vents(pilots[1])
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             async for _ in pilots[0]:
                 pass
 
@@ -326,9 +326,9 @@ async def test_a_slow_reader_is_dropped_and_nobody_waits_for_it(
                 if i == 30:
                     await asyncio.sleep(0.5)
             await _vents(pilot)
-        slow.settimeout(PATIENCE_S)
+        slow.settimeout(MAX_WAIT_S)
         with contextlib.suppress(ConnectionResetError):
-            async with asyncio.timeout(PATIENCE_S):
+            async with asyncio.timeout(MAX_WAIT_S):
                 while await asyncio.to_thread(slow.recv, 65536):
                     pass
 
@@ -403,6 +403,6 @@ async def test_it_ends_at_once_with_viewers_and_they_see_it(session: ClientSessi
         await next_of_kind(viewing, "hello")
         began = time.monotonic()
     assert time.monotonic() - began < 10.0, "aiohttp alone waits for a minute"
-    async with asyncio.timeout(PATIENCE_S):
+    async with asyncio.timeout(MAX_WAIT_S):
         while (await viewing.receive()).type not in (WSMsgType.CLOSED, WSMsgType.CLOSE, WSMsgType.ERROR):
             pass

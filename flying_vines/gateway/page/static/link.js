@@ -2,8 +2,8 @@
 
 const SILENT_S = 2.0; // a message comes every second, so the link is lost after this time
 const OPENS_WITHIN_S = 3.0;
-const FIRST_PATIENCE_S = 0.25;
-const LONGEST_PATIENCE_S = 4.0;
+const FIRST_BACKOFF_S = 0.25;
+const MAX_BACKOFF_S = 4.0;
 const ANSWERED_WITHIN_S = 1.5;
 const TRY_AGAIN_S = 0.5;
 const LOOK_S = 0.2;
@@ -24,7 +24,7 @@ export class Link {
     this.shownAt = null; // time of the latest snapshot, on the drone's clock
     this.droneTime = null; // the drone's latest clock time, and its time of arrival on our clock
     this.offset = Infinity; // our clock minus the drone's: the minimum so far
-    this.patience = FIRST_PATIENCE_S;
+    this.backoff = FIRST_BACKOFF_S;
     this.answers = new Map();
     this.number = 0;
     this.connect();
@@ -61,7 +61,7 @@ export class Link {
     if (message.kind === "hello") {
       this.open = true;
       this.refused = "";
-      this.patience = FIRST_PATIENCE_S;
+      this.backoff = FIRST_BACKOFF_S;
       this.offset = this.receivedAt - message.t;
       this.droneTime = { t: message.t, at: this.receivedAt };
     } else if (message.kind === "snapshot") {
@@ -86,12 +86,12 @@ export class Link {
     if (this.open) this.lostAt = this.receivedAt;
     else this.askWhy();
     this.open = false;
-    this.again = setTimeout(() => this.connect(), 1000 * this.patience * (0.75 + 0.5 * Math.random()));
-    this.patience = Math.min(2 * this.patience, LONGEST_PATIENCE_S);
+    this.again = setTimeout(() => this.connect(), 1000 * this.backoff * (0.75 + 0.5 * Math.random()));
+    this.backoff = Math.min(2 * this.backoff, MAX_BACKOFF_S);
   }
 
   hurry() {
-    this.patience = FIRST_PATIENCE_S;
+    this.backoff = FIRST_BACKOFF_S;
     if (this.socket) return this.watch();
     clearTimeout(this.again);
     this.connect();

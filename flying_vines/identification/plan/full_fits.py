@@ -17,7 +17,7 @@ import numpy as np
 from flying_vines.identification.case import Case
 from flying_vines.identification.fit import FitProblem
 from flying_vines.identification.plan.cause_distance import nearest
-from flying_vines.identification.plan.rehearsal import rehearsed
+from flying_vines.identification.plan.nominal_run import nominal_run
 from flying_vines.identification.plan.traces import CandidatePart, Layout
 from flying_vines.identification.simulate import Simulation
 
@@ -27,7 +27,7 @@ class FullFits:
 
     def __init__(self, layout: Layout, parts: Sequence[CandidatePart]) -> None:
         self._layout = layout
-        self._runs = tuple(rehearsed(layout.rig, part.kind) for part in parts)
+        self._runs = tuple(nominal_run(layout.rig, part.kind) for part in parts)
         self._initial = [np.array([[part.kind.reservoir_kPa, 0.0]]) for part in parts]
         self._gram = sum((part.gram for part in parts), start=layout.nothing)
 

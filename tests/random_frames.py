@@ -65,7 +65,7 @@ def serving_vehicle_1() -> Config:
     return structs.replace(profile, vehicle=structs.replace(profile.vehicle, system_id=1))
 
 
-class Babble:
+class RandomFrames:
     """Frames with good checksums, of every type of the dialect.
 
     With `disarmed` the autopilot's heartbeats always say that the vehicle is disarmed.

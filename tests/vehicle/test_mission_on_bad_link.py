@@ -7,7 +7,16 @@ import random
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mission_storm import RESTART_S, Link, Storm, compare, fly, in_order, mission, numbers_of_before
+from mission_on_bad_link import (
+    RESTART_S,
+    Link,
+    MissionOnBadLink,
+    compare,
+    fly,
+    in_order,
+    mission,
+    numbers_of_before,
+)
 
 from flying_vines.simulation.autopilot import AutopilotKind
 
@@ -23,10 +32,12 @@ def test_never_twice_and_never_what_did_not_run(
     kind: AutopilotKind, seed: int, loss: float, late_s: float
 ) -> None:
     dice = random.Random(seed)
-    storm = Storm(kind, dice, Link(loss, copies=0.2, late_s=late_s), mission(kind, dice, wild=True))
-    fly(storm, 20.0, happenings=dice.randrange(5))
-    assert compare(storm).extra == []
-    assert in_order(storm)
+    flight = MissionOnBadLink(
+        kind, dice, Link(loss, copies=0.2, late_s=late_s), mission(kind, dice, wild=True)
+    )
+    fly(flight, 20.0, happenings=dice.randrange(5))
+    assert compare(flight).extra == []
+    assert in_order(flight)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -34,9 +45,9 @@ def test_never_twice_and_never_what_did_not_run(
 @settings(max_examples=5, deadline=None)
 def test_on_a_good_link_nothing_is_missed(kind: AutopilotKind, seed: int, late_s: float) -> None:
     dice = random.Random(seed)
-    storm = Storm(kind, dice, Link(copies=0.2, late_s=late_s), mission(kind, dice, wild=True))
-    fly(storm, 45.0)
-    found = compare(storm)
+    flight = MissionOnBadLink(kind, dice, Link(copies=0.2, late_s=late_s), mission(kind, dice, wild=True))
+    fly(flight, 45.0)
+    found = compare(flight)
     assert (found.missed, found.extra) == ([], [])
 
 
@@ -46,12 +57,12 @@ def test_on_a_good_link_nothing_is_missed(kind: AutopilotKind, seed: int, late_s
 def test_of_frames_lost_one_by_one_none_makes_an_item_miss(kind: AutopilotKind, seed: int) -> None:
     # The bound: one lost frame at a time, in each direction, four seconds apart; an item and then a waypoint.
     dice = random.Random(seed)
-    storm = Storm(kind, dice, Link(loss=0.5, spare_s=4.0), mission(kind, dice, wild=False))
-    storm.run(10.0)
-    storm.autopilot.start_mission()
-    storm.run(50.0)
-    found = compare(storm)
-    assert len(storm.ran) >= 2
+    flight = MissionOnBadLink(kind, dice, Link(loss=0.5, spare_s=4.0), mission(kind, dice, wild=False))
+    flight.run(10.0)
+    flight.autopilot.start_mission()
+    flight.run(50.0)
+    found = compare(flight)
+    assert len(flight.ran) >= 2
     assert (found.missed, found.extra) == ([], [])
 
 
@@ -62,18 +73,18 @@ def test_a_service_that_starts_in_mid_mission_sees_what_comes_and_nothing_else(
     kind: AutopilotKind, seed: int
 ) -> None:
     dice = random.Random(seed)
-    storm = Storm(kind, dice, Link(late_s=0.05), mission(kind, dice, wild=False))
-    storm.run(3.0)
-    storm.autopilot.start_mission()
-    storm.run(dice.uniform(5.0, 20.0))
-    storm.seen.clear()
-    down_at, up_at = storm.t, storm.t + RESTART_S
-    storm.start_service(down_s=RESTART_S)
-    storm.run(35.0)
-    assert compare(storm).extra == []
+    flight = MissionOnBadLink(kind, dice, Link(late_s=0.05), mission(kind, dice, wild=False))
+    flight.run(3.0)
+    flight.autopilot.start_mission()
+    flight.run(dice.uniform(5.0, 20.0))
+    flight.seen.clear()
+    down_at, up_at = flight.t, flight.t + RESTART_S
+    flight.start_service(down_s=RESTART_S)
+    flight.run(35.0)
+    assert compare(flight).extra == []
     # An item that runs before the streams of the autopilot were requested can only be missed.
-    assert compare(storm, since=up_at + 2.0).missed == []
-    assert [one for one in storm.seen if one.t < down_at] == []
+    assert compare(flight, since=up_at + 2.0).missed == []
+    assert [one for one in flight.seen if one.t < down_at] == []
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -84,17 +95,17 @@ def test_another_mission_of_the_same_length_never_runs_with_the_numbers_of_befor
     for seed in range(10):
         dice = random.Random(seed)
         first, other = mission(kind, dice, wild=False), random.Random(seed + 1)
-        storm = Storm(kind, other, Link(loss=other.choice([0.0, 0.1])), first)
-        storm.run(5.0)
-        storm.autopilot.start_mission()
-        storm.run(dice.uniform(3.0, 12.0))
+        flight = MissionOnBadLink(kind, other, Link(loss=other.choice([0.0, 0.1])), first)
+        flight.run(5.0)
+        flight.autopilot.start_mission()
+        flight.run(dice.uniform(3.0, 12.0))
         same_length = [mission(kind, random.Random(n), wild=False) for n in range(40)]
-        storm.autopilot.set_mission(next(items for items in same_length if len(items) == len(first)))
-        changed_at = storm.t
-        storm.run(40.0)
-        assert compare(storm).extra == []
-        assert numbers_of_before(storm) == []
-        ran += sum(t > changed_at for t, _ in storm.ran)
+        flight.autopilot.set_mission(next(items for items in same_length if len(items) == len(first)))
+        changed_at = flight.t
+        flight.run(40.0)
+        assert compare(flight).extra == []
+        assert numbers_of_before(flight) == []
+        ran += sum(t > changed_at for t, _ in flight.ran)
     assert ran > 20
 
 
@@ -102,11 +113,11 @@ def test_the_drawn_flights_have_executed_lost_and_unknown_items() -> None:
     ran = lost = unknown = 0
     for seed in range(8):
         dice = random.Random(seed)
-        storm = Storm("ardupilot", dice, Link(0.5), mission("ardupilot", dice, wild=True))
-        fly(storm, 20.0, happenings=3)
-        ran += len(storm.ran)
-        lost += len(compare(storm).missed)
-        unknown += sum(one.numbers is None for one in storm.seen)
+        flight = MissionOnBadLink("ardupilot", dice, Link(0.5), mission("ardupilot", dice, wild=True))
+        fly(flight, 20.0, happenings=3)
+        ran += len(flight.ran)
+        lost += len(compare(flight).missed)
+        unknown += sum(one.numbers is None for one in flight.seen)
     assert ran > 40
     assert 0 < lost < ran
     assert unknown > 0

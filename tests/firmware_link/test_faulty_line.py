@@ -6,7 +6,7 @@ import random
 from dataclasses import replace
 
 import pytest
-from bad_line import CLEAN, Exchange, Faults
+from faulty_line import CLEAN, Exchange, Faults
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from wrapped_board import WrappedBoard

@@ -5,14 +5,14 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-PATIENCE_S = 60.0
+MAX_WAIT_S = 60.0
 """Long enough for computers that stop for seconds."""
 
 
 async def until(true: Callable[[], bool], what: str) -> None:
-    """Wait until `true` returns true. The test fails after `PATIENCE_S`."""
+    """Wait until `true` returns true. The test fails after `MAX_WAIT_S`."""
     try:
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             while not true():
                 await asyncio.sleep(0.01)
     except TimeoutError:

@@ -59,7 +59,7 @@ class Seen:
 
 
 @dataclass
-class Storm:
+class MissionOnBadLink:
     """The flight: `ran` has the executed items, `seen` the items that the vehicle's side saw."""
 
     kind: AutopilotKind
@@ -139,14 +139,14 @@ class Comparison:
     extra: list[Seen]
 
 
-def compare(storm: Storm, since: float = -math.inf) -> Comparison:
+def compare(flight: MissionOnBadLink, since: float = -math.inf) -> Comparison:
     """Pair each trigger with the earliest execution since `since` that can have caused it."""
-    ran, seen = [one for one in storm.ran if one[0] >= since], storm.seen
+    ran, seen = [one for one in flight.ran if one[0] >= since], flight.seen
     pairs: list[tuple[int, int]] = []
     free = set(range(len(ran)))
     extra = []
     for j, one in enumerate(seen):
-        fitting = [i for i in sorted(free) if _fits(storm, one, *ran[i])]
+        fitting = [i for i in sorted(free) if _fits(flight, one, *ran[i])]
         if fitting:
             free.discard(fitting[0])
             pairs.append((fitting[0], j))
@@ -155,35 +155,35 @@ def compare(storm: Storm, since: float = -math.inf) -> Comparison:
     return Comparison(pairs, [ran[i] for i in sorted(free)], extra)
 
 
-def in_order(storm: Storm) -> bool:
+def in_order(flight: MissionOnBadLink) -> bool:
     """True if triggers have the order of their items, as far as the link kept it."""
     latest = -math.inf
-    for one in storm.seen:
-        fitting = [ran_at for ran_at, item in storm.ran if _fits(storm, one, ran_at, item)]
-        if fitting and max(fitting) < latest - storm.link.late_s - ORDER_S[storm.kind]:
+    for one in flight.seen:
+        fitting = [ran_at for ran_at, item in flight.ran if _fits(flight, one, ran_at, item)]
+        if fitting and max(fitting) < latest - flight.link.late_s - ORDER_S[flight.kind]:
             return False
         latest = max(latest, min(fitting, default=latest))
     return True
 
 
-def numbers_of_before(storm: Storm) -> list[float]:
+def numbers_of_before(flight: MissionOnBadLink) -> list[float]:
     """Times of triggers with numbers of a mission that had been replaced."""
-    ran, seen = storm.ran, storm.seen
+    ran, seen = flight.ran, flight.seen
     return [
         ran[i][0]
-        for i, j in compare(storm).pairs
+        for i, j in compare(flight).pairs
         if (numbers := seen[j].numbers) is not None and not same_numbers(numbers[:4], ran[i][1].params[:4])
     ]
 
 
-def _fits(storm: Storm, one: Seen, ran_at: float, item: MissionItem) -> bool:
-    px4 = storm.kind == "px4"
+def _fits(flight: MissionOnBadLink, one: Seen, ran_at: float, item: MissionItem) -> bool:
+    px4 = flight.kind == "px4"
     longest_wait_s = UNNUMBERED_WAIT_S if px4 and one.numbers is None else LONGEST_WAIT_S
     if item.command != one.command or not -TICK_S <= one.t - ran_at <= longest_wait_s:
         return False
     if not px4 or one.numbers is None:
         return one.seq == item.seq
-    renumbered = any(0.0 <= ran_at - changed_at < LEARNT_S for changed_at in storm.changed_at)
+    renumbered = any(0.0 <= ran_at - changed_at < LEARNT_S for changed_at in flight.changed_at)
     return (renumbered or one.seq in (None, item.seq)) and same_numbers(one.numbers[:4], item.params[:4])
 
 
@@ -244,57 +244,57 @@ def _somewhere(kind: AutopilotKind, dice: random.Random) -> tuple[float, ...]:
     return 0.0, 0.0, 0.0, 0.0, latitude_deg + north_m * metre_deg, longitude_deg + east_m * metre_deg, 10.0
 
 
-def fly(storm: Storm, for_s: float, happenings: int = 0) -> None:
+def fly(flight: MissionOnBadLink, for_s: float, happenings: int = 0) -> None:
     """Start the mission, with this number of disturbances."""
-    storm.run(storm.dice.uniform(0.0, 8.0))
-    storm.autopilot.start_mission()
+    flight.run(flight.dice.uniform(0.0, 8.0))
+    flight.autopilot.start_mission()
     for _ in range(happenings):
-        storm.run(storm.dice.uniform(0.0, 12.0))
-        storm.dice.choice(stimuli(storm))()
-    storm.run(for_s)
+        flight.run(flight.dice.uniform(0.0, 12.0))
+        flight.dice.choice(stimuli(flight))()
+    flight.run(for_s)
 
 
-def stimuli(storm: Storm) -> list[Callable[[], None]]:
+def stimuli(flight: MissionOnBadLink) -> list[Callable[[], None]]:
     """Possible actions of a pilot and a ground station, and faults, during a mission."""
-    autopilot, dice = storm.autopilot, storm.dice
+    autopilot, dice = flight.autopilot, flight.dice
 
     def pause() -> None:
         autopilot.set_mode("LOITER")
-        storm.run(dice.uniform(0.5, 6.0))
+        flight.run(dice.uniform(0.5, 6.0))
         autopilot.set_mode("AUTO")
 
     def choose() -> None:
         autopilot.set_current(dice.randrange(1, len(autopilot.items)))
 
     def replace() -> None:
-        storm.changed_at.append(storm.t)
-        autopilot.set_mission(mission(storm.kind, dice, wild=True))
+        flight.changed_at.append(flight.t)
+        autopilot.set_mission(mission(flight.kind, dice, wild=True))
         autopilot.set_current(1)  # a former waypoint may be an action now, which is not a target of a jump
 
     def change_numbers() -> None:
         changed = []
         for item in autopilot.items:
             if item.command in VINE_COMMANDS:
-                command, params = vine_item(storm.kind, dice)
+                command, params = vine_item(flight.kind, dice)
                 p = (*params, *(0.0,) * 7)[:7]
                 p7 = (p[0], p[1], p[2], p[3], p[4], p[5], p[6])
                 item = MissionItem(item.seq, command, p7, item.frame)
             changed.append(item)
-        storm.changed_at.append(storm.t)
+        flight.changed_at.append(flight.t)
         autopilot.set_mission(changed)
 
     def restart_service() -> None:
-        storm.start_service(down_s=dice.uniform(RESTART_S, 6.0))
+        flight.start_service(down_s=dice.uniform(RESTART_S, 6.0))
 
     def fly_again() -> None:
         autopilot.disarm()
-        storm.run(dice.uniform(0.5, 5.0))
+        flight.run(dice.uniform(0.5, 5.0))
         autopilot.start_mission()
 
     def reboot() -> None:
         autopilot.disarm()
         autopilot.reboot()
-        storm.run(dice.uniform(2.0, 15.0))
+        flight.run(dice.uniform(2.0, 15.0))
         autopilot.start_mission()
 
     def cut() -> None:

@@ -54,7 +54,7 @@ class Errors:
     """(blocks, 2) readings."""
 
 
-class Unseen:
+class HeldOutErrors:
     """Compares candidates during the search: every other stretch of all runs is predicted from the rest.
 
     The fits start from the fits to all data, and take two steps.

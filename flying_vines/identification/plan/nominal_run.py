@@ -30,7 +30,7 @@ from flying_vines.simulation.scenario.run import OPENING_DIGITS
 from flying_vines.simulation.scenario.run_kinds import FIRMWARE_HZ, RunKind
 
 
-def rehearsed(rig: Rig, kind: RunKind) -> RecordedRun:
+def nominal_run(rig: Rig, kind: RunKind) -> RecordedRun:
     """The recorded run without readings."""
     samples = max(1, round(kind.length_s * kind.sample_rate_Hz))
     time_s = np.arange(samples) / kind.sample_rate_Hz
