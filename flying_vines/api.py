@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from flying_vines.studies.design import evaluate as design
 
 _MODULES = {
-    "read_case": "identification.many:read_any",
+    "read_case": "identification.parallel_diagnosis:read_any",
     "read_flight": "record.arrays:read_flight",
     "read_tlog": "record.arrays:read_tlog",
     "load_rig": "physics.plant.true_rig:load_true_rig",
