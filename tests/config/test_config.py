@@ -150,7 +150,7 @@ def test_misspelt_keys_elsewhere(text: str, key: str, meant: str) -> None:
     assert line in (1, 2, 3)
 
 
-def test_a_key_like_no_other_is_named_without_a_guess() -> None:
+def test_a_key_like_no_other_is_named_without_a_suggestion() -> None:
     assert mistake("[limits]\nzzz = 1") == (2, "limits.zzz", "my.toml:2: limits.zzz: unknown key")
 
 

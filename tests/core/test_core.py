@@ -562,7 +562,7 @@ def test_stop_vents_and_nothing_moves_after_it() -> None:
     assert_vented(flight)
 
 
-def test_the_ground_station_sees_five_values_twice_a_second_each() -> None:
+def test_the_ground_station_gets_five_values_twice_a_second_each() -> None:
     flight = airborne()
     actions = run_for(flight, 10.0)
     sent = [

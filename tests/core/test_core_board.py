@@ -108,7 +108,7 @@ def test_a_counter_that_stands_while_the_clock_continues_is_no_loss() -> None:
     assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
 
 
-def test_every_frame_twice_and_neighbours_swapped_is_no_loss() -> None:
+def test_every_frame_twice_and_adjacent_ones_swapped_is_no_loss() -> None:
     flight = bent()
     decoder, encoder = protocol.Codec(), protocol.Codec()
     waiting: list[protocol.Message] = []

@@ -116,7 +116,7 @@ def test_whatever_moves_stays_within_the_limits() -> None:
 
 
 @pytest.mark.parametrize("sender", [AUTOPILOT, (255, 190), None])
-def test_a_flood_makes_no_flood_of_answers_and_no_heap_of_them(sender: tuple[int, int] | None) -> None:
+def test_a_flood_of_requests_gets_few_answers_and_stores_few(sender: tuple[int, int] | None) -> None:
     frames, core, codec, out = (
         RandomFrames(23),
         Core(serving_vehicle_1()),

@@ -110,7 +110,7 @@ def test_an_item_that_is_not_confirmed_is_refused_and_reported(kind: str) -> Non
 
 
 @pytest.mark.parametrize("stall_s", [3.0, 6.0])
-def test_a_process_that_stopped_bends_nothing_when_it_wakes(stall_s: float) -> None:
+def test_a_process_that_stopped_bends_nothing_when_it_continues(stall_s: float) -> None:
     flight = flying(1.0)
     actions = flight.stall(flight.world.now + stall_s)
     assert len(flight.autopilot.payload_log) == 1

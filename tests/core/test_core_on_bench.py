@@ -63,7 +63,7 @@ def test_it_ends_when_it_is_left() -> None:
     assert ask(flight, BendTo(30.0)).safety == "refused"
 
 
-def test_it_ends_when_nobody_asks_any_more(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_ends_without_further_requests(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(core, "BENCH_S", 4.0)
     flight = on_the_ground()
     ask(flight, StartBench())

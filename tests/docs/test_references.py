@@ -79,7 +79,7 @@ def test_all_that_the_doctor_looks_at_has_its_row() -> None:
     assert stated == given
 
 
-def test_the_memory_that_the_doctor_asks_for_is_stated() -> None:
+def test_the_memory_that_the_doctor_requires_is_stated() -> None:
     assert f"less than {MIN_FREE_MB:.0f} MB free" in DOCTOR
 
 

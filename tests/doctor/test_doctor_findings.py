@@ -372,7 +372,7 @@ def test_the_facts_call_for_the_line(line: FindingText, found: list[DoctorFindin
 @pytest.mark.parametrize(
     ("rate_Hz", "verdict"), [(1.0, "good"), (0.9, "good"), (0.5, "warning"), (0.0, "warning")]
 )
-def test_px4_sends_mission_current_as_it_likes(rate_Hz: float, verdict: str) -> None:
+def test_px4_sends_mission_current_at_its_own_times(rate_Hz: float, verdict: str) -> None:
     found = of_stream("MISSION_CURRENT", rate_Hz, refused=True, kind="px4")
     (finding,) = (finding for finding in found if finding.check == "MISSION_CURRENT")
     assert finding.verdict == verdict

@@ -340,6 +340,6 @@ def test_a_profile_is_read_with_all_that_it_names(tmp_path: Path) -> None:
         profile.read(path)
 
 
-def test_a_process_is_named_for_people() -> None:
+def test_a_process_has_a_readable_name() -> None:
     assert str(Process(7, "minicom")) == "minicom (process 7)"
     assert str(Process(7, "run", "vine.service")) == "run (process 7, vine.service)"

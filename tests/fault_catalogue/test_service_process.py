@@ -175,7 +175,7 @@ def _count(served: Served, text: str) -> int:
     return "".join(served.ground.texts).count(text)
 
 
-async def test_a_frozen_terminal_holds_nobody_up(served: Served) -> None:
+async def test_a_frozen_terminal_delays_nothing(served: Served) -> None:
     """Nobody reads the other end of this terminal."""
     ours, its = os.openpty()
     try:

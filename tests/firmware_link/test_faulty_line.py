@@ -62,9 +62,7 @@ def over(exchange: Exchange) -> None:
 
 @derandomized
 @given(lines, seeds, st.lists(st.floats(0.0, 25.0), min_size=1, max_size=6))
-def test_on_any_line_nothing_moves_that_nobody_commanded(
-    faults: Faults, seed: int, targets: list[float]
-) -> None:
+def test_on_any_line_nothing_moves_without_a_command(faults: Faults, seed: int, targets: list[float]) -> None:
     exchange = Exchange(faults, seed)
     for target_kPa in targets:
         exchange.run(200)

@@ -66,7 +66,7 @@ def test_it_leaves_what_is_latched() -> None:
     assert firmware.faults == Fault.WATCHDOG_RESET
 
 
-def test_a_greeting_vents_whom_nobody_commands_any_more() -> None:
+def test_a_hello_vents_a_board_without_commands() -> None:
     monitor, firmware = Monitor(), Firmware()
     firmware.step(0, 5.0, 690.0)
     other = Codec()

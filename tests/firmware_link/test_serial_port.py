@@ -146,7 +146,7 @@ async def wedge(port: SerialPort) -> bytes:
     return sent
 
 
-async def test_to_a_wedged_reader_nobody_waits_and_what_is_stale_is_not_kept(
+async def test_a_blocked_reader_delays_nothing_and_old_messages_are_dropped(
     link: Path, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(serial_port, "STALE_S", 0.02)

@@ -120,7 +120,7 @@ def test_a_setting_that_does_not_take_the_value_is_not_done() -> None:
     assert exchange.done
 
 
-def test_nobody_is_asked_for_ever() -> None:
+def test_requests_end_after_some_attempts() -> None:
     exchange = SettingsExchange()
     asked = [t for t in range(1000) if exchange.due(t / 10)]
     assert 5 <= len(asked) <= 20

@@ -133,7 +133,7 @@ async def test_a_gateway_reports_that_its_service_was_killed(broker: Broker, peo
         await until(lambda: not Path(f"/proc/{pid}").exists(), "it has ended")
 
 
-async def test_a_gateway_that_hangs_is_replaced_and_holds_nobody_up(
+async def test_a_gateway_that_hangs_is_replaced_and_delays_nothing(
     monkeypatch: pytest.MonkeyPatch, played: Callable[[str], None]
 ) -> None:
     monkeypatch.setattr(gateway, "HANGS_S", 0.5)
@@ -193,7 +193,7 @@ async def test_a_gateway_has_time_to_start(
     assert time.monotonic() - began >= 1.0
 
 
-async def test_a_gateway_that_dies_at_once_is_reported_once(
+async def test_a_gateway_that_ends_at_once_is_reported_once(
     played: Callable[[str], None], tmp_path: Path
 ) -> None:
     tries = tmp_path / "tries"

@@ -83,7 +83,7 @@ SMALL = {"plenum_discharge.csv": DISCHARGE, "leaking_chamber.csv": LEAK, "pump_a
     + [(SHARED / name, guess) for name, guess in REAL.items()],
     ids=lambda value: value.stem if isinstance(value, Path) else "",
 )
-def test_the_guess_on_real_files(path: Path, guess: tuple[dict[str, str], str], tmp_path: Path) -> None:
+def test_the_proposal_on_real_files(path: Path, guess: tuple[dict[str, str], str], tmp_path: Path) -> None:
     if not path.exists():
         pytest.skip(f"{path} is not there")
     proposal = propose(path, Answers(), {"": 0.1})
@@ -526,7 +526,7 @@ def test_units_are_found_in_names(unit: Unit) -> None:
     {"Pressure (psig)": "psi", "p_bar_abs": "bar abs", "P [kPaA]": "kPa abs", "t/ms": "ms", "time_s": "s",
      "absolute pressure, mbar": "mbar abs", "PWM_Main": "0-255", "valve %": "%", "T °C": "C"}.items(),
 )  # fmt: skip
-def test_units_as_people_write_them(name: str, unit: str) -> None:
+def test_units_in_their_usual_spellings(name: str, unit: str) -> None:
     found = unit_in(name)
     assert found and found.name == unit
 
@@ -611,7 +611,7 @@ def test_wrong_answers(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[
 )
 @example(b"PK\x03\x04")
 @example(b"t,tank kPa\n" + b"1,1\n" * 20)
-def test_random_files_give_a_guess_or_one_line(tmp_path: Path, data: bytes) -> None:
+def test_random_files_give_a_proposal_or_one_line(tmp_path: Path, data: bytes) -> None:
     try:
         proposal = proposed(tmp_path / "a.csv", data)
         write_case([proposal] if not proposal.missing else [], tmp_path / "case") if proposal.runs else None

@@ -158,7 +158,7 @@ def written(found: Diagnosed, tmp_path_factory: pytest.TempPathFactory) -> list[
     return [page, *(path for path in sorted(folder.iterdir()) if path != page)]
 
 
-def test_a_report_is_one_page_that_asks_nothing_of_a_network(written: list[Path]) -> None:
+def test_a_report_is_one_page_that_needs_no_network(written: list[Path]) -> None:
     html = written[0].read_text(encoding="utf-8")
     seen = Page(html)
     assert written[0].name == "report.html" and len(html) < 3e6

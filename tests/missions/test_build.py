@@ -78,7 +78,7 @@ def test_speed_take_off_actions_and_return() -> None:
     assert items[4].params[:3] == (1.0, 3.0, -1.0)
 
 
-def test_a_hold_that_nobody_gave_lasts_until_the_vine_rests() -> None:
+def test_a_default_hold_lasts_until_the_vine_rests() -> None:
     items = built(HEAD + waypoint("{ profile = 'reach' }, { profile = 'straight' }"), "px4")
     # `reach` takes 1.5 + 2 + 1.5 s; the last `straight` takes no time.
     assert [item.params[0] for item in items if item.command == DELAY] == [5.5, 0.5]

@@ -116,7 +116,7 @@ async def test_commands_move_the_vine_and_are_answered_as_text(flight: Flight) -
     await until(lambda: flight.phlosar.cv_kPa < 1, "it is vented")
 
 
-async def test_disarmed_pneumatics_bend_for_nobody_until_they_are_armed(flight: Flight) -> None:
+async def test_disarmed_pneumatics_do_not_bend_until_they_are_armed(flight: Flight) -> None:
     ground = flight.ground
     ground.type("vehicle 1:191")
     await ground.answers("long 31013 2", "Got COMMAND_ACK: USER_4: ACCEPTED")

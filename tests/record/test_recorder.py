@@ -417,7 +417,7 @@ def test_little_room_ends_the_log_before_the_disk_is_full(
     assert not log.damage, "it was brought to its end"
 
 
-def test_a_disk_that_hangs_holds_up_nobody_and_loses_nothing(
+def test_a_disk_that_hangs_delays_nothing_and_loses_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     goes_on = threading.Event()

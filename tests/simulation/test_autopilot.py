@@ -400,7 +400,7 @@ def test_the_sequence_counts_up_per_link_without_a_gap() -> None:
     assert sequence == [index % 256 for index in range(len(sequence))]
 
 
-def test_a_reboot_is_silent_then_knows_nobody() -> None:
+def test_a_reboot_sends_nothing_and_then_knows_no_link() -> None:
     world = World(FakeAutopilot("ardupilot", mission=plan(TAKEOFF, LAND)))
     world.request_streams()
     world.on(5.0)
@@ -552,7 +552,7 @@ UINT16 = st.integers(0, 65535)
 
 @settings(max_examples=examples(150), deadline=None)
 @given(KINDS, st.lists(st.binary(max_size=300), max_size=5))
-def test_random_bytes_do_no_harm(kind: AutopilotKind, chunks: list[bytes]) -> None:
+def test_random_bytes_raise_no_error(kind: AutopilotKind, chunks: list[bytes]) -> None:
     autopilot = FakeAutopilot(kind)
     for t, chunk in enumerate(chunks):
         autopilot.receive(t / 10, "companion", chunk)
@@ -573,7 +573,7 @@ def valid_frames() -> bytes:
 
 @settings(max_examples=examples(150), deadline=None)
 @given(KINDS, st.lists(st.tuples(st.integers(0, 200), st.integers(0, 255)), max_size=8))
-def test_damaged_frames_do_no_harm(kind: AutopilotKind, damage: list[tuple[int, int]]) -> None:
+def test_damaged_frames_raise_no_error(kind: AutopilotKind, damage: list[tuple[int, int]]) -> None:
     frames = bytearray(valid_frames())
     for at, byte in damage:
         frames[at % len(frames)] = byte
@@ -631,7 +631,7 @@ def strange_messages(draw: st.DrawFn) -> Any:
 
 @settings(max_examples=examples(250), deadline=None)
 @given(KINDS, st.lists(strange_messages(), max_size=8), st.lists(SEVEN, min_size=1, max_size=3), COMMANDS)
-def test_strange_messages_do_no_harm(
+def test_invalid_messages_raise_no_error(
     kind: AutopilotKind, messages: list[Any], uploaded: list[tuple[float, ...]], command: int
 ) -> None:
     autopilot = FakeAutopilot(kind)

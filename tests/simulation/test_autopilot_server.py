@@ -132,7 +132,7 @@ async def test_an_error_in_a_stimulus_ends_the_run() -> None:
         await asyncio.sleep(0)
 
 
-async def test_nobody_needs_to_listen() -> None:
+async def test_no_listener_is_needed() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]

@@ -389,7 +389,7 @@ def test_a_board_that_boots_does_not_listen() -> None:
     assert firmware.take_output() == b""
 
 
-def test_output_that_nobody_takes_is_bounded(bench: Bench) -> None:
+def test_output_without_a_reader_is_bounded(bench: Bench) -> None:
     bench.run(1000)
     output = bench.firmware.take_output()
     assert 900 < len(output) <= 1024

@@ -99,7 +99,7 @@ def test_holding_costs_no_air(likely: bool) -> None:
     assert not flight.vented
 
 
-def test_a_small_vine_deflates_without_the_venturi_and_a_large_one_in_a_hurry_with_it() -> None:
+def test_a_small_vine_deflates_without_the_venturi_and_a_large_fast_one_with_it() -> None:
     for volume_L, helped in ((0.1, False), (1.0, True)):
         flight = Flight(SimulatedPhlosar(Rig(cv=ControlVolume(volume_L=volume_L))))
         flight.command(Regulate(20.0, 50.0))

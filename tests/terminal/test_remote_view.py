@@ -105,7 +105,7 @@ def test_no_vehicle_is_status_1(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.long
-async def test_a_page_on_the_network_wants_its_token(tmp_path: Path) -> None:
+async def test_a_page_on_the_network_needs_its_token(tmp_path: Path) -> None:
     file = tmp_path / "token"
     file.write_text(TOKEN)
     file.chmod(0o600)

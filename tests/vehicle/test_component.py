@@ -146,7 +146,7 @@ def test_without_values_there_are_none() -> None:
     assert of("NAMED_VALUE_FLOAT", run(component(), 5.0, {})) == []
 
 
-def test_the_bottle_as_a_fuel_tank_only_for_who_wants_it() -> None:
+def test_the_bottle_as_a_fuel_tank_only_if_configured() -> None:
     def fuel(ours: Component, values: dict[str, float]) -> int:
         sent = [message for i in range(3000) for message in ours.due(i * TICK_S, 0, values, 4)]
         return sum(message.get_type() == "FUEL_STATUS" for message in sent)

@@ -281,7 +281,7 @@ async def test_half_a_frame_of_an_unknown_sender_does_not_delay_the_autopilots()
             assert len(believed) == i + 1
 
 
-async def test_a_named_peer_is_read_and_nobody_else() -> None:
+async def test_only_a_named_peer_is_read() -> None:
     port = free_port()
     async with (
         serving(NetworkAddress("udpin", "127.0.0.1", port, peer="127.0.0.2")) as (watched, believed),
@@ -397,7 +397,7 @@ async def test_udp_that_sends_begins_and_gets_the_answer() -> None:
         await watched.until(lambda: watched.data == b"welcome")
 
 
-async def test_udp_to_nobody_goes_on_until_somebody_is_there() -> None:
+async def test_udp_without_a_receiver_continues_until_there_is_one() -> None:
     port = free_port()
     async with running(NetworkAddress("udpout", HOST, port)) as watched:
         await watched.until(lambda: watched.up)

@@ -126,7 +126,7 @@ def test_lost_requests_and_replies_only_cost_time(seed: int) -> None:
     autopilot.reads_within(60.0)
 
 
-def test_replies_that_come_twice_and_late_do_no_harm() -> None:
+def test_replies_that_come_twice_and_late_change_nothing() -> None:
     items = mission(6)
     cache = MissionCache()
     cache.handle(0.0, count_message(6))
@@ -252,7 +252,7 @@ def test_a_mission_that_changes_while_it_is_read_is_not_mixed(ticks: int) -> Non
     assert autopilot.has_read()
 
 
-def test_a_download_of_somebody_else_is_read_along() -> None:
+def test_a_download_by_another_client_is_read_too() -> None:
     items, cache = mission(5), MissionCache()
     cache.handle(0.0, count_message(5))
     assert cache.arriving
@@ -309,7 +309,7 @@ def test_an_upload_shows_in_the_number_of_items_that_is_saved_each_time() -> Non
     assert autopilot.cache.fresh
 
 
-def test_while_somebody_uploads_the_book_is_not_trusted() -> None:
+def test_during_an_upload_the_mission_cache_is_not_used() -> None:
     autopilot = read(12)
     flying(autopilot, 4, 1.0)
     autopilot.cache.refresh(autopilot.now_s)

@@ -368,7 +368,7 @@ def test_a_flood_of_texts_is_not_kept() -> None:
     assert max(sizes) <= MAX_ITEMS + 1
 
 
-def test_a_book_that_changes_meanwhile_is_not_guessed_from() -> None:
+def test_a_mission_cache_that_changes_meanwhile_is_not_used_for_a_guess() -> None:
     air = having_read(PLAN)
     air.tell("at 2, reached 2, runs 3 lost, at 5")
     air.text("Flight plan received")

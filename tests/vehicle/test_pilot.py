@@ -179,7 +179,7 @@ def test_straightening_on_px4_waits_for_nothing() -> None:
 
 
 @pytest.mark.parametrize("failsafe", ["hold", 1000, 1500])
-def test_a_receiver_known_to_do_no_harm_bends_at_once(
+def test_a_receiver_known_to_be_safe_bends_at_once(
     failsafe: Literal["hold"] | int,
 ) -> None:
     radio = Radio(failsafe=failsafe)
@@ -434,7 +434,7 @@ def test_without_a_status_a_bend_is_refused_and_reported() -> None:
     assert refused.problem == "the autopilot does not confirm RC, move it again"
 
 
-def test_a_gap_that_nobody_saw_is_a_loss() -> None:
+def test_an_unnoticed_gap_is_a_loss() -> None:
     radio = Radio("ardupilot")
     radio.steps += 120  # our process paused
     radio.move(2, 3.0)
@@ -460,7 +460,7 @@ def test_values_that_release_no_override_do_not_affect_the_pilots_moves(channel:
     assert len(radio.bends) == 1
 
 
-def test_after_somebody_else_has_bent_the_vine_the_switch_counts_as_before() -> None:
+def test_after_a_bend_by_another_source_the_switch_counts_as_before() -> None:
     radio = Radio("ardupilot")
     radio.move(2, 1.0)
     radio.pilot.others_asked(straightened=False)
@@ -597,7 +597,7 @@ def test_a_straightening_that_was_the_receivers_is_no_move_to_hold() -> None:
 HOLD_ON = "Vine: hold switch ch9 for 1.6 s to bend"
 
 
-def test_a_position_that_is_left_too_soon_asks_for_nothing_and_the_pilot_reads_why() -> None:
+def test_a_position_that_is_left_too_soon_requests_nothing_and_the_reason_is_reported() -> None:
     radio = Radio(vented=True)
     radio.move(2, 0.5)
     radio.move(0, 3.0)
@@ -605,7 +605,7 @@ def test_a_position_that_is_left_too_soon_asks_for_nothing_and_the_pilot_reads_w
     assert radio.asked == []
 
 
-def test_from_a_bend_to_another_and_back_too_soon_asks_for_nothing() -> None:
+def test_from_a_bend_to_another_and_back_too_soon_requests_nothing() -> None:
     radio = Radio()
     radio.move(1, 3.0)
     radio.move(2, 0.5)

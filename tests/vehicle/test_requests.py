@@ -317,9 +317,7 @@ def test_an_answer_about_the_clock_names_whom_it_is_for() -> None:
 @pytest.mark.parametrize(
     ("target", "answered"), [(US, True), ((1, 0), True), ((1, 154), False), ((2, 0), False)]
 )
-def test_a_question_about_the_clock_of_somebody_else_is_left_alone(
-    target: tuple[int, int], answered: bool
-) -> None:
+def test_a_timesync_request_is_answered_only_if_it_is_for_us(target: tuple[int, int], answered: bool) -> None:
     asked = Timesync(0, 1234, *target).pack(mavlink.MAVLink(None, *AUTOPILOT))
     (received,) = MavlinkCodec(*US).decode(asked)
     assert bool(Bench().requests.handle(0.0, received, 1)) is answered

@@ -349,7 +349,7 @@ HOUR = 60 * MINUTE
 
 
 @pytest.mark.parametrize("synchronised", [True, False])
-def test_one_frame_of_2040_locks_nobody_out(synchronised: bool) -> None:
+def test_one_frame_of_2040_blocks_no_other_sender(synchronised: bool) -> None:
     ours = Ours(clock_s=None)
     ours.signing.advance(NOW_S, 0.0, synchronised)
     station, autopilot = Peer(IN_2040, system=255, component=190), Peer()

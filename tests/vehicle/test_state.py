@@ -226,7 +226,7 @@ def test_the_first_ready_after_power_up_is_no_reboot() -> None:
     assert state.handle(3.0, text("ArduPilot Ready")) == []
 
 
-def test_a_ready_of_somebody_else_is_not_ours() -> None:
+def test_a_ready_of_another_vehicle_is_not_ours() -> None:
     state = found()
     state.handle(0.0, clock(100_000))
     words = mavlink.MAVLink_statustext_message(6, b"ArduPilot Ready", 0, 0)
@@ -302,7 +302,7 @@ def test_any_frame_shows_that_the_autopilot_runs_but_only_heartbeats_that_it_is_
     assert not state.heartbeat_missing
 
 
-def test_a_silent_autopilot_is_silent_and_its_heartbeats_are_not_what_is_missing() -> None:
+def test_for_a_silent_autopilot_missing_heartbeats_are_not_reported() -> None:
     state = VehicleState()
     state.handle(0.0, heartbeat(1, base_mode=ARMED))
     assert (state.silence_s(60.0), state.heartbeat_missing) == (60.0, False)

@@ -124,7 +124,7 @@ def test_a_move_while_the_radio_is_lost_is_only_reported() -> None:
     assert told.count("Vine: switch ch9 moved while RC was lost, move it again") == 1
 
 
-def test_silence_of_the_radio_wants_a_fresh_move() -> None:
+def test_after_a_loss_of_rc_a_fresh_move_is_needed() -> None:
     link = Link()
     link.run(2.0, 1000)
     link.wait(2.0)

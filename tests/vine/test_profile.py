@@ -102,7 +102,7 @@ def test_pieces_follow_each_other_without_gaps(
     assert motion.duration_s == edges_s[-1]
 
 
-def test_a_step_takes_what_the_rate_limit_asks() -> None:
+def test_a_step_takes_the_time_of_the_rate_limit() -> None:
     motion = plan([Step(to_deg=60)], CURVE, 0.0, 10.0, MAX_KPA)
     assert motion.duration_s == pytest.approx(2.07)
     assert motion.final_kPa == motion.aim_kPa == motion.peak_kPa == 20.7

@@ -88,7 +88,7 @@ async def test_events_while_the_broker_is_away_are_sent_once_and_in_order(broker
         assert len(vehicle.troubles) == 2
 
 
-async def test_a_flood_of_asks_holds_up_neither_states_nor_a_vent(broker: Broker, people: Onlooker) -> None:
+async def test_a_flood_of_requests_delays_neither_states_nor_a_vent(broker: Broker, people: Onlooker) -> None:
     async with flying(broker=broker.url, name="heron", rate_Hz=10.0, commands=("vent", "bend")) as vehicle:
         await people.until(f"{BASE}/status", status="online")
         before = len(people.on(f"{BASE}/state"))

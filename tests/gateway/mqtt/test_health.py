@@ -34,7 +34,7 @@ def test_a_broker_that_is_away_is_reported_once_and_that_it_is_back() -> None:
     assert health.lasts(74.0) is None
 
 
-def test_a_short_interruption_is_nobody_s_trouble() -> None:
+def test_a_short_interruption_is_not_reported() -> None:
     health = Health(0.0, "mqtt://b")
     for t in range(10, 1000, 10):
         health.connected(float(t))

@@ -65,7 +65,7 @@ async def test_it_bends_and_vents_the_vine_and_its_process_may_die(tmp_path: Pat
 
 
 @pytest.mark.long
-async def test_a_page_that_hangs_or_dies_is_back_within_five_seconds(tmp_path: Path) -> None:
+async def test_a_page_that_hangs_or_ends_is_back_within_five_seconds(tmp_path: Path) -> None:
     async with serving(tmp_path) as served, client() as session:
         async with session.ws_connect(served.url + "live") as viewing:
             await ready(viewing)

@@ -305,7 +305,7 @@ async def test_of_too_many_pilots_the_oldest_goes(bench: Bench, session: ClientS
                 pass
 
 
-async def test_a_slow_reader_is_dropped_and_nobody_waits_for_it(
+async def test_a_slow_reader_is_dropped_and_delays_nothing(
     bench: Bench, session: ClientSession, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(viewer_session, "SLOW_S", 0.3)
@@ -333,7 +333,7 @@ async def test_a_slow_reader_is_dropped_and_nobody_waits_for_it(
                     pass
 
 
-async def test_a_thousand_connections_keep_nobody_out(bench: Bench, session: ClientSession) -> None:
+async def test_a_thousand_connections_exclude_no_pilot(bench: Bench, session: ClientSession) -> None:
     flood: list[socket.socket] = []
     async with session.ws_connect(bench.url + "/live") as pilot:
         try:
