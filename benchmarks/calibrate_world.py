@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from cycles_left_flights import told
+from cycles_left_flights import telemetry_messages
 
 from flying_vines.calibration.calibrator import (
     BY,
@@ -92,7 +92,7 @@ class CompiledWorld:
         self._reservoir_true_kPa = float(run.table["reservoir_kPa"][-1])
         looks = begun_s
         run.table["time_s"] += begun_s
-        for self.now, telemetry in told(run.table):
+        for self.now, telemetry in telemetry_messages(run.table):
             self._cv_kPa, self._reservoir_kPa = telemetry.cv_kPa, telemetry.reservoir_kPa
             self._carry_out(self.calibrator.take(Measured(self.now, telemetry)))
             if self.now >= looks:

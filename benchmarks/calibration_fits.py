@@ -27,7 +27,7 @@ import numpy as np
 from flying_vines.calibration.evaluation import StageRecording
 from flying_vines.calibration.findings import Findings
 from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
-from flying_vines.supply.belief import nominal_rig
+from flying_vines.supply.rig_prior import nominal_rig
 
 Found = dict[str, tuple[float, float, float]]
 """Value and 95 % interval by the quantity's name."""

@@ -25,7 +25,7 @@ from statistics import fmean, median
 from typing import TypeVar
 
 import cycles_left_calibrated as calibrated
-from cycles_left_flights import FEWEST_CYCLES, began, fly, told
+from cycles_left_flights import FEWEST_CYCLES, began, fly, telemetry_messages
 from cycles_left_guess import Guess, by_paper, quantity
 from cycles_left_rigs import draw
 from rich.console import Console
@@ -62,7 +62,7 @@ def judge(seed: int) -> Outcome | None:
     reader, estimate = TelemetryReader(nominal(case.believed)), ReservoirEstimate(nominal(case.believed))
     guesses: list[Guess] = []
     moments = [began(flight, cycles) for cycles in (5.0, 15.0, 0.5 * flight.total_cycles)]
-    for t, telemetry in told(flight.telemetry):
+    for t, telemetry in telemetry_messages(flight.telemetry):
         estimate.update(reader.read(t, telemetry))
         # More than one if half way comes early.
         for index in moments[len(guesses) :]:

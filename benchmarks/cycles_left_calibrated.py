@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean, median
 
-from cycles_left_flights import FEWEST_CYCLES, began, fly, told
+from cycles_left_flights import FEWEST_CYCLES, began, fly, telemetry_messages
 from cycles_left_guess import Guess, by_paper, quantity
 from cycles_left_rigs import Case, Manoeuvre
 from rich.table import Table
@@ -29,7 +29,7 @@ from flying_vines.physics.plant.true_rig import TrueRig, load_true_rig, true_rig
 from flying_vines.physics.rig import ControlVolume, Dvp, Evp, Reservoir, Rig, Solenoid
 from flying_vines.simulation.scenario import parse_scenario, simulate_scenario, write_case
 from flying_vines.supply import ReservoirEstimate, TelemetryReader
-from flying_vines.supply.known_rig import TOP_SHARE, belief_of
+from flying_vines.supply.rig_file_prior import TOP_SHARE, prior_of
 
 Causes = Mapping[str, Mapping[str, float]]
 MOMENTS = {"before the first": 0.0, "after 2 cycles": 2.0, "after 5 cycles": 5.0, "after 15 cycles": 15.0}
@@ -188,21 +188,21 @@ def judge(seed: int) -> Outcome | None:
     if flight is None or flight.total_cycles < FEWEST_CYCLES:
         return None
     extended, named = diagnosed(rigged)
-    beliefs = [belief_of(rigged.flight.believed, rig) for rig in (TrueRig(rigged.believed), extended)]
-    readers = [TelemetryReader(belief) for belief in beliefs]
-    estimates = [ReservoirEstimate(belief) for belief in beliefs]
+    priors = [prior_of(rigged.flight.believed, rig) for rig in (TrueRig(rigged.believed), extended)]
+    readers = [TelemetryReader(prior) for prior in priors]
+    estimates = [ReservoirEstimate(prior) for prior in priors]
     guesses: tuple[list[Guess], list[Guess]] = ([], [])
     moments = [began(flight, cycles) for cycles in MOMENTS.values()]
-    for t, telemetry in told(flight.telemetry):
+    for t, telemetry in telemetry_messages(flight.telemetry):
         for reader, estimate in zip(readers, estimates, strict=True):
             estimate.update(reader.read(t, telemetry))
         if t < flight.begins_s[moments[len(guesses[0])]]:
             continue
         truth = flight.total_cycles - float(flight.cycles[moments[len(guesses[0])]])
-        for estimate, belief, said in zip(estimates, beliefs, guesses, strict=True):
+        for estimate, prior, said in zip(estimates, priors, guesses, strict=True):
             left = estimate.cycles_left()
             assert left is not None
-            said.append(Guess(truth, left, by_paper(belief.pneumatics, estimate.reservoir_kPa)))
+            said.append(Guess(truth, left, by_paper(prior.pneumatics, estimate.reservoir_kPa)))
         if len(guesses[0]) == len(moments):
             break
     hidden = rigged.flight.kind

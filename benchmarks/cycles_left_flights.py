@@ -103,7 +103,7 @@ def met(manoeuvre: Manoeuvre, setpoint_kPa: Array, cv_kPa: Array) -> bool:
     return bool(np.any(cv_kPa[setpoint_kPa >= least_kPa] >= least_kPa))
 
 
-def told(table: NDArray[np.void], began_s: float = 0.0) -> Iterator[tuple[float, Telemetry]]:
+def telemetry_messages(table: NDArray[np.void], began_s: float = 0.0) -> Iterator[tuple[float, Telemetry]]:
     """The firmware's telemetry messages, with their times."""
     venting = np.isnan(table["setpoint_kPa"])
     columns = [

@@ -19,7 +19,7 @@ import sys
 from collections import Counter
 from dataclasses import dataclass, field, replace
 
-from cycles_left_flights import fly, told
+from cycles_left_flights import fly, telemetry_messages
 from cycles_left_rigs import HOST_TICK_S, Case, draw
 
 from flying_vines.physics.plant.flow import Ohm
@@ -54,9 +54,9 @@ class Flown:
 
     def __init__(self, case: Case) -> None:
         self.case = case
-        self.belief = nominal(case.believed)
-        self.reader = TelemetryReader(self.belief)
-        self.estimate = ReservoirEstimate(self.belief)
+        self.prior = nominal(case.believed)
+        self.reader = TelemetryReader(self.prior)
+        self.estimate = ReservoirEstimate(self.prior)
         self.cycles = ReportedCycles(self.estimate)
         self.state: State = at_rest(case.plant, case.fill_kPa)
         self.outcome = Outcome(case.seed)
@@ -80,7 +80,7 @@ class Flown:
             seed=case.seed,
         )
         self.state = run.state
-        for t, telemetry in told(run.table, self.t):
+        for t, telemetry in telemetry_messages(run.table, self.t):
             self.estimate.update(self.reader.read(t, telemetry))
             left = self.cycles.left
             flown = left is None or left.measured_cycles != self.estimate.measured_cycles
@@ -171,8 +171,8 @@ class Flown:
         elif name == "restart":
             learned = self.estimate.learned
             assert learned is not None
-            known, _ = learned_from(text_of(self.belief, learned), self.belief)
-            self.reader, self.estimate = TelemetryReader(self.belief), ReservoirEstimate(self.belief, known)
+            known, _ = learned_from(text_of(self.prior, learned), self.prior)
+            self.reader, self.estimate = TelemetryReader(self.prior), ReservoirEstimate(self.prior, known)
             self.cycles = ReportedCycles(self.estimate)
             self.fly([], 3.0)
 

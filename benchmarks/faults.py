@@ -1,10 +1,10 @@
-"""Random flights with one or two random faults each; a referee must find no foul.
+"""Random flights with one or two random faults each; a monitor must find no violation.
 
     python benchmarks/faults.py --flights 10000 --jobs 2
     python benchmarks/faults.py --seed 4711                   one flight, with all its events
     python benchmarks/faults.py --seed 4711 --only-fault 1    the same flight without the other fault
 
-docs/campaign.md has the rules of the referee. The flights use the real firmware, compiled for this machine.
+docs/campaign.md has the rules of the monitor. The flights use the real firmware, compiled for this machine.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable
 
 from faults_script import Outcome, Script, draw, fly
-from referee import Foul
+from invariant_monitor import Violation
 
 from flying_vines.simulation.phlosar.core_library import load
 
 LAST_S = 8.0
-"""Part of a timeline that is printed before a foul."""
+"""Part of a timeline that is printed before a violation."""
 
 
 def main() -> int:
@@ -56,20 +56,22 @@ def _one(seed: int, only_fault: int | None) -> int:
     outcome = fly(script)
     _print_timeline(outcome.timeline)
     print(f"highest pressure {outcome.highest_kPa:.1f} kPa; began to move {outcome.begins} times")
-    for foul in outcome.fouls:
-        print(f"FOUL {foul}")
-    return 1 if outcome.fouls else 0
+    for violation in outcome.violations:
+        print(f"VIOLATION {violation}")
+    return 1 if outcome.violations else 0
 
 
 def _fly_safely(seed: int) -> Outcome:
-    """Fly one flight. An exception is a foul."""
+    """Fly one flight. An exception is a violation."""
     script = draw(seed)
     try:
         return fly(script)
     except Exception:
-        foul = Foul(0.0, "crash", traceback.format_exc())
+        violation = Violation(0.0, "crash", traceback.format_exc())
         names = tuple(fault.name for fault in script.faults)
-        return Outcome(seed, names, (False,) * len(names), ("",) * len(names), (foul,), 0, 0, 0.0, 0.0, ())
+        return Outcome(
+            seed, names, (False,) * len(names), ("",) * len(names), (violation,), 0, 0, 0.0, 0.0, ()
+        )
 
 
 def _many(seeds: Iterable[int], jobs: int, most_minutes: float) -> int:
@@ -78,12 +80,12 @@ def _many(seeds: Iterable[int], jobs: int, most_minutes: float) -> int:
     with multiprocessing.Pool(jobs) as pool:
         for outcome in pool.imap_unordered(_fly_safely, seeds, chunksize=4):
             tally.take(outcome)
-            if outcome.fouls:
-                _print_foul(outcome)
+            if outcome.violations:
+                _print_violation(outcome)
             if time.monotonic() - began_s > 60.0 * most_minutes:
                 break
     tally.print((time.monotonic() - began_s) / 60.0)
-    return 1 if tally.fouls else 0
+    return 1 if tally.violations else 0
 
 
 class Tally:
@@ -91,7 +93,7 @@ class Tally:
 
     def __init__(self) -> None:
         self.flights = self.singles = self.begins = self.limits = 0
-        self.fouls: Counter[str] = Counter()
+        self.violations: Counter[str] = Counter()
         self.seeds: list[tuple[int, tuple[str, ...], tuple[str, ...]]] = []
         self._drawn: Counter[str] = Counter()
         self._pairs: Counter[tuple[str, ...]] = Counter()
@@ -105,9 +107,11 @@ class Tally:
         self.flights += 1
         self.begins += outcome.begins
         self.limits += outcome.limits
-        self.fouls.update(foul.rule for foul in outcome.fouls)
-        if outcome.fouls:
-            self.seeds.append((outcome.seed, outcome.faults, tuple(foul.rule for foul in outcome.fouls)))
+        self.violations.update(violation.rule for violation in outcome.violations)
+        if outcome.violations:
+            self.seeds.append(
+                (outcome.seed, outcome.faults, tuple(violation.rule for violation in outcome.violations))
+            )
         self._drawn.update(outcome.faults)
         self._pairs.update([tuple(sorted(outcome.faults))] if len(outcome.faults) > 1 else [])
         if len(outcome.faults) > 1:
@@ -120,7 +124,7 @@ class Tally:
         self._blind[name] = max(self._blind[name], outcome.longest_blind_s)
         if outcome.bent[0]:
             self._bent[name] += 1
-            self._told[name][re.sub(r"-?\d+(\.\d+)?", "#", outcome.told[0])] += 1
+            self._told[name][re.sub(r"-?\d+(\.\d+)?", "#", outcome.texts[0])] += 1
 
     def print(self, minutes: float) -> None:
         print(
@@ -128,7 +132,7 @@ class Tally:
             f"the vine began to move {self.begins} times, {self.limits} of them by an event that looks like "
             f"a request of the pilot; {minutes:.1f} min"
         )
-        print(f"fouls: {dict(self.fouls) or 'none'}")
+        print(f"violations: {dict(self.violations) or 'none'}")
         for seed, faults, rules in sorted(self.seeds):
             print(f"  seed {seed}: {', '.join(faults)}: {', '.join(rules)}")
         print()
@@ -149,14 +153,14 @@ class Tally:
         print(f"\nLongest told to inflate over the firmware's limit, s: {blind or 'never'}")
 
 
-def _print_foul(outcome: Outcome) -> None:
+def _print_violation(outcome: Outcome) -> None:
     script = draw(outcome.seed)
     print(f"\nseed {outcome.seed}, {script.setup.autopilot}:")
     _print_faults(script)
-    first_s = min(foul.t for foul in outcome.fouls)
+    first_s = min(violation.t for violation in outcome.violations)
     _print_timeline([(t, text) for t, text in outcome.timeline if first_s - LAST_S <= t <= first_s + 1.0])
-    for foul in outcome.fouls:
-        print(f"FOUL {foul}", flush=True)
+    for violation in outcome.violations:
+        print(f"VIOLATION {violation}", flush=True)
 
 
 def _print_faults(script: Script) -> None:

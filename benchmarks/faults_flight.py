@@ -1,6 +1,6 @@
-"""A flight under a referee: actions of pilot, mission, ground station and hardware, and what they allow.
+"""A flight under a monitor: actions of pilot, mission, ground station and hardware, and what they allow.
 
-Each method does one thing to the simulated world, and tells the referee the consequence: a bend was
+Each method does one thing to the simulated world, and tells the monitor the consequence: a bend was
 requested, or the vine must be at rest from some time on. The constants are the times that the service may
 take to notice something: the times of `docs/behaviour.md`, plus the period of the message that reports it.
 """
@@ -21,7 +21,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 
-from referee import DEAD_MAN_S, LONGEST_HANG_S, Foul, Referee, RefereedBoard, Rules
+from invariant_monitor import DEAD_MAN_S, LONGEST_HANG_S, InvariantMonitor, MonitoredBoard, Rules, Violation
 
 from flying_vines.config import config
 from flying_vines.config.config import Config
@@ -189,7 +189,7 @@ class Wire:
                 return data[:at] + bytes([data[at] ^ self._random.randrange(1, 256)]) + data[at + 1 :]
 
 
-class RefereedFlight:
+class MonitoredFlight:
     """Starts on the ground, disarmed, at time 0. Every method acts now, and `run` lets time pass."""
 
     def __init__(
@@ -216,8 +216,8 @@ class RefereedFlight:
             seed=setup.seed,
         )
         limits = config.limits
-        self.referee = Referee(Rules(limits.max_kPa, limits.max_rate_kPa_per_s, limits.max_bent_s))
-        RefereedBoard(self.phlosar, self.referee)
+        self.monitor = InvariantMonitor(Rules(limits.max_kPa, limits.max_rate_kPa_per_s, limits.max_bent_s))
+        MonitoredBoard(self.phlosar, self.monitor)
         self.flight = SimulatedFlight(config, self.autopilot, self.phlosar)
         self.flight.world.core = core(config)
         self.to_board, self.from_board, self.from_autopilot = (
@@ -226,7 +226,7 @@ class RefereedFlight:
         self.flight.world.to_phlosar = self.to_board
         self.flight.world.from_phlosar = self.from_board
         self.flight.from_autopilot = self.from_autopilot
-        self.told: list[tuple[float, str]] = []
+        self.texts: list[tuple[float, str]] = []
         """Texts that the pilot reads."""
         self._station = MavlinkCodec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
         self._position = 0
@@ -271,18 +271,18 @@ class RefereedFlight:
         self._arming_s = -math.inf
         self._sent_s: deque[float] = deque(maxlen=PX4_BUFFER + 1)
         """Times of the latest commands of a ground station."""
-        self._heard_by_s: dict[str, float] = {}
+        self._received_by_s: dict[str, float] = {}
         """For each condition that forbids a bend: the time when the companion has certainly received it."""
         if not setup.armed_at_start:
-            self.referee.forbid("pneumatics disarmed", 0.0)
+            self.monitor.forbid("pneumatics disarmed", 0.0)
 
     @property
     def now_s(self) -> float:
         return self.flight.world.now
 
     @property
-    def fouls(self) -> list[Foul]:
-        return self.referee.fouls
+    def violations(self) -> list[Violation]:
+        return self.monitor.violations
 
     @property
     def companion_lives(self) -> bool:
@@ -332,12 +332,12 @@ class RefereedFlight:
             return
         self._vented = False
         if self.setup.has_real_receiver:
-            self.referee.withdraw(_switch_to(left), self.now_s + LEFT_S)
+            self.monitor.withdraw(_switch_to(left), self.now_s + LEFT_S)
         certain = self.now_s >= self._surely_settled_s
         if self.now_s >= self._settled_s:
             self._switch_asks(position, certain=certain and lasted)
             if position > 0 and self.setup.has_real_receiver:
-                self._standing = len(self.referee.begins)
+                self._standing = len(self.monitor.begins)
             if certain and lasted and position > 0 and not came_back and self._nothing_is_against_it:
                 self._expected = self.now_s, _switch_to(position)
         if not certain:
@@ -351,8 +351,8 @@ class RefereedFlight:
             and self.setup.shows_rc
             and not self.setup.hides_rc_losses
             and self._rc_in_use
-            and self.referee.idle
-            and self.referee.pending_until_s < self.now_s + CONFIRMED_S + 0.1
+            and self.monitor.idle
+            and self.monitor.pending_until_s < self.now_s + CONFIRMED_S + 0.1
             and self.phlosar.cv_kPa < RESTING_KPA
             and self.phlosar.reservoir_kPa > enough_kPa
             and self.autopilot.height_m > self.config.interlocks.min_altitude_m + 1.0
@@ -431,7 +431,7 @@ class RefereedFlight:
 
     def hold(self) -> None:
         self._command(mavlink.MAV_CMD_USER_4, 1)
-        self.referee.any_target(self.now_s + COMMANDED_S)
+        self.monitor.any_target(self.now_s + COMMANDED_S)
 
     def _code_kPa(self, code: float, angle_deg: float) -> float | None:
         """Pressure at the end of a button's or an item's bend; None for a profile that continues to move."""
@@ -440,26 +440,26 @@ class RefereedFlight:
 
     def arm_pneumatics(self) -> None:
         self._command(mavlink.MAV_CMD_USER_4, 3)
-        if self._station_is_heard:
-            self.referee.permit("pneumatics disarmed")
+        if self._station_is_received:
+            self.monitor.permit("pneumatics disarmed")
         self._arming_s = self.now_s
 
     def disarm_pneumatics(self) -> None:
         self._command(mavlink.MAV_CMD_USER_4, 2)
         self._disturb()
         if (
-            self._station_is_heard
+            self._station_is_received
             and not self._stalled_s
             and self._surely_forwarded
             and not self._vehicle_is_spoiled
         ):
-            self.referee.forbid("pneumatics disarmed", self.now_s + COMMANDED_S)
-            self._heard_by_s["pneumatics disarmed"] = self.now_s + COMMANDED_S
+            self.monitor.forbid("pneumatics disarmed", self.now_s + COMMANDED_S)
+            self._received_by_s["pneumatics disarmed"] = self.now_s + COMMANDED_S
 
     def clear_faults(self) -> None:
         self._command(mavlink.MAV_CMD_USER_5, 1)
-        if self._station_is_heard:
-            self.referee.person_clears(self.now_s + self._stalled_s + COMMANDED_S)
+        if self._station_is_received:
+            self.monitor.person_clears(self.now_s + self._stalled_s + COMMANDED_S)
 
     def _command(self, command: int, *params: float) -> None:
         seven = (*params, *(0.0,) * (7 - len(params)))
@@ -468,7 +468,7 @@ class RefereedFlight:
         self.autopilot.receive(self.now_s, "gcs", self._station.encode(message, 255))
 
     @property
-    def _station_is_heard(self) -> bool:
+    def _station_is_received(self) -> bool:
         return not self._unseen.keys() & {"silence", "link", "companion"}
 
     @property
@@ -489,7 +489,7 @@ class RefereedFlight:
 
     def _asked_by_station(self, what: str, bends: bool, kPa: float | None = None) -> None:
         self._vented |= not bends
-        if self._station_is_heard:
+        if self._station_is_received:
             certain = self._surely_forwarded and not self._stalled_s
             within_s = COMMANDED_S + (WAITS_S if self.now_s < self._clock_is_new_until_s else 0.0)
             self._asked(what, within_s, bends, by_person=True, certain=certain, kPa=kPa)
@@ -506,7 +506,7 @@ class RefereedFlight:
         latest_s: float = OLDEST_S,
         at_s: float | None = None,
     ) -> None:
-        """Tell the referee about a request.
+        """Tell the monitor about a request.
 
         `certain`: the companion certainly receives it, but not before `after_s`.
         """
@@ -517,19 +517,19 @@ class RefereedFlight:
         if self._vehicle_is_spoiled:
             within_s += LATE_S
         if bends:
-            self.referee.permit("asked to straighten")
-            self.referee.permit(_STILL_BENT)
+            self.monitor.permit("asked to straighten")
+            self.monitor.permit(_STILL_BENT)
             within_s = min(within_s, latest_s)
-            self.referee.trigger(now_s, within_s, what, after_s, kPa=kPa, latest_s=latest_s)
+            self.monitor.trigger(now_s, within_s, what, after_s, kPa=kPa, latest_s=latest_s)
             return
         if by_person:
-            self.referee.person_clears(now_s + within_s)
+            self.monitor.person_clears(now_s + within_s)
         # No bend may follow: a bend that is still on its way may begin after this.
-        last = self.referee.pending_until_s <= now_s
+        last = self.monitor.pending_until_s <= now_s
         if certain and last and not self._vehicle_is_spoiled:
-            self.referee.forbid("asked to straighten", now_s + within_s + 0.2, inflation_only=True)
-            self.referee.forbid(_STILL_BENT, now_s + within_s + STRAIGHTENED_S)
-            self._heard_by_s["asked to straighten"] = self._heard_by_s[_STILL_BENT] = now_s + within_s
+            self.monitor.forbid("asked to straighten", now_s + within_s + 0.2, inflation_only=True)
+            self.monitor.forbid(_STILL_BENT, now_s + within_s + STRAIGHTENED_S)
+            self._received_by_s["asked to straighten"] = self._received_by_s[_STILL_BENT] = now_s + within_s
 
     # The vehicle.
 
@@ -542,21 +542,21 @@ class RefereedFlight:
             how != "frozen" or not self.setup.hides_rc_losses
         )
         if how == "jump" and self.now_s < self._stirred_s + REPORTS_APART_S:
-            self.referee.trigger(self.now_s, TOLD_LATE_S, f"{LIMIT}PX4 tells of it later than ever")
+            self.monitor.trigger(self.now_s, TOLD_LATE_S, f"{LIMIT}PX4 tells of it later than ever")
         if how == "jump" and self.setup.has_real_receiver and self.now_s < self._moved_s + RC_MESSAGE_S:
-            self.referee.trigger(self.now_s, CONFIRMED_S, f"{LIMIT}a preset hides the move before it")
+            self.monitor.trigger(self.now_s, CONFIRMED_S, f"{LIMIT}a preset hides the move before it")
         self._unsee("rc")
         self._expected = None
         if self.setup.holds:
-            self.referee.any_target(math.inf)
+            self.monitor.any_target(math.inf)
 
     def return_rc(self) -> None:
         self.autopilot.return_rc()
         self._rc_lost = None
         if self._held_from_s > self.now_s:
-            self.referee.hold_still(math.inf)
+            self.monitor.hold_still(math.inf)
         self._see("rc")
-        if self._standing == len(self.referee.begins):
+        if self._standing == len(self.monitor.begins):
             # The pilot's own move, delayed by a short loss, if the switch is still there.
             self._switch_asks(self._position, certain=False)
 
@@ -608,7 +608,7 @@ class RefereedFlight:
         self._disturb()
         self.from_autopilot.cut = True
         if self.setup.holds:
-            self.referee.any_target(math.inf)
+            self.monitor.any_target(math.inf)
         self._unsee("link")
         self._noticed = True
         self._feed(LinkChanged(self.now_s, "vehicle", False, "closed"))
@@ -648,12 +648,12 @@ class RefereedFlight:
         if self.companion_lives:
             return
         self.flight.world.core = self._new_core(self.config)
-        self.referee.companion_replaced()
+        self.monitor.companion_replaced()
         if not self.setup.armed_at_start:
             # The board's present setpoint ends by the dead-man.
-            self.referee.forbid("pneumatics disarmed", self.now_s + DEAD_MAN_S)
+            self.monitor.forbid("pneumatics disarmed", self.now_s + DEAD_MAN_S)
         else:
-            self.referee.permit("pneumatics disarmed")
+            self.monitor.permit("pneumatics disarmed")
         if self._plugged:
             self._feed(LinkChanged(self.now_s, "firmware", True))
         if not self.from_autopilot.cut:
@@ -669,7 +669,7 @@ class RefereedFlight:
             meanwhile()
         began_s = self.now_s
         self._take(self.flight.stall(began_s + seconds))
-        self.referee.delay(began_s, seconds + STEP_S)
+        self.monitor.delay(began_s, seconds + STEP_S)
         self._see("stall")
         self._look_around()
 
@@ -701,7 +701,7 @@ class RefereedFlight:
     def mend_line(self) -> None:
         if self.to_board.cut:
             # A bend that the board did not receive is dropped 0.3 s after its decision, or a tick later.
-            self.referee.delay(self.now_s, TICKS_S)
+            self.monitor.delay(self.now_s, TICKS_S)
         for wire in (self.to_board, self.from_board):
             wire.cut, wire.spoiled = not self._plugged, 0.0
 
@@ -711,19 +711,19 @@ class RefereedFlight:
         self._disturb()
         match place, kind:
             case ("evp", StuckAt(opening)) if opening > 0.0:
-                self.referee.excuse(place, math.inf, rises=True)
+                self.monitor.excuse(place, math.inf, rises=True)
             case ("solenoid", StuckAt(opening)) if opening < 0.5:
-                self.referee.excuse(place, math.inf, rises=True)
+                self.monitor.excuse(place, math.inf, rises=True)
             case ("hose", Kinked()):
                 # The locked-in air warms up again.
-                self.referee.excuse(place, math.inf, rises=True)
+                self.monitor.excuse(place, math.inf, rises=True)
             case ("cv_sensor", _):
-                self.referee.excuse(place, math.inf)
+                self.monitor.excuse(place, math.inf)
             case "board", Unpowered():
-                self.referee.unpowered()
+                self.monitor.unpowered()
                 self._mended_unpowered = set()
             case "board", Hanging():
-                self.referee.excuse(place, self.now_s + LONGEST_HANG_S)
+                self.monitor.excuse(place, self.now_s + LONGEST_HANG_S)
         self.phlosar.inject(place, kind)
 
     def heal(self, place: str) -> None:
@@ -732,7 +732,7 @@ class RefereedFlight:
             self._mended_unpowered.add(place)
         else:
             for mended in {place, *(self._mended_unpowered or ())}:
-                self.referee.end_excuse(mended, self.now_s)
+                self.monitor.end_excuse(mended, self.now_s)
             self._mended_unpowered = None
         self.phlosar.inject(place, None)
 
@@ -748,32 +748,32 @@ class RefereedFlight:
         if not self._unseen:
             self._unseen_from_s, self._unseen_position, self._noticed = self.now_s, self._position, False
         self._unseen[what] = self.now_s
-        for name, heard_by_s in self._heard_by_s.items():
-            if what != "stall" and heard_by_s > self.now_s:
+        for name, received_by_s in self._received_by_s.items():
+            if what != "stall" and received_by_s > self.now_s:
                 # It was still on its way, and may have been lost here.
-                self.referee.permit(name)
+                self.monitor.permit(name)
         if what in ("silence", "link", "companion", "link stalled"):
             self._late = True
             for name, due_s in self._conditions.items():
                 if name in _TOLD_BY_VEHICLE and due_s > self.now_s:
-                    self.referee.permit(name)
+                    self.monitor.permit(name)
                     self._conditions[name] = math.inf
 
     def _see(self, what: str) -> None:
         if self._unseen.pop(what, None) is None:
             return  # Two losses overlapped, and it has already returned.
         now_s = self.now_s
-        if self._station_is_heard:
+        if self._station_is_received:
             if self._clock_is_new_until_s == math.inf:
                 self._clock_is_new_until_s = now_s + NEW_CLOCK_S
             if now_s - self._arming_s < STEP_S:
                 # Sent at the same moment, it is still on its way.
-                self.referee.permit("pneumatics disarmed")
+                self.monitor.permit("pneumatics disarmed")
             for name, due_s in self._conditions.items():
                 if due_s == math.inf:
                     held_s = HELD_AT_MOST_S if self.setup.holds and name == "RC lost" else 0.0
-                    self._conditions[name] = now_s + _TOLD_BY_VEHICLE[name] + held_s + self._patience_s
-                    self.referee.forbid(name, self._conditions[name])
+                    self._conditions[name] = now_s + _TOLD_BY_VEHICLE[name] + held_s + self._max_wait_s
+                    self.monitor.forbid(name, self._conditions[name])
         if self._unseen:
             return
         # Tens of milliseconds decide whether a short loss was noticed, so both outcomes are right.
@@ -788,13 +788,13 @@ class RefereedFlight:
         else:
             if what != "stall":
                 # A short silence is no loss: the service sees a move just before it when it ends.
-                self.referee.delay(self._unseen_from_s, lasted_s)
+                self.monitor.delay(self._unseen_from_s, lasted_s)
             if self._position != self._unseen_position:
                 self._switch_asks(self._position, certain=False)
         self._settle()
 
     @property
-    def _patience_s(self) -> float:
+    def _max_wait_s(self) -> float:
         return LATE_S if self._vehicle_is_spoiled else 0.0
 
     def _look_around(self) -> None:
@@ -825,8 +825,8 @@ class RefereedFlight:
         silent = bool(self._unseen.keys() & {"silence", "link", "link stalled"})
         held_s = HELD_AT_MOST_S if self.setup.holds else 0.0
         if rc_lost and held_s and "RC lost" not in self._conditions:
-            self._held_from_s = now_s + rc_lost_s + self._patience_s
-            self.referee.hold_still(self._held_from_s)
+            self._held_from_s = now_s + rc_lost_s + self._max_wait_s
+            self.monitor.hold_still(self._held_from_s)
         self._watch("disarmed", not autopilot.armed, _TOLD_BY_VEHICLE["disarmed"])
         told_height = ALTITUDE not in self.from_autopilot.without
         self._watch("landing", told_height and autopilot.height_m < lowest_m, _TOLD_BY_VEHICLE["landing"])
@@ -839,17 +839,17 @@ class RefereedFlight:
         self._watch("telemetry lost", deaf, config.losses.telemetry_s + 0.1 + DEAD_MAN_S)
         low = self.phlosar.reservoir_kPa < config.interlocks.reserve_kPa
         self._watch("bottle low", low and self.phlosar.mishaps.reservoir_sensor is None, 3.0)
-        self._hear_of_items()
+        self._note_items()
         self._write_down()
 
     def _call_missed(self) -> None:
         if self._expected is None:
             return
         since_s, what = self._expected
-        if not self.referee.resting:
+        if not self.monitor.resting:
             self._expected = None
         elif self.now_s >= since_s + SURELY_BENDS_S:
-            self.referee.miss(self.now_s, f"{what} at {since_s:.2f} s, RC good ever since")
+            self.monitor.miss(self.now_s, f"{what} at {since_s:.2f} s, RC good ever since")
             self._expected = None
 
     def _write_down(self) -> None:
@@ -870,16 +870,16 @@ class RefereedFlight:
             return
         if not holds:
             del self._conditions[name]
-            self.referee.permit(name)
+            self.monitor.permit(name)
             return
         due_s = self.now_s + within_s
         if name in _TOLD_BY_VEHICLE:
-            heard = self._station_is_heard and not self._stalled_s
-            due_s = due_s + self._patience_s if heard else math.inf
+            received = self._station_is_received and not self._stalled_s
+            due_s = due_s + self._max_wait_s if received else math.inf
         self._conditions[name] = due_s
-        self.referee.forbid(name, due_s)
+        self.monitor.forbid(name, due_s)
 
-    def _hear_of_items(self) -> None:
+    def _note_items(self) -> None:
         log = self.autopilot.payload_log
         for ran_s, item in log[self._items_seen :]:
             if item.command in (SCRIPT_MESSAGE, ACTUATOR):
@@ -887,7 +887,7 @@ class RefereedFlight:
                 bends = code != 0.0
                 within_s = ITEM_S if bends else STRAIGHT_S
                 # What is not received is repeated, or shown by the mission's progress.
-                after_s = 0.0 if self._station_is_heard else within_s
+                after_s = 0.0 if self._station_is_received else within_s
                 kPa = self._code_kPa(code, angle_deg)
                 self._asked(
                     f"item {item.seq}", within_s, bends, by_person=False, after_s=after_s, kPa=kPa, at_s=ran_s
@@ -901,7 +901,7 @@ class RefereedFlight:
     def _take(self, actions: list[Action]) -> None:
         for action in actions:
             if isinstance(action, Notice):
-                self.told.append((action.t, action.text))
+                self.texts.append((action.t, action.text))
                 self.timeline.append((action.t, f"    pilot reads: {action.text}"))
             elif isinstance(action, Decision):
                 reason = f": {action.reason}" if action.reason else ""

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 
-from drawn_mishaps import draw_mishap
-from faults_flight import ACTUATOR, LIMIT, PULSES_US, SCRIPT_MESSAGE, SWITCH, RefereedFlight, Setup
-from referee import Foul
+from faults_flight import ACTUATOR, LIMIT, PULSES_US, SCRIPT_MESSAGE, SWITCH, MonitoredFlight, Setup
+from invariant_monitor import Violation
+from random_mishaps import draw_mishap
 
 from flying_vines.simulation.autopilot.receiver import LOSSES, RcLoss, RcSource
 from flying_vines.simulation.phlosar.mishaps import Hole, StuckAt
@@ -30,12 +30,12 @@ _NO_NEWS = ("refused", "phloSAR ready", "serving vehicle", "limited")
 
 
 class Act(NamedTuple):
-    """A method of `RefereedFlight`, and its arguments."""
+    """A method of `MonitoredFlight`, and its arguments."""
 
     verb: str
     args: tuple[object, ...] = ()
 
-    def on(self, flight: RefereedFlight) -> None:
+    def on(self, flight: MonitoredFlight) -> None:
         getattr(flight, self.verb)(*self.args)
 
     def __str__(self) -> str:
@@ -72,9 +72,9 @@ class Outcome(NamedTuple):
     faults: tuple[str, ...]
     bent: tuple[bool, ...]
     """For each fault: true if the vine was under pressure when the fault began."""
-    told: tuple[str, ...]
+    texts: tuple[str, ...]
     """For each fault: the first text that the pilot read within `TOLD_S`, or an empty text."""
-    fouls: tuple[Foul, ...]
+    violations: tuple[Violation, ...]
     begins: int
     limits: int
     """Number of motions whose trigger the service cannot distinguish from the pilot's move."""
@@ -139,7 +139,7 @@ def _around_a_loss(random: Random, setup: Setup, fault: Fault) -> list[tuple[flo
 
 def fly(script: Script) -> Outcome:
     """Fly the script to its end."""
-    flight = RefereedFlight(script.setup)
+    flight = MonitoredFlight(script.setup)
     events: list[tuple[float, int, str, Act]] = [(t, -1, "", act) for t, act in script.acts]
     for number, fault in enumerate(script.faults):
         events.append((fault.begins_s, number, f"FAULT {number + 1} begins: ", fault.begin))
@@ -158,18 +158,18 @@ def fly(script: Script) -> Outcome:
         script.seed,
         tuple(fault.name for fault in script.faults),
         tuple(bent),
-        tuple(_first_told(flight, t) for t in began_s),
-        tuple(flight.fouls),
-        len(flight.referee.begins),
-        sum(what.startswith(LIMIT) for _, what in flight.referee.begins),
-        flight.referee.highest_kPa,
-        flight.referee.longest_blind_s,
+        tuple(_first_text(flight, t) for t in began_s),
+        tuple(flight.violations),
+        len(flight.monitor.begins),
+        sum(what.startswith(LIMIT) for _, what in flight.monitor.begins),
+        flight.monitor.highest_kPa,
+        flight.monitor.longest_blind_s,
         tuple(flight.timeline),
     )
 
 
-def _first_told(flight: RefereedFlight, since_s: float) -> str:
-    for t, text in flight.told:
+def _first_text(flight: MonitoredFlight, since_s: float) -> str:
+    for t, text in flight.texts:
         if since_s <= t <= since_s + TOLD_S and not any(words in text for words in _NO_NEWS):
             return text.removeprefix("Vine: ")
     return ""

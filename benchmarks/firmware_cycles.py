@@ -145,7 +145,7 @@ def _output(*command: str) -> str:
 def traced(program: Program, part: Part, folder: Path) -> tuple[list[Ticked], Counter[str]]:
     """The cost of each step, and the instructions of the most expensive step by function, without the port's
     functions."""
-    by_clock = run(program, part.told, folder).ticked
+    by_clock = run(program, part.inputs, folder).ticked
     if different := difference(part, (ticked.done for ticked in by_clock)):
         sys.exit(different)
     costs_of = Costs(program.path)
@@ -154,7 +154,7 @@ def traced(program: Program, part: Part, folder: Path) -> tuple[list[Ticked], Co
     worst = Counter[str]()
     beyond: dict[str, set[int]] = defaultdict(set)
     counted = (count for ticked in by_clock for count in ticked.instructions)
-    for (name, addresses), by_the_clock in zip(trace(program, part.told, folder), counted, strict=True):
+    for (name, addresses), by_the_clock in zip(trace(program, part.inputs, folder), counted, strict=True):
         costs.append(costs_of.cost(addresses))
         beyond[name].add(by_the_clock - len(addresses))
         if name == "step":
@@ -171,7 +171,7 @@ def traced(program: Program, part: Part, folder: Path) -> tuple[list[Ticked], Co
 
 def counted(program: Program, part: Part, folder: Path) -> list[Ticked]:
     """The cost of each step, with one cycle for each instruction."""
-    by_clock = run(program, part.told, folder).ticked
+    by_clock = run(program, part.inputs, folder).ticked
     if different := difference(part, (ticked.done for ticked in by_clock)):
         sys.exit(different)
     return [
@@ -192,7 +192,7 @@ def doing(done: Done) -> str:
     return "regulate: all shut"
 
 
-def said(data: bytes) -> str:
+def frame_type(data: bytes) -> str:
     """The type of the only frame in `data`; empty if there is none or more than one."""
     kinds = (Hello, Setpoint, Vent, ClearFaults, Ping, GetSetting, SetSetting)
     payloads = FrameDecoder().feed(data)
@@ -242,7 +242,7 @@ def tables(ticked: Iterable[Ticked], core_Hz: float) -> list[Table]:
     for one in ticked:
         received, step, _ = one.costs
         steps[f"{doing(one.done)}{', telemetry' if one.telemetry else ''}"].append(step)
-        if kind := said(one.step.received):
+        if kind := frame_type(one.step.received):
             frames[kind].append(received)
         elif len(one.step.received) > PACKET // 2:
             packets[f"up to {PACKET}" if len(one.step.received) <= PACKET else "more"].append(received)

@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.table import Table
 
 from flying_vines.physics.baseline import Inputs
-from flying_vines.physics.plant.likely import likely_effects
+from flying_vines.physics.plant.likely_effects import likely_effects
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.sensors import read, rested
 from flying_vines.physics.plant.simulator import Simulator

@@ -29,7 +29,7 @@ from time import perf_counter
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from babble import Babble, serving_vehicle_1
+from random_frames import RandomFrames, serving_vehicle_1
 
 from firmware_link.framing import FRAME_END, encode_frame
 from firmware_link.host import VENTING, HostSession, Regulate, SessionState
@@ -234,7 +234,7 @@ def mutated(frame: bytes, other: bytes, dice: random.Random) -> bytes:
             return dice.randbytes(dice.randrange(1, 400))
 
 
-def babble(seed: int, session: HostSession) -> Iterator[bytes]:
+def random_bytes(seed: int, session: HostSession) -> Iterator[bytes]:
     """An endless stream of a device's bytes, in pieces of any size; a third of the frames are damaged."""
     dice = random.Random(seed)
     # The device knows the host's nonce only from the host.
@@ -280,7 +280,7 @@ class Memory:
 
 
 @dataclass
-class Heard:
+class Decoded:
     """Counts of a run of the host's end."""
 
     memory: Memory
@@ -290,18 +290,18 @@ class Heard:
     """Number of pieces after which the session was READY."""
 
 
-def listen(seed: int, most_bytes: int) -> Heard:
+def listen(seed: int, most_bytes: int) -> Decoded:
     """Feed a host's end. Raises FuzzError if it cannot read a whole frame afterwards, or grows."""
-    codec, session, heard = Codec(), HostSession(), Heard(Memory(most_bytes))
+    codec, session, decoded = Codec(), HostSession(), Decoded(Memory(most_bytes))
     dice = random.Random(f"host {seed}")
     whole = encode(Pong(1, 2), 0)
     t = 0.0
     session.opened(t)
-    for pieces, data in enumerate(babble(seed, session), 1):
+    for pieces, data in enumerate(random_bytes(seed, session), 1):
         t += 0.001
-        heard.fed_bytes += len(data)
+        decoded.fed_bytes += len(data)
         for message in codec.decode(data):
-            heard.messages += 1
+            decoded.messages += 1
             session.receive(t, message)
         ours = session.tick(t)
         chance = dice.random()
@@ -314,14 +314,14 @@ def listen(seed: int, most_bytes: int) -> Heard:
             session.opened(t)
         for message in ours:
             codec.encode(message)
-        heard.ready += session.state is SessionState.READY
+        decoded.ready += session.state is SessionState.READY
         if pieces % 1000 == 0 and codec.decode(FRAME_END + whole)[-1:] != [Pong(1, 2)]:
-            raise FuzzError(f"seed {seed}: after {heard.fed_bytes} bytes a whole frame was not read")
-        heard.memory.fed(heard.fed_bytes)
-        if heard.fed_bytes >= most_bytes:
+            raise FuzzError(f"seed {seed}: after {decoded.fed_bytes} bytes a whole frame was not read")
+        decoded.memory.fed(decoded.fed_bytes)
+        if decoded.fed_bytes >= most_bytes:
             break
-    heard.memory.end(f"seed {seed}: the host", MOST_NEW_BYTES)
-    return heard
+    decoded.memory.end(f"seed {seed}: the host", MOST_NEW_BYTES)
+    return decoded
 
 
 @dataclass
@@ -344,7 +344,7 @@ def serve(seed: int, most_bytes: int) -> Served:
         MavlinkCodec(0, 191),
         Codec(),
     )
-    line, air = babble(seed, core._firmware), Babble(seed, disarmed=True)
+    line, air = random_bytes(seed, core._firmware), RandomFrames(seed, disarmed=True)
     served = Served(Memory(most_bytes))
     core.handle(LinkChanged(0.0, "firmware", True))
     fed_bytes = step = 0
@@ -405,11 +405,11 @@ def _tell(fuzzed: Fuzzed, took_s: float) -> None:
 
 def _host(seed: int, most_bytes: int) -> None:
     began_s = perf_counter()
-    heard = listen(seed, most_bytes)
+    decoded = listen(seed, most_bytes)
     print(f"host, seed {seed}")
-    print(f"  bytes into its decoder: {heard.fed_bytes}, in {perf_counter() - began_s:.0f} s")
-    print(f"  messages: {heard.messages} · pieces after which the session was ready: {heard.ready}")
-    print(f"  memory after each tenth: {heard.memory}")
+    print(f"  bytes into its decoder: {decoded.fed_bytes}, in {perf_counter() - began_s:.0f} s")
+    print(f"  messages: {decoded.messages} · pieces after which the session was ready: {decoded.ready}")
+    print(f"  memory after each tenth: {decoded.memory}")
 
 
 def _service(seed: int, most_bytes: int) -> None:

@@ -146,7 +146,7 @@ def _fly(
             result.broker_shares.append((cpu_s(broker_pid) - used_s) / flown.flight.loaded_s)
             result.harms.append(strangers.tell())
         result.flown.append(flown)
-        result.stopped += STOPPED in whole.said or whole.gateway != gateway
+        result.stopped += STOPPED in whole.output or whole.gateway != gateway
 
 
 def _let_in(result: Result) -> Counter[str]:

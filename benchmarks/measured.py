@@ -30,7 +30,7 @@ from rich.table import Table
 
 from flying_vines.identification.case import Case, read_case
 from flying_vines.identification.diagnose import diagnose
-from flying_vines.identification.importing.answers import answers_path, read_answers
+from flying_vines.identification.importing.answers_file import answers_path, read_answers
 from flying_vines.identification.importing.runs import Proposal, answers_of_similar, propose, write_case
 from flying_vines.identification.verdict import NONE, UNEXPLAINED, Verdict
 

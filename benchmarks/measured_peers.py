@@ -25,7 +25,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
-from flying_vines.identification.unseen import in_odd_stretch
+from flying_vines.identification.prediction_error import in_odd_stretch
 
 MAX_ROWS = 300
 """Maximum number of rates from which a Gaussian process learns: its time grows with their cube."""

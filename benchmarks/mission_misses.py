@@ -17,7 +17,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from mission_storm import Link, Storm, compare, fly, mission
+from mission_on_bad_link import Link, MissionOnBadLink, compare, fly, mission
 
 from flying_vines.simulation.autopilot import AutopilotKind
 
@@ -28,14 +28,16 @@ KINDS: tuple[AutopilotKind, AutopilotKind] = ("ardupilot", "px4")
 def misses(kind: AutopilotKind, loss: float, flights: int, seed: int, wild: bool) -> tuple[int, int, int]:
     """Numbers of items that ran, of missed items, and of triggers without an item."""
     ran = missed = extra = 0
-    for flight in range(flights):
-        dice = random.Random(f"{seed} {flight} {wild}")
-        storm = Storm(kind, dice, Link(loss, copies=0.05, late_s=0.05), mission(kind, dice, wild=wild))
+    for number in range(flights):
+        dice = random.Random(f"{seed} {number} {wild}")
+        flight = MissionOnBadLink(
+            kind, dice, Link(loss, copies=0.05, late_s=0.05), mission(kind, dice, wild=wild)
+        )
         if not wild:
-            storm.run(10.0)
-        fly(storm, 45.0, happenings=dice.randrange(5) if wild else 0)
-        found = compare(storm)
-        ran, missed, extra = ran + len(storm.ran), missed + len(found.missed), extra + len(found.extra)
+            flight.run(10.0)
+        fly(flight, 45.0, happenings=dice.randrange(5) if wild else 0)
+        found = compare(flight)
+        ran, missed, extra = ran + len(flight.ran), missed + len(found.missed), extra + len(found.extra)
     return ran, missed, extra
 
 

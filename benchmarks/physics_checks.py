@@ -48,8 +48,8 @@ class Healthy:
 def judge(seed: int) -> Healthy:
     """Fly one healthy rig."""
     case = drawn(seed)
-    belief = nominal(case.believed)
-    reader, checks = TelemetryReader(belief), PhysicsChecks(belief, CHECKS_CONFIG)
+    prior = nominal(case.believed)
+    reader, checks = TelemetryReader(prior), PhysicsChecks(prior, CHECKS_CONFIG)
     found: list[str] = []
     at_ms = 0
     for telemetry in telemetry_of(case, HEALTHY_S):

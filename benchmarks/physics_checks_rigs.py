@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import msgspec
-from cycles_left_flights import setpoints_of, told
+from cycles_left_flights import setpoints_of, telemetry_messages
 from cycles_left_rigs import HOST_TICK_S, Case, Manoeuvre, draw
 
 from firmware_link.protocol import Telemetry
@@ -72,7 +72,7 @@ def telemetry_of(case: Case, seconds: float) -> Iterator[Telemetry]:
         reservoir_sensor=case.reservoir_sensor,
         seed=case.seed,
     ).table
-    for _, telemetry in told(table):
+    for _, telemetry in telemetry_messages(table):
         if telemetry.reservoir_kPa < RESERVE_KPA:
             return
         yield telemetry

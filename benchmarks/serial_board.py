@@ -35,7 +35,7 @@ class SerialBoard:
     """A board whose vine is always at the last setpoint, and whose reservoir never empties."""
 
     def __init__(self, began_s: float) -> None:
-        self.heard = False
+        self.received = False
         """True after the first frame of the host."""
         self.telemetry_frames = 0
         self.dropped_bytes = 0
@@ -65,7 +65,7 @@ class SerialBoard:
         """Read the host's bytes. Returns true if they contain a setpoint with a new target."""
         moved = False
         for message in self._codec.decode(data):
-            self.heard = True
+            self.received = True
             match message:
                 case Setpoint(target_kPa, _, _, number):
                     if self._setpoint_at_s is not None:

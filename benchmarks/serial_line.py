@@ -30,7 +30,7 @@ from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
 BOARD = UsbBoard(0x16C0, 0x0483, "1234560")
 WITHIN_S = 1.0
-PATIENCE_S = 10.0
+MAX_WAIT_S = 10.0
 WEDGED_S = 2.0
 
 
@@ -136,7 +136,7 @@ async def _running(run: Callable[[], Coroutine[None, None, None]]) -> AsyncItera
 
 
 async def _until(true: Callable[[], bool]) -> None:
-    async with asyncio.timeout(PATIENCE_S):
+    async with asyncio.timeout(MAX_WAIT_S):
         while not true():  # noqa: ASYNC110 - what is waited for happens on a simulated board
             await asyncio.sleep(0.001)
 

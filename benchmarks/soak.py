@@ -84,7 +84,7 @@ class Outcome:
         how = decision.safety
         self.decisions[how] += 1
         if how != "accepted" or decision.trigger == "failsafe":
-            self.world.tally.fouls.append(
+            self.world.tally.violations.append(
                 f"at {decision.t:.1f} s: {decision.trigger} {how}: {decision.reason}"
             )
 
@@ -100,7 +100,7 @@ class Outcome:
         tally = self.world.tally
         print(
             f"{new.hours:7.2f} {took_s:7.0f} {tally.flights:8} {tally.triggers.total():9}"
-            f" {self.decisions.total() or '':>10} {tally.motions:8} {len(tally.fouls):6}"
+            f" {self.decisions.total() or '':>10} {tally.motions:8} {len(tally.violations):11}"
             f" {new.rss_MB:7.1f} {new.blocks if new.blocks is not None else '':>9}",
             flush=True,
         )
@@ -115,7 +115,7 @@ class Outcome:
     def good(self) -> bool:
         tally = self.world.tally
         asked = tally.triggers.total()
-        return not tally.fouls and asked == tally.motions == self.decisions.total() and self.flat
+        return not tally.violations and asked == tally.motions == self.decisions.total() and self.flat
 
 
 def simulated(kind: AutopilotKind, seed: int, until_s: float, sample_every_s: float = HOUR_S) -> Outcome:
@@ -211,7 +211,7 @@ def main() -> int:
     print(
         f"{kind}, seed {arguments.seed}, {hours:g} h of {'real' if arguments.real_time else 'simulated'} time"
     )
-    print("  hours  took, s  flights  triggers  decisions  motions  fouls  RSS, MB    blocks")
+    print("  hours  took, s  flights  triggers  decisions  motions  violations  RSS, MB    blocks")
     if arguments.real_time:
         with tempfile.TemporaryDirectory() as folder:
             outcome = asyncio.run(real(kind, arguments.seed, hours * HOUR_S, Path(folder)))
@@ -223,8 +223,8 @@ def main() -> int:
         "triggers: " + ", ".join(f"{count} by {trigger}" for trigger, count in tally.triggers.most_common())
     )
     print(f"decisions: {dict(outcome.decisions)} · motions: {tally.motions} · memory flat: {outcome.flat}")
-    for foul in tally.fouls:
-        print(f"FOUL {foul}")
+    for violation in tally.violations:
+        print(f"VIOLATION {violation}")
     return 0 if outcome.good else 1
 
 

@@ -68,7 +68,7 @@ class Tally:
     triggers: Counter[str] = field(default_factory=Counter)
     motions: int = 0
     flights: int = 0
-    fouls: list[str] = field(default_factory=list)
+    violations: list[str] = field(default_factory=list)
     _motion: Motion = _START
     _began_s: float = 0.0
     _peaked: bool = True
@@ -77,7 +77,7 @@ class Tally:
     def trigger(self, t: float, kind: str, motion: Motion) -> None:
         self.triggers[kind] += 1
         if not self._judged:
-            self._foul(t, f"{motion.name} began before {self._motion.name} was judged")
+            self._violation(t, f"{motion.name} began before {self._motion.name} was judged")
         self._motion, self._began_s, self._peaked, self._judged = motion, t, False, False
 
     def look(self, t: float, cv_kPa: float) -> None:
@@ -90,13 +90,13 @@ class Tally:
             self._judged = True
             self.motions += there
         if not there:
-            self._foul(t, f"{cv_kPa:.1f} kPa since {motion.name} at {self._began_s:.1f} s")
+            self._violation(t, f"{cv_kPa:.1f} kPa since {motion.name} at {self._began_s:.1f} s")
             # Report it once. The next trigger is compared with the new pressure.
             self._motion = Motion("whatever that was", cv_kPa, cv_kPa)
             self._peaked = True
 
-    def _foul(self, t: float, what: str) -> None:
-        self.fouls.append(f"at {t:.1f} s: {what}")
+    def _violation(self, t: float, what: str) -> None:
+        self.violations.append(f"at {t:.1f} s: {what}")
 
 
 @dataclass

@@ -26,7 +26,7 @@ HELD = 1000
 """Connections that one attacker keeps open, each with half a request."""
 SLOW_READERS = 16
 FIRST_ADDRESS = 10
-PATIENCE_S = 0.5
+MAX_WAIT_S = 0.5
 BATCH = 50
 """Messages to the broker in one write."""
 Attack = Callable[[str], None]
@@ -130,7 +130,7 @@ def _attacks(target: Target, harm: Harm) -> list[Attack]:
 
         return attack
 
-    def told(kind: str, message: Callable[[], bytes], retain: bool = False) -> Attack:
+    def mqtt_attack(kind: str, message: Callable[[], bytes], retain: bool = False) -> Attack:
         def attack(address: str) -> None:
             with _connected(target.broker_port, address) as broker:
                 broker.sendall(_connect())
@@ -157,7 +157,7 @@ def _attacks(target: Target, harm: Harm) -> list[Attack]:
                 viewer = socket.socket()
                 stack.callback(viewer.close)
                 viewer.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
-                viewer.settimeout(PATIENCE_S)
+                viewer.settimeout(MAX_WAIT_S)
                 viewer.bind((address, 0))
                 viewer.connect(("127.0.0.1", target.page_port))
                 viewer.sendall(_upgrade(page, target.token))
@@ -194,16 +194,16 @@ def _attacks(target: Target, harm: Harm) -> list[Attack]:
         sends("command of a viewer", _frame(b'{"id":1,"command":"vent"}')),
         sends("command not understood", _frame(b"[" * 400)),
         sends("command too large", _frame(b"x" * 1_000_000)),
-        told("message not understood", lambda: b'{"command": [[[[' + b"[" * 900),
-        told("message too large", lambda: b"x" * 3000),
-        told("retained message", fresh, retain=True),
-        told("command not listed", lambda: fresh().replace(target.allowed.encode(), b"vent")),
-        told("asked too often", fresh),
+        mqtt_attack("message not understood", lambda: b'{"command": [[[[' + b"[" * 900),
+        mqtt_attack("message too large", lambda: b"x" * 3000),
+        mqtt_attack("retained message", fresh, retain=True),
+        mqtt_attack("command not listed", lambda: fresh().replace(target.allowed.encode(), b"vent")),
+        mqtt_attack("asked too often", fresh),
     ]
 
 
 def _connected(port: int, address: str) -> socket.socket:
-    return socket.create_connection(("127.0.0.1", port), PATIENCE_S, (address, 0))
+    return socket.create_connection(("127.0.0.1", port), MAX_WAIT_S, (address, 0))
 
 
 def _upgrade(page: str, token: str) -> bytes:

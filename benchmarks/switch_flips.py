@@ -105,9 +105,9 @@ class Flipper:
             if now_s < due_s:
                 readable, _, _ = select.select([board.fd, vehicle.fileno()], [], [], due_s - now_s)
                 if board.fd in readable:
-                    self._hear_board()
+                    self._receive_from_board()
                 if vehicle.fileno() in readable:
-                    self._hear_host(vehicle)
+                    self._receive_from_host(vehicle)
                 continue
             if loaded_from_s < math.inf:
                 flight.messages += due_s != telemetry_due_s
@@ -134,7 +134,7 @@ class Flipper:
                     # Otherwise every flip would meet the host's 50 Hz tick in the same phase.
                     rc_due_s += self._random.random() * _RC_PERIOD_S
                 if settle_until_s == math.inf:
-                    if board.heard:
+                    if board.received:
                         self.alive_at_s = now_s
                         settle_until_s = now_s + SETTLE_S
                     elif not running():
@@ -185,7 +185,7 @@ class Flipper:
         elif 0 < self._sample < LEFT_OUT:
             self._before_s = sent_s
 
-    def _hear_board(self) -> None:
+    def _receive_from_board(self) -> None:
         data = os.read(self._board.fd, 4096)
         read_s = monotonic()
         if not self._board.receive(read_s, data) or self._sample < 0:
@@ -196,7 +196,7 @@ class Flipper:
             self._measured = True
             self._flight.latencies_ms.append(1e3 * (read_s - self._settled_at_s))
 
-    def _hear_host(self, vehicle: socket.socket) -> None:
+    def _receive_from_host(self, vehicle: socket.socket) -> None:
         for message in self._answers.decode(vehicle.recv(4096)):
             if message.get_type() == "MISSION_REQUEST_LIST":
                 answer = mission_count(message.get_srcSystem(), message.get_srcComponent())

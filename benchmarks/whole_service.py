@@ -105,7 +105,7 @@ class Whole:
         try:
             flight = flipper.fly(lambda: self._process.poll() is None, begin)
         except NotMeasured as problem:
-            raise NotMeasured(f"{problem}; the service's output ends:\n{self.said[-2000:]}") from None
+            raise NotMeasured(f"{problem}; the service's output ends:\n{self.output[-2000:]}") from None
         service, gateway = (
             (now - then) / flight.loaded_s for then, now in zip(used_s, self._cpu_s(), strict=True)
         )
@@ -119,7 +119,7 @@ class Whole:
         return only_child(self.pid)
 
     @property
-    def said(self) -> str:
+    def output(self) -> str:
         return (self._folder / "output").read_text(encoding="utf-8").strip()
 
     @property
@@ -227,7 +227,7 @@ def _until_it_listens(whole: Whole) -> None:
             if probe.connect_ex(("127.0.0.1", whole.port)) == 0:
                 return
         time.sleep(0.02)
-    raise NotMeasured(f"no page within {STARTS_WITHIN_S:g} s; the service's output:\n{whole.said[-2000:]}")
+    raise NotMeasured(f"no page within {STARTS_WITHIN_S:g} s; the service's output:\n{whole.output[-2000:]}")
 
 
 class Viewers:

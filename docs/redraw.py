@@ -250,7 +250,7 @@ def doctor(folder: Path, browser: Browser) -> None:
     with StandIns(folder, free_port(), "--reservoir-kPa 30") as there:
         link = mavutil.mavudp(f"127.0.0.1:{there.vehicle_port}", input=False)
         with start("doctor --config vine.toml --yes", folder, (100, 48)) as terminal:
-            while "Do not fly" not in terminal.said:
+            while "Do not fly" not in terminal.output:
                 other.seq = (other.seq + 1) % 256
                 link.write(
                     mavlink.MAVLink_heartbeat_message(

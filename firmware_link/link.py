@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections.abc import Callable, Iterable
 
-from firmware_link.answer import Answer
+from firmware_link.answer_check import AnswerCheck
 from firmware_link.find import Ports, UsbBoard
 from firmware_link.framing import FRAME_END
 from firmware_link.host import VENTING, HostCommand, HostEvent, HostSession
@@ -50,7 +50,7 @@ class FirmwareLink:
         self.codec = Codec()
         self.port = SerialPort(where, baud, self._received, self._state_changed, ports)
         self._traffic = Traffic()
-        self._answer = Answer()
+        self._answer_check = AnswerCheck()
         self._on_event = on_event
         self._on_state = on_state
 
@@ -81,7 +81,7 @@ class FirmwareLink:
     def _received(self, data: bytes) -> None:
         messages = self.codec.decode(data)
         self._traffic.received(time.monotonic(), data)
-        self._answer.received(data, messages)
+        self._answer_check.received(data, messages)
         for message in messages:
             for event in self.session.receive(time.monotonic(), message):
                 self._on_event(event)
@@ -91,14 +91,14 @@ class FirmwareLink:
             self.codec.restart()
             self.session.opened(time.monotonic())
             self._traffic.opened()
-            self._answer.opened(time.monotonic())
+            self._answer_check.opened(time.monotonic())
         else:
             self.session.closed(time.monotonic())
-            self._answer.closed()
+            self._answer_check.closed()
         self._on_state(up, why)
 
     def _report_silence(self, t: float) -> None:
-        problem = self._answer.news(t)
+        problem = self._answer_check.news(t)
         if problem is not None:
             self._on_state(True, problem or "the firmware answers")
 

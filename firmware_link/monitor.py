@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from firmware_link import protocol
-from firmware_link.answer import Answer
+from firmware_link.answer_check import AnswerCheck
 from firmware_link.framing import FRAME_END, FrameDecoder
 from firmware_link.host import HostEvent, HostSession, SessionState
 from firmware_link.protocol import (
@@ -22,7 +22,7 @@ from firmware_link.protocol import (
     ProtocolError,
     SetSetting,
 )
-from firmware_link.settings import SettingsTalk
+from firmware_link.settings import SettingsExchange
 from firmware_link.statistics import LinkStatistics, Traffic
 
 _ALLOWED = (Hello, Ping, GetSetting, SetSetting)
@@ -69,9 +69,9 @@ class Monitor:
     as the firmware has answered.
     """
 
-    def __init__(self, settings: SettingsTalk | None = None) -> None:
+    def __init__(self, settings: SettingsExchange | None = None) -> None:
         self.session = HostSession()
-        self.answer = Answer()
+        self.answer_check = AnswerCheck()
         self._settings = settings
         self._codec = Codec()
         self._traffic = Traffic()
@@ -81,18 +81,18 @@ class Monitor:
         self._codec.restart()
         self._from_device = Tap(sent=False)
         self.session.opened(t)
-        self.answer.opened(t)
+        self.answer_check.opened(t)
         self._traffic.opened()
 
     def closed(self, t: float) -> None:
         self.session.closed(t)
-        self.answer.closed()
+        self.answer_check.closed()
 
     def receive(self, t: float, data: bytes) -> tuple[list[SeenFrame], list[HostEvent]]:
         """The received frames, and the session's events."""
         messages = self._codec.decode(data)
         self._traffic.received(t, data)
-        self.answer.received(data, messages)
+        self.answer_check.received(data, messages)
         events = [event for message in messages for event in self.session.receive(t, message)]
         if self._settings is not None:
             for message in messages:

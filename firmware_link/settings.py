@@ -12,7 +12,7 @@ _REQUEST_AGAIN_S = 0.2
 _MAX_TRIES = 10
 
 
-class SettingsTalk:
+class SettingsExchange:
     """Requests one setting after another until all are known, then makes `changes` (by name).
 
     Send the messages of `due` whenever the session is READY. It repeats unanswered requests. It is finished

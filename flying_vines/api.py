@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from flying_vines.identification.diagnose import diagnose
     from flying_vines.identification.extended import extended_rig
-    from flying_vines.identification.many import read_any as read_case
+    from flying_vines.identification.parallel_diagnosis import read_any as read_case
     from flying_vines.identification.plan import plan, recommend
     from flying_vines.identification.report import write_report
     from flying_vines.physics.cause import Cause, Parameter
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from flying_vines.studies.design import evaluate as design
 
 _MODULES = {
-    "read_case": "identification.many:read_any",
+    "read_case": "identification.parallel_diagnosis:read_any",
     "read_flight": "record.arrays:read_flight",
     "read_tlog": "record.arrays:read_tlog",
     "load_rig": "physics.plant.true_rig:load_true_rig",

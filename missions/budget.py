@@ -15,7 +15,7 @@ from flying_vines.config.config import Config
 from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.safety import Ruling, Safety, SafetyInputs
 from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
-from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate
+from flying_vines.supply import CyclesLeft, ReservoirEstimate, RigPrior
 from flying_vines.supply.air_use import BLOCK_S, FLAT_KPA
 from flying_vines.supply.cycles_left import READING_SD_KPA, Z90
 from flying_vines.supply.reservoir_filter import GAS, ReservoirFilter, Spent, X
@@ -75,17 +75,17 @@ class AirBudget:
     """The bend that still lasts when the landing begins or the mission ends; None if the vine is straight."""
 
 
-def budget(plan: Timeline, config: Config, belief: Belief, reservoir_kPa: float) -> AirBudget:
+def budget(plan: Timeline, config: Config, prior: RigPrior, reservoir_kPa: float) -> AirBudget:
     """The budget for a reservoir at `reservoir_kPa` (gauge) at take-off."""
-    return _MissionRun(plan, config, belief, reservoir_kPa).run()
+    return _MissionRun(plan, config, prior, reservoir_kPa).run()
 
 
 class _Air:
     """Predicts the reservoir's pressure."""
 
-    def __init__(self, belief: Belief, reservoir_kPa: float) -> None:
-        self._belief = belief
-        self._filter = ReservoirFilter(belief, reservoir_kPa)
+    def __init__(self, prior: RigPrior, reservoir_kPa: float) -> None:
+        self._prior = prior
+        self._filter = ReservoirFilter(prior, reservoir_kPa)
         for _ in range(round(WATCHED_S / BLOCK_S)):
             self._filter.spend(Spent(BLOCK_S, 0.0, 0.0, 0.0, 0.0))
             self._filter.read(self._reading(), READING_SD_KPA)
@@ -102,7 +102,7 @@ class _Air:
 
     def estimate(self) -> ReservoirEstimate:
         """The estimate that the service would have now."""
-        estimate = ReservoirEstimate(self._belief)
+        estimate = ReservoirEstimate(self._prior)
         estimate.filter = self._filter
         return estimate
 
@@ -115,14 +115,14 @@ class _Air:
 
 
 class _MissionRun:
-    def __init__(self, plan: Timeline, config: Config, belief: Belief, reservoir_kPa: float) -> None:
+    def __init__(self, plan: Timeline, config: Config, prior: RigPrior, reservoir_kPa: float) -> None:
         self._plan = plan
         self._config = config
-        self._belief = belief
+        self._prior = prior
         self._rules = Rules(config)
         self._safety = Safety(config)
         self._planner = MotionPlanner(config)
-        self._air = _Air(belief, reservoir_kPa)
+        self._air = _Air(prior, reservoir_kPa)
         self._t_s = 0.0
         self._motion: Motion | None = None
         self._bent_kPa = 0.0
@@ -226,7 +226,7 @@ class _MissionRun:
         self._bent_kPa = 0.0
 
     def _venturi_s(self, fall_kPa: float) -> float:
-        return self._belief.cycle_venturi_s * fall_kPa / self._belief.pneumatics.cycle_swing_kPa
+        return self._prior.cycle_venturi_s * fall_kPa / self._prior.pneumatics.cycle_swing_kPa
 
     def _advance(self, to_s: float) -> None:
         """Advance the time, and count the air."""

@@ -13,7 +13,7 @@ from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import MISSION_FRAME, AutopilotKind
 from flying_vines.vine.intent import BendTo, Intent, StartProfile
-from missions.carriers import carrier, suggestion
+from missions.item_for_intent import item_for_intent, suggestion
 from missions.mission import Mission, MissionError, VineAction, Waypoint
 
 WAYPOINT, RETURN, LAND, TAKEOFF, DELAY, SPEED = 16, 20, 21, 22, 93, 178
@@ -111,7 +111,7 @@ class _Builder:
         if problem:
             self._complain(key, f"{problem}; {BEND_LESS}" if isinstance(intent, BendTo) else problem)
             return None
-        item = carrier(intent, self._config, self._kind)
+        item = item_for_intent(intent, self._config, self._kind)
         if item is None:
             wanted = f"profile '{intent.name}'" if isinstance(intent, StartProfile) else str(intent)
             add = suggestion(intent, self._config, self._kind)

@@ -39,8 +39,8 @@ from missions.build import (
     TAKEOFF,
     WAYPOINT,
 )
-from missions.carriers import carrier, described, over_the_wire, suggestion
 from missions.files import on_earth
+from missions.item_for_intent import described, item_for_intent, over_the_wire, suggestion
 from missions.timeline import ENDS, MAX_LENGTH_S, MAX_STEPS, Timeline
 
 BURST = 8
@@ -142,7 +142,7 @@ def _why_refused(case: CheckedMission, item: MissionItem, result: int) -> str:
     intent, _ = case.rules.for_command(item.command, item.params)
     if intent is None:
         return f"{refuses}; remove it"
-    instead = carrier(intent, case.config, case.kind)
+    instead = item_for_intent(intent, case.config, case.kind)
     if instead is None:
         add = suggestion(intent, case.config, case.kind)
         return f"{refuses}; for '{intent}' add to the configuration: {add}"
@@ -169,7 +169,7 @@ def _altered(case: CheckedMission, item: MissionItem, stored: MissionItem) -> It
     if meant is None or meant == means:
         yield case.warning(item, stores)
         return
-    instead = carrier(meant, case.config, case.kind)
+    instead = item_for_intent(meant, case.config, case.kind)
     use = f"; use {described(instead)}" if instead else ""
     yield case.error(item, f"{stores}, so that '{meant}' becomes '{means or 'nothing'}'{use}")
 

@@ -16,10 +16,10 @@ from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import AutopilotKind
 from missions.budget import AirBudget, PlannedBend, Range
 from missions.build import DELAY, SPEED, WAYPOINT
-from missions.carriers import described
 from missions.checks import MissionFinding, name_of
+from missions.flight_result import FlightResult
+from missions.item_for_intent import described
 from missions.timeline import Timeline, TimelineStep
-from missions.trial import Trial
 
 WIDE = 100
 """From this terminal width on, the table has wider column gaps."""
@@ -47,7 +47,7 @@ class Report:
     timeline: Timeline
     budget: AirBudget
     findings: Sequence[MissionFinding]
-    trial: Trial | None = None
+    flight_result: FlightResult | None = None
 
     @property
     def errors(self) -> list[MissionFinding]:
@@ -56,9 +56,9 @@ class Report:
     @property
     def differences(self) -> list[str]:
         """Differences between the simulated flight and the plan."""
-        if self.trial is None:
+        if self.flight_result is None:
             return []
-        return list(_differences(self.budget, self.trial))
+        return list(_differences(self.budget, self.flight_result))
 
 
 class _Row(NamedTuple):
@@ -76,8 +76,8 @@ def show(report: Report, console: Console) -> None:
     console.print(Text(name, style="bold").append(f": {what}, {home}", style="not bold"))
     console.print(_table(report, console.width >= WIDE))
     console.print(_summary(report.budget))
-    if report.trial is not None:
-        console.print(_flown(report.trial, report.differences))
+    if report.flight_result is not None:
+        console.print(_flown(report.flight_result, report.differences))
     for finding in report.findings:
         if finding.severity == "warning":
             console.print(Text(f"warning: {finding.text}", style="yellow"))
@@ -85,7 +85,7 @@ def show(report: Report, console: Console) -> None:
 
 def as_json(report: Report) -> dict[str, Any]:
     """The report as JSON data; units are in the keys, pressures are gauge."""
-    budget, trial = report.budget, report.trial
+    budget, flight = report.budget, report.flight_result
     found: dict[str, Any] = {
         "name": report.name,
         "autopilot": report.kind,
@@ -99,17 +99,17 @@ def as_json(report: Report) -> dict[str, Any]:
             for finding in report.findings
         ],
     }
-    if trial is not None:
+    if flight is not None:
         found["trial"] = {
-            "items": [item.seq for item in trial.ran],
+            "items": [item.seq for item in flight.ran],
             "decisions": [
                 {"item": d.what.get("seq"), "intent": d.intent, "safety": d.safety, "reason": d.reason}
-                for d in trial.decisions
+                for d in flight.decisions
             ],
-            "reservoir_kPa": round(trial.begins_kPa, 2),
-            "reservoir_end_kPa": round(trial.ends_kPa, 2),
-            "length_s": trial.length_s,
-            "landed": trial.landed,
+            "reservoir_kPa": round(flight.begins_kPa, 2),
+            "reservoir_end_kPa": round(flight.ends_kPa, 2),
+            "length_s": flight.length_s,
+            "landed": flight.landed,
             "differences": report.differences,
         }
     return found
@@ -181,33 +181,33 @@ def _summary(budget: AirBudget) -> Text:
     return Text(text + ".")
 
 
-def _flown(trial: Trial, differences: Sequence[str]) -> Text:
-    air = f"bottle {trial.begins_kPa:.0f} → {trial.ends_kPa:.0f} kPa"
-    text = f"Flown in simulation: {len(trial.decisions)} vine items in {trial.length_s:.0f} s, {air}"
-    text += f"; {trial.speed:.0f} times real time."
+def _flown(flight: FlightResult, differences: Sequence[str]) -> Text:
+    air = f"bottle {flight.begins_kPa:.0f} → {flight.ends_kPa:.0f} kPa"
+    text = f"Flown in simulation: {len(flight.decisions)} vine items in {flight.length_s:.0f} s, {air}"
+    text += f"; {flight.speed:.0f} times real time."
     if not differences:
         return Text(text + " As planned.", style="green")
     return Text("\n".join([text, *(f"not as planned: {each}" for each in differences)]), style="yellow")
 
 
-def _differences(budget: AirBudget, trial: Trial) -> Iterator[str]:
+def _differences(budget: AirBudget, flight: FlightResult) -> Iterator[str]:
     planned = [bend.step.item.seq for bend in budget.bends]
-    ran = [item.seq for item in trial.ran]
+    ran = [item.seq for item in flight.ran]
     if ran != planned:
         yield f"items {ran} ran, not {planned}"
-    decided = [decision.what.get("seq") for decision in trial.decisions]
+    decided = [decision.what.get("seq") for decision in flight.decisions]
     if decided != planned:
         yield f"the service decided about items {decided}, not {planned}"
-    for bend, decision in zip(budget.bends, trial.decisions, strict=False):
+    for bend, decision in zip(budget.bends, flight.decisions, strict=False):
         refused = bend.ruling.verdict == "refused", decision.safety == "refused"
         if refused[0] != refused[1]:
             yield f"item {bend.step.item.seq} was {decision.safety}, not {bend.ruling.verdict}"
-    spent = trial.begins_kPa - trial.ends_kPa
+    spent = flight.begins_kPa - flight.ends_kPa
     least, most = budget.begins.low - budget.ends.high, budget.begins.high - budget.ends.low
     if not least <= spent <= most:
         yield f"the bottle lost {spent:.1f} kPa, not {max(0.0, least):.1f}…{most:.1f}"
-    if not trial.landed:
-        yield f"the vehicle had not landed after {trial.length_s:.0f} s"
+    if not flight.landed:
+        yield f"the vehicle had not landed after {flight.length_s:.0f} s"
 
 
 def _row_as_json(row: _Row) -> dict[str, Any]:

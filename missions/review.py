@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from flying_vines.config.config import Config
-from flying_vines.supply import Belief
+from flying_vines.supply import RigPrior
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import AutopilotKind
@@ -21,11 +21,11 @@ def review(
     kind: AutopilotKind,
     home: Home,
     config: Config,
-    belief: Belief,
+    prior: RigPrior,
     reservoir_kPa: float,
 ) -> Report:
     """Review the items, with the reservoir at `reservoir_kPa` (gauge)."""
     plan = timeline(items, kind, home)
-    air = budget(plan, config, belief, reservoir_kPa)
+    air = budget(plan, config, prior, reservoir_kPa)
     findings = check(CheckedMission(items, kind, config, plan, air))
     return Report(name, items, kind, home, plan, air, findings)

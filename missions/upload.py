@@ -13,9 +13,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import AutopilotKind, MissionRefused
-from missions.carriers import described, over_the_wire
 from missions.checks import name_of
 from missions.files import load_items
+from missions.item_for_intent import described, over_the_wire
 from missions.link import MissionVehicle, UploadRefused, VehicleLinkError, vehicle
 from missions.mission import MissionError
 

@@ -18,7 +18,7 @@ RECORDINGS = Path(__file__).parent / "data" / "recordings"
 RC_RECEIVER = 0x10000
 STREAMS_HZ = {65: 10, 1: 2, 33: 5, 30: 5, 74: 5, 42: 2, 2: 1}
 
-Heard = tuple[float, Any]
+Received = tuple[float, Any]
 
 
 class Peer:
@@ -28,10 +28,10 @@ class Peer:
         self.world = world
         self.link = link
         self.kind = kind
-        self.heard: list[Heard] = []
+        self.received: list[Received] = []
         self.frames: list[bytes] = []
         self._mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
-        self._ears = mavlink.MAVLink(None)
+        self._decoder = mavlink.MAVLink(None)
 
     def say(self, message: Any) -> None:
         frame = message.pack(self._mav)
@@ -50,19 +50,19 @@ class Peer:
         for seq in range(count):
             self.say(mavlink.MAVLink_mission_request_int_message(1, 1, seq))
 
-    def hear(self, frame: bytes) -> None:
+    def receive(self, frame: bytes) -> None:
         self.frames.append(frame)
-        for message in self._ears.parse_buffer(frame) or []:
-            self.heard.append((self.world.t, message))
+        for message in self._decoder.parse_buffer(frame) or []:
+            self.received.append((self.world.t, message))
 
     def of(self, *names: str) -> list[Any]:
-        return [message for _, message in self.heard if message.get_type() in names]
+        return [message for _, message in self.received if message.get_type() in names]
 
     def texts(self) -> list[str]:
         return [message.text for message in self.of("STATUSTEXT")]
 
     def forget(self) -> None:
-        self.heard.clear()
+        self.received.clear()
         self.frames.clear()
 
 
@@ -85,10 +85,10 @@ class World:
             self.t = start + (t - start) * step / steps
             for link, frame in self.autopilot.advance(self.t):
                 peer = self.companion if link == "companion" else self.gcs
-                before = len(peer.heard)
-                peer.hear(frame)
+                before = len(peer.received)
+                peer.receive(frame)
                 if self._answer is not None:
-                    for _, message in peer.heard[before:]:
+                    for _, message in peer.received[before:]:
                         self._answer(peer, message)
 
     def on(self, seconds: float) -> None:
@@ -115,22 +115,22 @@ def upload(items: Sequence[MissionItem]) -> Callable[[Peer, Any], None]:
     return answer
 
 
-def recording(name: str) -> list[Heard]:
+def recording(name: str) -> list[Received]:
     """The autopilot's messages of a .tlog, with the time since the first frame."""
     data = (RECORDINGS / f"{name}.tlog").read_bytes()
-    ears = mavlink.MAVLink(None)
-    ears.robust_parsing = True
-    heard: list[Heard] = []
+    decoder = mavlink.MAVLink(None)
+    decoder.robust_parsing = True
+    received: list[Received] = []
     first_us, at = -1, 0
     while at < len(data):
         (unix_us,) = struct.unpack_from(">Q", data, at)
         length = 12 + data[at + 9] + (13 if data[at + 10] & 1 else 0)
         first_us = unix_us if first_us < 0 else first_us
-        for message in ears.parse_buffer(data[at + 8 : at + 8 + length]) or []:
+        for message in decoder.parse_buffer(data[at + 8 : at + 8 + length]) or []:
             if message.get_srcComponent() == 1:
-                heard.append(((unix_us - first_us) / 1e6, message))
+                received.append(((unix_us - first_us) / 1e6, message))
         at += 8 + length
-    return heard
+    return received
 
 
 def changes(values: Iterable[Any]) -> list[Any]:
@@ -139,10 +139,10 @@ def changes(values: Iterable[Any]) -> list[Any]:
 
 
 def timed_changes(
-    heard: Iterable[Heard], name: str, view: Callable[[Any], object]
+    received: Iterable[Received], name: str, view: Callable[[Any], object]
 ) -> list[tuple[float, object]]:
     out: list[tuple[float, object]] = []
-    for t, message in heard:
+    for t, message in received:
         if message.get_type() == name and (not out or out[-1][1] != view(message)):
             out.append((t, view(message)))
     return out
@@ -168,10 +168,10 @@ def heartbeat(message: Any) -> tuple[int, int, int]:
     return message.base_mode, message.custom_mode, message.system_status
 
 
-def mission_events(heard: Iterable[Heard]) -> list[str | int]:
+def mission_events(received: Iterable[Received]) -> list[str | int]:
     """Status texts and reached items in order, without texts that only the simulator or the EKF sends."""
     events: list[str | int] = []
-    for _, message in heard:
+    for _, message in received:
         if message.get_type() == "STATUSTEXT" and not message.text.startswith(("EKF3", "SIM ")):
             events.append(message.text)
         elif message.get_type() == "MISSION_ITEM_REACHED":

@@ -40,12 +40,12 @@ class _Stage:
     def __init__(self, plan: CalibrationPlan, person: Person = presses_enter) -> None:
         self.calibrator = Calibrator(plan)
         self.person = person
-        self.said: list[Output] = []
+        self.outputs: list[Output] = []
         self.now = 0.0
 
     @property
     def asked(self) -> list[Intent]:
-        return [out.intent for out in self.said if isinstance(out, OperatorRequest)]
+        return [out.intent for out in self.outputs if isinstance(out, OperatorRequest)]
 
     @property
     def ended(self) -> Ended | None:
@@ -53,7 +53,7 @@ class _Stage:
 
     def carry_out(self, outs: Iterable[Output]) -> None:
         for out in outs:
-            self.said.append(out)
+            self.outputs.append(out)
             if isinstance(out, OperatorRequest):
                 self.ask(out.intent)
             elif isinstance(out, Question):
@@ -68,7 +68,7 @@ class _Stage:
         return result_of(task)
 
     def sentences(self) -> list[str]:
-        return [out.text for out in self.said if isinstance(out, Message)]
+        return [out.text for out in self.outputs if isinstance(out, Message)]
 
 
 class CoreWorld(_Stage):
@@ -84,11 +84,11 @@ class CoreWorld(_Stage):
 
     def run(self, most_s: float, until: Callable[[], bool] = lambda: False) -> None:
         """Run until the calibration has ended, or until `until` is true."""
-        if not self.said:
+        if not self.outputs:
             self.carry_out(self.calibrator.begin(self.now))
         while self.ended is None and self.now < most_s and not until():
             self.now += STEP_S
-            self._hear(self.world.advance(self.now))
+            self._receive(self.world.advance(self.now))
             self.carry_out(self.calibrator.tick(self.now, self.world.core.snapshot(self.now)))
 
     def fit_balance(self, seconds: float = 3.0) -> None:
@@ -97,9 +97,9 @@ class CoreWorld(_Stage):
         list(self.world.advance(self.now))
 
     def ask(self, intent: Intent) -> None:
-        self._hear(self.world.feed(Asked(self.now, BY, intent)))
+        self._receive(self.world.feed(Asked(self.now, BY, intent)))
 
-    def _hear(self, actions: Iterable[Action]) -> None:
+    def _receive(self, actions: Iterable[Action]) -> None:
         for action in actions:
             self.carry_out(self.calibrator.take(action))
 
@@ -125,7 +125,7 @@ class PaperWorld(_Stage):
         self.refuses: dict[type[Intent], str] = {}
 
     def run(self, most_s: float = 1e5) -> None:
-        if not self.said:
+        if not self.outputs:
             self.carry_out(self.calibrator.begin(self.now))
         while self.ended is None and self.now < most_s:
             self.now += 0.5

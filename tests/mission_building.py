@@ -63,6 +63,6 @@ def reviewed(
     return review("m", given, kind, home, config, nominal(config.pneumatics), reservoir_kPa)
 
 
-def said(report: Report, severity: str = "error") -> list[str]:
+def finding_texts(report: Report, severity: str = "error") -> list[str]:
     """The texts of the findings."""
     return [finding.text for finding in report.findings if finding.severity == severity]

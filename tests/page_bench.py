@@ -11,8 +11,8 @@ from typing import Any
 
 import msgspec
 from aiohttp import ClientSession, ClientTimeout, ClientWebSocketResponse
-from patience import PATIENCE_S
 from ports import free_port
+from waiting import MAX_WAIT_S
 
 from flying_vines.config import config
 from flying_vines.config.config import PageConfig
@@ -106,7 +106,7 @@ async def served(host: str = "127.0.0.1", flights: str = "") -> AsyncIterator[Be
     bench = Bench(PageConfig(host=host, port=free_port()), flights=flights)
     serving = asyncio.create_task(page.serve(bench.feed))
     try:
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             while not _listens(bench.page.port):
                 assert not serving.done(), serving
                 await asyncio.sleep(0.01)
@@ -123,13 +123,13 @@ def _listens(port: int) -> bool:
 
 @contextlib.asynccontextmanager
 async def client(**headers: str) -> AsyncIterator[ClientSession]:
-    async with ClientSession(headers=headers, timeout=ClientTimeout(total=PATIENCE_S)) as session:
+    async with ClientSession(headers=headers, timeout=ClientTimeout(total=MAX_WAIT_S)) as session:
         yield session
 
 
-async def heard(viewer: ClientWebSocketResponse, kind: str) -> dict[str, Any]:
+async def next_of_kind(viewer: ClientWebSocketResponse, kind: str) -> dict[str, Any]:
     """The next message of this type."""
-    async with asyncio.timeout(PATIENCE_S):
+    async with asyncio.timeout(MAX_WAIT_S):
         while True:
             message: dict[str, Any] = await viewer.receive_json()
             if message["kind"] == kind:

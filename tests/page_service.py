@@ -11,9 +11,9 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 from gateway_process import gateway_of
-from patience import until
 from ports import free_port
 from service_bench import Bench, on_bench
+from waiting import until
 
 from flying_vines.simulation.autopilot import FakeAutopilot
 
@@ -31,7 +31,7 @@ class Served:
             text = text.replace("bench_mode = true", "bench_mode = false")
         text = text.replace('host = "127.0.0.1"', f'host = "{host}"')
         self.config_file.write_text(re.sub(r"^port = 0", f"port = {self.port}", text, flags=re.MULTILINE))
-        self.said = folder / "said.txt"
+        self.output = folder / "output.txt"
         """Its standard output."""
         self._process: asyncio.subprocess.Process | None = None
 
@@ -44,9 +44,9 @@ class Served:
             "--out",
             str(self.config_file.parent / "out"),
         )
-        with self.said.open("w") as said:
+        with self.output.open("w") as output:
             self._process = await asyncio.create_subprocess_exec(
-                sys.executable, "-m", "flying_vines", *arguments, stdout=said
+                sys.executable, "-m", "flying_vines", *arguments, stdout=output
             )
         await until(self.listens, "the page is served")
 

@@ -8,7 +8,7 @@ import os
 import tty
 from pathlib import Path
 
-from patience import PATIENCE_S
+from waiting import MAX_WAIT_S
 
 
 class Terminal:
@@ -33,7 +33,7 @@ class Terminal:
 
     async def read(self, count: int) -> bytes:
         data = b""
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             while len(data) < count:
                 with contextlib.suppress(BlockingIOError):
                     data += os.read(self.device, 65536)

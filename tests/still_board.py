@@ -11,7 +11,7 @@ class StillBoard:
 
     def __init__(self, drive: Inputs) -> None:
         self.drive = drive
-        self.heard = b""
+        self.received = b""
         self.steps: list[tuple[int, float, float]] = []
         """Time and readings of each step: CV, reservoir."""
         self.resets: list[bool] = []
@@ -19,7 +19,7 @@ class StillBoard:
         self.mode, self.faults, self.number = Mode.VENT, Fault.NONE, 0
 
     def receive(self, data: bytes) -> None:
-        self.heard += data
+        self.received += data
 
     def take_output(self) -> bytes:
         return b"."

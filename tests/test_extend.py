@@ -16,10 +16,10 @@ from typing import Any
 import pytest
 from command_line import run as call
 from core.flights import decisions, notices, run_for
-from patience import until
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from real_time import real_time
 from service_bench import Bench, on_bench
+from waiting import until
 
 from firmware_link import protocol
 from firmware_link.actuator import Reading
@@ -156,7 +156,7 @@ def test_a_broken_wire_to_the_air_pump_is_found_by_what_the_pump_reports(our_lab
     assert "Vine: air_pump gets no commands, vented" in told
 
 
-def test_the_example_keeps_the_promises_of_an_actuator(our_lab: None) -> None:
+def test_the_example_meets_the_requirements_of_an_actuator(our_lab: None) -> None:
     from model_of_board import Board
     from our_lab.air_pump import AirPump
 
@@ -189,7 +189,7 @@ def _strict(self: Any, data: bytes) -> Sequence[Reading]:
         ("board", {"dead_man_s": 1e9}, "does not vent when no message comes"),
     ],
 )
-def test_each_broken_promise_is_found(
+def test_each_violated_requirement_is_found(
     our_lab: None, monkeypatch: pytest.MonkeyPatch, what: str, attributes: dict[str, Any], says: str
 ) -> None:
     import model_of_board

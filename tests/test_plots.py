@@ -135,7 +135,7 @@ def test_the_live_view_has_the_vine_where_there_is_room(width: int, beside: bool
     assert isinstance(_with_vine(Text("view"), 40.0, console), Text) != beside
 
 
-def test_a_terminal_that_knows_ascii_only_gets_ascii() -> None:
+def test_a_terminal_with_ascii_only_gets_ascii() -> None:
     class Ascii(Console):
         encoding = "ascii"
 

@@ -20,7 +20,7 @@ from flying_vines.identification.report import write_report
 from flying_vines.identification.search import Progress
 from flying_vines.identification.verdict import Verdict
 from flying_vines.physics.plant.true_rig import true_rig_text
-from flying_vines.supply.known_rig import load_known_rig
+from flying_vines.supply.rig_file_prior import load_rig_file_prior
 
 BEGINNING_S = 20.0
 """Diagnosed part of the movements. With many effects a diagnosis of some minutes of data takes an hour."""
@@ -51,8 +51,8 @@ def diagnosed(
         return CalibrationDiagnosis(verdict, report, None, False)
     rig = rig_file.parent / EXTENDED
     rig.write_text(true_rig_text(extended_rig(case.rig, verdict)), encoding="utf-8")
-    predicts = verdict.held_out.gain[0] > 0.0
-    return CalibrationDiagnosis(verdict, report, rig, predicts and bool(load_known_rig(rig, numbers).used))
+    useful = verdict.held_out.gain[0] > 0.0 and bool(load_rig_file_prior(rig, numbers).used)
+    return CalibrationDiagnosis(verdict, report, rig, useful)
 
 
 def _beginning(case: Case) -> Case:

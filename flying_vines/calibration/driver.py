@@ -28,8 +28,8 @@ from flying_vines.core.events import Action, StoredState
 from flying_vines.core.snapshot import Snapshot
 from flying_vines.record import recorder
 from flying_vines.service.persistent_state import PersistentState
-from flying_vines.supply import Belief
-from flying_vines.supply.known_rig import load_known_rig
+from flying_vines.supply import RigPrior
+from flying_vines.supply.rig_file_prior import load_rig_file_prior
 from flying_vines.vehicle.component.parameters import Parameters
 from flying_vines.vehicle.mavlink.signing import Signing
 from flying_vines.vine.intent import Intent
@@ -62,7 +62,7 @@ class UserConfiguration:
 class CalibrationContext:
     """What is known of the rig beyond its configuration."""
 
-    belief: Belief | None = None
+    prior: RigPrior | None = None
     rig_text: str = ""
     """Content of the rig file."""
     stored: StoredState = field(default_factory=StoredState)
@@ -83,12 +83,12 @@ def load_context(user: UserConfiguration) -> tuple[Config, CalibrationContext]:
     flown = Parameters(config, state.read_parameters(config)).config
     stored = StoredState(disarmed=state.disarmed)
     signing, _ = state.read_signing(config)
-    belief, rig_text = None, ""
+    prior, rig_text = None, ""
     if rig := configuration.rig_named(config, path):
-        belief = load_known_rig(rig, config.pneumatics).belief
+        prior = load_rig_file_prior(rig, config.pneumatics).prior
         rig_text = rig.read_text(encoding="utf-8")
-        flown = msgspec.structs.replace(flown, pneumatics=belief.pneumatics)
-    return flown, CalibrationContext(belief, rig_text, stored, signing, state)
+        flown = msgspec.structs.replace(flown, pneumatics=prior.pneumatics)
+    return flown, CalibrationContext(prior, rig_text, stored, signing, state)
 
 
 def planned(config: Config, request: CalibrationRequest) -> CalibrationPlan:
@@ -195,6 +195,6 @@ def vented(snapshot: Snapshot) -> bool:
 
 def flight_start(plan: CalibrationPlan, context: CalibrationContext) -> recorder.FlightStart:
     """The first entry of the flight's log. A replay starts from it."""
-    numbers = context.belief.pneumatics if context.belief else plan.config.pneumatics
+    numbers = context.prior.pneumatics if context.prior else plan.config.pneumatics
     text = configuration_text(plan.config)
     return recorder.FlightStart(text, numbers, context.rig_text, context.stored)

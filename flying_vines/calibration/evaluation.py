@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flying_vines.calibration import air, angle, outlet, valve, zero
+from flying_vines.calibration import angle, outlet_resistance, valve, vine_air, zero
 from flying_vines.calibration.findings import Estimate, Findings, MeasuredQuantity, Result
 from flying_vines.calibration.plan import CalibrationPlan
 from flying_vines.calibration.readings import Readings
@@ -38,17 +38,17 @@ class StageRecording:
                 litres = self.plan.request.vessel_L
                 assert litres is not None
                 assumed_L = self.plan.user_config.pneumatics.reservoir_volume_L
-                return air.vessel_volume(self._vine, litres, assumed_L)
+                return vine_air.vessel_volume(self._vine, litres, assumed_L)
         vine = self._vine
-        results = [Result((self._reservoir_volume,)), air.bottle_leak(vine)]
+        results = [Result((self._reservoir_volume,)), vine_air.bottle_leak(vine)]
         if self.stage != "bottle_leak":
-            results += [air.volumes(vine), air.vine_leak(vine)]
+            results += [vine_air.volumes(vine), vine_air.vine_leak(vine)]
         if self.stage in ("vine_leak", "valve"):
-            results.append(outlet.outlet(self._less_zero, vine))
+            results.append(outlet_resistance.outlet(self._less_zero, vine))
         if self.stage == "valve":
             ran_s = float(np.sum(self.readings.dvp)) * self.readings.step_s
             results.append(valve.inflation_valve(self._less_zero, vine))
-            results.append(Result((air.venturi(vine, ran_s),)))
+            results.append(Result((vine_air.venturi(vine, ran_s),)))
         return _together(results)
 
     @property
@@ -57,16 +57,18 @@ class StageRecording:
         return self.readings.less_zero(zero_kPa.value if zero_kPa else 0.0)
 
     @property
-    def _vine(self) -> air.VineAir:
+    def _vine(self) -> vine_air.VineAir:
         plan = self.plan
         ambient_kPa = self.ambient_kPa if np.isfinite(self.ambient_kPa) else STANDARD_PRESSURE_KPA
         volume = self._reservoir_volume
         known = Estimate(volume.assumed or 1.0, 0.0)
         if volume.value is not None and volume.low is not None and volume.high is not None:
             known = Estimate.of_interval(volume.value, volume.low, volume.high)
-        return air.vine_air(
+        return vine_air.fit_vine_air(
             self._less_zero,
-            air.AirInputs(plan.user_config.pneumatics, known, plan.top_kPa, plan.settling_s, ambient_kPa),
+            vine_air.AirInputs(
+                plan.user_config.pneumatics, known, plan.top_kPa, plan.settling_s, ambient_kPa
+            ),
         )
 
     @property
@@ -77,7 +79,9 @@ class StageRecording:
         if found is not None:
             return found
         given_L = self.plan.request.bottle_volume_L
-        return air.assumed_volume(assumed_L) if given_L is None else air.given_volume(given_L, assumed_L)
+        if given_L is None:
+            return vine_air.assumed_volume(assumed_L)
+        return vine_air.given_volume(given_L, assumed_L)
 
     @property
     def _pairs(self) -> tuple[tuple[float, float], ...]:

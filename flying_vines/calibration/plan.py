@@ -243,7 +243,7 @@ def _motion(config: Config, profiles: dict[str, PressureProfile], name: str) -> 
 def _stages(
     config: Config, request: CalibrationRequest, moves: dict[str, Motion], hold_s: float
 ) -> Iterator[Stage]:
-    belief = nominal(config.pneumatics)
+    prior = nominal(config.pneumatics)
 
     def wanted(name: str) -> bool:
         return not request.only or name in request.only
@@ -251,7 +251,7 @@ def _stages(
     def movement(profile: str, volume: float = 1.0) -> Movement:
         """`volume`: of the filled vessel, relative to the vine."""
         move = moves[profile]
-        air_kPa = volume * belief.rise.mean * move.rise_kPa + belief.flat.mean
+        air_kPa = volume * prior.rise.mean * move.rise_kPa + prior.flat.mean
         return Movement(profile, move.duration_s, air_kPa)
 
     def moving(
@@ -292,7 +292,7 @@ def _stages(
         down = movement("calibrate-venturi")
         yield moving("valve", "Valves", does, [*ramps, down], ramps[:3], VALVE_AGAIN)
     if wanted("angle") and (request.asks_angles or request.angles is not None):
-        yield _angle(config, request, belief.rise.mean, hold_s)
+        yield _angle(config, request, prior.rise.mean, hold_s)
 
 
 def _angle(config: Config, request: CalibrationRequest, kPa_per_kPa: float, hold_s: float) -> Stage:

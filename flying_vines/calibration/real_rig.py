@@ -36,7 +36,7 @@ from flying_vines.config.address import Address, SerialAddress, parse_address
 from flying_vines.core.events import Action, KeepDisarmed
 from flying_vines.core.watcher import EachAction
 from flying_vines.record.recorder import Recorder
-from flying_vines.service.link_settings import SettingsError, talk_about_settings
+from flying_vines.service.link_settings import SettingsError, exchange_settings
 from flying_vines.service.persistent_state import PersistentState, PersistentStateError
 from flying_vines.service.service import Service
 from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampFile
@@ -80,7 +80,7 @@ async def calibrate(
         wanted = proposed(outcome.findings.proposals, settings)
         saves = save and bool(wanted) and outcome.ended.outcome == "done"
         if saves:
-            await talk_about_settings(address, wanted, stopped)
+            await exchange_settings(address, wanted, stopped)
     return CalibrationRun(outcome, config.pneumatics, stopped.is_set(), wanted, saves)
 
 
@@ -125,7 +125,7 @@ async def _run(
         calibrator, terminal, ask, question, lambda task: tasks.add(asyncio.create_task(evaluate(task)))
     )
     watchers = (recorder, EachAction(take))
-    service = Service(plan.config, watchers, context.belief, context.stored, context.signing)
+    service = Service(plan.config, watchers, context.prior, context.stored, context.signing)
     serving = asyncio.create_task(service.run())
     try:
         driver.carry_out(calibrator.begin(service.now))
@@ -164,7 +164,7 @@ async def every_step(
     Yields the firmware's settings. Raises SettingsError if no firmware answers, or once `stopped`. `warn`
     receives a sentence if the rate stays as it is, or if it cannot be set back.
     """
-    known = await talk_about_settings(address, {}, stopped)
+    known = await exchange_settings(address, {}, stopped)
     before_Hz = next(setting.value for setting in known if setting.name == RATE)
     if not carries_every_step(address):
         warn(
@@ -174,10 +174,10 @@ async def every_step(
         yield known
         return
     try:
-        yield await talk_about_settings(address, {RATE: EVERY_STEP_HZ}, stopped)
+        yield await exchange_settings(address, {RATE: EVERY_STEP_HZ}, stopped)
     finally:
         try:
-            await talk_about_settings(address, {RATE: before_Hz}, asyncio.Event())
+            await exchange_settings(address, {RATE: before_Hz}, asyncio.Event())
         except SettingsError as error:
             warn(
                 f"{RATE} is still {EVERY_STEP_HZ:g}, because it could not be set back: {error}. Later: "

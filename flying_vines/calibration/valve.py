@@ -4,8 +4,8 @@
 
 x is the commanded opening after a play of width w. A shut valve is at the lower end of the play: it opens
 with the command, and closes only when the command has fallen by w. The left side is the air between two
-settled pressures (`air`), so lag and delay of the valve and warm gas in between do not matter. A choked flow
-is proportional to the absolute supply pressure p_r. Slow inflations determine u₀, fast ones G.
+settled pressures (`vine_air`), so lag and delay of the valve and warm gas in between do not matter. A choked
+flow is proportional to the absolute supply pressure p_r. Slow inflations determine u₀, fast ones G.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from math import hypot
 
 import numpy as np
 
-from flying_vines.calibration.air import TOO_LITTLE, VineAir, inverse
 from flying_vines.calibration.findings import (
     SD_95,
     Chart,
@@ -28,6 +27,7 @@ from flying_vines.calibration.findings import (
 )
 from flying_vines.calibration.least_squares import least_squares
 from flying_vines.calibration.readings import Readings
+from flying_vines.calibration.vine_air import TOO_LITTLE, VineAir, inverse
 from flying_vines.physics.arrays import Array
 
 MAX_STEP_S = 0.0015

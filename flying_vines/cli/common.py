@@ -19,7 +19,7 @@ from flying_vines.vehicle.mission.item import MissionItem
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from flying_vines.supply.known_rig import KnownRig
+    from flying_vines.supply.rig_file_prior import RigFilePrior
 
 FLIGHTS = Path("flights")
 
@@ -113,16 +113,16 @@ def show_found(
     return 0
 
 
-def known_rig(config: Config, config_file: Path | None, rig: Path | None = None) -> KnownRig | None:
+def rig_file_prior(config: Config, config_file: Path | None, rig: Path | None = None) -> RigFilePrior | None:
     """The given rig file, or the one that the configuration names; None if there is none."""
     rig = rig or configuration.rig_named(config, config_file)
     if rig is None:
         return None
     from flying_vines.physics.rig import RigError
-    from flying_vines.supply.known_rig import load_known_rig
+    from flying_vines.supply.rig_file_prior import load_rig_file_prior
 
     with file_errors(rig, RigError):
-        return load_known_rig(rig, config.pneumatics)
+        return load_rig_file_prior(rig, config.pneumatics)
 
 
 def read_mission(path: Path | None) -> Sequence[MissionItem]:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from flying_vines.cli.common import add_cause_option, fail, known_rig
+from flying_vines.cli.common import add_cause_option, fail, rig_file_prior
 from flying_vines.config import config as configuration
 
 
@@ -43,7 +43,7 @@ def _config_check(arguments: argparse.Namespace) -> int:
 
     config = configuration.load(arguments.file)
     check_plugins(config)
-    known = known_rig(config, arguments.file)
+    known = rig_file_prior(config, arguments.file)
     print(
         f"{arguments.file}: good. Switch on channel {config.switch.channel}, {len(config.profiles)} "
         f"profiles, {len(config.items)} item rules, up to {config.limits.max_kPa:g} kPa."

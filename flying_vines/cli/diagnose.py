@@ -77,7 +77,7 @@ def _diagnose(arguments: argparse.Namespace) -> int:
         from flying_vines.identification.diagnose import diagnose
         from flying_vines.identification.extended import extended_rig
         from flying_vines.identification.from_log import read_flight
-        from flying_vines.identification.many import read_any
+        from flying_vines.identification.parallel_diagnosis import read_any
         from flying_vines.identification.show import show
         from flying_vines.physics.plant.true_rig import true_rig_text
         from flying_vines.physics.rig import RigError
@@ -150,8 +150,8 @@ def _diagnose_all(arguments: argparse.Namespace) -> int:
     if not arguments.case:
         fail("diagnose needs a CASE, or a flight log: --from-log LOG")
     with needs_analysis():
-        from flying_vines.identification.many import ClusterError, diagnose_all
-        from flying_vines.identification.show_many import show_all
+        from flying_vines.identification.parallel_diagnosis import ClusterError, diagnose_all
+        from flying_vines.identification.show_verdicts import show_all
     from rich.console import Console
 
     outcomes = diagnose_all(arguments.case, scheduler=arguments.scheduler, rig=arguments.rig)

@@ -67,7 +67,7 @@ def add(commands: Any) -> None:
 def _fake_autopilot(arguments: argparse.Namespace) -> int:
     from flying_vines.simulation.autopilot import FakeAutopilot
     from flying_vines.simulation.autopilot_server import AutopilotServer
-    from flying_vines.simulation.console import HELP, obey, type_to
+    from flying_vines.simulation.typed_commands import HELP, obey, type_to
 
     mission = read_mission(arguments.mission)
     script: list[tuple[float, Callable[[FakeAutopilot], None]]] = []
@@ -101,8 +101,8 @@ def _fake_autopilot(arguments: argparse.Namespace) -> int:
 def _fake_phlosar(arguments: argparse.Namespace) -> int:
     from flying_vines.physics.plant.true_rig import load_true_rig
     from flying_vines.physics.rig import RigError
-    from flying_vines.simulation.console import MISHAPS, inject_typed, type_to
     from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
+    from flying_vines.simulation.typed_commands import MISHAPS, inject_typed, type_to
 
     if not 10 <= arguments.telemetry_Hz <= 1000:
         fail("--telemetry-Hz must be from 10 to 1000")

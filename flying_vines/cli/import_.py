@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from flying_vines.cli.common import fail, file_errors, needs_analysis
 
 if TYPE_CHECKING:
-    from flying_vines.identification.importing.answers import Answers, ImportQuestion
+    from flying_vines.identification.importing.answers_file import Answers, ImportQuestion
     from flying_vines.identification.importing.runs import Proposal
 
 
@@ -55,7 +55,7 @@ def _proposal(path: Path, first: Proposal | None, options: argparse.Namespace, f
     """How a file is imported: by its saved answers, the options, and the user's answers on the terminal."""
     from rich.console import Console
 
-    from flying_vines.identification.importing import answers as answers_file
+    from flying_vines.identification.importing import answers_file
     from flying_vines.identification.importing.runs import answers_of_similar, propose
     from flying_vines.identification.importing.show import show
 
@@ -90,7 +90,7 @@ def _proposal(path: Path, first: Proposal | None, options: argparse.Namespace, f
 
 def _ask(path: Path, question: ImportQuestion, answers: Answers) -> None:
     """Ask until the answer can be used."""
-    from flying_vines.identification.importing.answers import with_answer
+    from flying_vines.identification.importing.answers_file import with_answer
     from flying_vines.identification.recording import CaseError
 
     guess = f" [{question.guess}]" if question.guess else ""

@@ -18,7 +18,7 @@ from flying_vines.cli.common import fail, phlosar_only
 from flying_vines.cli.link_view import LinkView, as_json, line, settings_table, statistics_line
 from flying_vines.config import config as configuration
 from flying_vines.config.address import FORMS, Address, parse_address
-from flying_vines.service.link_settings import SettingsError, talk_about_settings
+from flying_vines.service.link_settings import SettingsError, exchange_settings
 from flying_vines.service.link_watch import LinkEvent, LinkWatch
 
 _REFRESH_PER_S = 8
@@ -108,7 +108,7 @@ async def monitor(address: Address, title: str, seconds: float | None, objects: 
 
 async def settings(address: Address, changes: Mapping[str, float], objects: bool) -> None:
     """Write `changes`, then print all settings. Raises `SettingsError`."""
-    known = await talk_about_settings(address, changes, _stopped())
+    known = await exchange_settings(address, changes, _stopped())
     if objects:
         for setting in known:
             named = {name: getattr(setting, name) for name in ("name", "value", "least", "most", "standard")}

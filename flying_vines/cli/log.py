@@ -109,12 +109,12 @@ def _list(arguments: argparse.Namespace) -> int:
 def _show(log: FlightLog, arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
-    from flying_vines.cli.log_tables import story, story_as_json
+    from flying_vines.cli.log_tables import events_as_json, show_events
 
     if arguments.json:
-        print(json.dumps(story_as_json(log), allow_nan=False))
+        print(json.dumps(events_as_json(log), allow_nan=False))
     else:
-        story(log, Console())
+        show_events(log, Console())
     return 0
 
 
@@ -149,12 +149,12 @@ def _bundle(log: FlightLog, arguments: argparse.Namespace) -> int:
 
     from rich.console import Console
 
-    from flying_vines.cli.log_tables import story
+    from flying_vines.cli.log_tables import show_events
     from flying_vines.record.bundle import bundle
 
     path: Path = arguments.out or Path(f"{log.folder.resolve().name}.zip")
     text = io.StringIO()
-    story(log, Console(file=text, width=120))
+    show_events(log, Console(file=text, width=120))
     names = bundle(log, text.getvalue(), path)
     print(f"Wrote {path}: {', '.join(names)}")
     return 0

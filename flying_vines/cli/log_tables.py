@@ -33,7 +33,7 @@ MAX_DIFFERENCES = 10
 _DECISION, _NOTICE, _LINK = topic_of(Decision), topic_of(Notice), topic_of(LinkChanged)
 _PARAMETERS, _DISARMED = topic_of(KeepParameters), topic_of(KeepDisarmed)
 _ERROR = topic_of(InternalError)
-STORY_TOPICS = (_DECISION, _NOTICE, _LINK, _PARAMETERS, _DISARMED, _ERROR)
+EVENT_TOPICS = (_DECISION, _NOTICE, _LINK, _PARAMETERS, _DISARMED, _ERROR)
 
 
 def summary_table(summaries: Sequence[Summary]) -> Table:
@@ -66,7 +66,7 @@ def summary_as_json(summary: Summary) -> dict[str, object]:
     return {**fields, "folder": str(summary.folder), "lowest_reservoir_kPa": _or_none(lowest_kPa)}
 
 
-def story(log: FlightLog, console: Console) -> None:
+def show_events(log: FlightLog, console: Console) -> None:
     """The flight's events in order, and its summary."""
     summary = summarise(log)
     began = time.strftime("%A %Y-%m-%d %H:%M:%S", time.localtime(summary.began_s))
@@ -79,7 +79,7 @@ def story(log: FlightLog, console: Console) -> None:
             console.print(f"It continues the flight log {about['continues']}.", highlight=False)
     console.print()
     first: float | None = None
-    for entry in log.entries(STORY_TOPICS):
+    for entry in log.entries(EVENT_TOPICS):
         t = entry.fields["t"]
         first = t if first is None else first
         for line in _lines(entry, first):
@@ -88,8 +88,8 @@ def story(log: FlightLog, console: Console) -> None:
     console.print(summary_table([summary]))
 
 
-def story_as_json(log: FlightLog) -> dict[str, object]:
-    events = [{"topic": entry.topic, **entry.fields} for entry in log.entries(STORY_TOPICS)]
+def events_as_json(log: FlightLog) -> dict[str, object]:
+    events = [{"topic": entry.topic, **entry.fields} for entry in log.entries(EVENT_TOPICS)]
     return {**summary_as_json(summarise(log)), "about": _about(log), "story": events}
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from flying_vines.cli.bad_input import BAD_INPUT, bad_input
-from flying_vines.cli.common import add_cause_option, known_rig
+from flying_vines.cli.common import add_cause_option, rig_file_prior
 from flying_vines.config.address import FORMS
 
 if TYPE_CHECKING:
@@ -241,12 +241,12 @@ def _report(arguments: argparse.Namespace, flies: bool = False) -> Report:
 
     config = configuration.load_or_default(arguments.config)
     name, items, kind, home = _items(arguments, config)
-    known = known_rig(config, arguments.config, arguments.rig)
-    belief = known.belief if known else nominal(config.pneumatics)
+    known = rig_file_prior(config, arguments.config, arguments.rig)
+    prior = known.prior if known else nominal(config.pneumatics)
     reservoir_kPa = arguments.reservoir_kPa
     if reservoir_kPa is None:
         reservoir_kPa = config.pneumatics.full_kPa
-    report = review(name, items, kind, home, config, belief, reservoir_kPa)
+    report = review(name, items, kind, home, config, prior, reservoir_kPa)
     if not flies:
         return report
     from flying_vines.physics.plant.true_rig import load_true_rig

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flying_vines.cli.bad_input import bad_input
-from flying_vines.cli.common import add_cause_option, fail, file_errors, known_rig, read_mission
+from flying_vines.cli.common import add_cause_option, fail, file_errors, read_mission, rig_file_prior
 from flying_vines.config import config as configuration
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def _replay(arguments: argparse.Namespace) -> int:
             fail("--mission, --parameters and --pace are for a .tlog; a flight log contains its own")
         return _replay_flight(recording, arguments.config, arguments.json)
     config = configuration.load_or_default(arguments.config)
-    known = known_rig(config, arguments.config)
+    known = rig_file_prior(config, arguments.config)
     mission = read_mission(arguments.mission)
     if not arguments.pace >= 0.0:
         fail("--pace must not be below 0")
@@ -66,10 +66,8 @@ def _replay(arguments: argparse.Namespace) -> int:
             parameters = read_parameters(arguments.parameters, config)
     try:
         reader = TlogReader(recording)
-        belief = known.belief if known else None
-        actions = replay(
-            reader.frames(), config, mission, arguments.pace, belief=belief, parameters=parameters
-        )
+        prior = known.prior if known else None
+        actions = replay(reader.frames(), config, mission, arguments.pace, prior=prior, parameters=parameters)
         show = _shower(live=arguments.pace > 0.0 and not arguments.json)
         decisions: list[Decision] = []
         for action in actions:

@@ -8,7 +8,7 @@ import gc
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flying_vines.cli.common import FLIGHTS, add_cause_option, fail, file_errors, known_rig
+from flying_vines.cli.common import FLIGHTS, add_cause_option, fail, file_errors, rig_file_prior
 from flying_vines.config import config as configuration
 
 if TYPE_CHECKING:
@@ -46,13 +46,13 @@ def _run(arguments: argparse.Namespace) -> int:
     text = configuration.text_of(arguments.config)
     config = configuration.parse(text, str(arguments.config))
     check_plugins(config)
-    known = known_rig(config, arguments.config, arguments.rig)
+    known = rig_file_prior(config, arguments.config, arguments.rig)
     state = PersistentState.of(arguments.config, config)
     with file_errors(arguments.config, ParameterFileError, SigningKeyError, PageTokenError):
         signing, clock_problem = state.read_signing(config)
         remembered = Remembered(state, state.read(config), signing, state.read_page_token(config))
     try:
-        numbers = known.belief.pneumatics if known else config.pneumatics
+        numbers = known.prior.pneumatics if known else config.pneumatics
         rig = known.path.read_text(encoding="utf-8") if known else ""
         began = FlightStart(text, numbers, rig, remembered.stored)
         log = Recorder(arguments.out, began, config.log.least_free_MB)
@@ -74,8 +74,8 @@ def _run(arguments: argparse.Namespace) -> int:
         lines.append(page)
     for line in lines:
         console.print(line, soft_wrap=True)
-    belief = known.belief if known else None
-    asyncio.run(serve(config, belief, remembered, log, console, live=not arguments.plain, page=page))
+    prior = known.prior if known else None
+    asyncio.run(serve(config, prior, remembered, log, console, live=not arguments.plain, page=page))
     if log.failed:
         console.print(log.failed)
     console.print("Vented. Stopped.")

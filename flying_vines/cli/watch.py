@@ -28,15 +28,15 @@ def add(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Returns 0 if the service sent data, else 1. Raises `WatchError` if a retry cannot help."""
     from flying_vines.gateway import page_token
-    from flying_vines.terminal.line import NotAdmittedError, socket_of
-    from flying_vines.terminal.watching import Watching
+    from flying_vines.terminal.page_socket import NotAdmittedError, socket_of
+    from flying_vines.terminal.remote_view import RemoteView
 
     if arguments.seconds is not None and not arguments.seconds > 0.0:
         raise WatchError("--seconds must be above 0")
     try:
         token = page_token.read(arguments.token_file) if arguments.token_file else ""
-        watching = Watching(socket_of(arguments.url), token, arguments.plain, arguments.json)
-        return 0 if asyncio.run(watching.run(arguments.seconds)) else 1
+        view = RemoteView(socket_of(arguments.url), token, arguments.plain, arguments.json)
+        return 0 if asyncio.run(view.run(arguments.seconds)) else 1
     except page_token.PageTokenError as error:
         raise WatchError(str(error)) from None
     except ValueError as error:

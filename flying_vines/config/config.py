@@ -31,7 +31,7 @@ from flying_vines.vine.curve import BendCurve
 from flying_vines.vine.intent import CommandName
 from flying_vines.vine.profile import PressureProfile, Segment, Sine, ends_kPa, flatten
 
-CARRIERS = {
+ITEM_COMMANDS = {
     "script_message": 217,
     "script_time": 42702,
     "gripper": 211,
@@ -132,9 +132,9 @@ class ItemConfig(_Table, frozen=True):
 
     def __post_init__(self) -> None:
         for name in self._commands:
-            if isinstance(name, str) and name not in CARRIERS:
+            if isinstance(name, str) and name not in ITEM_COMMANDS:
                 raise ValueError(
-                    f"unknown command '{name}': give one of {', '.join(CARRIERS)}, or a MAV_CMD number"
+                    f"unknown command '{name}': give one of {', '.join(ITEM_COMMANDS)}, or a MAV_CMD number"
                 )
         if not self._commands:
             raise ValueError("an item needs a command")
@@ -144,7 +144,7 @@ class ItemConfig(_Table, frozen=True):
     @property
     def command_ids(self) -> tuple[int, ...]:
         """The MAV_CMD numbers, in the order given."""
-        return tuple(CARRIERS[name] if isinstance(name, str) else name for name in self._commands)
+        return tuple(ITEM_COMMANDS[name] if isinstance(name, str) else name for name in self._commands)
 
     @property
     def _commands(self) -> tuple[str | int, ...]:

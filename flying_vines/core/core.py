@@ -39,13 +39,20 @@ from flying_vines.core.events import (
     ToVehicle,
     VehicleMessage,
 )
+from flying_vines.core.isolated_parts import IsolatedParts
 from flying_vines.core.motion_planner import MotionPlanner
-from flying_vines.core.parts import IsolatedParts
+from flying_vines.core.pending_bend import PendingBend, PendingBendTracker, source
 from flying_vines.core.restarts import Restarts
 from flying_vines.core.safety import LossEnded, ResponseNeeded, Ruling, Safety, SafetyInputs
 from flying_vines.core.snapshot import Snapshot
-from flying_vines.core.waiting import FreshRequest, Waiting, source
-from flying_vines.supply import Belief, Features, ReportedCycles, ReservoirEstimate, TelemetryReader, nominal
+from flying_vines.supply import (
+    Features,
+    ReportedCycles,
+    ReservoirEstimate,
+    RigPrior,
+    TelemetryReader,
+    nominal,
+)
 from flying_vines.supply.cycles_left import AirNeeded
 from flying_vines.supply.learned_file import learned_from, text_of
 from flying_vines.supply.physics_checks import AIR_LOSSES, CHECKS, PhysicsChecks, own_checks
@@ -131,14 +138,14 @@ class Core:
     """One vine on one vehicle. `handle` takes every event, in time order, and returns the actions, in order.
 
     `mission` is the vehicle's mission if it is already known; otherwise it is read from the autopilot.
-    `belief` holds the rig's identified numbers; without it, those of the configuration are used.
+    `prior` holds the rig's identified numbers; without it, those of the configuration are used.
     """
 
     def __init__(
         self,
         base: Config,
         mission: Sequence[MissionItem] = (),
-        belief: Belief | None = None,
+        prior: RigPrior | None = None,
         stored: StoredState | None = None,
     ) -> None:
         stored = stored or StoredState()
@@ -155,25 +162,25 @@ class Core:
         self._safety = Safety(config, stored.latched)
         self._kept_latched = set(stored.latched)
         """The latched faults at the last storage."""
-        self._belief = belief or nominal(config.pneumatics)
-        self._reader = TelemetryReader(self._belief)
+        self._prior = prior or nominal(config.pneumatics)
+        self._reader = TelemetryReader(self._prior)
         self._features: Features | None = None
-        known, self._learned_problem = learned_from(stored.learned, self._belief)
-        self._reservoir = ReservoirEstimate(self._belief, known)
+        known, self._learned_problem = learned_from(stored.learned, self._prior)
+        self._reservoir = ReservoirEstimate(self._prior, known)
         self._kept_cycles = self._reservoir.measured_cycles
         """The number of measured cycles at the last storage; NaN if an event has changed what was learned."""
         self._kept_at = -math.inf
         self._has_reservoir = config.firmware.is_phlosar
         self._actuator = config.firmware.name
-        self._checks = PhysicsChecks(self._belief, config.checks, CHECKS if self._has_reservoir else {})
-        self._own_checks = own_checks(self._belief, config.checks)
+        self._checks = PhysicsChecks(self._prior, config.checks, CHECKS if self._has_reservoir else {})
+        self._own_checks = own_checks(self._prior, config.checks)
         self._cycles = ReportedCycles(self._reservoir)
         self._cycles_at = -math.inf
         self._low_warned = False
         self._silent_since: float | None = None
         self._motion: Motion | None = None
-        self._fresh_request = FreshRequest()
-        self._waiting_reported: Waiting | None = None
+        self._pending_bend = PendingBendTracker()
+        self._waiting_reported: PendingBend | None = None
         """The state in the latest text to the ground station."""
         self._triggered_at = 0.0
         """When a person or the mission last requested the present motion."""
@@ -439,7 +446,7 @@ class Core:
             self._vent(t, trigger)
         else:
             self._note_trigger(t)
-            self._fresh_request.began(trigger.kind)
+            self._pending_bend.began(trigger.kind)
             if motion.only_deflates:
                 self._note_cut_off(t)
             self._motion = motion
@@ -514,7 +521,7 @@ class Core:
             return Ruling("refused", "; ".join(self._safety.reasons.values()))
         # A hold is a request of its own: the time limit starts again.
         self._note_trigger(t)
-        self._fresh_request.began(trigger.kind)
+        self._pending_bend.began(trigger.kind)
         self._freeze(t)
         return Ruling("accepted")
 
@@ -541,7 +548,7 @@ class Core:
         if is_newer:
             self._requested_at = max(self._requested_at, t - trigger.age_s)
         if ruling.verdict == "refused" and motion is None:
-            self._fresh_request.refused(trigger.kind, ruling.reason)
+            self._pending_bend.refused(trigger.kind, ruling.reason)
         decision = Decision(
             t=t,
             trigger=trigger.kind,
@@ -576,7 +583,7 @@ class Core:
         """Send the firmware the command for the time until the next tick."""
         motion = self._motion
         if motion is not None and motion.is_over(t) and motion.final_kPa <= 0.0 and self._near_zero():
-            self._fresh_request.ended(motion.name, self._vehicle.switch.position)
+            self._pending_bend.ended(motion.name, self._vehicle.switch.position)
             self._motion = None
         command: fw.HostCommand = fw.VENTING
         if self._motion is not None:
@@ -596,9 +603,9 @@ class Core:
         moved = self._motion is not None
         if trigger.kind != "link":
             by = f"{trigger.intent} by {source(trigger.kind, trigger.what)}"
-            self._fresh_request.withdrawn(by, moved)
+            self._pending_bend.withdrawn(by, moved)
         elif moved:
-            self._fresh_request.stopped(str(trigger.what["event"]))
+            self._pending_bend.stopped(str(trigger.what["event"]))
         self._stop_moving(t)
 
     def _note_cut_off(self, t: float) -> None:
@@ -621,7 +628,7 @@ class Core:
         if self._on_bench:
             self._bench_until = -math.inf
             if self._motion is not None:
-                self._fresh_request.stopped(f"bench mode is over: {why}")
+                self._pending_bend.stopped(f"bench mode is over: {why}")
             self._stop_moving(t)
             self._notice(t, Severity.NOTICE, f"bench mode over, {why}: vented")
 
@@ -649,11 +656,11 @@ class Core:
         self._report(t)
 
     @property
-    def _waiting(self) -> Waiting | None:
+    def _waiting(self) -> PendingBend | None:
         """The bend that is requested but not carried out; None while a motion runs."""
         if self._motion is not None:
             return None
-        return self._fresh_request.waiting(self._vehicle.switch.position, self._vehicle.pilot.fresh_move)
+        return self._pending_bend.waiting(self._vehicle.switch.position, self._vehicle.pilot.fresh_move)
 
     def _report_waiting(self, t: float) -> None:
         """Send a text, once, that says which request would bend the vine.
@@ -750,7 +757,7 @@ class Core:
             self._freeze(t)
         else:
             if moved:
-                self._fresh_request.stopped(change.reason)
+                self._pending_bend.stopped(change.reason)
             self._stop_moving(t)
         if change.name == "autopilot" and not self._vehicle.state.heartbeat_missing:
             self._vehicle.forget_radio()
@@ -808,7 +815,7 @@ class Core:
         learned = reservoir.learned
         if learned is not None:
             self._kept_cycles, self._kept_at = reservoir.measured_cycles, t
-            self._actions.append(KeepLearned(t, text_of(self._belief, learned)))
+            self._actions.append(KeepLearned(t, text_of(self._prior, learned)))
 
     def _keep_latched(self, t: float) -> None:
         latched = self._safety.latched

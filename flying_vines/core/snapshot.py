@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from flying_vines.core.waiting import Waiting
+from flying_vines.core.pending_bend import PendingBend
 from flying_vines.supply import CyclesLeft
 
 
@@ -45,5 +45,5 @@ class Snapshot:
     pneumatics_armed: bool = True
     bench: bool = False
     """Bench mode is on: the vine may bend on the ground."""
-    waiting: Waiting | None = None
+    waiting: PendingBend | None = None
     """The bend that is requested but not carried out, until a fresh request."""

@@ -78,7 +78,7 @@ async def examine(
     add([network.check_broker(await broker.facts(config.mqtt))])
 
     own = config.firmware.is_phlosar  # another device must get no bytes of ours
-    board = None if phlosar is None or not own else FirmwareProbe(phlosar, examined.belief)
+    board = None if phlosar is None or not own else FirmwareProbe(phlosar, examined.prior)
     watch = None if vehicle is None else VehicleWatch(vehicle, config, examined.signing)
     over, asked = asyncio.Event(), False
     async with asyncio.TaskGroup() as tasks:

@@ -13,10 +13,10 @@ from statistics import fmean
 from firmware_link.host import SessionState
 from firmware_link.monitor import SeenFrame
 from firmware_link.protocol import Fault, Setting, Telemetry, Welcome
-from firmware_link.settings import SettingsTalk
+from firmware_link.settings import SettingsExchange
 from flying_vines.config.address import Address
 from flying_vines.service.link_watch import LinkEvent, LinkWatch
-from flying_vines.supply import Belief, CyclesLeft, ReservoirEstimate, TelemetryReader
+from flying_vines.supply import CyclesLeft, ReservoirEstimate, RigPrior, TelemetryReader
 
 REST_S = 1.0
 """Hello vents the vine. Readings at rest are averaged over the last REST_S."""
@@ -49,11 +49,11 @@ class FirmwareFacts:
 class FirmwareProbe:
     """Listens and sends requests at `address` while `run` runs."""
 
-    def __init__(self, address: Address, belief: Belief) -> None:
-        self._talk = SettingsTalk()
-        self._watch = LinkWatch(address, self._talk)
-        self._reader = TelemetryReader(belief)
-        self._reservoir = ReservoirEstimate(belief)
+    def __init__(self, address: Address, prior: RigPrior) -> None:
+        self._settings_exchange = SettingsExchange()
+        self._watch = LinkWatch(address, self._settings_exchange)
+        self._reader = TelemetryReader(prior)
+        self._reservoir = ReservoirEstimate(prior)
         self._readings: list[tuple[float, Telemetry]] = []
         self._boots: set[int] = set()
 
@@ -80,8 +80,8 @@ class FirmwareProbe:
         facts = FirmwareFacts(
             port=watch.port.text,
             welcome=session.welcome,
-            settings=tuple(self._talk.settings),
-            settings_problem=self._talk.problem,
+            settings=tuple(self._settings_exchange.settings),
+            settings_problem=self._settings_exchange.problem,
             gaps=now.telemetry_gaps - before.telemetry_gaps,
             # A corrupt frame also leaves a gap in the sequence numbers and so counts as lost.
             bad_frames=max(bad) + now.unknown_messages - before.unknown_messages,

@@ -14,13 +14,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config.config import Config
 from flying_vines.core.core import LISTEN_FIRST_S
-from flying_vines.vehicle.component.clash import Clash
+from flying_vines.vehicle.component.duplicate_id import DuplicateIdDetector
 from flying_vines.vehicle.component.telemetry import Heartbeat
 from flying_vines.vehicle.component.transmit_queue import TransmitQueue
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mavlink.signing import RefusedFrames
-from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.mission_cache import MissionCache
 from flying_vines.vehicle.own_triggers import messages_of, own_triggers
 from flying_vines.vehicle.radio.radio_parameters import RadioParameters
 from flying_vines.vehicle.radio.rc import RadioLink
@@ -96,7 +96,7 @@ class VehicleFacts:
     heartbeat_missing: bool = False
     """Other messages of the autopilot arrive, but no heartbeat."""
     streams: tuple[StreamFacts, ...] = ()
-    clash: bool = False
+    duplicate_id: bool = False
     """Another program uses our system and component id."""
     signs: bool = False
     """The autopilot signs its messages."""
@@ -146,11 +146,11 @@ class VehicleProbe:
         self._switch = SwitchReader(
             len(switch.positions), switch.debounce_s, switch.settle_s, switch.hysteresis_us
         )
-        self._book = MissionBook()
+        self._mission_cache = MissionCache()
         self._heartbeat = Heartbeat()
         self._queue = TransmitQueue()
-        self._clash = Clash(config.vehicle.component_id)
-        self._clashed = False
+        self._duplicate_id = DuplicateIdDetector(config.vehicle.component_id)
+        self._duplicate_id_found = False
         self._rivals: tuple[int, int] | None = None
         self._began_at: float | None = None
         self._found_at: float | None = None
@@ -177,7 +177,7 @@ class VehicleProbe:
         if not self._state.found:
             return
         if sender == (self._state.system_id, self._config.vehicle.component_id):
-            self._clashed |= bool(self._clash.heard(t))
+            self._duplicate_id_found |= bool(self._duplicate_id.received(t))
         elif self._state.is_ours(message):
             self._take_ours(t, unix_s, message)
 
@@ -195,7 +195,7 @@ class VehicleProbe:
             else:
                 rate.last_at, rate.count = t, rate.count + 1
         self._streams.handle(t, message)
-        self._book.handle(t, message)
+        self._mission_cache.handle(t, message)
         self._radio.autopilot = self._state.autopilot
         self._radio.handle(t, message)
         if kind == "PARAM_VALUE":
@@ -233,8 +233,8 @@ class VehicleProbe:
         for message in (
             *self._heartbeat.due(t, mavlink.MAV_STATE_STANDBY),
             *self._streams.requests(t, system_id),
-            *self._book.requests(t, system_id),
-            *self._book.acknowledgement(system_id),
+            *self._mission_cache.requests(t, system_id),
+            *self._mission_cache.acknowledgement(system_id),
             *self._parameters.requests(t, system_id, self._state.autopilot),
             *self._ask_version(t, system_id),
         ):
@@ -289,11 +289,11 @@ class VehicleProbe:
             heartbeat_Hz=heartbeat.per_s(t, 1.0) if heartbeat else 0.0,
             heartbeat_missing=state.heartbeat_missing,
             streams=tuple(self._stream(t, name, wanted) for name, wanted in self._streams.wanted(t).items()),
-            clash=self._clashed,
+            duplicate_id=self._duplicate_id_found,
             signs=self._signs,
             answers=self._answers,
             radio=self.radio(t),
-            mission=self._book.items if self._book.fresh else None,
+            mission=self._mission_cache.items if self._mission_cache.fresh else None,
             ahead_s=self._ahead_s,
         )
 

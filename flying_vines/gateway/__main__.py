@@ -14,7 +14,6 @@ from functools import partial
 import msgspec
 
 from flying_vines.gateway.feed import Feed
-from flying_vines.gateway.keep_alive import keep_alive
 from flying_vines.gateway.messages import (
     ALIVE_EVERY_S,
     Alive,
@@ -23,6 +22,7 @@ from flying_vines.gateway.messages import (
     packet,
     read_to_gateway,
 )
+from flying_vines.gateway.supervisor import supervise
 
 MAX_PACKET = 1024 * 1024
 NICE = 5
@@ -46,9 +46,9 @@ async def serve(service: socket.socket) -> None:
     feed = Feed(start, send)
     parts = [_beat(send)]
     if start.config.page.port:
-        parts.append(keep_alive("page", partial(_page, feed), feed.trouble))
+        parts.append(supervise("page", partial(_page, feed), feed.trouble))
     if start.config.mqtt.broker:
-        parts.append(keep_alive("MQTT", partial(_mqtt, feed), feed.trouble))
+        parts.append(supervise("MQTT", partial(_mqtt, feed), feed.trouble))
     tasks = [asyncio.create_task(part) for part in parts]
     try:
         with contextlib.suppress(ConnectionResetError):

@@ -20,7 +20,6 @@ from flying_vines.config.config import Config
 from flying_vines.core.events import Action, Decision
 from flying_vines.core.snapshot import Snapshot
 from flying_vines.core.watcher import Watcher
-from flying_vines.gateway.keep_alive import keep_alive
 from flying_vines.gateway.messages import (
     Alive,
     Answered,
@@ -33,6 +32,7 @@ from flying_vines.gateway.messages import (
     raw,
     read_from_gateway,
 )
+from flying_vines.gateway.supervisor import supervise
 from flying_vines.gateway.token_bucket import TokenBucket
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vine.intent import Asker, Intent, VentVine
@@ -97,7 +97,7 @@ class Gateway(Watcher):
 
     async def run(self) -> None:
         """Runs until cancelled; then the gateway process ends, too."""
-        await keep_alive("page and broker", self._serve_once, self._say)
+        await supervise("page and broker", self._serve_once, self._say)
 
     async def _serve_once(self) -> str:
         """Runs one process, and returns why it ended."""

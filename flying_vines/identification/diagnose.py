@@ -11,7 +11,6 @@ from threadpoolctl import threadpool_limits
 
 from flying_vines.identification.candidate import CLAIM, Candidate
 from flying_vines.identification.case import Case
-from flying_vines.identification.cores import mapped
 from flying_vines.identification.evidence import evidence
 from flying_vines.identification.fit import FitProblem
 from flying_vines.identification.held_out import (
@@ -25,6 +24,7 @@ from flying_vines.identification.intervals import LikelihoodProfile, profile, wi
 from flying_vines.identification.next_experiment import after_doubts, after_remainder, with_one_more
 from flying_vines.identification.noise import Noise, SensorNoise, measured_noise, stated_noise
 from flying_vines.identification.search import Progress, Search, SearchResult, silent
+from flying_vines.identification.threads import mapped
 from flying_vines.identification.verdict import (
     NONE,
     UNEXPLAINED,

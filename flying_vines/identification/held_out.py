@@ -16,10 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flying_vines.identification.cores import mapped
 from flying_vines.identification.fit import Bools, FitPoint, FitProblem
 from flying_vines.identification.intervals import LikelihoodProfile
-from flying_vines.identification.unseen import (
+from flying_vines.identification.prediction_error import (
     Errors,
     Split,
     errors,
@@ -29,6 +28,7 @@ from flying_vines.identification.unseen import (
     quick_errors,
     split,
 )
+from flying_vines.identification.threads import mapped
 
 FAR = 3.0
 """Distance, in half widths of its interval, at which a parameter is tested."""

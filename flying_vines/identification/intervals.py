@@ -17,7 +17,7 @@ import numpy as np
 from scipy import special
 
 from flying_vines.identification.candidate import Candidate
-from flying_vines.identification.unseen import blocks
+from flying_vines.identification.prediction_error import blocks
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Parameter
 

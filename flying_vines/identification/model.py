@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air
-from flying_vines.physics.plant.exponential import exponential_runge_kutta, tubing_per_s
+from flying_vines.physics.plant.exponential_integrator import exponential_runge_kutta, tubing_per_s
 from flying_vines.physics.plant.numbers import PlantNumbers, ValveNumbers
 from flying_vines.physics.plant.plant import Held
 from flying_vines.physics.plant.rates import Floats, conditions, edges, rates
@@ -192,7 +192,7 @@ def _seen_after(
     return SensorMemory(kPa, lagged, 0.0)
 
 
-APART = (gas_after, runge_kutta, exponential_runge_kutta, rates, conditions)
+NOT_INLINED = (gas_after, runge_kutta, exponential_runge_kutta, rates, conditions)
 """Not inlined by the compiler, because they are called from several places."""
 
 

@@ -17,7 +17,6 @@ from functools import partial
 from math import inf, log
 
 from flying_vines.identification.candidate import CLAIM, Candidate
-from flying_vines.identification.cores import mapped
 from flying_vines.identification.fit import (
     MAX_SEEDS,
     MAX_STEPS,
@@ -27,8 +26,9 @@ from flying_vines.identification.fit import (
     FitProblem,
     Tangents,
 )
+from flying_vines.identification.prediction_error import HeldOutErrors
 from flying_vines.identification.simulate import rig_number_keys
-from flying_vines.identification.unseen import Unseen
+from flying_vines.identification.threads import mapped
 from flying_vines.physics.cause import Cause
 
 CLAIM_LEFT = 10.0
@@ -88,7 +88,7 @@ class Search:
         moved = problem.fit(exact.point.freed(self.keys))
         self.nulls = (Candidate(problem, exact), Candidate(problem, moved))
         self.null = min(self.nulls, key=lambda c: c.score)
-        self.unseen = Unseen(problem)
+        self.held_out_errors = HeldOutErrors(problem)
 
     def _fit(self, start: FitPoint, max_steps: int = MAX_STEPS) -> Fit:
         """A fit that is precise enough to be compared with others."""
@@ -307,7 +307,7 @@ class Search:
         if left <= LEFT_TOGETHER * whole:
             return True
         pair = candidate.possible and len(candidate.causes) == 2
-        return pair and self.unseen.gain(self.null.fit.point, candidate.fit.point)[0] > SURE_OF_TWO
+        return pair and self.held_out_errors.gain(self.null.fit.point, candidate.fit.point)[0] > SURE_OF_TWO
 
     def _first_that_pays(self, leaders: Iterable[Candidate], chosen: Candidate) -> Candidate | None:
         """The best leader that pays in comparison with the chosen candidate; None if none does."""
@@ -321,7 +321,7 @@ class Search:
         if more.adequate:
             claim = CLAIM_ON_BOUND if less.on_bound and not more.on_bound else CLAIM
             return gain > (claim if len(more.causes) > len(less.causes) else 0.0)
-        return gain > CLAIM_LEFT and self.unseen.gain(less.fit.point, more.fit.point)[0] > MIN_GAIN
+        return gain > CLAIM_LEFT and self.held_out_errors.gain(less.fit.point, more.fit.point)[0] > MIN_GAIN
 
     def _pruned(self, candidate: Candidate) -> tuple[Candidate, list[Candidate]]:
         """The candidate without causes that no longer pay, and all candidates that were tried."""

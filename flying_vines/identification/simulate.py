@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flying_vines.identification.case import Case, RecordedRun
-from flying_vines.identification.model import APART, run
+from flying_vines.identification.model import NOT_INLINED, run
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, ModelReadings, Values
 from flying_vines.physics.compiler import compiled, record
@@ -200,7 +200,7 @@ class Simulation:
 
 @cache
 def _compiled() -> Callable[..., None]:
-    simulate: Callable[..., None] = compiled(run, APART)
+    simulate: Callable[..., None] = compiled(run, NOT_INLINED)
     return simulate
 
 

@@ -35,11 +35,11 @@ class NoCompiler(ImportError):
 
 
 @cache
-def compiled(function: F, apart: tuple[Callable[..., Any], ...] = ()) -> F:
+def compiled(function: F, not_inlined: tuple[Callable[..., Any], ...] = ()) -> F:
     """The function, compiled at its first call (some seconds; less than a second from the cache).
 
     It takes numbers, tuples of numbers, arrays, and `record`s. The functions that it calls are inlined,
-    except `apart`: large ones that are called from several places. Raises NoCompiler without numba.
+    except `not_inlined`: large ones that are called from several places. Raises NoCompiler without numba.
     """
     try:
         import numba
@@ -53,7 +53,7 @@ def compiled(function: F, apart: tuple[Callable[..., Any], ...] = ()) -> F:
             # numba reads this setting only here.
             config.CACHE_DIR = str(folder or before)
             entry = numba.njit(
-                _rebuilt(function, apart), error_model="numpy", nogil=True, cache=folder is not None
+                _rebuilt(function, not_inlined), error_model="numpy", nogil=True, cache=folder is not None
             )
         finally:
             config.CACHE_DIR = before
@@ -118,19 +118,21 @@ def _layout(kind: Any) -> np.dtype[np.void]:
     return np.dtype(parts, align=True)
 
 
-def _rebuilt(function: Callable[..., Any], apart: tuple[Callable[..., Any], ...]) -> FunctionType:
+def _rebuilt(function: Callable[..., Any], not_inlined: tuple[Callable[..., Any], ...]) -> FunctionType:
     """The function with its callees replaced by compiled ones."""
-    parts = {name: _part(called, apart) for name, called in _called(function).items()}
+    parts = {name: _part(called, not_inlined) for name, called in _called(function).items()}
     return FunctionType(
         function.__code__, {**function.__globals__, **parts}, function.__name__, function.__defaults__
     )
 
 
 @cache
-def _part(function: FunctionType, apart: tuple[Callable[..., Any], ...]) -> Any:
+def _part(function: FunctionType, not_inlined: tuple[Callable[..., Any], ...]) -> Any:
     import numba
 
-    return numba.njit(_rebuilt(function, apart), error_model="numpy", forceinline=function not in apart)
+    return numba.njit(
+        _rebuilt(function, not_inlined), error_model="numpy", forceinline=function not in not_inlined
+    )
 
 
 def _called(function: Callable[..., Any]) -> dict[str, FunctionType]:

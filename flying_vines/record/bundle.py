@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 
-from flying_vines.record.about import About
+from flying_vines.record.flight_metadata import FlightMetadata
 from flying_vines.record.folders import ABOUT, CONFIGURATION, MCAP, RIG, TLOG
 from flying_vines.record.reader import FlightLog
 
@@ -17,10 +17,10 @@ PARTS = (MCAP, TLOG, CONFIGURATION, RIG, ABOUT)
 """Only these files, because a person may have put anything else into the folder."""
 
 
-def bundle(log: FlightLog, story: str, path: Path) -> list[str]:
+def bundle(log: FlightLog, events: str, path: Path) -> list[str]:
     """Write a zip file about the flight and this machine. Returns the names in it.
 
-    `story` is the flight as text, as `log show` prints it.
+    `events` is the flight as text, as `log show` prints it.
     """
     names = []
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
@@ -29,7 +29,7 @@ def bundle(log: FlightLog, story: str, path: Path) -> list[str]:
             if part.is_file():
                 file.write(part, f"{log.folder.name}/{name}")
                 names.append(name)
-        for name, text in (("story.txt", story), ("this-machine.json", _this_machine(log.folder))):
+        for name, text in (("story.txt", events), ("this-machine.json", _this_machine(log.folder))):
             file.writestr(f"{log.folder.name}/{name}", text)
             names.append(name)
     return names
@@ -39,7 +39,7 @@ def _this_machine(folder: Path) -> str:
     """The machine that made the bundle. The flight may have been recorded on another."""
     disk = shutil.disk_usage(folder)
     facts = {
-        **msgspec.to_builtins(About.of_this_machine(time.time(), "")),
+        **msgspec.to_builtins(FlightMetadata.of_this_machine(time.time(), "")),
         "disk_free_MB": round(disk.free / 1e6),
         "disk_total_MB": round(disk.total / 1e6),
     }

@@ -25,7 +25,7 @@ from firmware_link import protocol
 from flying_vines.config import on_disk
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.core.events import StoredState
-from flying_vines.record.about import About, version_of
+from flying_vines.record.flight_metadata import FlightMetadata, version_of
 from flying_vines.record.mcap_file import McapFile
 from flying_vines.record.topics import (
     MAVLINK_IN,
@@ -204,7 +204,7 @@ class Files:
         self.latest = t
         self._folder = folder
         self._zero_unix_ns = zero_unix_ns
-        self._about = About.of_this_machine(self._unix_ns(t) / 1e9, continues)
+        self._metadata = FlightMetadata.of_this_machine(self._unix_ns(t) / 1e9, continues)
         self._opened = contextlib.ExitStack()
         self._file = self._opened.enter_context((folder / MCAP).open("wb"))
         try:
@@ -272,12 +272,12 @@ class Files:
         self._tlog.sync()
 
     def add_firmware(self, firmware: protocol.Welcome) -> None:
-        self._about = self._about.with_firmware(firmware)
+        self._metadata = self._metadata.with_firmware(firmware)
         self._write_about()
 
     def _write_about(self) -> None:
         on_disk.put(
-            self._folder / ABOUT, msgspec.json.format(msgspec.json.encode(self._about)).decode() + "\n"
+            self._folder / ABOUT, msgspec.json.format(msgspec.json.encode(self._metadata)).decode() + "\n"
         )
 
     def _unix_ns(self, t: float) -> int:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from firmware_link.host import SessionState
 from firmware_link.protocol import Setting
-from firmware_link.settings import SettingsTalk
+from firmware_link.settings import SettingsExchange
 from flying_vines.config.address import Address
 from flying_vines.service.link_watch import LinkWatch
 
@@ -23,12 +23,12 @@ class SettingsInterruptedError(SettingsError):
     """The user has stopped the operation."""
 
 
-async def talk_about_settings(
+async def exchange_settings(
     address: Address, changes: Mapping[str, float], stopped: asyncio.Event
 ) -> Sequence[Setting]:
     """Make the changes and return all settings. Raises `SettingsError`, also if `stopped` is set."""
-    talk = SettingsTalk(changes)
-    watch = LinkWatch(address, talk)
+    exchange = SettingsExchange(changes)
+    watch = LinkWatch(address, exchange)
     ready_s = 0.0
 
     def over() -> bool:
@@ -36,11 +36,11 @@ async def talk_about_settings(
         if watch.monitor.session.state is SessionState.READY:
             ready_s = watch.t
         gone = watch.t - ready_s >= ANSWERS_WITHIN_S
-        return talk.done or bool(talk.problem) or gone or stopped.is_set()
+        return exchange.done or bool(exchange.problem) or gone or stopped.is_set()
 
     await watch.run(lambda events: None, over)
-    if not talk.done:
-        if stopped.is_set() and not talk.problem:
+    if not exchange.done:
+        if stopped.is_set() and not exchange.problem:
             raise SettingsInterruptedError("interrupted")
-        raise SettingsError(talk.problem or watch.port.text)
-    return talk.settings
+        raise SettingsError(exchange.problem or watch.port.text)
+    return exchange.settings

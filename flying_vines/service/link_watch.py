@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from firmware_link.host import FirmwareReset, HostEvent, Incompatible, Ready
 from firmware_link.monitor import Monitor, SeenFrame
-from firmware_link.settings import SettingsTalk
+from firmware_link.settings import SettingsExchange
 from firmware_link.statistics import LinkStatistics
 from flying_vines.config.address import Address
 from flying_vines.vehicle.mavlink.link import open_link
@@ -30,7 +30,7 @@ LinkEvent = SeenFrame | LinkNote
 class LinkWatch:
     """Monitors the board at `address`. Times are seconds since the watch began."""
 
-    def __init__(self, address: Address, settings: SettingsTalk | None = None) -> None:
+    def __init__(self, address: Address, settings: SettingsExchange | None = None) -> None:
         self.monitor = Monitor(settings)
         self.answered = False
         """A firmware of our version has answered."""
@@ -60,7 +60,7 @@ class LinkWatch:
                 if data:
                     self._link.write(data)
                 self._received += sent
-                news = self.monitor.answer.news(self.t)
+                news = self.monitor.answer_check.news(self.t)
                 if news:
                     self._report_port(news, False)
                 show(self._take_received())

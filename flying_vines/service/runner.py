@@ -20,7 +20,7 @@ from flying_vines.record.recorder import Recorder
 from flying_vines.service.persistent_state import PersistentState
 from flying_vines.service.service import Service
 from flying_vines.service.systemd import service_manager
-from flying_vines.supply import Belief
+from flying_vines.supply import RigPrior
 from flying_vines.terminal.screen import LiveView, plain_printer
 from flying_vines.vehicle.mavlink.signing import Signing
 from flying_vines.vehicle.notice import Severity
@@ -45,7 +45,7 @@ class Remembered:
 
 async def serve(
     config: Config,
-    belief: Belief | None,
+    prior: RigPrior | None,
     remembered: Remembered,
     log: Recorder,
     console: Console,
@@ -68,7 +68,7 @@ async def serve(
     service = Service(
         config,
         watchers,
-        belief,
+        prior,
         remembered.stored,
         remembered.signing,
         remembered.persistent,

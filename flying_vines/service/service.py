@@ -11,12 +11,12 @@ from functools import partial
 from typing import Any
 
 from firmware_link.actuator import ActuatorLine, Line, PhlosarLine
-from firmware_link.answer import Answer
+from firmware_link.answer_check import AnswerCheck
 from flying_vines.config.address import parse_address
 from flying_vines.config.config import Config, FirmwareConfig
 from flying_vines.config.plugins import PluginError, find
-from flying_vines.core.contained import CrashSafeCore
 from flying_vines.core.core import TICK_S, Core
+from flying_vines.core.crash_safe_core import CrashSafeCore
 from flying_vines.core.events import (
     Action,
     Asked,
@@ -40,7 +40,7 @@ from flying_vines.core.events import (
 from flying_vines.core.watcher import Watcher
 from flying_vines.service.host_clock import synchronised
 from flying_vines.service.persistent_state import PersistentState, PersistentStateError
-from flying_vines.supply import Belief
+from flying_vines.supply import RigPrior
 from flying_vines.vehicle.component import parameter_file
 from flying_vines.vehicle.mavlink import handled_messages
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
@@ -74,13 +74,13 @@ class Service:
         self,
         config: Config,
         watchers: Sequence[Watcher] = (),
-        belief: Belief | None = None,
+        prior: RigPrior | None = None,
         stored: StoredState | None = None,
         signing: Signing | None = None,
         persistent: PersistentState | None = None,
     ) -> None:
         self.core = CrashSafeCore(
-            Core(config, belief=belief, stored=stored),
+            Core(config, prior=prior, stored=stored),
             lambda error: self.failed("display", error),
         )
         self._failed: set[str] = set()
@@ -99,7 +99,7 @@ class Service:
         read = handled_messages.NUMBERS.union(messages_of(own_triggers(config.triggers)).values())
         self._mavlink = MavlinkCodec(config.vehicle.system_id, config.vehicle.component_id, signing, read)
         self._serial = line_to(config.firmware)
-        self._answer = Answer()
+        self._answer_check = AnswerCheck()
         self._unread_reported = False
         self._stopping = asyncio.Event()
         self._vehicle = open_link(
@@ -281,7 +281,7 @@ class Service:
             messages = self._serial.decode(now, data)
             for message in messages:
                 self._feed(FirmwareMessage(now, message))
-            self._answer.received(data, messages)
+            self._answer_check.received(data, messages)
         except Exception as error:
             self.failed("actuator bytes", error, needed=True)
 
@@ -293,9 +293,9 @@ class Service:
         self.link_problems["firmware"] = "" if up else why
         if up:
             self._serial.restart()
-            self._answer.opened(self.now)
+            self._answer_check.opened(self.now)
         else:
-            self._answer.closed()
+            self._answer_check.closed()
         self._feed(LinkChanged(self.now, "firmware", up, why))
 
     def _report_unread(self) -> None:
@@ -307,7 +307,7 @@ class Service:
 
     def _report_silence(self, t: float) -> None:
         """Report an open port without answer: it may belong to another device, or the board does not run."""
-        problem = self._answer.news(t)
+        problem = self._answer_check.news(t)
         if problem is None:
             return
         self.link_problems["firmware"] = problem

@@ -18,8 +18,8 @@ from flying_vines.supply import nominal_rig
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.triggers import Rules
+from missions.flight_result import FlightResult
 from missions.report import Report
-from missions.trial import Trial
 
 GROUND_S = 8.0
 """Time before take-off, in which the service finds the autopilot and reads the mission."""
@@ -36,7 +36,7 @@ def fly(
     reservoir_kPa: float,
     planned_s: float,
     rig: TrueRig | None = None,
-) -> Trial:
+) -> FlightResult:
     """Fly the items until the vehicle has landed, or until `LATE_S` after `planned_s`.
 
     Raises `MissionRefused` if the autopilot refuses an item. `rig` is the simulated rig; default: a typical
@@ -60,7 +60,7 @@ def fly(
     length_s = t - GROUND_S
     landed = not autopilot.armed
     commands = Rules(config).commands
-    return Trial(
+    return FlightResult(
         ran=tuple(item for ran_s, item in autopilot.payload_log if item.command in commands),
         decisions=tuple(a for a in actions if isinstance(a, Decision) and a.trigger == "mission_item"),
         begins_kPa=begins_kPa,
@@ -76,5 +76,5 @@ def with_flight(report: Report, config: Config, reservoir_kPa: float, rig: TrueR
     """The report with a simulated flight of its mission; unchanged if the mission has errors."""
     if any(finding.severity == "error" for finding in report.findings):
         return report
-    trial = fly(report.items, config, report.kind, report.home, reservoir_kPa, report.timeline.length_s, rig)
-    return replace(report, trial=trial)
+    result = fly(report.items, config, report.kind, report.home, reservoir_kPa, report.timeline.length_s, rig)
+    return replace(report, flight_result=result)

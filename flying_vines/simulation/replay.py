@@ -19,8 +19,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
-from flying_vines.core.contained import CrashSafeCore
 from flying_vines.core.core import Core
+from flying_vines.core.crash_safe_core import CrashSafeCore
 from flying_vines.core.events import Action, Decision, StoredState, ToVehicle, VehicleMessage
 from flying_vines.record.reader import FlightLog, LogEntry, LogError
 from flying_vines.record.restore import event_of, restored, start_of
@@ -36,7 +36,7 @@ from flying_vines.record.topics import (
     frame_of,
 )
 from flying_vines.simulation.simulated_world import SimulatedWorld
-from flying_vines.supply import Belief
+from flying_vines.supply import RigPrior
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 from flying_vines.vehicle.mission.item import MissionItem
 
@@ -50,7 +50,7 @@ def replay(
     mission: Sequence[MissionItem] = (),
     pace: float = 0.0,
     sleep: Callable[[float], None] = time.sleep,
-    belief: Belief | None = None,
+    prior: RigPrior | None = None,
     parameters: Mapping[str, float] | None = None,
 ) -> Iterator[Action]:
     """All actions of the core for a recording. `frames`: (unix time in s, frame) in order.
@@ -59,7 +59,7 @@ def replay(
     as possible. A frame with an earlier time than its predecessor gets the predecessor's time. If the core
     requests a mission item, it gets the last one in the recording.
     """
-    world = SimulatedWorld(config, mission=mission, belief=belief, stored=StoredState(dict(parameters or {})))
+    world = SimulatedWorld(config, mission=mission, prior=prior, stored=StoredState(dict(parameters or {})))
     codec = MavlinkCodec(config.vehicle.system_id, config.vehicle.component_id)
     began: float | None = None
     started = time.monotonic()
@@ -160,17 +160,17 @@ def _core(log: FlightLog, start: Start, config: Config | None) -> CrashSafeCore:
     config = config or configuration.parse(
         start.profile, f"{log.path}: the configuration in it", recorded=True
     )
-    belief = None
+    prior = None
     if start.rig:
-        from flying_vines.supply.known_rig import load_known_rig
+        from flying_vines.supply.rig_file_prior import load_rig_file_prior
 
         with TemporaryDirectory() as folder:
             path = Path(folder) / "rig.toml"
             path.write_text(start.rig, encoding="utf-8")
-            belief = load_known_rig(path, config.pneumatics).belief
+            prior = load_rig_file_prior(path, config.pneumatics).prior
     # Logs of earlier versions contain no latched faults.
     stored = StoredState(start.parameters, start.disarmed, start.learned, start.latched or {})
-    return CrashSafeCore(Core(config, belief=belief, stored=stored))
+    return CrashSafeCore(Core(config, prior=prior, stored=stored))
 
 
 def _answers(t: float, action: Action) -> list[tuple[str, object]]:

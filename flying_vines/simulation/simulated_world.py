@@ -22,7 +22,7 @@ from flying_vines.core.events import (
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
-from flying_vines.supply import Belief
+from flying_vines.supply import RigPrior
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mission.item import MissionItem
 
@@ -50,10 +50,10 @@ class SimulatedWorld:
         config: Config,
         phlosar: SimulatedPhlosar | None = None,
         mission: Sequence[MissionItem] = (),
-        belief: Belief | None = None,
+        prior: RigPrior | None = None,
         stored: StoredState | None = None,
     ) -> None:
-        self.core = Core(config, mission, belief, stored)
+        self.core = Core(config, mission, prior, stored)
         # By default the ideal plant, because it is fast.
         self.phlosar = phlosar or SimulatedPhlosar(
             effects=Effects(), reservoir_kPa=config.pneumatics.full_kPa

@@ -1,22 +1,23 @@
 """The air left and the cycles that it is enough for: learned from telemetry, with an interval.
 
-`belief` has the prior of a rig, `known_rig` that of a diagnosed rig. `features` reads telemetry once.
-`reservoir_filter` models air and heat. `air_use` detects inflations. `min_supply` computes the pressure that
-they need. `cycles_left` combines these. `reported_cycles` makes the numbers that people see.
+`rig_prior` has the prior of a rig, `rig_file_prior` that from a rig file. `telemetry_features` reads
+telemetry once. `reservoir_filter` models air and heat. `air_use` detects inflations. `min_supply` computes
+the pressure that they need. `cycles_left` combines these. `reported_cycles` makes the numbers that people
+see.
 """
 
-from flying_vines.supply.belief import Belief, nominal, nominal_rig
 from flying_vines.supply.cycles_left import AirNeeded, CyclesLeft, ReservoirEstimate
-from flying_vines.supply.features import Features, TelemetryReader
 from flying_vines.supply.reported_cycles import ReportedCycles
+from flying_vines.supply.rig_prior import RigPrior, nominal, nominal_rig
+from flying_vines.supply.telemetry_features import Features, TelemetryReader
 
 __all__ = [
     "AirNeeded",
-    "Belief",
     "CyclesLeft",
     "Features",
     "ReportedCycles",
     "ReservoirEstimate",
+    "RigPrior",
     "TelemetryReader",
     "nominal",
     "nominal_rig",

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 from firmware_link.protocol import Telemetry
 from flying_vines.physics.plant.flow import Opening, choked_share
-from flying_vines.supply.belief import AMBIENT_KPA, Belief
-from flying_vines.supply.features import Features
 from flying_vines.supply.reservoir_filter import Spent
+from flying_vines.supply.rig_prior import AMBIENT_KPA, RigPrior
+from flying_vines.supply.telemetry_features import Features
 
 BLOCK_S = 0.1
 """Averaging time of a reading of the reservoir."""
@@ -85,9 +85,9 @@ class ObservedInflation:
 class AirUse:
     """Follows telemetry. `take` sets `block`, `reading_kPa` and `inflation` when they are complete."""
 
-    def __init__(self, belief: Belief) -> None:
-        self._evp_law = belief.evp_law.numbers()
-        self._dead_opening = belief.dead_opening
+    def __init__(self, prior: RigPrior) -> None:
+        self._evp_law = prior.evp_law.numbers()
+        self._dead_opening = prior.dead_opening
         self.block: Spent | None = None
         self.unseen_s = 0.0
         """Time in the block that was a gap in telemetry."""

@@ -21,8 +21,6 @@ from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics import paper
 from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 from flying_vines.supply.air_use import TRACE, AirUse, ObservedInflation
-from flying_vines.supply.belief import AMBIENT_KPA, Belief
-from flying_vines.supply.features import Features
 from flying_vines.supply.min_supply import SupplyCost, fillable, min_supply_kPa
 from flying_vines.supply.reservoir_filter import (
     CV_LEAK,
@@ -38,6 +36,8 @@ from flying_vines.supply.reservoir_filter import (
     X,
     colder_K,
 )
+from flying_vines.supply.rig_prior import AMBIENT_KPA, RigPrior
+from flying_vines.supply.telemetry_features import Features
 
 READING_SD_KPA = 1.3
 """Standard deviation of one reading: sensor noise and a converter of 10 bits."""
@@ -156,15 +156,15 @@ class Learned:
 class _Mix:
     """The average of the flown cycles: sums in which older cycles count less."""
 
-    def __init__(self, belief: Belief) -> None:
-        p = belief.pneumatics
+    def __init__(self, prior: RigPrior) -> None:
+        p = prior.pneumatics
         self._cycle_kPa = p.cycle_swing_kPa
         self.cycles = self._assumed_cycles = PRIOR_CYCLES
         time_s = 2.0 * p.cycle_swing_kPa / p.cycle_rate_kPa_per_s
         held = 0.5 * p.cycle_swing_kPa * time_s
-        cycle = (time_s, belief.cycle_rise_kPa, 1.0, belief.cycle_venturi_s, held)
+        cycle = (time_s, prior.cycle_rise_kPa, 1.0, prior.cycle_venturi_s, held)
         self._sums = [PRIOR_CYCLES * amount for amount in cycle]
-        self._venturi_kPa_s = PRIOR_CYCLES * belief.cycle_venturi_s * (p.full_kPa + AMBIENT_KPA)
+        self._venturi_kPa_s = PRIOR_CYCLES * prior.cycle_venturi_s * (p.full_kPa + AMBIENT_KPA)
         self._pause_s: float | None = None
         """The usual pause between two inflations, averaged over about ten."""
 
@@ -207,17 +207,17 @@ class ReservoirEstimate:
     `learned` is what an earlier run of the same rig learned.
     """
 
-    def __init__(self, belief: Belief, learned: Learned | None = None) -> None:
-        self._belief = belief
-        self._p = belief.pneumatics
+    def __init__(self, prior: RigPrior, learned: Learned | None = None) -> None:
+        self._prior = prior
+        self._p = prior.pneumatics
         self.reservoir_kPa = math.nan
         """Smoothed reading, with the sensor's gain and offset corrected; NaN before the first one."""
         self.read_at = 0.0
-        self._use = AirUse(belief)
+        self._use = AirUse(prior)
         self.filter: ReservoirFilter | None = None
         self._rates = learned.rates if learned else None
-        self._demand = SupplyCost(belief)
-        self._mix = _Mix(belief)
+        self._demand = SupplyCost(prior)
+        self._mix = _Mix(prior)
         self._inflations: list[ObservedInflation] = []
         self._warmed_up = False
         self.measured_cycles = 0.0
@@ -257,7 +257,7 @@ class ReservoirEstimate:
         use = self._use
         use.take(features, self.reservoir_kPa)
         if use.reading_kPa is not None and self.filter is None:
-            self.filter = ReservoirFilter(self._belief, use.reading_kPa, self._rates)
+            self.filter = ReservoirFilter(self._prior, use.reading_kPa, self._rates)
         if self.filter is None:
             return
         if use.was_cut_off:
@@ -287,7 +287,7 @@ class ReservoirEstimate:
     def _add(self, inflation: ObservedInflation, air: ReservoirFilter) -> None:
         if inflation.cut_off:
             return
-        if self._belief.packed_kPa > 0.0 and not self._warmed_up:
+        if self._prior.packed_kPa > 0.0 and not self._warmed_up:
             # The pouch was packed flat, so the first cycle differs from all later ones.
             self._warmed_up = True
             return
@@ -295,7 +295,7 @@ class ReservoirEstimate:
         self._mix.add(inflation, air.absolute_kPa)
         air_kPa = self._air_kPa(air.possible_mean(), inflation)
         self._demand.learn(inflation, air_kPa)
-        if not fillable(self._belief, inflation, math.exp(self._demand.ln) * air_kPa):
+        if not fillable(self._prior, inflation, math.exp(self._demand.ln) * air_kPa):
             return  # the setpoint fell before any supply could have filled the vine
         self._inflations = [*self._inflations[1 - RECENT_INFLATIONS :], inflation]
 
@@ -319,7 +319,7 @@ class ReservoirEstimate:
     def _cost_kPa(self, air: ReservoirFilter) -> float:
         """The expected cost of one cycle now."""
         basis = Basis(air.possible_mean(), self._mix.mean(), 0.0)
-        return _Forecast(self._belief, basis).cost_kPa()
+        return _Forecast(self._prior, basis).cost_kPa()
 
     def cycles_left(self) -> CyclesLeft | None:
         """None before the first reading."""
@@ -327,13 +327,13 @@ class ReservoirEstimate:
 
     def cycles_of(self, basis: Basis) -> float:
         """The cycles left with these numbers."""
-        return _Forecast(self._belief, basis).cycles()
+        return _Forecast(self._prior, basis).cycles()
 
     def _predict(self, air: ReservoirFilter) -> CyclesLeft:
         mean = air.possible_mean()
         floor = self._floor(mean)
         basis = self.basis = Basis(mean, self._mix.mean(), floor.kPa)
-        forecast = _Forecast(self._belief, basis)
+        forecast = _Forecast(self._prior, basis)
         expected = forecast.cycles()
         spread = math.exp(Z90 * math.sqrt(self._variance(air, basis, floor, expected)))
         leak_sd = math.sqrt(air.covariance[LEAK][LEAK])
@@ -379,14 +379,14 @@ class ReservoirEstimate:
         kappa = math.exp(self._demand.ln)
         worst = max(inflations, key=lambda i: self._air_kPa(mean, i) / i.given_s)
         air = self._air_kPa(mean, worst)
-        kPa = min_supply_kPa(self._belief, worst, air, kappa * air)
+        kPa = min_supply_kPa(self._prior, worst, air, kappa * air)
         if worst.spent.venturi_s > VENTURI_USED_S and kPa < self._p.venturi_least_supply_kPa:
             air = mean[RISE] * worst.swing_kPa + FLAT_COUNTED * mean[FLAT] * worst.spent.flat
-            kPa = min_supply_kPa(self._belief, worst, air, kappa * air)
+            kPa = min_supply_kPa(self._prior, worst, air, kappa * air)
         # An equally hard inflation that was completed with a lower supply is an upper bound of the floor.
         proven = [i.supply_kPa_abs for i in inflations if i.reached and i.as_hard_as(worst)]
         kPa = min([kPa, *(supply - AMBIENT_KPA for supply in proven)])
-        more_kPa = min_supply_kPa(self._belief, worst, air * 1.1, kappa * air * 1.1)
+        more_kPa = min_supply_kPa(self._prior, worst, air * 1.1, kappa * air * 1.1)
         return _Floor(kPa, (more_kPa - kPa) / math.log(1.1), worst, air)
 
     def _variance(self, air: ReservoirFilter, basis: Basis, floor: _Floor, expected: float) -> float:
@@ -396,17 +396,17 @@ class ReservoirEstimate:
             jacobian[i] * jacobian[k] * air.covariance[i][k] for i in range(SIZE) for k in range(SIZE)
         )
         floor_sd = math.hypot(
-            self._belief.zero_sd_kPa,
+            self._prior.zero_sd_kPa,
             REGULATOR_SD * (floor.kPa + AMBIENT_KPA),
             floor.kPa_per_ln * math.sqrt(self._demand.variance),
         )
         spent = basis.cycle.spent
         slower = basis.cycle._replace(spent=spent._replace(time_s=(1.0 + RHYTHM_SD) * spent.time_s))
         for forecast in (
-            _Forecast(self._belief, basis._replace(floor_kPa=floor.kPa + floor_sd)),
-            _Forecast(self._belief, basis, trend=VENTURI_TREND + VENTURI_TREND_SD),
-            _Forecast(self._belief, basis, flat_counted=0.0),
-            _Forecast(self._belief, basis._replace(cycle=slower)),
+            _Forecast(self._prior, basis._replace(floor_kPa=floor.kPa + floor_sd)),
+            _Forecast(self._prior, basis, trend=VENTURI_TREND + VENTURI_TREND_SD),
+            _Forecast(self._prior, basis, flat_counted=0.0),
+            _Forecast(self._prior, basis._replace(cycle=slower)),
         ):
             variance += math.log(forecast.cycles() / expected) ** 2
         unflown = UNFLOWN_SD * basis.cycle.assumed_share
@@ -482,14 +482,14 @@ class _Forecast:
 
     def __init__(
         self,
-        belief: Belief,
+        prior: RigPrior,
         basis: Basis,
         trend: float = VENTURI_TREND,
         flat_counted: float = FLAT_COUNTED,
     ) -> None:
-        mean, mix, p = basis.mean, basis.cycle, belief.pneumatics
+        mean, mix, p = basis.mean, basis.cycle, prior.pneumatics
         cycle = mix.spent
-        self._belief = belief
+        self._prior = prior
         self._x = mean[X]
         self._floor = basis.floor_kPa
         self._time_s = cycle.time_s
@@ -513,7 +513,7 @@ class _Forecast:
         end = self._floor
         # At the end the gas is cold from the present rate of cycles: correct the pressure for it.
         heat_W = self._volume_L * self._without.at(end) / max(0.1, self._time_s)
-        colder = colder_K(self._belief, heat_W, end + AMBIENT_KPA, self._warmth)
+        colder = colder_K(self._prior, heat_W, end + AMBIENT_KPA, self._warmth)
         end += (end + AMBIENT_KPA) / STANDARD_TEMPERATURE_K * colder
         if self._x <= end:
             return MIN_CYCLES

@@ -11,9 +11,9 @@ import math
 
 import msgspec
 
-from flying_vines.supply.belief import Belief
 from flying_vines.supply.cycles_left import Learned
 from flying_vines.supply.reservoir_filter import RISE, SIZE
+from flying_vines.supply.rig_prior import RigPrior
 
 RATES = SIZE - RISE
 
@@ -24,17 +24,17 @@ class _File(msgspec.Struct, frozen=True):
     learned: Learned
 
 
-def rig_digest(belief: Belief) -> str:
+def rig_digest(prior: RigPrior) -> str:
     """Equal for equal priors only."""
-    return hashlib.sha256(repr(belief).encode()).hexdigest()[:16]
+    return hashlib.sha256(repr(prior).encode()).hexdigest()[:16]
 
 
-def text_of(belief: Belief, learned: Learned) -> str:
+def text_of(prior: RigPrior, learned: Learned) -> str:
     """The file's text."""
-    return msgspec.json.encode(_File(rig_digest(belief), learned)).decode() + "\n"
+    return msgspec.json.encode(_File(rig_digest(prior), learned)).decode() + "\n"
 
 
-def learned_from(text: str, belief: Belief) -> tuple[Learned | None, str]:
+def learned_from(text: str, prior: RigPrior) -> tuple[Learned | None, str]:
     """What the text says about this rig, and a sentence if it cannot be used. An empty text is no problem."""
     if not text:
         return None, ""
@@ -42,7 +42,7 @@ def learned_from(text: str, belief: Belief) -> tuple[Learned | None, str]:
         file = msgspec.json.decode(text, type=_File)
     except (msgspec.DecodeError, UnicodeError):
         return None, "what was learned of the air cannot be read: it is learned again"
-    if file.rig != rig_digest(belief):
+    if file.rig != rig_digest(prior):
         return None, "another rig or changed numbers: air is learned again"
     if not _is_sound(file.learned):
         return None, "what was learned of the air cannot be read: it is learned again"

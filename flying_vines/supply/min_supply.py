@@ -14,7 +14,7 @@ import math
 
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.supply.air_use import ObservedInflation, driving_kPa, tolerance_kPa
-from flying_vines.supply.belief import AMBIENT_KPA, Belief
+from flying_vines.supply.rig_prior import AMBIENT_KPA, RigPrior
 
 WIDE_OPEN_SD = 0.05
 SLUGGISH_S = 0.04
@@ -27,11 +27,11 @@ MAX_KPA = 2000.0
 class SupplyCost:
     """Learns κ, in seconds · kPa of absolute supply per kPa of the reservoir."""
 
-    def __init__(self, belief: Belief) -> None:
-        volume_L, law = belief.pneumatics.reservoir_volume_L, belief.evp_law.numbers()
+    def __init__(self, prior: RigPrior) -> None:
+        volume_L, law = prior.pneumatics.reservoir_volume_L, prior.evp_law.numbers()
         self.ln = math.log(volume_L / (ALPHA_KPA * law.conductance_SL_per_s_kPa))
-        self.variance = belief.rating_sd**2
-        self._partly_open_sd = belief.partly_open_sd
+        self.variance = prior.rating_sd**2
+        self._partly_open_sd = prior.partly_open_sd
 
     def learn(self, inflation: ObservedInflation, air_kPa: float) -> None:
         """Learn from an inflation that took `air_kPa` of the reservoir."""
@@ -49,7 +49,7 @@ class SupplyCost:
 
 
 def min_supply_kPa(
-    belief: Belief, inflation: ObservedInflation, air_kPa: float, demand_kPa_s: float
+    prior: RigPrior, inflation: ObservedInflation, air_kPa: float, demand_kPa_s: float
 ) -> float:
     """Minimum gauge supply at the start of an inflation that takes `air_kPa` and needs `demand_kPa_s` (D).
 
@@ -59,7 +59,7 @@ def min_supply_kPa(
     high = max(low, inflation.supply_kPa_abs) if inflation.reached else MAX_KPA
     for _ in range(12):
         middle = 0.5 * (low + high)
-        if _filled(belief, inflation, demand_kPa_s, middle):
+        if _filled(prior, inflation, demand_kPa_s, middle):
             high = middle
         else:
             low = middle
@@ -67,20 +67,22 @@ def min_supply_kPa(
     return high - AMBIENT_KPA + 0.5 * air_kPa
 
 
-def fillable(belief: Belief, inflation: ObservedInflation, demand_kPa_s: float) -> bool:
+def fillable(prior: RigPrior, inflation: ObservedInflation, demand_kPa_s: float) -> bool:
     """True if there was time for this inflation with some supply."""
-    return _filled(belief, inflation, demand_kPa_s, MAX_KPA)
+    return _filled(prior, inflation, demand_kPa_s, MAX_KPA)
 
 
-def _filled(belief: Belief, inflation: ObservedInflation, demand_kPa_s: float, supply_kPa_abs: float) -> bool:
+def _filled(
+    prior: RigPrior, inflation: ObservedInflation, demand_kPa_s: float, supply_kPa_abs: float
+) -> bool:
     """True if the control volume gets near the top before the setpoint falls.
 
     The regulator opens the valve in proportion to the error, and adds no air while the setpoint falls.
     """
-    law = belief.evp_law.numbers()
+    law = prior.evp_law.numbers()
     swing, setpoints = inflation.swing_kPa, inflation.setpoints_kPa
     step_s = inflation.given_s / len(setpoints)
-    late = math.ceil(belief.response_s / step_s)
+    late = math.ceil(prior.response_s / step_s)
     max_per_kPa = swing * step_s / max(1e-9, demand_kPa_s)
     cv = inflation.low_kPa
     for i, now in enumerate(setpoints):

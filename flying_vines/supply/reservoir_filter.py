@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.wall import COOLING_K, heat_capacity_J_per_K
-from flying_vines.supply.belief import AMBIENT_KPA, Belief
+from flying_vines.supply.rig_prior import AMBIENT_KPA, RigPrior
 
 X, GAS, WALL, RISE, FLAT, VENTURI, LEAK, CV_LEAK, WARMTH = range(9)
 """Indices of x, g, w, a, b, v, λ, c and ln h in the state."""
@@ -69,10 +69,10 @@ class Spent(NamedTuple):
     """∫ of the control volume's gauge pressure."""
 
 
-def colder_K(belief: Belief, heat_W: float, supply_kPa_abs: float, warmth: float) -> float:
+def colder_K(prior: RigPrior, heat_W: float, supply_kPa_abs: float, warmth: float) -> float:
     """The difference of the gas temperature to ambient at a constant heat flow."""
-    wall = belief.wall
-    gas_J_per_K = heat_capacity_J_per_K(supply_kPa_abs, belief.pneumatics.reservoir_volume_L)
+    wall = prior.wall
+    gas_J_per_K = heat_capacity_J_per_K(supply_kPa_abs, prior.pneumatics.reservoir_volume_L)
     colder = heat_W / max(MIN_W_PER_K, wall.inner_W_per_K(gas_J_per_K, warmth))
     if math.isfinite(wall.capacity_J_per_K):
         colder += heat_W / max(MIN_W_PER_K, warmth * wall.outer_conductance_W_per_K)
@@ -89,26 +89,26 @@ class Rates(NamedTuple):
 class ReservoirFilter:
     """The state, `mean` and `covariance`. Gauge kPa, K; rates in kPa per kPa, per inflation, per second."""
 
-    def __init__(self, belief: Belief, reading_kPa: float, rates: Rates | None = None) -> None:
-        self._belief = belief
+    def __init__(self, prior: RigPrior, reading_kPa: float, rates: Rates | None = None) -> None:
+        self._prior = prior
         self.jumped_kPa = 0.0
         """Sum of the sudden pressure changes since this was last set to 0."""
         self._inflated_before = False
         self._outliers = 0
-        prior = (
+        start = (
             (reading_kPa, 10.0),
             (0.0, START_SD_K),
             (0.0, 0.5),
-            belief.rise,
-            belief.flat,
-            belief.venturi,
-            belief.leak,
-            belief.cv_leak,
-            (0.0, belief.warmth_sd),
+            prior.rise,
+            prior.flat,
+            prior.venturi,
+            prior.leak,
+            prior.cv_leak,
+            (0.0, prior.warmth_sd),
         )
-        self.mean = [mean for mean, _ in prior]
+        self.mean = [mean for mean, _ in start]
         self.covariance = [
-            [sd * sd if i == j else 0.0 for j in range(SIZE)] for i, (_, sd) in enumerate(prior)
+            [sd * sd if i == j else 0.0 for j in range(SIZE)] for i, (_, sd) in enumerate(start)
         ]
 
         if rates:
@@ -140,8 +140,8 @@ class ReservoirFilter:
             spent.held_kPa_s,
         )
         out = sum(rate * amount for rate, amount in zip(m[RISE:WARMTH], per, strict=True))
-        walls, warmth = self._belief.wall, math.exp(m[WARMTH])
-        gas_J_per_K = heat_capacity_J_per_K(p_abs, self._belief.pneumatics.reservoir_volume_L)
+        walls, warmth = self._prior.wall, math.exp(m[WARMTH])
+        gas_J_per_K = heat_capacity_J_per_K(p_abs, self._prior.pneumatics.reservoir_volume_L)
         learned_J_per_K = warmth * walls.conductance_W_per_K * dt
         heat = walls.rates(gas_J_per_K, warmth)
         inner = min(0.9, heat.gas_per_s * dt)
@@ -186,7 +186,7 @@ class ReservoirFilter:
         variance = (CYCLE_SD_SHARE * sum(abs(m[RISE + i]) * per[i] for i in range(3))) ** 2
         if spent.rise_kPa and not self._inflated_before:
             # A pouch that was packed flat may take more air than in later inflations.
-            variance += self._belief.packed_kPa**2
+            variance += self._prior.packed_kPa**2
             self._inflated_before = True
         p[X][X] += variance + 1e-4 * spent.time_s
         p[GAS][GAS] += cooling * cooling * variance + 1e-4 * spent.time_s
@@ -242,7 +242,7 @@ class ReservoirFilter:
     def possible_mean(self) -> list[float]:
         """The mean, moved along the correlations until every rate is at its minimum or above."""
         m, p = list(self.mean), self.covariance
-        minimum = {RISE: self._belief.min_rise}
+        minimum = {RISE: self._prior.min_rise}
         for _ in range(3):
             for i in range(RISE, WARMTH):
                 short = minimum.get(i, 0.0) - m[i]

@@ -60,7 +60,7 @@ class AutopilotClock:
 
     def __init__(self) -> None:
         self._offset_s: float | None = None
-        self._heard_at: float | None = None
+        self._received_at: float | None = None
         self._sequence: int | None = None
         self.lost_at = -math.inf
         """When frames of the autopilot were last found missing."""
@@ -87,10 +87,10 @@ class AutopilotClock:
         if self._sequence is not None and (sequence - self._sequence) & 0xFF > 1:
             self._lost, self.lost_at = True, t
         self._sequence = sequence
-        if self._heard_at is not None and t - self._heard_at > SILENCE_S:
-            self._silence_s += t - self._heard_at
+        if self._received_at is not None and t - self._received_at > SILENCE_S:
+            self._silence_s += t - self._received_at
             self._silence_over_at = t
-        self._heard_at = t
+        self._received_at = t
 
     def stamp(self, t: float, time_boot_ms: int, is_measured: bool = False) -> bool:
         """Take in a message with `time_boot_ms`. Returns True if the autopilot rebooted.
@@ -136,8 +136,8 @@ class AutopilotClock:
         if self._silence_s and t - self._silence_over_at > BACKLOG_S:
             self._silence_s = 0.0
         silence_s = self._silence_s
-        if self._heard_at is not None and t - self._heard_at > SILENCE_S:
-            silence_s += t - self._heard_at  # the first message after the silence is another sender's
+        if self._received_at is not None and t - self._received_at > SILENCE_S:
+            silence_s += t - self._received_at  # the first message after the silence is another sender's
         mark = Mark(t, delay_s + silence_s, not self._lost)
         self._open.append(mark)
         return mark

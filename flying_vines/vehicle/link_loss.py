@@ -44,12 +44,12 @@ class LinkLoss:
 
     def back(self, t: float, lost: Container[str]) -> str | None:
         """The text when the link is back, once; `lost` are the losses that safety still has."""
-        heard_at = self._vehicle.state.heard_at
+        received_at = self._vehicle.state.received_at
         if (
             not self._reported
             or self._vehicle.link_closed
-            or heard_at is None
-            or heard_at <= self._reported_at
+            or received_at is None
+            or received_at <= self._reported_at
         ):
             return None
         if "autopilot" in lost:

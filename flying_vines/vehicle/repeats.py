@@ -21,7 +21,7 @@ MAX_FRAMES = 16
 @dataclass(slots=True)
 class _Command:
     begun_at: float = -math.inf
-    heard_at: float = -math.inf
+    received_at: float = -math.inf
     saw_first: bool = False
     result: int | None = None
     frames: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=MAX_FRAMES))
@@ -43,7 +43,7 @@ class Repeats:
         repeat = _belongs(known, t, confirmation, sequence, repeat_s)
         if not repeat:
             known.begun_at, known.saw_first, known.result = t, False, None
-        known.heard_at = t
+        known.received_at = t
         known.saw_first = known.saw_first or confirmation == 0
         known.frames.append((t, sequence))
         self._commands[key] = known
@@ -65,5 +65,5 @@ def _belongs(known: _Command, t: float, confirmation: int, sequence: int, repeat
     if any(seen == sequence and t - at < COPIES_WITHIN_S for at, seen in known.frames):
         return True
     if confirmation == 0:
-        return not known.saw_first and t - known.heard_at < LATE_S  # its first repeat overtook it
+        return not known.saw_first and t - known.received_at < LATE_S  # its first repeat overtook it
     return t - known.begun_at <= confirmation * repeat_s + LATE_S

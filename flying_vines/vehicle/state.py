@@ -77,7 +77,7 @@ class VehicleState:
         self.armed = False
         self.mode = ""
         self.heartbeat_at: float | None = None
-        self.heard_at: float | None = None
+        self.received_at: float | None = None
 
     @property
     def kind(self) -> str:
@@ -90,17 +90,17 @@ class VehicleState:
     @property
     def heartbeat_missing(self) -> bool:
         """True if frames of the autopilot arrive, but no HEARTBEAT. Then the arm state is unknown."""
-        if self.heartbeat_at is None or self.heard_at is None:
+        if self.heartbeat_at is None or self.received_at is None:
             return False
-        return self.heard_at - self.heartbeat_at > HEARTBEAT_FRESH_S
+        return self.received_at - self.heartbeat_at > HEARTBEAT_FRESH_S
 
     def silence_s(self, t: float) -> float | None:
         """Time since the last frame of the autopilot; None before the first one."""
-        return None if self.heard_at is None else t - self.heard_at
+        return None if self.received_at is None else t - self.received_at
 
-    def heard(self, t: float) -> None:
+    def note_frame(self, t: float) -> None:
         """Note a frame of the autopilot, of any type."""
-        self.heard_at = t
+        self.received_at = t
 
     def altitude_m(self, t: float) -> float | None:
         """Height above home; None if the last report is too old."""
@@ -134,7 +134,7 @@ class VehicleState:
             events.extend(self._choose(t, message))
         if not self.is_ours(message):
             return events
-        self.heard(t)
+        self.note_frame(t)
         if kind in handled.CLOCK and self.clock.stamp(t, message.time_boot_ms, kind == "RC_CHANNELS"):
             self._altitude_at = None
             events.append(Rebooted())

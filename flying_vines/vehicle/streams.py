@@ -34,7 +34,7 @@ class _Stream:
     essential: bool
     asked_at: float | None = None
     wanted_since: float | None = None
-    heard_at: float | None = None
+    received_at: float | None = None
     refused_at: float = -math.inf
 
 
@@ -67,17 +67,17 @@ class Streams:
         self._essential = {name: stream for name, stream in self._streams.items() if stream.essential}
         self._asked_at = -math.inf
         self._asked: _Stream | None = None
-        self._heard_at = self._heard_since = -math.inf
+        self._received_at = self._received_since = -math.inf
 
     def handle(self, t: float, message: MavlinkMessage) -> None:
         """Take in a message of our autopilot."""
-        if t - self._heard_at > SILENT_S:
-            self._heard_since = t
-        self._heard_at = t
+        if t - self._received_at > SILENT_S:
+            self._received_since = t
+        self._received_at = t
         kind = message.get_type()
         stream = self._streams.get(kind)
         if stream is not None:
-            stream.heard_at = t
+            stream.received_at = t
         elif kind == "COMMAND_ACK" and message.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
             if self._awaited(t) and self._asked is not None and message.result in _REFUSALS:
                 self._asked.refused_at = t
@@ -86,7 +86,7 @@ class Streams:
     def forget(self) -> None:
         """The autopilot rebooted: request all streams again, now."""
         for stream in self._streams.values():
-            stream.asked_at = stream.wanted_since = stream.heard_at = None
+            stream.asked_at = stream.wanted_since = stream.received_at = None
             stream.refused_at = -math.inf
         self._asked = None
 
@@ -98,7 +98,7 @@ class Streams:
             if not stream.essential and t - stream.refused_at < REFUSED_S:
                 continue
             never_asked = stream.asked_at is None
-            silent = stream.heard_at is None or t - stream.heard_at > max(2.0, 3.0 / stream.rate_Hz)
+            silent = stream.received_at is None or t - stream.received_at > max(2.0, 3.0 / stream.rate_Hz)
             if never_asked or (silent and t - (stream.asked_at or 0.0) >= ASK_AGAIN_S):
                 stream.asked_at = self._asked_at = t
                 self._asked = stream
@@ -124,13 +124,13 @@ class Streams:
 
     def missing(self, t: float) -> list[str]:
         """The essential messages that were requested and do not arrive, although other messages do."""
-        if t - self._heard_at > SILENT_S:
+        if t - self._received_at > SILENT_S:
             return []
         # Count from the last request, so that one text names all missing streams.
         asked = max(t if s.wanted_since is None else s.wanted_since for s in self._essential.values())
-        since = max(asked, self._heard_since)
+        since = max(asked, self._received_since)
         return [
             name
             for name, stream in self._essential.items()
-            if t - max(since, stream.heard_at or -math.inf) > MISSING_AFTER_S
+            if t - max(since, stream.received_at or -math.inf) > MISSING_AFTER_S
         ]

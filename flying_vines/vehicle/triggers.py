@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.config.config import CARRIERS, Config, Param
+from flying_vines.config.config import ITEM_COMMANDS, Config, Param
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.execution import Execution
@@ -29,7 +29,7 @@ from flying_vines.vine.profile import flatten, top_kPa
 FLOAT32 = 1e-6
 """Relative error of a 32-bit float, in which MAVLink carries the configuration's numbers."""
 
-NAME_OF_COMMAND = {number: name for name, number in CARRIERS.items()}
+NAME_OF_COMMAND = {number: name for name, number in ITEM_COMMANDS.items()}
 
 BEND_TO, SET_PRESSURE = mavlink.MAV_CMD_USER_2, mavlink.MAV_CMD_USER_3
 CHOICES: dict[int, tuple[tuple[str, Intent | None], ...]] = {

@@ -12,9 +12,9 @@ from flying_vines.vehicle.component import Component
 from flying_vines.vehicle.component.parameters import Changed
 from flying_vines.vehicle.mavlink import handled_messages as handled
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.mission_cache import MissionCache
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.own_triggers import messages_of, own_triggers
 from flying_vines.vehicle.radio.pilot import Pilot, Straightened
@@ -53,14 +53,16 @@ class Vehicle:
         self._streams = Streams(config.vehicle.rc_rate_Hz, messages_of(self.own_triggers))
         self._missing: list[str] = []
         self.link_closed = False
-        self._book = MissionBook(mission)
+        self._mission_cache = MissionCache(mission)
         self._take_autopilot(0.0)
         self._waiting: deque[tuple[Mark, MavlinkMessage]] = deque(maxlen=MAX_WAITING)
         self._commands = CommandReceiver(self._rules, config.vehicle.component_id)
 
     def _take_autopilot(self, t: float) -> None:
         self._autopilot = self.state.autopilot
-        self._watch = self._autopilot.mission_watch(self._book, self._rules.commands, self.state.clock)
+        self._watch = self._autopilot.mission_watch(
+            self._mission_cache, self._rules.commands, self.state.clock
+        )
         self._watch.forget(t)
 
     @property
@@ -89,7 +91,7 @@ class Vehicle:
         from_autopilot = state.is_ours(message)
         if from_autopilot:
             state.clock.frame(t, message.get_seq())
-            state.heard(t)
+            state.note_frame(t)
         if kind not in handled.ALL:
             return self._items(t) if from_autopilot and not self._watch.idle else []
         out: list[VehicleOutput] = []
@@ -121,10 +123,10 @@ class Vehicle:
         return out
 
     def _on_mission(self, t: float, message: MavlinkMessage) -> list[VehicleOutput]:
-        self._book.handle(t, message)
+        self._mission_cache.handle(t, message)
         self._watch.handle(t, message)
-        out = [*self._book.acknowledgement(self.state.system_id), *self._items(t)]
-        if self._book.take_change():
+        out = [*self._mission_cache.acknowledgement(self.state.system_id), *self._items(t)]
+        if self._mission_cache.take_change():
             out.append(Notice(t, Severity.NOTICE, "Vine: mission changed, read again"))
         return out
 
@@ -141,7 +143,7 @@ class Vehicle:
         if self.state.autopilot is not self._autopilot:
             self._take_autopilot(t)
         if self.state.armed and (self.state.armed, self.state.mode) != before:
-            self._book.refresh(t)
+            self._mission_cache.refresh(t)
             self.pilot.parameters.refresh()
         return out
 
@@ -155,7 +157,7 @@ class Vehicle:
         out.extend(self._items(t))
         out.extend(self._streams.requests(t, self.state.system_id))
         in_any_order = self._autopilot.gives_items_in_any_order
-        out.extend(self._book.requests(t, self.state.system_id, in_any_order))
+        out.extend(self._mission_cache.requests(t, self.state.system_id, in_any_order))
         out.extend(self.pilot.requests(t, self.state.system_id, self._autopilot))
         missing = self._streams.missing(t)
         if missing and missing != self._missing:
@@ -185,7 +187,7 @@ class Vehicle:
         self._streams.forget()
         self.pilot.restarted()
         self._watch.restarted()
-        self._book.mark_outdated(t)
+        self._mission_cache.mark_outdated(t)
         return [
             Notice(t, Severity.WARNING, "Vine: autopilot rebooted, vented"),
             Trigger(t, "link", {"event": "autopilot rebooted"}, VentVine()),
@@ -212,7 +214,7 @@ class Vehicle:
         """The triggers of mission items that ran, and requests for items whose params may be outdated."""
         watch = self._watch
         out = self._item_triggers(t, watch.due(t))
-        out.extend(self._book.ask(seq, self.state.system_id) for seq in watch.asks(t))
+        out.extend(self._mission_cache.ask(seq, self.state.system_id) for seq in watch.asks(t))
         return out
 
     def _item_triggers(self, t: float, executions: Sequence[Execution]) -> list[VehicleOutput]:
@@ -220,7 +222,7 @@ class Vehicle:
         for execution in executions:
             trigger = self._rules.item_trigger(t, execution)
             if execution.changed:
-                self._book.note_change_reported()
+                self._mission_cache.note_change_reported()
                 text = f"Vine: mission changed, item {execution.seq}: {trigger.intent or trigger.problem}"
                 out.append(Notice(t, Severity.NOTICE, text))
             out.append(trigger)

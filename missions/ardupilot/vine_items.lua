@@ -32,7 +32,7 @@ mavlink:init(10, 10)
 mavlink:register_rx_msgid(HEARTBEAT)
 mavlink:register_rx_msgid(COMMAND_ACK)
 
-local heard_on = nil -- the channel of the companion
+local companion_channel = nil -- the channel of the companion
 local waiting = {} -- items, oldest first; only the first one is being sent
 local count = 0
 
@@ -52,7 +52,7 @@ local function listen()
     local id = string.unpack("<I3", message, 10)
     if system == own_system() and from == math.floor(component:get()) then
       if id == HEARTBEAT then
-        heard_on = chan
+        companion_channel = chan
       elseif id == COMMAND_ACK and string.unpack("<I2", message, 13) == USER_1 then
         table.remove(waiting, 1)
       end
@@ -75,7 +75,7 @@ local function collect()
 end
 
 local function send(item)
-  local chan = channel:get() >= 0 and math.floor(channel:get()) or heard_on
+  local chan = channel:get() >= 0 and math.floor(channel:get()) or companion_channel
   if not chan then
     return -- channel unknown; sending on a channel that does not exist can crash older releases
   end

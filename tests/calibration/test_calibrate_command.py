@@ -15,10 +15,10 @@ from pathlib import Path
 
 import pytest
 from command_line import run
-from patience import PATIENCE_S
 from ports import free_port
 from real_time import real_time
 from service_bench import between
+from waiting import MAX_WAIT_S
 
 from flying_vines.config import config as configuration
 from flying_vines.record.reader import FlightLog
@@ -151,7 +151,7 @@ def without(tmp_path: Path, *packages: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.long
-def test_with_numpy_alone_it_measures_and_tells_what_is_missing(tmp_path: Path) -> None:
+def test_with_numpy_alone_it_measures_and_reports_what_is_missing(tmp_path: Path) -> None:
     ended = without(tmp_path, "scipy", "matplotlib", "numba", "threadpoolctl")
     assert (ended.returncode, ended.stderr) == (0, "")
     assert "No pictures: " in ended.stdout
@@ -184,7 +184,7 @@ class Terminal:
 
     def shows(self, text: str) -> None:
         """Wait for this text."""
-        until = time.monotonic() + PATIENCE_S
+        until = time.monotonic() + MAX_WAIT_S
         while text not in self.seen:
             assert time.monotonic() < until, self.seen
             if not self._read(0.1):
@@ -196,7 +196,7 @@ class Terminal:
 
     def ends(self) -> int:
         """Wait for the end. Returns the exit status."""
-        until = time.monotonic() + PATIENCE_S
+        until = time.monotonic() + MAX_WAIT_S
         while self._read(0.1):
             assert time.monotonic() < until, self.seen
         os.close(self._screen)
@@ -252,7 +252,7 @@ def test_ctrl_c_ends_it_vented_and_sets_the_telemetry_back(
 
 def _wait_for_pressure(bench: Path, kPa: float) -> None:
     """Wait until the pressure is in the flight's log, which is on the disk within a second."""
-    until = time.monotonic() + PATIENCE_S
+    until = time.monotonic() + MAX_WAIT_S
     while time.monotonic() < until:
         for flight in (bench / "flights").glob("*"):
             if any(entry.fields["cv_kPa"] > kPa for entry in FlightLog(flight).entries((TELEMETRY,))):

@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_link.protocol import Fault, Mode, Telemetry
-from flying_vines.calibration import air, angle, outlet, valve, zero
-from flying_vines.calibration.air import AirInputs, VineAir, vine_air, volumes
+from flying_vines.calibration import angle, outlet_resistance, valve, vine_air, zero
 from flying_vines.calibration.findings import (
     Estimate,
     Findings,
@@ -23,9 +22,10 @@ from flying_vines.calibration.findings import (
 from flying_vines.calibration.readings import Readings, ReadingsBuffer
 from flying_vines.calibration.reservoir_balance import Bins, fit_balance
 from flying_vines.calibration.simulated_rig import CURVE, HYSTERESIS_KPA, SimulatedAngleReader
+from flying_vines.calibration.vine_air import AirInputs, VineAir, fit_vine_air, volumes
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.arrays import Array, BoolArray
-from flying_vines.supply.belief import Prior
+from flying_vines.supply.rig_prior import Prior
 from flying_vines.vine.curve import BendCurve
 
 TOP_KPA = 20.0
@@ -185,7 +185,7 @@ def filled(litres: float, start: float, gain: float, play: float, seed: int = 1)
 @pytest.fixture(scope="module")
 def seen() -> tuple[Readings, VineAir]:
     readings = filled(0.15, 0.35, 0.5, 0.06)
-    return readings, vine_air(readings, KNOWN)
+    return readings, fit_vine_air(readings, KNOWN)
 
 
 def test_the_volume_is_found(seen: tuple[Readings, VineAir]) -> None:
@@ -222,7 +222,7 @@ def test_slow_telemetry_does_not_measure_the_valve(seen: tuple[Readings, VineAir
 
 def test_a_vessel_of_known_volume_measures_the_reservoir(seen: tuple[Readings, VineAir]) -> None:
     _, vine = seen
-    (found,) = air.vessel_volume(vine, 0.15, 1.7).findings
+    (found,) = vine_air.vessel_volume(vine, 0.15, 1.7).findings
     assert found.value == pytest.approx(RESERVOIR_L, rel=0.04) and found.assumed == 1.7
 
 
@@ -244,14 +244,14 @@ def test_the_outlets_resistance_is_found_from_the_decay(seen: tuple[Readings, Vi
     none = np.zeros(n)
     vented = np.arange(n) >= held
     readings = Readings(t, ~vented, np.where(vented, 0.0, 20.0), kPa, none + 600.0, none, none, vented)
-    (found,) = outlet.outlet(readings, vine).findings
+    (found,) = outlet_resistance.outlet(readings, vine).findings
     assert found.low is not None and found.high is not None
     assert found.low <= resistance <= found.high
-    assert found.value == pytest.approx(resistance * (1.0 + outlet.COLD), rel=0.05)
+    assert found.value == pytest.approx(resistance * (1.0 + outlet_resistance.COLD), rel=0.05)
 
 
 def test_without_a_vent_the_outlet_is_unknown(seen: tuple[Readings, VineAir]) -> None:
-    (found,) = outlet.outlet(resting(2.0, 0.0, 1), seen[1]).findings
+    (found,) = outlet_resistance.outlet(resting(2.0, 0.0, 1), seen[1]).findings
     assert found.value is None and found.note
 
 
@@ -259,7 +259,11 @@ def test_without_a_volume_what_depends_on_it_is_unknown(seen: tuple[Readings, Vi
     readings, vine = seen
     vague = replace(vine.balance, values={**vine.balance.values, "volume": Estimate(-0.03, 0.05)})
     unsure = replace(vine, balance=vague)
-    for result in (volumes(unsure), valve.inflation_valve(readings, unsure), outlet.outlet(readings, unsure)):
+    for result in (
+        volumes(unsure),
+        valve.inflation_valve(readings, unsure),
+        outlet_resistance.outlet(readings, unsure),
+    ):
         for finding in result.findings:
             if finding.name.startswith(("cv_volume", "evp", "outlet")):
                 assert finding.value is None and finding.note

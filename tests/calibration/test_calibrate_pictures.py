@@ -41,7 +41,7 @@ def test_each_chart_is_two_files_and_the_same_bytes_again(tmp_path: Path) -> Non
     assert png == (tmp_path / "again" / "levels.png").read_bytes()
 
 
-def test_the_page_holds_every_quantity_and_asks_nobody(tmp_path: Path) -> None:
+def test_the_page_holds_every_quantity_and_needs_no_network(tmp_path: Path) -> None:
     findings = Findings(
         (
             MeasuredQuantity(

@@ -33,7 +33,7 @@ async def board() -> AsyncIterator[SerialAddress]:
 
 
 async def rate_Hz(address: SerialAddress) -> float:
-    return of(await link_settings.talk_about_settings(address, {}, asyncio.Event()))
+    return of(await link_settings.exchange_settings(address, {}, asyncio.Event()))
 
 
 def of(settings: object) -> float:

@@ -28,7 +28,7 @@ def phlosar(**given: object) -> SimulatedPhlosar:
 
 
 def stages_of(world: PaperWorld | CoreWorld) -> list[str]:
-    return [out.stage.name for out in world.said if isinstance(out, StageBegan)]
+    return [out.stage.name for out in world.outputs if isinstance(out, StageBegan)]
 
 
 def test_goes_through_all_stages_in_order_and_ends_vented() -> None:
@@ -44,7 +44,7 @@ def test_every_movement_is_followed_by_a_vent_before_anything_is_evaluated() -> 
     world = PaperWorld(plan(CONFIG, BLIND))
     world.run()
     bent = False
-    for out in world.said:
+    for out in world.outputs:
         if isinstance(out, EvaluationTask | Question):
             assert not bent
         intent = getattr(out, "intent", None)
@@ -178,7 +178,7 @@ def test_unexpected_answers_and_results_change_nothing() -> None:
 @pytest.fixture(scope="module")
 def measured() -> CoreWorld:
     world = CoreWorld(plan(CONFIG, replace(BLIND, only=("levels",))), phlosar())
-    world.run(400.0, until=lambda: sum(isinstance(out, StageResult) for out in world.said) >= 2)
+    world.run(400.0, until=lambda: sum(isinstance(out, StageResult) for out in world.outputs) >= 2)
     return world
 
 

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 from command_line import run
-from patience import PATIENCE_S
 from real_time import real_time
 from rich.console import Console
+from waiting import MAX_WAIT_S
 
 from firmware_link.host import HostSession, Incompatible, Ready, SessionState
 from firmware_link.monitor import SeenFrame
@@ -110,7 +110,7 @@ def test_settings_are_shown_and_changed(board: str, capsys: pytest.CaptureFixtur
     assert (status, err) == (2, "flying-vines: dead_man_ms is from 50 to 300, not 900\n")
 
 
-async def test_a_board_that_is_unplugged_half_way_ends_the_talk_about_its_settings(
+async def test_a_board_that_is_unplugged_half_way_ends_the_exchange_of_settings(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(link_settings, "ANSWERS_WITHIN_S", 0.5)
@@ -122,7 +122,7 @@ async def test_a_board_that_is_unplugged_half_way_ends_the_talk_about_its_settin
     name.symlink_to(os.ttyname(port))
     address = SerialAddress(str(name))
 
-    def hear() -> None:
+    def receive() -> None:
         for message in codec.decode(os.read(board, 4096)):
             if isinstance(message, Hello):
                 limits = (30.0, 28.0, 760.0, 200.0, 300, 100)
@@ -135,9 +135,9 @@ async def test_a_board_that_is_unplugged_half_way_ends_the_talk_about_its_settin
                 os.close(port)
                 break
 
-    loop.add_reader(board, hear)
+    loop.add_reader(board, receive)
     with pytest.raises(link_settings.SettingsError, match="is not there"):
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             await link_command.settings(address, {}, objects=True)
 
 
@@ -159,7 +159,7 @@ def test_bad_input(arguments: tuple[str, ...], says: str, capsys: pytest.Capture
     assert err.count("\n") == 1
 
 
-def test_nobody_there_is_status_1_and_says_why(capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_answer_is_status_1_with_a_reason(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "link", "usb:ffff:ffff", "--seconds", "0.2")
     assert status == 1
     assert "usb:ffff:ffff is not there" in out
@@ -176,7 +176,7 @@ def test_the_configuration_says_where(tmp_path: Path, capsys: pytest.CaptureFixt
 async def screen_of(address: str, over: Callable[[LinkWatch], bool]) -> tuple[str, LinkWatch]:
     watch = LinkWatch(SerialAddress(address))
     view = LinkView("test")
-    async with asyncio.timeout(PATIENCE_S):
+    async with asyncio.timeout(MAX_WAIT_S):
         await watch.run(view.take, lambda: over(watch))
     console = Console(file=io.StringIO(), width=120)
     console.print(view.render(watch))
@@ -184,7 +184,7 @@ async def screen_of(address: str, over: Callable[[LinkWatch], bool]) -> tuple[st
     return console.file.getvalue(), watch
 
 
-async def test_the_screen_says_at_a_glance_how_it_is(tmp_path: Path) -> None:
+async def test_the_screen_shows_the_state_at_a_glance(tmp_path: Path) -> None:
     phlosar = SimulatedPhlosar(effects=Effects())
     phlosar.firmware.reset(watchdog=True)
     with PtyPhlosar(phlosar, tmp_path / "port") as port:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from examples import examples
 from flying_vines.config import config
-from flying_vines.config.config import CARRIERS, Config, ConfigError
+from flying_vines.config.config import ITEM_COMMANDS, Config, ConfigError
 from flying_vines.vine.profile import flatten
 
 PROFILES = """
@@ -150,7 +150,7 @@ def test_misspelt_keys_elsewhere(text: str, key: str, meant: str) -> None:
     assert line in (1, 2, 3)
 
 
-def test_a_key_like_no_other_is_named_without_a_guess() -> None:
+def test_a_key_like_no_other_is_named_without_a_suggestion() -> None:
     assert mistake("[limits]\nzzz = 1") == (2, "limits.zzz", "my.toml:2: limits.zzz: unknown key")
 
 
@@ -347,7 +347,7 @@ def test_positions_may_be_empty_and_commands_may_be_numbers() -> None:
     parsed = config.parse(text + PROFILES, "my.toml")
     assert parsed.switch.positions == ("", "straight")
     assert parsed.items[0].command_ids == (31010,)
-    for name, number in CARRIERS.items():
+    for name, number in ITEM_COMMANDS.items():
         item = config.parse(f"[[items]]\ncommand = '{name}'\nbend = 'param1'\n{PROFILES}", "my.toml").items[0]
         assert item.command_ids == (number,)
 

@@ -33,7 +33,7 @@ def test_one_value_changes_and_no_other(key: tuple[str, str], number: float) -> 
     assert REMARK in changed[0]
 
 
-def test_the_comment_stays_where_it_was_and_an_earlier_remark_gives_way() -> None:
+def test_the_comment_stays_where_it_was_and_an_earlier_remark_is_replaced() -> None:
     text = "[limits]\nmax_kPa = 20.7                  # no setpoint is above it\n"
     once = with_value(text, "limits", "max_kPa", "19", "was 20.7, measured on Monday")
     twice = with_value(once, "limits", "max_kPa", "18.5", "was 19, measured on Tuesday")

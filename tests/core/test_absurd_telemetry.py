@@ -69,14 +69,14 @@ def test_one_absurd_frame_changes_nothing(bends: bool) -> None:
 
 @pytest.mark.parametrize("field", PLAUSIBLE_KPA)
 @pytest.mark.parametrize("value", [1e30, -1e30, math.nan])
-def test_a_sensor_that_says_what_none_can_is_a_fault_that_a_person_clears(field: str, value: float) -> None:
+def test_an_impossible_reading_is_a_fault_that_a_person_clears(field: str, value: float) -> None:
     flight = bent()
     Spoiled(flight).spoil_next(10, {field: value})
     actions = run_for(flight, 1.0)
     (lost,) = decisions(actions)
     assert lost.what == {"loss": "sensor"} and lost.t - 10.0 < 0.05
-    told = [text for text in notices(actions) if "waiting for" not in text]
-    assert [text for text in told if text.startswith(SAID[field])] == told
+    texts = [text for text in notices(actions) if "waiting for" not in text]
+    assert [text for text in texts if text.startswith(SAID[field])] == texts
     assert_vented(flight)
     flight.autopilot.set_rc(9, MIDDLE)
     assert [d.safety for d in decisions(run_for(flight, 1.0))] == ["refused"]
@@ -100,7 +100,7 @@ def test_a_sensor_that_says_what_none_can_is_a_fault_that_a_person_clears(field:
     ],
 )
 @pytest.mark.parametrize("frames", [pytest.param(1, marks=pytest.mark.long), 50])
-def test_whatever_else_a_frame_says_the_flight_continues_or_the_vine_is_vented(
+def test_with_any_other_value_in_a_frame_the_flight_continues_or_the_vine_is_vented(
     frames: int, values: dict[str, float]
 ) -> None:
     flight = bent()
@@ -112,10 +112,10 @@ def test_whatever_else_a_frame_says_the_flight_continues_or_the_vine_is_vented(
 
 
 def test_readings_within_reach_of_a_sensor_never_spoil_an_estimate() -> None:
-    believed = nominal(config.default().pneumatics)
+    prior = nominal(config.default().pneumatics)
     for seed in range(8):
-        reader, reservoir = TelemetryReader(believed), ReservoirEstimate(believed)
-        checks = PhysicsChecks(believed, config.default().checks)
+        reader, reservoir = TelemetryReader(prior), ReservoirEstimate(prior)
+        checks = PhysicsChecks(prior, config.default().checks)
         for i, (t, telemetry) in enumerate(hostile(random.Random(seed))):
             features = reader.read(t, telemetry)
             reservoir.update(features)

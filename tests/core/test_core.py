@@ -297,7 +297,7 @@ def test_a_latched_loss_of_air_outlasts_a_restart_until_a_person_clears_it() -> 
     assert [d.safety for d in decisions(run_for(flight, 1.0))] == ["accepted"]
 
 
-def test_an_empty_bottle_vents_refuses_and_tells() -> None:
+def test_an_empty_bottle_vents_refuses_and_is_reported() -> None:
     flight = bent(conf=configured(checks=config.ChecksConfig(bottle_loss="warn")))
     flight.phlosar.mishaps.bottle = Hole(bore_mm=4.0)
     actions = run_for(flight, 4.0)
@@ -338,8 +338,8 @@ def test_a_vine_that_does_not_vent_cannot_be_cleared() -> None:
     flight = bent()
     flight.phlosar.mishaps.solenoid = StuckAt(0.0)
     flight.autopilot.set_rc(9, LOW)
-    told = notices(run_for(flight, 3.0))
-    assert "Vine: not venting: outlet, line, valve or sensor, outlet commanded open" in told
+    texts = notices(run_for(flight, 3.0))
+    assert "Vine: not venting: outlet, line, valve or sensor, outlet commanded open" in texts
     ground_command(flight, mavlink.MAV_CMD_USER_5, 1.0)
     assert "venting" in flight.core.snapshot(flight.world.now).safe_state
     flight.phlosar.mishaps.solenoid = None
@@ -562,7 +562,7 @@ def test_stop_vents_and_nothing_moves_after_it() -> None:
     assert_vented(flight)
 
 
-def test_the_ground_station_sees_five_values_twice_a_second_each() -> None:
+def test_the_ground_station_gets_five_values_twice_a_second_each() -> None:
     flight = airborne()
     actions = run_for(flight, 10.0)
     sent = [
@@ -620,9 +620,9 @@ def test_the_learned_air_is_used_in_the_next_run_of_the_same_rig() -> None:
         left = again.core.snapshot(3.0).cycles
         assert left is not None
         assert (left.measured_cycles > 0.0) is same
-        told = " ".join(notices(actions))
-        assert ("air is learned again" in told) is not same
-        assert ("as learned before: " in told) is same
+        texts = " ".join(notices(actions))
+        assert ("air is learned again" in texts) is not same
+        assert ("as learned before: " in texts) is same
 
 
 @pytest.mark.long

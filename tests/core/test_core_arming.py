@@ -54,7 +54,7 @@ class Bench:
         return [action.disarmed for action in self.actions if isinstance(action, KeepDisarmed)]
 
 
-def test_disarmed_pneumatics_let_air_out_and_bend_for_nobody_until_a_person_arms() -> None:
+def test_disarmed_pneumatics_vent_and_do_not_bend_until_a_person_arms_them() -> None:
     bench = Bench()
     bench.command(BEND, 30.0)
     bench.wait(2.0)

@@ -29,7 +29,7 @@ def notices(actions: Sequence[Action]) -> list[Notice]:
     return [a for a in actions if isinstance(a, Notice)]
 
 
-def told(actions: Sequence[Action]) -> list[str]:
+def texts_of(actions: Sequence[Action]) -> list[str]:
     """The texts that the pilot reads."""
     return [notice.text for notice in notices(actions) if notice.severity is not Severity.DEBUG]
 
@@ -38,15 +38,15 @@ def sent(actions: Sequence[Action], kind: type[Setpoint] | type[Vent]) -> int:
     return sum(isinstance(a, ToFirmware) and isinstance(a.message, kind) for a in actions)
 
 
-def says(flight: SimulatedFlight, change: Change) -> None:
+def change_telemetry(flight: SimulatedFlight, change: Change) -> None:
     """Change the board's telemetry from now on."""
-    heard, said = protocol.Codec(), protocol.Codec()
+    decoder, encoder = protocol.Codec(), protocol.Codec()
 
     def changed(message: protocol.Message) -> protocol.Message:
         return change(message) if isinstance(message, Telemetry) else message
 
     flight.world.from_phlosar = lambda data: b"".join(
-        said.encode(changed(message)) for message in heard.decode(data)
+        encoder.encode(changed(message)) for message in decoder.decode(data)
     )
 
 
@@ -88,9 +88,9 @@ def with_clock(clock_ms: Callable[[int, int], int]) -> Change:
 )
 def test_telemetry_whose_clock_does_not_go_on_is_lost(change: Change) -> None:
     flight = bent()
-    says(flight, change)
+    change_telemetry(flight, change)
     lost = run_for(flight, 0.55)
-    assert "Vine: phloSAR telemetry stale, vent commanded" in told(lost)
+    assert "Vine: phloSAR telemetry stale, vent commanded" in texts_of(lost)
     assert flight.phlosar.cv_kPa < 20.0
     flight.autopilot.set_rc(9, LOW)
     run_for(flight, 1.0)
@@ -102,28 +102,28 @@ def test_telemetry_whose_clock_does_not_go_on_is_lost(change: Change) -> None:
 def test_a_counter_that_stands_while_the_clock_continues_is_no_loss() -> None:
     """The board's clock says if a frame is new. The counter only counts losses."""
     flight = bent()
-    heard = protocol.Codec()
-    flight.world.from_phlosar = lambda data: b"".join(protocol.encode(m, 7) for m in heard.decode(data))
-    assert told(run_for(flight, 3.0)) == []
+    decoder = protocol.Codec()
+    flight.world.from_phlosar = lambda data: b"".join(protocol.encode(m, 7) for m in decoder.decode(data))
+    assert texts_of(run_for(flight, 3.0)) == []
     assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
 
 
-def test_every_frame_twice_and_neighbours_swapped_is_no_loss() -> None:
+def test_every_frame_twice_and_adjacent_ones_swapped_is_no_loss() -> None:
     flight = bent()
-    heard, said = protocol.Codec(), protocol.Codec()
+    decoder, encoder = protocol.Codec(), protocol.Codec()
     waiting: list[protocol.Message] = []
 
     def swapped(data: bytes) -> bytes:
         out: list[protocol.Message] = []
-        for message in heard.decode(data):
+        for message in decoder.decode(data):
             waiting.append(message)
             if len(waiting) == 2:
                 out += [waiting[1], waiting[0], waiting[1]]
                 waiting.clear()
-        return b"".join(said.encode(message) for message in out)
+        return b"".join(encoder.encode(message) for message in out)
 
     flight.world.from_phlosar = swapped
-    assert told(run_for(flight, 3.0)) == []
+    assert texts_of(run_for(flight, 3.0)) == []
     assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
 
 
@@ -136,7 +136,7 @@ def regulating(telemetry: Telemetry) -> Telemetry:
 
 def test_a_board_that_regulates_on_after_a_vent_is_reported_and_is_a_fault() -> None:
     flight = bent()
-    says(flight, regulating)
+    change_telemetry(flight, regulating)
     flight.autopilot.set_rc(9, LOW)
     actions = run_for(flight, 0.5)
     began = next(a.t for a in decisions(actions) if a.intent == "straight")
@@ -156,12 +156,12 @@ def test_a_board_that_regulates_on_after_a_vent_is_reported_and_is_a_fault() -> 
     run_for(flight, 1.0)
     assert "regulates" in flight.core.snapshot(flight.world.now).safe_state, "a person clears it"
     flight.autopilot.set_rc(9, LOW)
-    assert "Vine: cleared regulates" in told(run_for(flight, 1.0))
+    assert "Vine: cleared regulates" in texts_of(run_for(flight, 1.0))
 
 
 def test_it_is_found_within_0p35_s_of_a_vent() -> None:
     flight = bent()
-    says(flight, regulating)
+    change_telemetry(flight, regulating)
     flight.autopilot.lose_rc("jump")
     actions = run_for(flight, 2.0)
     vented_at = next(d.t for d in decisions(actions) if d.what.get("loss") == "rc")
@@ -172,14 +172,14 @@ def test_it_is_found_within_0p35_s_of_a_vent() -> None:
 def test_two_answers_that_are_late_one_after_the_other_are_no_fault() -> None:
     """Each answer is late by less than the limit. Only both times together exceed it."""
     flight = bent()
-    says(flight, lambda telemetry: dataclasses.replace(telemetry, mode=Mode.VENT))
+    change_telemetry(flight, lambda telemetry: dataclasses.replace(telemetry, mode=Mode.VENT))
     actions = run_for(flight, 0.25)
     actions += flight.feed(Asked(flight.world.now, "page", intent.VentVine()))
-    says(flight, regulating)
+    change_telemetry(flight, regulating)
     actions += run_for(flight, 0.25)
     flight.world.from_phlosar = lambda data: data
     actions += run_for(flight, 1.0)
-    assert told(actions) == [WAITING]
+    assert texts_of(actions) == [WAITING]
 
 
 @pytest.mark.parametrize(
@@ -189,8 +189,8 @@ def test_a_board_in_a_fault_that_it_does_not_name_vents_and_does_not_bend(
     bends: bool, notice: list[str]
 ) -> None:
     flight = bent() if bends else airborne()
-    says(flight, lambda telemetry: dataclasses.replace(telemetry, mode=Mode.FAULT))
-    assert told(run_for(flight, 2.0)) == notice
+    change_telemetry(flight, lambda telemetry: dataclasses.replace(telemetry, mode=Mode.FAULT))
+    assert texts_of(run_for(flight, 2.0)) == notice
 
 
 def test_a_vent_that_arrives_late_is_no_fault() -> None:
@@ -199,7 +199,7 @@ def test_a_vent_that_arrives_late_is_no_fault() -> None:
     lost_until = flight.world.now + 0.35
     perfect = flight.world.to_phlosar
     flight.world.to_phlosar = lambda data: b"" if flight.world.now < lost_until else perfect(data)
-    assert not any("still regulates" in text for text in told(run_for(flight, 2.0)))
+    assert not any("still regulates" in text for text in texts_of(run_for(flight, 2.0)))
 
 
 # A board that restarts again and again.
@@ -219,7 +219,7 @@ def test_a_loop_of_restarts_is_reported_at_once_and_then_counted(every_s: float)
     flight = bent()
     actions = rebooting(flight, every_s, 30.0)
     actions += run_for(flight, 11.0)
-    texts = told(actions)
+    texts = texts_of(actions)
     assert texts[0] == "Vine: phloSAR restarted: its clock went back to 0 ms, vented"
     assert len(texts) <= 8
     count = round(30.0 / every_s)
@@ -255,7 +255,7 @@ def test_while_it_loops_no_person_clears_it_and_nothing_bends() -> None:
     (still,) = decisions(run_for(flight, 1.0))
     assert still.safety == "refused", "latched until a person clears it"
     flight.autopilot.set_rc(9, LOW)
-    assert "Vine: cleared firmware_reset" in told(run_for(flight, 1.0))
+    assert "Vine: cleared firmware_reset" in texts_of(run_for(flight, 1.0))
     flight.autopilot.set_rc(9, HIGH)
     (bends_again,) = decisions(run_for(flight, 1.0))
     assert bends_again.safety == "accepted"
@@ -266,10 +266,10 @@ def test_one_restart_is_cleared_as_ever() -> None:
     flight.phlosar.reset_firmware()
     run_for(flight, 0.5)
     flight.autopilot.set_rc(9, LOW)
-    assert "Vine: cleared firmware_reset" in told(run_for(flight, 1.0))
+    assert "Vine: cleared firmware_reset" in texts_of(run_for(flight, 1.0))
 
 
-def test_a_restart_says_nothing_of_the_switch() -> None:
+def test_a_restart_has_no_text_about_the_switch() -> None:
     flight = bent()
     flight.phlosar.reset_firmware()
     run_for(flight, 0.3)

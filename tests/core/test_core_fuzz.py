@@ -6,17 +6,17 @@ import math
 import random
 
 import pytest
-from babble import (
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from random_frames import (
     AUTOPILOT,
     COMMANDS,
     FLOOD,
     KINDS,
     STATION,
-    Babble,
+    RandomFrames,
     largest_tables,
     serving_vehicle_1,
 )
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from firmware_link import protocol
 from flying_vines.config import config
@@ -55,13 +55,13 @@ def sent(actions: list[Action], out: MavlinkCodec) -> int:
 
 
 def test_while_the_phlosar_is_not_ready_no_message_moves_anything() -> None:
-    babble, core = Babble(20), Core(serving_vehicle_1())
+    frames, core = RandomFrames(20), Core(serving_vehicle_1())
     codec, out = MavlinkCodec(0, 191), MavlinkCodec(0, 191)
     core.handle(LinkChanged(0.0, "firmware", True))
     decoded = 0
     for i in range(MESSAGES):
         t = i * 0.004
-        data = babble.frame() if i % 20 else babble.noise() + babble.frame() + babble.alive()
+        data = frames.frame() if i % 20 else frames.noise() + frames.frame() + frames.alive()
         events: list[Event] = [VehicleMessage(t, message) for message in codec.decode(data)]
         decoded += len(events)
         for event in [*events, Tick(t)]:
@@ -75,8 +75,8 @@ def test_while_the_phlosar_is_not_ready_no_message_moves_anything() -> None:
 
 
 def test_while_the_vehicle_is_disarmed_no_message_moves_anything() -> None:
-    babble, world, codec = (
-        Babble(21, disarmed=True),
+    frames, world, codec = (
+        RandomFrames(21, disarmed=True),
         SimulatedWorld(serving_vehicle_1()),
         MavlinkCodec(0, 191),
     )
@@ -84,7 +84,7 @@ def test_while_the_vehicle_is_disarmed_no_message_moves_anything() -> None:
     for i in range(MESSAGES // 2):
         t = i * 0.002
         actions = list(world.advance(t))
-        for message in codec.decode(babble.frame() + (b"" if i % 250 else babble.alive())):
+        for message in codec.decode(frames.frame() + (b"" if i % 250 else frames.alive())):
             actions.extend(world.feed(VehicleMessage(t, message)))
         assert [setpoint for setpoint in setpoints(actions) if setpoint.target_kPa != 0.0] == []
         ready = ready or world.core.snapshot(t).firmware == "ready"
@@ -93,7 +93,7 @@ def test_while_the_vehicle_is_disarmed_no_message_moves_anything() -> None:
 
 
 def test_whatever_moves_stays_within_the_limits() -> None:
-    babble, world, codec = Babble(22), SimulatedWorld(serving_vehicle_1()), MavlinkCodec(0, 191)
+    frames, world, codec = RandomFrames(22), SimulatedWorld(serving_vehicle_1()), MavlinkCodec(0, 191)
     autopilot = MavlinkCodec(1, 1)
     limits = config.default().limits
     moved = 0
@@ -101,7 +101,7 @@ def test_whatever_moves_stays_within_the_limits() -> None:
         t = i * 0.002
         actions = list(world.advance(t))
         kinds = COMMANDS if i % 4 == 1 else KINDS
-        data = babble.frame(kinds, AUTOPILOT if i % 100 == 0 else STATION)
+        data = frames.frame(kinds, AUTOPILOT if i % 100 == 0 else STATION)
         if i % 100 == 50:  # between the random messages, those of a flying autopilot
             data += autopilot.encode(mavlink.MAVLink_heartbeat_message(2, 3, 217, 4, 4, 3), 1)
             place = mavlink.MAVLink_global_position_int_message(round(t * 1000), 0, 0, 0, 10_000, 0, 0, 0, 0)
@@ -116,23 +116,23 @@ def test_whatever_moves_stays_within_the_limits() -> None:
 
 
 @pytest.mark.parametrize("sender", [AUTOPILOT, (255, 190), None])
-def test_a_flood_makes_no_flood_of_answers_and_no_heap_of_them(sender: tuple[int, int] | None) -> None:
-    babble, core, codec, out = (
-        Babble(23),
+def test_a_flood_of_requests_gets_few_answers_and_stores_few(sender: tuple[int, int] | None) -> None:
+    frames, core, codec, out = (
+        RandomFrames(23),
         Core(serving_vehicle_1()),
         MavlinkCodec(0, 191),
         MavlinkCodec(0, 191),
     )
-    answers, heard, seconds = 0, 0, 4.0
+    answers, received, seconds = 0, 0, 4.0
     heartbeat = [kind for kind in KINDS if kind.id == 0]
     for i in range(round(seconds * 2000)):
         t = i / 2000
-        frame = babble.frame(heartbeat, AUTOPILOT) if i % 2000 == 0 else babble.frame(FLOOD, sender)
+        frame = frames.frame(heartbeat, AUTOPILOT) if i % 2000 == 0 else frames.frame(FLOOD, sender)
         events: list[Event] = [VehicleMessage(t, message) for message in codec.decode(frame)]
-        heard += len(events)
+        received += len(events)
         for event in events if i % 40 else [*events, Tick(t)]:
             answers += sent(core.handle(event), out)
-    assert heard > 0.9 * seconds * 2000
+    assert received > 0.9 * seconds * 2000
     assert answers <= MOST_SENT_HZ * seconds
     assert largest_tables(core)[0][0] <= LARGEST_TABLE
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from mission_storm import SCRIPT, WP
+from mission_on_bad_link import SCRIPT, WP
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config
@@ -70,7 +70,7 @@ def items(actions: list[Action]) -> list[Decision]:
     return [a for a in actions if isinstance(a, Decision) and a.trigger == "mission_item"]
 
 
-def told(actions: list[Action]) -> list[str]:
+def texts_of(actions: list[Action]) -> list[str]:
     return [a.text for a in actions if isinstance(a, Notice)]
 
 
@@ -91,7 +91,7 @@ def test_a_mission_replaced_a_moment_ago_gives_its_own_numbers() -> None:
         (3, "bend 11°", "accepted"),
         (5, "bend 5.5°", "accepted"),
     ]
-    assert len([text for text in told(actions) if "mission changed" in text]) == 1
+    assert len([text for text in texts_of(actions) if "mission changed" in text]) == 1
 
 
 @pytest.mark.parametrize("kind", ["text lost", "answers lost"])
@@ -106,11 +106,11 @@ def test_an_item_that_is_not_confirmed_is_refused_and_reported(kind: str) -> Non
         assert decision.t - flight.autopilot.payload_log[0][0] < 1.0
     else:
         assert (decision.safety, decision.reason) == ("refused", "params not confirmed")
-        assert "Vine: refused item 3: params not confirmed" in told(actions)
+        assert "Vine: refused item 3: params not confirmed" in texts_of(actions)
 
 
 @pytest.mark.parametrize("stall_s", [3.0, 6.0])
-def test_a_process_that_stopped_bends_nothing_when_it_wakes(stall_s: float) -> None:
+def test_a_process_that_stopped_bends_nothing_when_it_continues(stall_s: float) -> None:
     flight = flying(1.0)
     actions = flight.stall(flight.world.now + stall_s)
     assert len(flight.autopilot.payload_log) == 1

@@ -187,7 +187,7 @@ def test_a_gimbal_may_vent_and_nothing_else() -> None:
     assert_vented(flight)
 
 
-def test_a_strangers_vent_clears_no_fault() -> None:
+def test_a_vent_by_an_unknown_sender_clears_no_fault() -> None:
     flight = bent()
     flight.phlosar.reset_firmware()
     run_for(flight, 1.0)
@@ -206,7 +206,7 @@ def test_a_station_without_a_heartbeat_may_bend(sender: tuple[int, int]) -> None
 
 
 @pytest.mark.parametrize("sender", STRANGERS)
-def test_a_stranger_may_not(sender: tuple[int, int]) -> None:
+def test_an_unknown_sender_may_not_bend(sender: tuple[int, int]) -> None:
     flight = airborne()
     assert answers(order(flight, USER_2, 30.0, sender=sender)) == [(USER_2, DENIED)]
     run_for(flight, 0.5)
@@ -232,7 +232,7 @@ def test_a_heartbeat_counts_more_than_ids(kind: int) -> None:
 
 
 @pytest.mark.parametrize("sender", [(0, 190), (1, 190)])
-def test_no_heartbeat_makes_a_station_of_nobody_or_of_our_own_vehicle(sender: tuple[int, int]) -> None:
+def test_no_heartbeat_of_id_0_or_of_our_own_vehicle_makes_a_station(sender: tuple[int, int]) -> None:
     flight = airborne()
     beat(flight, sender, mavlink.MAV_TYPE_GCS)
     assert answers(order(flight, USER_2, 30.0, sender=sender)) == [(USER_2, DENIED)]
@@ -244,7 +244,7 @@ def test_a_script_on_the_autopilot_may_bend_and_not_arm() -> None:
     assert answers(order(flight, USER_4, ARM, sender=(1, 1))) == [(USER_4, DENIED)]
 
 
-def test_while_a_lost_rc_holds_the_vine_nobody_holds_it_longer() -> None:
+def test_a_hold_of_a_lost_rc_cannot_be_prolonged() -> None:
     flight = bent(conf=holding(2.0, 60.0))
     flight.autopilot.lose_rc("frozen")
     run_for(flight, 2.0)

@@ -50,7 +50,7 @@ def lives(flight: SimulatedFlight, for_s: float) -> list[Action]:
     return flight.run(flight.world.now + for_s)
 
 
-def told(actions: Sequence[Action]) -> list[str]:
+def texts_of(actions: Sequence[Action]) -> list[str]:
     return [action.text for action in actions if isinstance(action, Notice)]
 
 
@@ -70,11 +70,11 @@ def test_a_silent_link_is_reported_once_and_once_when_it_is_back(for_s: float) -
     flight = bent()
     flight.autopilot.mute(for_s)
     actions = lives(flight, for_s)
-    assert told(actions) == ["Vine: vehicle link silent, vented"]
+    assert texts_of(actions) == ["Vine: vehicle link silent, vented"]
     assert lost(actions)[0] == "rc"
     assert ("autopilot" in lost(actions)) == (for_s > 3.5), "it stays in the log"
     assert flight.phlosar.cv_kPa < 1.0
-    assert told(lives(flight, 10.0)) == ["Vine: vehicle link is back", WAITING]
+    assert texts_of(lives(flight, 10.0)) == ["Vine: vehicle link is back", WAITING]
 
 
 def test_a_link_is_back_with_the_first_heartbeat() -> None:
@@ -83,16 +83,16 @@ def test_a_link_is_back_with_the_first_heartbeat() -> None:
     flight.autopilot.mute(8.0)
     lives(flight, 7.9)
     without(flight, HEARTBEAT)
-    assert told(lives(flight, 3.0)) == []
+    assert texts_of(lives(flight, 3.0)) == []
     without(flight)
-    assert told(lives(flight, 2.0)) == ["Vine: vehicle link is back", WAITING]
+    assert texts_of(lives(flight, 2.0)) == ["Vine: vehicle link is back", WAITING]
 
 
 @pytest.mark.long
 def test_a_silent_link_is_reported_again_when_the_vine_does_something_else() -> None:
     flight = bent(holding(on_rc_loss="hold", hold_at_most_s=1.5))
     flight.autopilot.mute(20.0)
-    texts = told(lives(flight, 20.0))
+    texts = texts_of(lives(flight, 20.0))
     assert texts == ["Vine: vehicle link silent, holding", "Vine: vehicle link silent, vented"]
 
 
@@ -100,27 +100,27 @@ def test_a_closed_link_is_reported_as_such() -> None:
     flight = bent()
     flight.feed(LinkChanged(flight.world.now, "vehicle", False, "was unplugged"))
     flight.from_autopilot = lambda frame: b""
-    assert told(lives(flight, 10.0)) == ["Vine: vehicle link closed, vented"]
+    assert texts_of(lives(flight, 10.0)) == ["Vine: vehicle link closed, vented"]
     flight.feed(LinkChanged(flight.world.now, "vehicle", True, ""))
-    assert told(lives(flight, 2.0)) == []
+    assert texts_of(lives(flight, 2.0)) == []
     flight.from_autopilot = lambda frame: frame
-    assert told(lives(flight, 10.0)) == ["Vine: vehicle link is back", WAITING]
+    assert texts_of(lives(flight, 10.0)) == ["Vine: vehicle link is back", WAITING]
 
 
-def test_a_link_that_is_back_without_rc_says_so() -> None:
+def test_a_link_that_is_back_without_rc_is_reported() -> None:
     flight = bent()
     flight.autopilot.mute(5.0)
     lives(flight, 4.9)
     without(flight, RC_CHANNELS)
-    assert told(lives(flight, 4.0)) == ["Vine: vehicle link is back, RC lost: no RC_CHANNELS yet"]
+    assert texts_of(lives(flight, 4.0)) == ["Vine: vehicle link is back, RC lost: no RC_CHANNELS yet"]
     without(flight)
-    assert told(lives(flight, 2.0)) == ["Vine: RC is back", WAITING]
+    assert texts_of(lives(flight, 2.0)) == ["Vine: RC is back", WAITING]
 
 
 def test_rc_that_stops_while_the_autopilot_sends_is_no_dead_link() -> None:
     flight = bent()
     without(flight, RC_CHANNELS)
-    assert told(lives(flight, 4.0)) == ["Vine: RC lost: no RC_CHANNELS for 1 s, vented"]
+    assert texts_of(lives(flight, 4.0)) == ["Vine: RC lost: no RC_CHANNELS for 1 s, vented"]
 
 
 def test_a_switch_that_moved_while_the_link_was_dead_bends_nothing() -> None:
@@ -134,33 +134,33 @@ def test_a_switch_that_moved_while_the_link_was_dead_bends_nothing() -> None:
     assert flight.phlosar.cv_kPa < 1.0
 
 
-def test_any_frame_of_the_autopilot_proves_it_alive() -> None:
+def test_any_frame_of_the_autopilot_shows_that_it_runs() -> None:
     """Without heartbeats for four seconds the autopilot is not lost while other frames come."""
     flight = bent()
     without(flight, HEARTBEAT)
     actions = lives(flight, 3.9)
     without(flight)
-    assert told(actions) + told(lives(flight, 3.0)) == []
+    assert texts_of(actions) + texts_of(lives(flight, 3.0)) == []
     assert flight.phlosar.cv_kPa > 15.0
 
 
-def test_without_heartbeats_nobody_knows_whether_it_is_armed_and_the_vine_vents() -> None:
+def test_without_heartbeats_the_arm_state_is_unknown_and_the_vine_vents() -> None:
     flight = bent()
     began_s = flight.world.now
     without(flight, HEARTBEAT)
     actions = lives(flight, HEARTBEAT_FRESH_S + 1.5)
-    assert told(actions) == ["Vine: no HEARTBEAT: arm state unknown, vented"]
+    assert texts_of(actions) == ["Vine: no HEARTBEAT: arm state unknown, vented"]
     (decision,) = (action for action in actions if isinstance(action, Decision))
     assert HEARTBEAT_FRESH_S - 1.1 < decision.t - began_s < HEARTBEAT_FRESH_S + 0.2
     flight.autopilot.set_rc(9, LOW)
     lives(flight, 1.0)
     flight.autopilot.set_rc(9, HIGH)
-    refused = [text for text in told(lives(flight, 1.0)) if "refused" in text]
+    refused = [text for text in texts_of(lives(flight, 1.0)) if "refused" in text]
     assert len(refused) == 1
     assert refused[0].endswith(": no HEARTBEAT: arm state unknown")
     assert flight.phlosar.cv_kPa < 1.0
     without(flight)
-    assert told(lives(flight, 2.0)) == ["Vine: autopilot is back", WAITING]
+    assert texts_of(lives(flight, 2.0)) == ["Vine: autopilot is back", WAITING]
 
 
 def test_the_state_of_the_radio_is_forgotten_when_the_autopilot_is_silent() -> None:

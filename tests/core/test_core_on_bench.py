@@ -50,8 +50,8 @@ def test_an_armed_vehicle_is_on_no_bench() -> None:
 def test_arming_ends_it_and_vents() -> None:
     flight = bent_on_the_bench()
     flight.autopilot.takeoff(5.0)
-    told = notices(run_for(flight, 2.0))
-    assert "Vine: bench mode over, the vehicle is armed: vented" in told
+    texts = notices(run_for(flight, 2.0))
+    assert "Vine: bench mode over, the vehicle is armed: vented" in texts
     assert vented(flight)
 
 
@@ -63,7 +63,7 @@ def test_it_ends_when_it_is_left() -> None:
     assert ask(flight, BendTo(30.0)).safety == "refused"
 
 
-def test_it_ends_when_nobody_asks_any_more(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_ends_without_further_requests(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(core, "BENCH_S", 4.0)
     flight = on_the_ground()
     ask(flight, StartBench())
@@ -71,19 +71,19 @@ def test_it_ends_when_nobody_asks_any_more(monkeypatch: pytest.MonkeyPatch) -> N
     assert ask(flight, BendTo(30.0)).safety == "accepted"
     assert not any("bench mode over" in text for text in notices(run_for(flight, 3.5)))
     assert flight.core.snapshot(flight.world.now).bench
-    told = notices(run_for(flight, 1.5))
-    assert "Vine: bench mode over, no more requests: vented" in told
+    texts = notices(run_for(flight, 1.5))
+    assert "Vine: bench mode over, no more requests: vented" in texts
     assert vented(flight)
 
 
 @pytest.mark.parametrize("how", ["frozen", "jump"])
-def test_rc_that_goes_off_vents_and_is_not_said_to_be_back(how: str) -> None:
+def test_rc_that_is_switched_off_vents_and_is_not_reported_as_back(how: str) -> None:
     flight = bent_on_the_bench()
     flight.autopilot.lose_rc(how)  # type: ignore[arg-type]
-    told = notices(run_for(flight, 3.0))
-    assert any("RC lost" in text for text in told)
-    assert "Vine: RC is off and not in use" in told
-    assert not any("RC is back" in text for text in told)
+    texts = notices(run_for(flight, 3.0))
+    assert any("RC lost" in text for text in texts)
+    assert "Vine: RC is off and not in use" in texts
+    assert not any("RC is back" in text for text in texts)
     assert vented(flight)
     assert ask(flight, BendTo(30.0)).safety == "accepted", "who has no RC on the bench may bend by the page"
 

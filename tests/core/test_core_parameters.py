@@ -78,7 +78,7 @@ def test_limits_reach_safety() -> None:
     assert refused.safety == "refused" and "bottle at" in refused.reason
 
 
-def test_a_profile_that_a_parameter_makes_too_strong_is_clipped_and_that_is_said() -> None:
+def test_a_profile_that_a_parameter_makes_too_strong_is_clipped_and_reported() -> None:
     field = Field()
     assert field.set("VINE_MAX_KPA", 10.0) == 10.0
     clipped = field.bend(60.0)

@@ -1,6 +1,6 @@
-"""A referee finds no foul in random flights, and finds each foul of services and firmware that break a rule.
+"""A monitor finds no violation in random flights, and finds those of services and firmware that break a rule.
 
-In each flight of a cheat, the real service and firmware have no foul.
+In each flight of a mutant, the real service and firmware have no violation.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from drawn_mishaps import DRAWN
 from hypothesis import note, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
-from needed import needs_compiler
+from random_mishaps import DRAWN
+from required_programs import needs_compiler
 
 from examples import examples
 from firmware_link import host, protocol
@@ -37,7 +37,7 @@ from flying_vines.vine.intent import BendTo, StartProfile
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
-from faults_flight import PULSES_US, SWITCH, RefereedFlight, Setup
+from faults_flight import PULSES_US, SWITCH, MonitoredFlight, Setup
 from faults_script import draw, fly
 
 # Cheats, and the flights that expose them.
@@ -150,12 +150,12 @@ class RemembersTheSetpoint(Firmware):
 
     def __init__(self) -> None:
         super().__init__()
-        self._ears = protocol.Codec()
+        self._decoder = protocol.Codec()
         self._now_us = self._since_us = 0
         self._last: Setpoint | None = None
 
     def receive(self, data: bytes) -> None:
-        for message in self._ears.decode(data):
+        for message in self._decoder.decode(data):
             if isinstance(message, Setpoint | Vent):
                 self._last = message if isinstance(message, Setpoint) else None
                 self._since_us = self._now_us
@@ -198,12 +198,12 @@ class StuckInRegulation(Firmware):
 
     def __init__(self) -> None:
         super().__init__()
-        self._ears, self._mouth = protocol.Codec(), protocol.Codec()
+        self._decoder, self._encoder = protocol.Codec(), protocol.Codec()
 
     def receive(self, data: bytes) -> None:
-        for message in self._ears.decode(data):
+        for message in self._decoder.decode(data):
             if not isinstance(message, Vent):
-                super().receive(self._mouth.encode(message))
+                super().receive(self._encoder.encode(message))
 
 
 class OpensAtPowerUp(Firmware):
@@ -211,11 +211,11 @@ class OpensAtPowerUp(Firmware):
 
     def __init__(self) -> None:
         super().__init__()
-        self._ears = protocol.Codec()
+        self._decoder = protocol.Codec()
         self._greeted = False
 
     def receive(self, data: bytes) -> None:
-        self._greeted = any(isinstance(message, protocol.Hello) for message in self._ears.decode(data))
+        self._greeted = any(isinstance(message, protocol.Hello) for message in self._decoder.decode(data))
         super().receive(data)
 
     def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Inputs:
@@ -226,19 +226,19 @@ class OpensAtPowerUp(Firmware):
         return drive
 
 
-def airborne(flight: RefereedFlight) -> None:
+def airborne(flight: MonitoredFlight) -> None:
     flight.run(1.5)
     flight.take_off()
     flight.run(4.0)
 
 
-def bent(flight: RefereedFlight) -> None:
+def bent(flight: MonitoredFlight) -> None:
     airborne(flight)
     flight.move_switch(2)
     flight.run(1.0)
 
 
-def lose_rc_for_a_while(flight: RefereedFlight) -> None:
+def lose_rc_for_a_while(flight: MonitoredFlight) -> None:
     bent(flight)
     flight.lose_rc("jump")
     flight.run(1.5)
@@ -246,7 +246,7 @@ def lose_rc_for_a_while(flight: RefereedFlight) -> None:
     flight.run(1.5)
 
 
-def lose_rc_while_bending(flight: RefereedFlight) -> None:
+def lose_rc_while_bending(flight: MonitoredFlight) -> None:
     airborne(flight)
     flight.press(3)
     flight.run(0.2)
@@ -256,24 +256,24 @@ def lose_rc_while_bending(flight: RefereedFlight) -> None:
     flight.run(1.0)
 
 
-def do_nothing(flight: RefereedFlight) -> None:
+def do_nothing(flight: MonitoredFlight) -> None:
     airborne(flight)
     flight.run(4.5)
 
 
-def bend_by_a_number(flight: RefereedFlight) -> None:
+def bend_by_a_number(flight: MonitoredFlight) -> None:
     airborne(flight)
     flight.bend_to(40.0)
     flight.run(2.0)
 
 
-def disarm(flight: RefereedFlight) -> None:
+def disarm(flight: MonitoredFlight) -> None:
     bent(flight)
     flight.disarm()
     flight.run(2.0)
 
 
-def move_unseen(flight: RefereedFlight) -> None:
+def move_unseen(flight: MonitoredFlight) -> None:
     airborne(flight)
     flight.lose_rc("jump")
     flight.run(1.5)
@@ -283,13 +283,13 @@ def move_unseen(flight: RefereedFlight) -> None:
     flight.run(2.0)
 
 
-def reset_board(flight: RefereedFlight) -> None:
+def reset_board(flight: MonitoredFlight) -> None:
     bent(flight)
     flight.phlosar.reset_firmware()
     flight.run(1.5)
 
 
-def cut(flight: RefereedFlight) -> None:
+def cut(flight: MonitoredFlight) -> None:
     bent(flight)
     flight.cut_commands()
     flight.run(1.0)
@@ -297,18 +297,18 @@ def cut(flight: RefereedFlight) -> None:
     flight.run(1.0)
 
 
-def cut_and_ask_again(flight: RefereedFlight) -> None:
+def cut_and_ask_again(flight: MonitoredFlight) -> None:
     cut(flight)
     flight.press(4)
     flight.run(0.5)
 
 
-def stay_bent(flight: RefereedFlight) -> None:
+def stay_bent(flight: MonitoredFlight) -> None:
     bent(flight)
     flight.run(3.0)
 
 
-def cut_while_bending(flight: RefereedFlight) -> None:
+def cut_while_bending(flight: MonitoredFlight) -> None:
     """The switch requests more while the board receives nothing."""
     airborne(flight)
     flight.move_switch(1)
@@ -319,13 +319,13 @@ def cut_while_bending(flight: RefereedFlight) -> None:
     flight.run(1.0)
 
 
-def overfill(flight: RefereedFlight) -> None:
+def overfill(flight: MonitoredFlight) -> None:
     bent(flight)
     flight.inject("bottle", Filled(800.0))
     flight.run(0.5)
 
 
-def straighten(flight: RefereedFlight) -> None:
+def straighten(flight: MonitoredFlight) -> None:
     """Straighten in the middle of a wave, which continues to bend the vine."""
     airborne(flight)
     flight.press(3)
@@ -335,8 +335,8 @@ def straighten(flight: RefereedFlight) -> None:
 
 
 @dataclass(frozen=True)
-class Cheat:
-    flown: Callable[[RefereedFlight], None]
+class Mutant:
+    flown: Callable[[MonitoredFlight], None]
     rules: set[str]
     """At least one of these must be called."""
     core: Callable[[Config], Core] = Core
@@ -344,66 +344,66 @@ class Cheat:
     setup: Setup = field(default_factory=Setup)
 
 
-CHEATS = [
-    Cheat(lose_rc_for_a_while, {"trigger"}, core=RcBackAndOn),
-    Cheat(do_nothing, {"trigger"}, core=NothingWasSaid),
-    Cheat(disarm, {"safe state"}, core=BlindToSafety),
-    Cheat(lose_rc_for_a_while, {"safe state"}, core=BlindToSafety),
-    Cheat(move_unseen, {"trigger"}, core=SwitchRemembers),
-    Cheat(reset_board, {"resumed"}, core=ResetAndOn),
-    Cheat(cut_and_ask_again, {"resumed"}, core=NeedsNobody),
-    Cheat(straighten, {"safe state"}, core=NeverStraight),
-    Cheat(stay_bent, {"missed"}, core=DeafToTheSwitch),
-    Cheat(bend_by_a_number, {"numbers"}, core=OtherNumbers),
-    Cheat(stay_bent, {"trigger"}, core=BlindToSafety, setup=Setup(max_bent_s=2.0)),
-    Cheat(lose_rc_while_bending, {"resumed"}, HoldsByGoingOn, setup=Setup(holds=True)),
-    Cheat(bent, {"limits"}, core=TooFar),
-    Cheat(cut, {"dead-man"}, board=LateDeadMan),
-    Cheat(overfill, {"firmware's limits"}, board=NoLimit),
-    Cheat(lose_rc_for_a_while, {"trigger"}, board=StuckInRegulation),
-    Cheat(cut_while_bending, {"resumed"}, board=ForgetsItsDeadMan),
-    Cheat(do_nothing, {"trigger"}, board=OpensAtPowerUp),
+MUTANTS = [
+    Mutant(lose_rc_for_a_while, {"trigger"}, core=RcBackAndOn),
+    Mutant(do_nothing, {"trigger"}, core=NothingWasSaid),
+    Mutant(disarm, {"safe state"}, core=BlindToSafety),
+    Mutant(lose_rc_for_a_while, {"safe state"}, core=BlindToSafety),
+    Mutant(move_unseen, {"trigger"}, core=SwitchRemembers),
+    Mutant(reset_board, {"resumed"}, core=ResetAndOn),
+    Mutant(cut_and_ask_again, {"resumed"}, core=NeedsNobody),
+    Mutant(straighten, {"safe state"}, core=NeverStraight),
+    Mutant(stay_bent, {"missed"}, core=DeafToTheSwitch),
+    Mutant(bend_by_a_number, {"numbers"}, core=OtherNumbers),
+    Mutant(stay_bent, {"trigger"}, core=BlindToSafety, setup=Setup(max_bent_s=2.0)),
+    Mutant(lose_rc_while_bending, {"resumed"}, HoldsByGoingOn, setup=Setup(holds=True)),
+    Mutant(bent, {"limits"}, core=TooFar),
+    Mutant(cut, {"dead-man"}, board=LateDeadMan),
+    Mutant(overfill, {"firmware's limits"}, board=NoLimit),
+    Mutant(lose_rc_for_a_while, {"trigger"}, board=StuckInRegulation),
+    Mutant(cut_while_bending, {"resumed"}, board=ForgetsItsDeadMan),
+    Mutant(do_nothing, {"trigger"}, board=OpensAtPowerUp),
 ]
 
 
-@pytest.mark.parametrize("cheat", CHEATS, ids=lambda c: f"{c.core.__name__}-{c.board.__name__}")
-def test_the_referee_sees_who_cheats(cheat: Cheat) -> None:
-    cheating = RefereedFlight(cheat.setup, cheat.core, cheat.board())
-    cheat.flown(cheating)
-    assert cheat.rules & {foul.rule for foul in cheating.fouls}, cheating.timeline
+@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda c: f"{c.core.__name__}-{c.board.__name__}")
+def test_the_monitor_finds_each_violation(mutant: Mutant) -> None:
+    flight = MonitoredFlight(mutant.setup, mutant.core, mutant.board())
+    mutant.flown(flight)
+    assert mutant.rules & {violation.rule for violation in flight.violations}, flight.timeline
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    "cheat", {cheat.flown: cheat for cheat in CHEATS}.values(), ids=lambda c: c.flown.__name__
+    "mutant", {mutant.flown: mutant for mutant in MUTANTS}.values(), ids=lambda c: c.flown.__name__
 )
-def test_the_real_core_has_no_foul(cheat: Cheat) -> None:
-    flight = RefereedFlight(cheat.setup, board=Firmware())
-    cheat.flown(flight)
-    assert flight.fouls == []
+def test_the_real_core_has_no_violation(mutant: Mutant) -> None:
+    flight = MonitoredFlight(mutant.setup, board=Firmware())
+    mutant.flown(flight)
+    assert flight.violations == []
 
 
 def test_a_limit_that_is_too_high_is_seen_at_the_vine() -> None:
     """The true pressure is above the firmware's limit. Repairing an intact part excuses nothing."""
-    flight = RefereedFlight(Setup(), board=Firmware({"cv_limit_kPa": 60.0}))
+    flight = MonitoredFlight(Setup(), board=Firmware({"cv_limit_kPa": 60.0}))
     bent(flight)
     flight.heal("bottle")
     flight.phlosar.mishaps.evp = StuckAt(1.0)
     flight.phlosar.mishaps.solenoid = StuckAt(0.0)
     flight.run(0.5)
-    assert "over the limit" in {foul.rule for foul in flight.fouls}
+    assert "over the limit" in {violation.rule for violation in flight.violations}
 
 
 # Flights that hypothesis draws.
 
 
 class AnyFlight(RuleBasedStateMachine):
-    """Any requests and any faults, in any order. The referee is asked after each of them."""
+    """Any requests and any faults, in any order. The monitor is asked after each of them."""
 
     @initialize(receiver=st.sampled_from(sorted(LOSSES)), holds=st.booleans())
     def take_off(self, receiver: RcSource, holds: bool) -> None:
         autopilot: AutopilotKind = "ardupilot" if receiver == "pulses" else "px4"
-        self.flight = RefereedFlight(Setup(autopilot, receiver=receiver, holds=holds))
+        self.flight = MonitoredFlight(Setup(autopilot, receiver=receiver, holds=holds))
         self.rc_lost = self.unplugged = self.link_closed = self.overridden = False
         airborne(self.flight)
 
@@ -498,11 +498,11 @@ class AnyFlight(RuleBasedStateMachine):
         self.flight.heal(place)
 
     @invariant()
-    def nobody_fouls(self) -> None:
-        if self.flight.fouls:
+    def no_violation(self) -> None:
+        if self.flight.violations:
             for t, text in self.flight.timeline:
                 note(f"{t:7.3f} {text}")
-        assert self.flight.fouls == []
+        assert self.flight.violations == []
 
 
 @needs_compiler
@@ -515,7 +515,7 @@ class TestAnyFlight(AnyFlight.TestCase):  # type: ignore[misc, valid-type]
 def test_flights_of_the_campaign(seed: int) -> None:
     """Some of the flights of benchmarks/faults.py."""
     outcome = fly(draw(seed))
-    assert outcome.fouls == (), outcome.timeline
+    assert outcome.violations == (), outcome.timeline
 
 
 @pytest.mark.long

@@ -244,12 +244,12 @@ def test_the_firmwares_faults_are_seen_from_the_last_new_one_on() -> None:
 
 
 @pytest.mark.parametrize(
-    ("faults", "told"), [(Fault.DEAD_MAN, "dead-man timer ran out"), (Fault(0x4000), "0x4000")]
+    ("faults", "text"), [(Fault.DEAD_MAN, "dead-man timer ran out"), (Fault(0x4000), "0x4000")]
 )
-def test_a_fault_of_the_firmware_is_reported_by_its_name_or_number(faults: Fault, told: str) -> None:
+def test_a_fault_of_the_firmware_is_reported_by_its_name_or_number(faults: Fault, text: str) -> None:
     (entered,) = safety().watch(0.0, but(BENT, faults=faults))
     assert isinstance(entered, ResponseNeeded)
-    assert entered.reason == f"firmware fault: {told}"
+    assert entered.reason == f"firmware fault: {text}"
 
 
 @pytest.mark.parametrize("altitude_m", [None, -3.0])
@@ -264,7 +264,7 @@ def test_a_board_that_is_gone_is_one_loss() -> None:
     assert entered.name == "serial"
 
 
-def test_a_board_that_does_not_move_is_deaf_and_one_that_does_not_vent_latches() -> None:
+def test_a_board_that_ignores_a_setpoint_vents_and_one_that_does_not_vent_latches() -> None:
     for moving, name in ((True, "deaf"), (False, "regulates")):
         machine = safety()
         (entered,) = machine.watch(0.0, but(BENT, moving=moving, mode_mismatch_s=0.31))

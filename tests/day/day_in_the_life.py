@@ -320,7 +320,7 @@ def _wait_for_port(port: int) -> None:
 def _stop(run: Terminal) -> None:
     run.interrupt()
     if "Vented. Stopped." not in run.end():
-        raise Ended(f"not vented: {run.said}")
+        raise Ended(f"not vented: {run.output}")
 
 
 def _look(day: Day) -> None:

@@ -20,7 +20,7 @@ from time import monotonic, sleep
 from rich.console import Console
 from rich.text import Text
 
-PATIENCE_S = 120.0
+MAX_WAIT_S = 120.0
 SCREEN = b"\x1b[?1049h"
 HOME = b"\x1b[H"
 MOVES = re.compile(r"(\r|\n|\x1b\[2K|\x1b\[1A|\x1b\[\?[0-9]+[hl])")
@@ -84,7 +84,7 @@ class Terminal:
                 self._shown += data
 
     @property
-    def said(self) -> str:
+    def output(self) -> str:
         """All output, without colours."""
         return CODE.sub("", self._shown.decode(errors="replace"))
 
@@ -99,10 +99,10 @@ class Terminal:
             shown = screens[-2] if len(screens) > 2 else screens[-1]
         return Text.from_ansi(_lines(shown.decode(errors="replace")))
 
-    def wait_for(self, pattern: str, seconds: float = PATIENCE_S) -> re.Match[str]:
+    def wait_for(self, pattern: str, seconds: float = MAX_WAIT_S) -> re.Match[str]:
         """Wait until it has printed this."""
         until = monotonic() + seconds
-        while not (found := re.search(pattern, self.said)):
+        while not (found := re.search(pattern, self.output)):
             if self._process.poll() is not None or monotonic() > until:
                 raise Ended(f"never showed {pattern!r}:\n{self.now.plain}")
             sleep(0.05)
@@ -118,9 +118,9 @@ class Terminal:
         """Wait for the end. Returns all output."""
         ended = self._process.wait(seconds)
         self._reading.join()
-        if ended != status or "Traceback" in self.said:
+        if ended != status or "Traceback" in self.output:
             raise Ended(f"{self._words[-1]}: ended with {ended}:\n{self.now.plain}")
-        return self.said
+        return self.output
 
     def svg(self, title: str) -> str:
         """A picture of what the terminal shows now."""

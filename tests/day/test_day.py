@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from needed import need
 from real_time import real_time
+from required_programs import need
 
 from day.day_in_the_life import LEAK_KPA_S_PER_SL, browser, live
 

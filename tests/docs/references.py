@@ -26,7 +26,7 @@ from fault_catalogue.catalogue import SECTIONS, Row
 
 from flying_vines.cli.main import _parser
 from flying_vines.config import config
-from flying_vines.config.config import CARRIERS, Config
+from flying_vines.config.config import ITEM_COMMANDS, Config
 from flying_vines.config.toml_edit import value_text
 from flying_vines.config.toml_text import lines_of_keys
 from flying_vines.doctor.checks.vehicle import USES
@@ -196,9 +196,9 @@ def comments_of(text: str) -> dict[tuple[str, str], str]:
 # Items, switch and profiles.
 
 
-def carriers(name: str) -> list[str]:
+def item_commands(name: str) -> list[str]:
     """The names that `command` of an item may have, and their MAVLink numbers."""
-    rows = (_row(f"`{word}`", str(number)) for word, number in CARRIERS.items())
+    rows = (_row(f"`{word}`", str(number)) for word, number in ITEM_COMMANDS.items())
     return ["| command | MAV_CMD |", "| --- | --- |", *rows]
 
 
@@ -265,8 +265,8 @@ def _fault(row: Row) -> str:
     if row.highest_kPa is not None:
         state += f"; **up to {row.highest_kPa:g} kPa before**"
     numbers = (str(ms) if ms is not None else "–" for ms in (row.allowed_ms, row.measured_ms))
-    told = f"“{row.told}”" if row.told else "–"
-    return _row(row.fault, row.seen_by, *numbers, state, told, row.cleared.value)
+    text = f"“{row.pilot_text}”" if row.pilot_text else "–"
+    return _row(row.fault, row.seen_by, *numbers, state, text, row.cleared.value)
 
 
 def _row(*cells: str) -> str:
@@ -277,7 +277,7 @@ TABLES: Mapping[str, Callable[[str], list[str]]] = {
     "options": options,
     "keys": keys,
     "borders": borders,
-    "carriers": carriers,
+    "item_commands": item_commands,
     "segments": segments,
     "parameters": parameters,
     "streams": streams,

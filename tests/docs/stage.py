@@ -24,10 +24,10 @@ from pathlib import Path
 from time import monotonic, sleep
 from typing import Any, NoReturn, TypeVar
 
-from patience import PATIENCE_S
 from ports import free_port
+from waiting import MAX_WAIT_S
 
-from docs.commands_said import ROOT
+from docs.documented_commands import ROOT
 from flying_vines.cli.main import main
 
 T = TypeVar("T")
@@ -85,7 +85,7 @@ FORKS.set_forkserver_preload(
         "flying_vines.identification.report",
         "flying_vines.simulation.scenario.picture",
         "flying_vines.record.picture",
-        "flying_vines.terminal.watching",
+        "flying_vines.terminal.remote_view",
         "missions.review",
         "matplotlib.backends.backend_agg",
         "rich.progress",
@@ -104,12 +104,12 @@ class Stage:
     """
 
     def __init__(
-        self, folder: Path, shelf: Callable[[str], Callable[[Path], object] | None], kind: str
+        self, folder: Path, maker_of: Callable[[str], Callable[[Path], object] | None], kind: str
     ) -> None:
         self.folder = folder
         self._at = folder
         self._kind = kind
-        self._shelf = shelf
+        self._maker_of = maker_of
         self._around = ExitStack()
         self._there: set[str] = set()
         self._ports: dict[str, str] = {}
@@ -197,7 +197,7 @@ class Stage:
         """Create the files that a command reads and that do not exist yet."""
         for before, word in zip(("", *words), words, strict=False):
             path = self._at / word
-            if before in WRITES or path.exists() or (make := self._shelf(word)) is None:
+            if before in WRITES or path.exists() or (make := self._maker_of(word)) is None:
                 continue
             path.parent.mkdir(parents=True, exist_ok=True)
             make(path)
@@ -209,10 +209,10 @@ class Running:
     """A command of ours as a process. Leaving the context ends everything that it has started."""
 
     def __init__(self, folder: Path, words: Sequence[str], run: Callable[[list[str]], None] = main) -> None:
-        self._said = folder / f".said-{len(list(folder.glob('.said-*')))}"
-        self._said.touch()
+        self._output = folder / f".output-{len(list(folder.glob('.output-*')))}"
+        self._output.touch()
         self._process: BaseProcess = FORKS.Process(
-            target=_become, args=(folder, self._said, list(words), run)
+            target=_become, args=(folder, self._output, list(words), run)
         )
         self._process.start()
 
@@ -222,7 +222,7 @@ class Running:
     def __exit__(self, *error: object) -> None:
         with suppress(ProcessLookupError):
             os.killpg(self._pid, signal.SIGKILL)
-        self._process.join(PATIENCE_S)
+        self._process.join(MAX_WAIT_S)
 
     @property
     def _pid(self) -> int:
@@ -230,15 +230,15 @@ class Running:
         return self._process.pid
 
     @property
-    def said(self) -> str:
-        return self._said.read_text(encoding="utf-8", errors="replace")
+    def output(self) -> str:
+        return self._output.read_text(encoding="utf-8", errors="replace")
 
     def wait_for(self, pattern: str) -> None:
         """Wait until it has printed this."""
-        patient_until = monotonic() + PATIENCE_S
-        while not re.search(pattern, self.said):
+        patient_until = monotonic() + MAX_WAIT_S
+        while not re.search(pattern, self.output):
             if not self._process.is_alive() or monotonic() > patient_until:
-                raise Ended(f"was never up: {self.said}")
+                raise Ended(f"was never up: {self.output}")
             sleep(0.02)
 
     def interrupt(self) -> None:
@@ -248,11 +248,11 @@ class Running:
 
     def end(self, status: int) -> None:
         """Wait for its end; 130 means Ctrl-C."""
-        self._process.join(PATIENCE_S)
+        self._process.join(MAX_WAIT_S)
         if self._process.exitcode not in (status, 130 if status == 0 else status):
-            raise Ended(f"ended with {self._process.exitcode} instead of {status}: {self.said}")
-        if "Traceback" in self.said:
-            raise Ended(self.said)
+            raise Ended(f"ended with {self._process.exitcode} instead of {status}: {self.output}")
+        if "Traceback" in self.output:
+            raise Ended(self.output)
 
 
 def parse_only(script: list[str]) -> None:

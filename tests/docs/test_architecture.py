@@ -7,7 +7,7 @@ from pathlib import PurePath
 
 import pytest
 
-from docs.commands_said import ROOT
+from docs.documented_commands import ROOT
 
 PACKAGES = ("flying_vines", "firmware_link", "missions")
 TREE = (

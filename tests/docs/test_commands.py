@@ -21,9 +21,9 @@ from pathlib import Path
 import pytest
 from real_time import real_time
 
-from docs.commands_said import BEGINS, PAGES, ROOT, Said, blocks_and_spans, needs_a_shell
+from docs.documented_commands import BEGINS, PAGES, ROOT, DocumentedCommand, blocks_and_spans, needs_a_shell
+from docs.example_files import maker
 from docs.references import commands
-from docs.shelf import maker
 from docs.stage import LASTING, Ended, Stage
 from flying_vines.cli.main import _parser
 
@@ -51,14 +51,14 @@ MEANT = {
 """Replacements in a command: a file for a word in capitals, or less work."""
 
 
-def said(page: Path) -> Iterator[Said]:
+def commands_of(page: Path) -> Iterator[DocumentedCommand]:
     """A page's commands: all in its blocks, and the spans that are whole commands."""
     blocks, spans = blocks_and_spans(page)
     yield from blocks
     yield from filter(is_whole, spans)
 
 
-def is_whole(span: Said) -> bool:
+def is_whole(span: DocumentedCommand) -> bool:
     """True if a span is a complete command; `flying-vines link` alone is a name."""
     words = span.text.split()
     if not BEGINS.match(span.text):
@@ -68,7 +68,7 @@ def is_whole(span: Said) -> bool:
     return len(words) > 2 or words[0] == "make"
 
 
-def spoken_of(page: Path) -> Iterator[tuple[Said, list[str]]]:
+def spoken_of(page: Path) -> Iterator[tuple[DocumentedCommand, list[str]]]:
     """Spans that name a command of ours, perhaps with an option, without being a complete command; with their
     words."""
     for span in blocks_and_spans(page)[1]:
@@ -96,7 +96,7 @@ def parses(words: list[str]) -> bool:
     return True
 
 
-def do(command: Said, stage: Stage, done: set[str]) -> None:
+def do(command: DocumentedCommand, stage: Stage, done: set[str]) -> None:
     """Run the command, or check what can be checked without running it. `Ended` says what is wrong."""
     text = meant(command.text)
     name = " ".join(name_of(command.ours))
@@ -147,7 +147,7 @@ def test_the_commands_of_a_page_work(page: Path, tmp_path: Path, done: set[str])
     wrong = []
     kind = "px4" if "--autopilot px4" in page.read_text(encoding="utf-8") else "ardupilot"
     with Stage(tmp_path, maker, kind) as stage:
-        for command in said(page):
+        for command in commands_of(page):
             try:
                 do(command, stage, done)
             except Ended as error:
@@ -171,13 +171,13 @@ def test_a_wrong_command_is_found(tmp_path: Path) -> None:
     with Stage(tmp_path, maker, "ardupilot") as stage:
         for text in (*wrong, "pip install 'flying-vines[nothing]'"):
             with pytest.raises(Ended):
-                do(Said(ROOT / "README.md", 1, text, text), stage, set())
+                do(DocumentedCommand(ROOT / "README.md", 1, text, text), stage, set())
 
 
 def test_commands_are_found_wherever_a_page_has_them(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text(PAGE, encoding="utf-8")
-    assert [(command.line, command.text) for command in said(page)] == [
+    assert [(command.line, command.text) for command in commands_of(page)] == [
         (3, "flying-vines link --set a=1 --set b=2"),
         (8, "flying-vines log list"),
         (12, "flying-vines mission check FILE --fly"),
@@ -205,6 +205,6 @@ replay a.tlog` is a command, `flying-vines link` and `run --rig` name some, `lin
 
 
 def test_every_replaced_command_is_still_on_a_page() -> None:
-    texts = [command.text for page in PAGES for command in said(page)]
+    texts = [command.text for page in PAGES for command in commands_of(page)]
     assert [pattern for pattern in MEANT if not any(re.search(pattern, text) for text in texts)] == []
     assert STATUS.keys() <= set(texts)

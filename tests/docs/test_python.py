@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from recorded_flight import one_bend
 
-from docs.commands_said import ROOT
+from docs.documented_commands import ROOT
 from flying_vines import api
 from flying_vines.record.reader import LogError
 

@@ -79,11 +79,11 @@ def test_all_that_the_doctor_looks_at_has_its_row() -> None:
     assert stated == given
 
 
-def test_the_memory_that_the_doctor_asks_for_is_stated() -> None:
+def test_the_memory_that_the_doctor_requires_is_stated() -> None:
     assert f"less than {MIN_FREE_MB:.0f} MB free" in DOCTOR
 
 
-def test_of_everything_something_is_said() -> None:
+def test_every_option_and_key_has_a_description() -> None:
     for name, parser in commands().items():
         assert all(action.help for action in arguments(parser)), name
     for block in BLOCK.finditer(CONFIGURATION):

@@ -51,7 +51,7 @@ def every_line() -> list[FindingText]:
     return [line for check in CHECKS for line in lines_of(check)]
 
 
-def says(line: FindingText, finding: DoctorFinding) -> bool:
+def matches(line: FindingText, finding: DoctorFinding) -> bool:
     """True if a finding is this line, with its gaps filled."""
     templates, texts = (line.check, line.what, line.do), (finding.check, finding.what, finding.do)
     return line.verdict == finding.verdict and all(map(_fits, templates, texts))

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 from command_line import run
-from patience import until
 from real_time import real_time
 from rich.console import Console
 from service_bench import on_bench
+from waiting import until
 
 from flying_vines.config import config as configuration
 from flying_vines.doctor.finding import DoctorFinding

@@ -181,7 +181,7 @@ def test_a_healthy_pair_is_described(seen: dict[str, Examined]) -> None:
     assert "'1.1 host'" in healthy.of("phloSAR").what
     rates = {f.check: float(f.what.split()[0]) for f in healthy.findings if f.what.endswith(" a second")}
     assert rates.keys() >= {"RC_CHANNELS", "SYS_STATUS", "GLOBAL_POSITION_INT", "SYSTEM_TIME"}
-    assert rates["RC_CHANNELS"] == pytest.approx(20.0, rel=0.5), "a busy machine hears in bursts"
+    assert rates["RC_CHANNELS"] == pytest.approx(20.0, rel=0.5), "a busy machine receives in bursts"
     assert rates["GLOBAL_POSITION_INT"] == pytest.approx(5.0, rel=0.5)
 
 
@@ -194,7 +194,7 @@ def test_an_autopilot_that_signs_is_distinguished(seen: dict[str, Examined]) -> 
     assert seen["signed"].of("signing").what == "all messages were signed with our key"
     without = seen["signed, and no key"]
     assert "the configuration has no key" in without.of("signing").what
-    assert without.bad >= {"SYS_STATUS", "GLOBAL_POSITION_INT", "RC_CHANNELS"}, "it does not hear us"
+    assert without.bad >= {"SYS_STATUS", "GLOBAL_POSITION_INT", "RC_CHANNELS"}, "our messages do not reach it"
 
 
 def test_used_signing_timestamps_are_not_used_again(seen: dict[str, Examined], folder: Path) -> None:
@@ -205,12 +205,12 @@ def test_used_signing_timestamps_are_not_used_again(seen: dict[str, Examined], f
 def test_nothing_is_commanded(seen: dict[str, Examined]) -> None:
     boards = [look.phlosar.firmware for look in seen.values() if look.phlosar]
     assert len(boards) == 3
-    heard = {type(message) for board in boards if isinstance(board, Board) for message in board.told}
-    assert heard == {Hello, Ping, GetSetting}
+    received = {type(message) for board in boards if isinstance(board, Board) for message in board.received}
+    assert received == {Hello, Ping, GetSetting}
 
 
 def test_the_vehicle_is_only_asked(seen: dict[str, Examined]) -> None:
-    told = [message for look in seen.values() for message in look.vehicle.told]
+    told = [message for look in seen.values() for message in look.vehicle.received]
     assert {message.get_type() for message in told} <= {
         "HEARTBEAT",
         "COMMAND_LONG",
@@ -224,6 +224,6 @@ def test_the_vehicle_is_only_asked(seen: dict[str, Examined]) -> None:
 
 
 def test_findings_are_reported_in_order_as_they_come(seen: dict[str, Examined]) -> None:
-    for world in seen.values():
-        assert [finding for told in world.told for finding in told] == world.findings
-        assert len(world.told) > 5
+    for examined in seen.values():
+        assert [finding for told in examined.reported for finding in told] == examined.findings
+        assert len(examined.reported) > 5

@@ -9,7 +9,7 @@ from dataclasses import replace
 import msgspec
 import pytest
 
-from doctor.known_lines import every_line, says
+from doctor.known_lines import every_line, matches
 from firmware_link.protocol import PROTOCOL_VERSION, Fault, Setting, Units, Welcome
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
@@ -300,13 +300,16 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (vehicle.MISSING, of_stream("RC_CHANNELS", 0.0)),
     (vehicle.MISSING, of_stream("SYS_STATUS", 0.0, refused=True, kind="px4")),
     (vehicle.MISSED, of_stream("MISSION_CURRENT", 0.0)),
-    (vehicle.CLASH, of_vehicle(clash=True)),
-    (vehicle.CLASH_WITH_SERVICE, vehicle.check(replace(VEHICLE, clash=True), CONFIG, 6.0, [SERVICE])),
+    (vehicle.DUPLICATE_ID, of_vehicle(duplicate_id=True)),
     (
-        vehicle.CLASH_WITH_SERVICE,
+        vehicle.DUPLICATE_ID_OF_SERVICE,
+        vehicle.check(replace(VEHICLE, duplicate_id=True), CONFIG, 6.0, [SERVICE]),
+    ),
+    (
+        vehicle.DUPLICATE_ID_OF_SERVICE,
         vehicle.check(replace(VEHICLE, others=((1, 191),)), CONFIG, 6.0, [SERVICE]),
     ),
-    (vehicle.CLASH_ONCE, of_vehicle(others=((1, 154), (1, 191)))),
+    (vehicle.DUPLICATE_ID_ONCE, of_vehicle(others=((1, 154), (1, 191)))),
     (vehicle.SERVED, vehicle.check(VehicleFacts(), CONFIG, 6.0, [SERVICE])),
     (vehicle.SERVED, vehicle.check(VehicleFacts(messages=9, others=((1, 191),)), CONFIG, 6.0, [SERVICE])),
     (vehicle.FREE, of_vehicle(others=((1, 154), (255, 190)))),
@@ -372,20 +375,20 @@ def named(case: tuple[FindingText, list[DoctorFinding]]) -> str:
 
 @pytest.mark.parametrize(("line", "found"), CASES, ids=map(named, CASES))
 def test_the_facts_call_for_the_line(line: FindingText, found: list[DoctorFinding]) -> None:
-    assert any(says(line, finding) for finding in found), found
+    assert any(matches(line, finding) for finding in found), found
 
 
 @pytest.mark.parametrize(
     ("rate_Hz", "verdict"), [(1.0, "good"), (0.9, "good"), (0.5, "warning"), (0.0, "warning")]
 )
-def test_px4_sends_mission_current_as_it_likes(rate_Hz: float, verdict: str) -> None:
+def test_px4_sends_mission_current_at_its_own_times(rate_Hz: float, verdict: str) -> None:
     found = of_stream("MISSION_CURRENT", rate_Hz, refused=True, kind="px4")
     (finding,) = (finding for finding in found if finding.check == "MISSION_CURRENT")
     assert finding.verdict == verdict
     assert "refuses" not in finding.what and "extras.txt" not in finding.do
 
 
-def test_how_a_service_is_ended_is_said_of_that_service() -> None:
+def test_the_way_to_end_a_service_is_that_of_the_running_one() -> None:
     assert "(sudo systemctl stop flying-vines.service)" in service.check([SERVICE], [SERVICE]).do
     assert "(kill 7)" in service.check([Process(7, "flying-vines run")], []).do
 
@@ -395,12 +398,12 @@ def test_no_line_is_without_a_case() -> None:
     assert untold == []
 
 
-def test_every_warning_says_what_to_do() -> None:
+def test_every_warning_has_a_remedy() -> None:
     for line in every_line():
         assert bool(line.do) == (line.verdict in ("warning", "bad")), line
 
 
-def test_both_ports_say_the_same_of_their_own_link() -> None:
+def test_both_ports_report_the_same_about_their_own_link() -> None:
     for name, line in port.LINES["phloSAR"].items():
         other = port.LINES["vehicle"][name]
         assert other.check == "vehicle port"
@@ -425,7 +428,7 @@ HEALTHY: list[Sequence[DoctorFinding]] = [
 ]
 
 
-def test_of_what_is_well_nothing_else_is_said() -> None:
+def test_good_findings_have_no_other_text() -> None:
     findings = [finding for found in HEALTHY for finding in found]
     assert {finding.verdict for finding in findings} == {"good"}
     assert may_fly(findings)
@@ -473,7 +476,7 @@ def test_a_limit_that_is_too_low_is_reported_with_what_to_raise_it_to() -> None:
         ((later(HELD, 3.1),), False),
     ],
 )
-def test_a_receiver_is_safe_where_the_service_is_told_before_it_bends(
+def test_a_receiver_is_safe_if_the_loss_is_reported_before_a_bend(
     losses: tuple[TransmitterLoss, ...], safe: bool
 ) -> None:
     assert may_fly(of_receiver(losses=losses)) is safe
@@ -482,7 +485,7 @@ def test_a_receiver_is_safe_where_the_service_is_told_before_it_bends(
 def test_on_ardupilot_nothing_waits_for_a_preset_that_is_reported_late() -> None:
     """ArduPilot's status changes 0.9 s after the jump, and the switch acts after `debounce_s`."""
     late = of_receiver(autopilot="ardupilot", losses=(PRESET,))
-    assert any(says(receiver.BENDS, finding) for finding in late)
+    assert any(matches(receiver.BENDS, finding) for finding in late)
     assert not may_fly(late)
 
 

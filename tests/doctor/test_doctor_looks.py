@@ -14,8 +14,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from patience import PATIENCE_S
 from serial.tools.list_ports_common import ListPortInfo
+from waiting import MAX_WAIT_S
 
 from firmware_link.find import UsbBoard
 from flying_vines.config import config as configuration
@@ -95,7 +95,7 @@ def test_services_are_known_by_how_they_were_called(tmp_path: Path) -> None:
     assert not processes.named("minicom", there)
 
 
-def test_a_machine_without_proc_tells_nothing(tmp_path: Path) -> None:
+def test_a_machine_without_proc_gives_no_facts(tmp_path: Path) -> None:
     nowhere = tmp_path / "proc"
     assert processes.services(nowhere) == []
     assert processes.port_holders("udp", 14540, nowhere) == ()
@@ -168,7 +168,7 @@ def test_a_board_that_is_pulled_out_meanwhile_is_no_error() -> None:
 @pytest.mark.parametrize(
     ("said", "kept_off"), [("E:ID_MM_DEVICE_IGNORE=1\n", True), ("E:ID_MODEL=x\n", False), (None, False)]
 )
-def test_udev_s_word_to_modem_manager_is_read(
+def test_the_udev_rule_for_modem_manager_is_read(
     said: str | None, kept_off: bool, terminal: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     number = Path(terminal).stat().st_rdev
@@ -193,7 +193,7 @@ def test_the_kernel_s_console_is_known(
     assert ports.serial_port("vehicle", "serial:x", SerialAddress("/dev/null"), list).console
 
 
-def test_a_raspberry_pi_s_word_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_raspberry_pi_s_throttling_word_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     word, zones = tmp_path / "get_throttled", tmp_path / "thermal"
     (zones / "thermal_zone0").mkdir(parents=True)
     (zones / "thermal_zone0" / "temp").write_text("61250\n")
@@ -234,7 +234,7 @@ def test_the_clock_is_asked_and_its_jumps_are_seen(monkeypatch: pytest.MonkeyPat
     assert clock.when(0.0).startswith("19")
 
 
-def test_where_the_kernel_may_not_be_asked_timesyncd_tells(
+def test_if_the_kernel_may_not_be_asked_timesyncd_answers(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     class Sandbox:
@@ -270,10 +270,10 @@ def test_a_broker_that_is_not_there_is_reported_by_what_failed() -> None:
     ],
 )
 def test_a_broker_is_asked_to_let_us_in(answer: bytes, says: str, needs_person: bool) -> None:
-    heard = bytearray()
+    received = bytearray()
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        heard.extend(await reader.read(1024))
+        received.extend(await reader.read(1024))
         writer.write(answer)
         if not says:
             await reader.read()
@@ -283,7 +283,7 @@ def test_a_broker_is_asked_to_let_us_in(answer: bytes, says: str, needs_person: 
 
     async def ask() -> BrokerFacts:
         server = await asyncio.start_server(serve, "127.0.0.1", 0)
-        async with server, asyncio.timeout(PATIENCE_S):
+        async with server, asyncio.timeout(MAX_WAIT_S):
             port = server.sockets[0].getsockname()[1]
             found = await broker.facts(MqttConfig(broker=f"mqtt://127.0.0.1:{port}", username="vine"))
             await gone.wait()
@@ -293,8 +293,8 @@ def test_a_broker_is_asked_to_let_us_in(answer: bytes, says: str, needs_person: 
     found = asyncio.run(ask())
     assert (says in found.problem, bool(found.problem)) == (True, bool(says)), found
     assert found.needs_person == needs_person
-    assert heard[0] == 0x10, "CONNECT"
-    assert b"vine" in heard
+    assert received[0] == 0x10, "CONNECT"
+    assert b"vine" in received
 
 
 def test_the_files_that_the_broker_needs_are_read(tmp_path: Path) -> None:
@@ -305,7 +305,7 @@ def test_the_files_that_the_broker_needs_are_read(tmp_path: Path) -> None:
     assert none in of_broker("mqtts://127.0.0.1:9", ca_file=none).problem
 
 
-def test_without_the_library_that_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_library_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "aiomqtt", None)
     found = of_broker("mqtt://127.0.0.1:9")
     assert found.missing_package
@@ -341,6 +341,6 @@ def test_a_configuration_is_read_with_all_that_it_names(tmp_path: Path) -> None:
         look.read(path)
 
 
-def test_a_process_is_named_for_people() -> None:
+def test_a_process_has_a_readable_name() -> None:
     assert str(Process(7, "minicom")) == "minicom (process 7)"
     assert str(Process(7, "run", "vine.service")) == "run (process 7, vine.service)"

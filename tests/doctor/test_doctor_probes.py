@@ -21,13 +21,13 @@ class Feed:
 
     def __init__(self) -> None:
         self.probe = VehicleProbe(config.default())
-        self._ears = MavlinkCodec(0, 0)
+        self._decoder = MavlinkCodec(0, 0)
         self._out = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
 
     def take(self, t: float, message: Any) -> None:
         self._out.seq = (self._out.seq + 1) % 256
-        for heard in self._ears.decode(message.pack(self._out)):
-            self.probe.take(t, 1_795_000_000.0 + t, heard)
+        for received in self._decoder.decode(message.pack(self._out)):
+            self.probe.take(t, 1_795_000_000.0 + t, received)
 
     def heartbeat(self, t: float, autopilot: int = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA) -> None:
         self.take(t, mavlink.MAVLink_heartbeat_message(2, autopilot, 0, 5, 4, 3))
@@ -162,8 +162,8 @@ def telemetry(
 
 
 def test_what_is_read_is_what_comes_to_rest() -> None:
-    heard = [telemetry(0.01 * i, 10.0 if i < 200 else 0.5, 600.0 - 0.02 * i) for i in range(501)]
-    facts = with_readings(FirmwareFacts(), heard, None)
+    received = [telemetry(0.01 * i, 10.0 if i < 200 else 0.5, 600.0 - 0.02 * i) for i in range(501)]
+    facts = with_readings(FirmwareFacts(), received, None)
     assert facts.telemetry_Hz == pytest.approx(100.0)
     assert facts.cv_kPa == pytest.approx(0.5)
     assert facts.reservoir_kPa == pytest.approx(591.0, abs=0.1)
@@ -171,8 +171,8 @@ def test_what_is_read_is_what_comes_to_rest() -> None:
 
 
 def test_faults_are_those_of_the_end() -> None:
-    heard = [telemetry(0.0, 0.0, 600.0, Fault.DEAD_MAN), telemetry(1.0, 0.0, 600.0, Fault.SUPPLY)]
-    assert with_readings(FirmwareFacts(), heard, None).faults is Fault.SUPPLY
+    received = [telemetry(0.0, 0.0, 600.0, Fault.DEAD_MAN), telemetry(1.0, 0.0, 600.0, Fault.SUPPLY)]
+    assert with_readings(FirmwareFacts(), received, None).faults is Fault.SUPPLY
 
 
 def test_without_telemetry_nothing_is_read() -> None:

@@ -56,12 +56,12 @@ class Vehicle(FakeAutopilot):
     ) -> None:
         super().__init__(kind, unix_s=time.time(), **others)
         self.set_rc(9, 1000)
-        self.told: list[Any] = []
-        self._ears = MavlinkCodec(0, 0)
+        self.received: list[Any] = []
+        self._decoder = MavlinkCodec(0, 0)
         self._mute = mute
 
     def receive(self, t: float, link: str, data: bytes) -> None:
-        self.told += self._ears.decode(data)
+        self.received += self._decoder.decode(data)
         super().receive(t, link, data)
 
     def advance(self, t: float) -> list[tuple[str, bytes]]:
@@ -77,11 +77,11 @@ class Board(WrappedBoard):
 
     def __init__(self) -> None:
         super().__init__(Firmware())
-        self.told: list[protocol.Message] = []
-        self._ears = protocol.Codec()
+        self.received: list[protocol.Message] = []
+        self._decoder = protocol.Codec()
 
     def receive(self, data: bytes) -> None:
-        self.told += self._ears.decode(data)
+        self.received += self._decoder.decode(data)
         super().receive(data)
 
 
@@ -90,11 +90,11 @@ def phlosar(board: Board | None = None, reservoir_kPa: float = 690.0) -> Simulat
 
 
 def gps() -> Callable[[bytes], bytes]:
-    return lambda heard: b"$GPGGA,092750.000,5321.6802,N,00630.3372,W,1,8,1.03,61.7,M,55.2,M,,*76\r\n"
+    return lambda received: b"$GPGGA,092750.000,5321.6802,N,00630.3372,W,1,8,1.03,61.7,M,55.2,M,,*76\r\n"
 
 
 def silent() -> Callable[[bytes], bytes]:
-    return lambda heard: b""
+    return lambda received: b""
 
 
 def quick_board() -> Callable[[bytes], bytes]:
@@ -102,10 +102,10 @@ def quick_board() -> Callable[[bytes], bytes]:
     codec = protocol.Codec()
     began_s = time.monotonic()
 
-    def answer(heard: bytes) -> bytes:
+    def answer(received: bytes) -> bytes:
         now_ms = round(1e3 * (time.monotonic() - began_s))
         said: list[protocol.Message] = []
-        for message in codec.decode(heard):
+        for message in codec.decode(received):
             match message:
                 case protocol.Hello(_, nonce):
                     said.append(Welcome(PROTOCOL_VERSION, nonce, 7, "quick", 1, *LIMITS, 300, QUICK_HZ))
@@ -123,8 +123,8 @@ def of_next_version() -> Callable[[bytes], bytes]:
     """A firmware with a newer protocol version than this host."""
     codec = protocol.Codec()
 
-    def answer(heard: bytes) -> bytes:
-        hellos = [m for m in codec.decode(heard) if isinstance(m, protocol.Hello)]
+    def answer(received: bytes) -> bytes:
+        hellos = [m for m in codec.decode(received) if isinstance(m, protocol.Hello)]
         return b"".join(
             codec.encode(
                 Welcome(
@@ -166,7 +166,7 @@ class World:
 @dataclass(frozen=True)
 class Examined:
     findings: list[DoctorFinding]
-    told: list[Sequence[DoctorFinding]]
+    reported: list[Sequence[DoctorFinding]]
     vehicle: Vehicle
     phlosar: SimulatedPhlosar | None
 
@@ -205,11 +205,11 @@ async def _instead(answer: Callable[[bytes], bytes]) -> AsyncIterator[str]:
 
     async def live() -> None:
         while True:
-            heard = b""
+            received = b""
             with contextlib.suppress(BlockingIOError):
-                heard = os.read(ours, 4096)
+                received = os.read(ours, 4096)
             with contextlib.suppress(BlockingIOError):
-                os.write(ours, answer(heard))
+                os.write(ours, answer(received))
             await asyncio.sleep(1.0 / QUICK_HZ)
 
     living = asyncio.create_task(live())

@@ -21,7 +21,7 @@ class BlackBox(WrappedBoard):
     def __init__(self, phlosar: SimulatedPhlosar) -> None:
         super().__init__(phlosar.firmware)
         self._phlosar = phlosar
-        self._heard = Codec()
+        self._decoder = Codec()
         self.unsafe_s: float | None = None
         """Time of the last step with unsafe valves; None before the first."""
         self.setpoint_s: float | None = None
@@ -55,6 +55,6 @@ class BlackBox(WrappedBoard):
         return drive
 
     def receive(self, data: bytes) -> None:
-        if any(isinstance(message, Setpoint) for message in self._heard.decode(data)):
+        if any(isinstance(message, Setpoint) for message in self._decoder.decode(data)):
             self.setpoint_s = self._phlosar.now_s
         super().receive(data)

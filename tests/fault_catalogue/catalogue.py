@@ -23,7 +23,7 @@ class Row:
     id: str
     fault: str
     seen_by: str
-    told: str
+    pilot_text: str
     """Text that the pilot reads; the test looks for exactly these words. Empty if there is no text."""
     cleared: Cleared
     allowed_ms: int | None = None
@@ -317,7 +317,7 @@ FILES = (
         "",
         Cleared.AT_ONCE,
         safe_state="continues; the log catches up",
-        proof="test_a_disk_that_hangs_holds_up_nobody_and_loses_nothing",
+        proof="test_a_disk_that_hangs_delays_nothing_and_loses_nothing",
     ),
     Row(
         "disk_read_only",
@@ -335,7 +335,7 @@ FILES = (
         "",
         Cleared.AT_ONCE,
         safe_state="continues",
-        proof="test_a_frozen_terminal_holds_nobody_up",
+        proof="test_a_frozen_terminal_delays_nothing",
     ),
     Row(
         "terminal_closed",

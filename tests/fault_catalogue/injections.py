@@ -171,8 +171,8 @@ def lose_telemetry(flight: Watched) -> None:
 
 def rewriting(change: Callable[[protocol.Message], protocol.Message]) -> Wire:
     """A wire that changes the board's messages."""
-    heard, said = protocol.Codec(), protocol.Codec()
-    return lambda data: b"".join(said.encode(change(message)) for message in heard.decode(data))
+    decoder, encoder = protocol.Codec(), protocol.Codec()
+    return lambda data: b"".join(encoder.encode(change(message)) for message in decoder.decode(data))
 
 
 def reflash(flight: Watched) -> None:

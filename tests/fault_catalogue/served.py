@@ -9,10 +9,10 @@ import sys
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
-from patience import until
 from ports import free_port
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from service_bench import between
+from waiting import until
 
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.record.reader import FlightLog, LogError
@@ -123,7 +123,7 @@ class Served:
     async def vented(self) -> None:
         await until(lambda: self.phlosar.cv_kPa < 1.0 and self.phlosar.drive.solenoid, "the vine vents")
 
-    async def told(self, text: str) -> None:
+    async def until_text(self, text: str) -> None:
         await until(lambda: text in "".join(self.ground.texts), f"the ground station reads {text!r}")
 
     async def output(self) -> str:

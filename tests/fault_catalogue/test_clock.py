@@ -10,8 +10,8 @@ from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
 import pytest
-from needed import need
 from real_time import real_time
+from required_programs import need
 
 from flying_vines.simulation.autopilot import FakeAutopilot
 

@@ -36,15 +36,15 @@ def test_a_fault_in_flight(name: str) -> None:
     # The switch does not move, and there is no request.
     flight.run(5.0)
 
-    if row.told:
-        assert flight.told(row.told), flight.describe()
+    if row.pilot_text:
+        assert flight.has_text(row.pilot_text), flight.describe()
     assert {d.intent for d in flight.decisions if d.trigger != "switch"} <= {"vent"}, flight.describe()
     if row.highest_kPa is None:
         assert box.longest_over_ms <= LONGEST_OVER_MS
     else:
         assert box.highest_kPa == pytest.approx(row.highest_kPa, abs=SAME_KPA)
     if row.cleared is Cleared.AT_ONCE:
-        assert bool(flight.texts.read) == bool(row.told), flight.describe()
+        assert bool(flight.texts.read) == bool(row.pilot_text), flight.describe()
         assert flight.phlosar.cv_kPa > BENT_AT_LEAST_KPA, "the vine goes on"
         return
     assert left_kPa == pytest.approx(row.left_kPa, abs=SAME_KPA)

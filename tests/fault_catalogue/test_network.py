@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from gateway.mqtt.brokers import Broker, onlooker, running
 from gateway_process import gateway_of
-from patience import until
 from real_time import real_time
+from waiting import until
 
 from .catalogue import ROWS
 from .served import Served, on_bench
@@ -40,11 +40,11 @@ async def test_a_flight_continues_whatever_the_network_does(served: Served, tmp_
             assert served.process is not None
             os.kill(gateway_of(served.process.pid), signal.SIGKILL)
             await people.until(f"{base}/status", status="offline")
-            await served.told(ROWS["gateway_killed"].told)
+            await served.until_text(ROWS["gateway_killed"].pilot_text)
             await people.until(f"{base}/state", doing="bend-full")
 
         broker.kill()
-        await served.told(ROWS["broker_gone"].told)
+        await served.until_text(ROWS["broker_gone"].pilot_text)
         assert served.phlosar.cv_kPa > 15.0
         assert not served.phlosar.firmware.faults
         served.straighten()

@@ -1,6 +1,6 @@
-"""The referee finds no foul in flights in which radio and mission mislead the service.
+"""The monitor finds no violation in flights in which radio and mission mislead the service.
 
-Each flight exposes one wrong assumption: a service with this assumption has a foul.
+Each flight exposes one wrong assumption: a service with this assumption has a violation.
 `tests/data/recordings/README.md` says what RC does on PX4, and what ArduPilot hides.
 """
 
@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from needed import needs_compiler
+from required_programs import needs_compiler
 
 from flying_vines.config.config import Config
 from flying_vines.core.core import Core
@@ -21,15 +21,15 @@ from flying_vines.simulation.autopilot import AutopilotKind, RcSource
 from flying_vines.vehicle.autopilots import OTHER
 from flying_vines.vehicle.autopilots.autopilot import Autopilot
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.mission_cache import MissionCache
 from flying_vines.vehicle.radio.pilot import PilotOutput
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vine.intent import Intent
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
-from faults_flight import ACTUATOR, SCRIPT_MESSAGE, RefereedFlight, Setup
+from faults_flight import ACTUATOR, SCRIPT_MESSAGE, MonitoredFlight, Setup
 
 from .catalogue import ROWS
 
@@ -45,24 +45,24 @@ FLOWN: dict[str, Callable[[Config], Core]] = {"core": Core}
 """The cores to fly. Tests below replace them by cores that lack a rule."""
 
 
-def airborne(setup: Setup) -> RefereedFlight:
+def airborne(setup: Setup) -> MonitoredFlight:
     """RC has been good for long enough to be accepted."""
-    flight = RefereedFlight(setup, FLOWN["core"])
+    flight = MonitoredFlight(setup, FLOWN["core"])
     flight.run(1.5)
     flight.take_off()
     flight.run(5.5)
     return flight
 
 
-def px4(receiver: RcSource, seed: int = 1) -> RefereedFlight:
+def px4(receiver: RcSource, seed: int = 1) -> MonitoredFlight:
     return airborne(Setup("px4", receiver=receiver, seed=seed))
 
 
-def ardupilot(parameters: Mapping[str, float] | None = None) -> RefereedFlight:
+def ardupilot(parameters: Mapping[str, float] | None = None) -> MonitoredFlight:
     return airborne(Setup("ardupilot", parameters=parameters or {}))
 
 
-def bent(flight: RefereedFlight) -> RefereedFlight:
+def bent(flight: MonitoredFlight) -> MonitoredFlight:
     """The pilot has bent the vine."""
     flight.move_switch(2)
     flight.run(3.0)
@@ -71,8 +71,8 @@ def bent(flight: RefereedFlight) -> RefereedFlight:
     return flight
 
 
-def assert_clean(flight: RefereedFlight) -> None:
-    assert flight.fouls == [], "\n".join(f"{t:7.3f} {text}" for t, text in flight.timeline)
+def assert_clean(flight: MonitoredFlight) -> None:
+    assert flight.violations == [], "\n".join(f"{t:7.3f} {text}" for t, text in flight.timeline)
 
 
 # Moves of the pilot, which must work in spite of all rules.
@@ -398,14 +398,14 @@ class TakesOverridesForThePilot(Core):
 class TrustsItsBook(Core):
     """Does not read an item again when it runs."""
 
-    class _Book(MissionBook):
+    class _Cache(MissionCache):
         @property
         def is_given(self) -> bool:
             return self.fresh
 
     def __init__(self, conf: Config) -> None:
         super().__init__(conf)
-        self._vehicle._book.__class__ = self._Book
+        self._vehicle._mission_cache.__class__ = self._Cache
 
 
 class IsNeverTooLate(Core):
@@ -449,7 +449,7 @@ class CountsFromEachLoss(Core):
 
 
 @pytest.mark.parametrize(
-    ("cheat", "witness"),
+    ("mutant", "witness"),
     [
         (BelievesAnyRc, partial(test_px4_frozen_values_hold_no_bend, "sbus")),
         (BelievesAnyRc, partial(test_px4_switch_moved_while_rc_was_lost_bends_nothing, "crsf")),
@@ -477,8 +477,8 @@ class CountsFromEachLoss(Core):
     ],
 )
 def test_without_the_rule_a_flight_shows_it(
-    cheat: type[Core], witness: Callable[[], None], monkeypatch: pytest.MonkeyPatch
+    mutant: type[Core], witness: Callable[[], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(FLOWN, "core", cheat)
+    monkeypatch.setitem(FLOWN, "core", mutant)
     with pytest.raises(AssertionError):
         witness()

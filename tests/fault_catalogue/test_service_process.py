@@ -12,8 +12,8 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from patience import PATIENCE_S, until
 from real_time import real_time
+from waiting import MAX_WAIT_S, until
 
 from firmware_link.protocol import Fault
 from flying_vines.record.reader import FlightLog
@@ -48,7 +48,7 @@ def assert_ended_by_the_dead_man(served: Served, fault: str) -> None:
 
 async def assert_latched_until_a_person_clears_it(served: Served, fault: str) -> None:
     """The switch is at bent, which is no trigger. A move to a smaller bend is refused."""
-    await served.told(ROWS[fault].told)
+    await served.until_text(ROWS[fault].pilot_text)
     still_s = served.box.unsafe_s
     await asyncio.sleep(0.5)
     served.bend_half()
@@ -88,7 +88,7 @@ async def test_the_dead_man_behind_the_real_service(served: Served) -> None:
     served.phlosar.advance(served.phlosar.now_s + 2.0)
     assert_ended_by_the_dead_man(served, "serial_unplugged")
     served.plug_in()
-    await served.told("phloSAR is back")
+    await served.until_text("phloSAR is back")
     await assert_latched_until_a_person_clears_it(served, "serial_unplugged")
 
     await vent(served)
@@ -122,26 +122,26 @@ async def test_a_flight_continues_whatever_happens_around_it(served: Served) -> 
     (log,) = (served.folder / "flights").glob("*/flight.mcap")
     size = log.stat().st_size
     resource.prlimit(served.process.pid, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
-    await served.told(ROWS["disk_full"].told)
+    await served.until_text(ROWS["disk_full"].pilot_text)
     resource.prlimit(served.process.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
-    await served.told("the flight log continues in")
+    await served.until_text("the flight log continues in")
     assert len(list(FlightLog(log).entries())) > 10
     shutil.rmtree(served.folder / "flights")
-    await served.told(ROWS["log_vanished"].told)
+    await served.until_text(ROWS["log_vanished"].pilot_text)
     await until(lambda: _count(served, "the flight log continues in") == 2, "it goes on again")
     assert _count(served, "the flight log ends here") == 2
     (log,) = (served.folder / "flights").glob("*/flight.mcap")
 
     (served.folder / "state").write_text("a file where the folder should be")
     served.set_parameter("VINE_RATE_HZ", 3.0)
-    await served.told(ROWS["disk_read_only"].told)
+    await served.until_text(ROWS["disk_read_only"].pilot_text)
 
     second = await asyncio.create_subprocess_exec(
         *served.command, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT
     )
     assert second.stdout is not None
-    async with asyncio.timeout(PATIENCE_S):
-        while ROWS["second_copy"].told not in (await second.stdout.readline()).decode():
+    async with asyncio.timeout(MAX_WAIT_S):
+        while ROWS["second_copy"].pilot_text not in (await second.stdout.readline()).decode():
             pass
     second.terminate()
     await second.communicate()
@@ -175,7 +175,7 @@ def _count(served: Served, text: str) -> int:
     return "".join(served.ground.texts).count(text)
 
 
-async def test_a_frozen_terminal_holds_nobody_up(served: Served) -> None:
+async def test_a_frozen_terminal_delays_nothing(served: Served) -> None:
     """Nobody reads the other end of this terminal."""
     ours, its = os.openpty()
     try:
@@ -189,7 +189,7 @@ async def test_a_frozen_terminal_holds_nobody_up(served: Served) -> None:
         served.straighten()
         await served.vented()
         served.process.terminate()
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             assert await served.process.wait() == 0
     finally:
         os.close(ours)
@@ -205,7 +205,7 @@ async def test_a_service_does_not_start_without_its_files(served: Served) -> Non
         process = await asyncio.create_subprocess_exec(*served.command, stderr=asyncio.subprocess.PIPE)
         _, said = await process.communicate()
         assert process.returncode == 2
-        assert ROWS[fault].told in said.decode()
+        assert ROWS[fault].pilot_text in said.decode()
         assert len(said.decode().splitlines()) == 1
         mend()
     assert served.box.unsafe_s is None

@@ -32,7 +32,7 @@ def test_two_autopilots() -> None:
         if i == 30:
             autopilot.set_rc(SWITCH, HIGH)
             autopilot.takeoff(10.0)
-    assert any(ROWS["two_autopilots"].told in text for text in texts.read)
+    assert any(ROWS["two_autopilots"].pilot_text in text for text in texts.read)
     assert box.unsafe_s is None
 
 

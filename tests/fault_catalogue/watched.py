@@ -118,7 +118,7 @@ class Watched:
         self.texts.read.clear()
         self.decisions.clear()
 
-    def told(self, text: str) -> bool:
+    def has_text(self, text: str) -> bool:
         return any(text in read for read in self.texts.read)
 
     def describe(self) -> str:

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from needed import ARM_TOOLS, need
+from required_programs import ARM_TOOLS, need
 
 from .native import FIRMWARE
 from .once import made_once

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from .golden_run import Done, PowerUp, Told
+from .golden_run import BoardInput, Done, PowerUp
 
 MADE = "emulated.elf"
 _PROGRAM = Path(__file__).parents[2] / "firmware_link" / "firmware" / "qemu"
@@ -77,16 +77,16 @@ class Run(NamedTuple):
     ticked: list[Ticked]
 
 
-def run(program: Program, told: Iterable[Told], folder: Path) -> Run:
-    """The chip's outputs, step by step. The first of `told` is a power-up. `folder` is for its files."""
-    _prepare(told, folder)
+def run(program: Program, inputs: Iterable[BoardInput], folder: Path) -> Run:
+    """The chip's outputs, step by step. The first of `inputs` is a power-up. `folder` is for its files."""
+    _prepare(inputs, folder)
     subprocess.run([*_command(program), *_COUNTING], cwd=folder, check=True, timeout=_HANGS_S)
     return results(program.chip, folder)
 
 
-def trace(program: Program, told: Iterable[Told], folder: Path) -> Iterator[tuple[str, list[int]]]:
+def trace(program: Program, inputs: Iterable[BoardInput], folder: Path) -> Iterator[tuple[str, list[int]]]:
     """The same, but slow: for each counted operation, its name and the addresses of its instructions."""
-    _prepare(told, folder)
+    _prepare(inputs, folder)
     options = ("-singlestep", "-d", "exec,nochain", "-D", "/dev/stdout")
     with subprocess.Popen([*_command(program), *options], cwd=folder, stdout=subprocess.PIPE) as emulator:
         assert emulator.stdout is not None
@@ -123,11 +123,11 @@ def _command(program: Program) -> list[str]:
     return [*_EMULATOR, "-M", program.chip.machine, "-kernel", str(program.path)]
 
 
-def _prepare(told: Iterable[Told], folder: Path) -> None:
-    (folder / "inputs").write_bytes(b"".join(map(_record, told)))
+def _prepare(inputs: Iterable[BoardInput], folder: Path) -> None:
+    (folder / "inputs").write_bytes(b"".join(map(_record, inputs)))
 
 
-def _record(one: Told) -> bytes:
+def _record(one: BoardInput) -> bytes:
     if isinstance(one, PowerUp):
         build, stored = one.build.encode("ascii"), one.stored
         return b"P" + struct.pack("<IB16sB", one.boot_id, one.by_watchdog, build, len(stored)) + stored

@@ -31,7 +31,7 @@ from firmware_link.protocol import (
 )
 from flying_vines.simulation.phlosar.firmware import setting_rows
 
-from .golden_run import Done, PowerUp, Step, Told
+from .golden_run import BoardInput, Done, PowerUp, Step
 
 VECTORS: dict[str, Any] = json.loads(
     (Path(__file__).parents[1] / "firmware_link" / "golden_vectors.json").read_text()
@@ -44,7 +44,7 @@ _STANDARD = {name: row.standard for name, row in setting_rows().items()}
 
 
 class Conversation(NamedTuple):
-    told: list[Told]
+    inputs: list[BoardInput]
     answers: list[Message]
     """Answers to the last frame, without telemetry."""
 
@@ -106,7 +106,7 @@ def frames(messages: list[Message]) -> list[bytes]:
     return [encode(message, 0) for message in messages]
 
 
-def _to_welcome(welcome: Welcome) -> list[Told]:
+def _to_welcome(welcome: Welcome) -> list[BoardInput]:
     values = {
         "cv_limit_kPa": welcome.cv_limit_kPa,
         "setpoint_margin_kPa": welcome.cv_limit_kPa - welcome.setpoint_limit_kPa,
@@ -123,7 +123,7 @@ def _to_welcome(welcome: Welcome) -> list[Told]:
     ]
 
 
-def _to_refusal(refusal: Refusal) -> list[Told]:
+def _to_refusal(refusal: Refusal) -> list[BoardInput]:
     number = refusal.number
     match refusal.reason:
         case RefusalReason.NO_HANDSHAKE:
@@ -140,7 +140,7 @@ def _to_refusal(refusal: Refusal) -> list[Told]:
             return [*_booted(), *begun, _said(3, SetSetting(0, 20.0))]
 
 
-def _booted(boot_id: int = 5, build: str = _BUILD, *, by_watchdog: bool = False) -> list[Told]:
+def _booted(boot_id: int = 5, build: str = _BUILD, *, by_watchdog: bool = False) -> list[BoardInput]:
     return [PowerUp(boot_id, by_watchdog, build, b""), _said(0)]
 
 

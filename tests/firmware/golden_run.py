@@ -65,20 +65,20 @@ class Done(NamedTuple):
     sent: bytes
 
 
-Told = PowerUp | Step
+BoardInput = PowerUp | Step
 
 
 class Part(NamedTuple):
     """A board's run from one power-up on, with one purpose."""
 
     name: str
-    told: list[Told]
+    inputs: list[BoardInput]
     done: list[Done]
     """One entry for each of `steps`."""
 
     @property
     def steps(self) -> list[Step]:
-        return [one for one in self.told if isinstance(one, Step)]
+        return [one for one in self.inputs if isinstance(one, Step)]
 
 
 class HostBoard:
@@ -121,11 +121,11 @@ class HostBoard:
         )
 
 
-def on_host(told: Iterable[Told], library: ctypes.CDLL | None = None) -> Iterator[Done]:
-    """The core's outputs on this machine, with this library or the usual one. `told` begins with a
+def on_host(inputs: Iterable[BoardInput], library: ctypes.CDLL | None = None) -> Iterator[Done]:
+    """The core's outputs on this machine, with this library or the usual one. `inputs` begins with a
     power-up."""
     board: HostBoard | None = None
-    for one in told:
+    for one in inputs:
         if isinstance(one, PowerUp):
             board = HostBoard(one, library)
         else:
@@ -138,7 +138,7 @@ def write(path: Path, parts: Iterable[Part]) -> None:
     for part in parts:
         lines.append(f"@ {part.name}\n")
         done = iter(part.done)
-        for one in part.told:
+        for one in part.inputs:
             if isinstance(one, PowerUp):
                 lines.append(f"P {_words(one)}\n")
             else:
@@ -156,10 +156,10 @@ def read(path: Path = GOLDEN_RUN) -> list[Part]:
                 parts.append(Part(rest, [], []))
             case "P":
                 boot_id, by_watchdog, build, stored = words
-                parts[-1].told.append(PowerUp(int(boot_id), by_watchdog == "1", build, _bytes(stored)))
+                parts[-1].inputs.append(PowerUp(int(boot_id), by_watchdog == "1", build, _bytes(stored)))
             case "S":
                 now_us, cv, reservoir, supply, fetched = map(int, words[:5])
-                parts[-1].told.append(Step(now_us, cv, reservoir, supply, fetched, _bytes(words[5])))
+                parts[-1].inputs.append(Step(now_us, cv, reservoir, supply, fetched, _bytes(words[5])))
                 evp, dvp, solenoid, mode, faults, number = map(int, words[7:13])
                 kept, sent = map(_bytes, words[13:])
                 parts[-1].done.append(Done(evp, dvp, solenoid == 1, mode, faults, number, kept, sent))

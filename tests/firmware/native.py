@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import pytest
-from needed import host_compiler
+from required_programs import host_compiler
 
 from flying_vines.simulation.phlosar.core_library import SOURCES
 

@@ -80,7 +80,7 @@ class Recorder:
         self._board = self._begin(power_up)
 
     def _begin(self, power_up: PowerUp) -> HostBoard:
-        self._part.told.append(power_up)
+        self._part.inputs.append(power_up)
         return HostBoard(power_up)
 
     @property
@@ -129,7 +129,7 @@ class Recorder:
     def tell(self, step: Step) -> None:
         self._received = b""
         done = self._board.step(step)
-        self._part.told.append(step)
+        self._part.inputs.append(step)
         self._part.done.append(done)
         self._sent += done.sent
         self.stored = done.kept or self.stored

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from needed import host_compiler
+from required_programs import host_compiler
 
 from firmware_link.protocol import (
     PROTOCOL_VERSION,
@@ -250,9 +250,9 @@ def test_the_converter_has_sixteen_bits(teensy: Teensy, counts: int) -> None:
     teensy.start()
     teensy.greet()
     teensy.state.analog[RESERVOIR] = counts
-    told = teensy.telemetry().reservoir_kPa
+    reading_kPa = teensy.telemetry().reservoir_kPa
     right = (counts / SUPPLY_COUNTS - 0.1) / 0.8 * 1500.0
-    assert told == pytest.approx(right, abs=1500 / 0.8 * 20 / SUPPLY_COUNTS)
+    assert reading_kPa == pytest.approx(right, abs=1500 / 0.8 * 20 / SUPPLY_COUNTS)
 
 
 @pytest.mark.parametrize(
@@ -333,15 +333,15 @@ def test_a_crash_vents_at_once_and_resets(teensy: Teensy) -> None:
     assert teensy.vented
 
 
-def test_the_next_start_says_that_the_watchdog_ended_the_last(teensy: Teensy) -> None:
+def test_the_next_start_reports_that_the_watchdog_ended_the_last(teensy: Teensy) -> None:
     teensy.start(by_watchdog=True)
     assert teensy.telemetry().faults == Fault.WATCHDOG_RESET
 
 
 def test_a_usual_start_has_no_fault(teensy: Teensy) -> None:
     teensy.start()
-    told = teensy.telemetry()
-    assert (told.mode, told.faults) == (Mode.VENT, Fault.NONE)
+    telemetry = teensy.telemetry()
+    assert (telemetry.mode, telemetry.faults) == (Mode.VENT, Fault.NONE)
     assert teensy.greet().firmware_build == f"1.1 {teensy.model.name}"
 
 
@@ -472,7 +472,7 @@ MUTANTS = {
         "monitor.step(now_us, turned)",
         "monitor.step(now_us, true || turned)",
     ),
-    "the watchdog's reset not told": Mistake("run.cpp", "board::reset_by_watchdog()", "false"),
+    "the watchdog's reset not reported": Mistake("run.cpp", "board::reset_by_watchdog()", "false"),
     "settings not stored": Mistake("run.cpp", "        settings_memory::store(image);\n", ""),
     "no guard behind the watchdog": Mistake(
         "board/teensy4.cpp",
@@ -497,7 +497,7 @@ MUTANTS = {
         "void begin_slow_work() { feed_watchdog(); }\nvoid end_slow_work() { feed_watchdog(); }",
         "void begin_slow_work() {}\nvoid end_slow_work() {}",
     ),
-    "LC: a lockup that is not told": Mistake(
+    "LC: a lockup that is not reported": Mistake(
         "board/teensy_lc.cpp", "(RCM_SRS0 & RCM_SRS0_WDOG) != 0 || ", ""
     ),
 }
@@ -521,7 +521,7 @@ def test_a_mistake_in_the_layer_is_found(what: str, tmp_path: Path) -> None:
         test_a_step_that_hangs_is_vented_or_reset_within_0p26_s,
         test_a_processor_that_hangs_is_reset_in_the_watchdogs_time,
         test_a_crash_vents_at_once_and_resets,
-        test_the_next_start_says_that_the_watchdog_ended_the_last,
+        test_the_next_start_reports_that_the_watchdog_ended_the_last,
         test_a_host_that_does_not_read_costs_no_time_and_no_part_of_a_frame,
         test_without_a_program_at_the_other_end_nothing_is_kept_for_the_next,
         lambda teensy: test_settings_survive_the_power_and_the_slowest_memory(

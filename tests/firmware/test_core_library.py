@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-from needed import needs_compiler
+from required_programs import needs_compiler
 
 from firmware_link.protocol import (
     PROTOCOL_VERSION,
@@ -68,7 +68,7 @@ def test_a_weak_supply_does_not_change_what_is_read_until_it_is_too_weak() -> No
 
 
 @pytest.mark.parametrize("spoil", [0, 3, 20, -1])
-def test_damaged_settings_are_not_used_and_say_so(spoil: int) -> None:
+def test_damaged_settings_are_not_used_and_are_reported(spoil: int) -> None:
     firmware, codec = Firmware(), Codec()
     firmware.step(0, 0.0, 690.0)
     firmware.receive(codec.encode(Hello(PROTOCOL_VERSION, 1)) + codec.encode(SetSetting(0, 20.0)))
@@ -116,7 +116,7 @@ def test_openings_are_of_the_current_that_the_valves_are_wired_for() -> None:
     assert telemetry(firmware, codec).evp_opening == 1.0
 
 
-def test_without_a_compiler_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_compiler_it_names_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CXX", raising=False)
     with pytest.raises(FirmwareBuildError, match=r"without a C\+\+ compiler: sudo apt install"):
@@ -157,7 +157,7 @@ def test_the_prebuilt_libraries_are_what_these_sources_give(target: str, tmp_pat
 @needs_compiler
 @pytest.mark.parametrize("part", read(), ids=lambda part: part.name)
 def test_the_library_built_here_repeats_the_golden_run(part: Part) -> None:
-    assert difference(part, on_host(part.told, core_library.opened(core_library.build()))) == ""
+    assert difference(part, on_host(part.inputs, core_library.opened(core_library.build()))) == ""
 
 
 @needs_compiler

@@ -6,7 +6,7 @@ import itertools
 from pathlib import Path
 
 import pytest
-from needed import ARM_TOOLS, need
+from required_programs import ARM_TOOLS, need
 
 from .emulated import CHIPS, MADE, Chip, Instructions, Program, Run, build, results, run, trace
 from .golden_frames import VECTORS, answers_in, frames, of_host_frame, to_device_frame
@@ -31,7 +31,7 @@ def program(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 @pytest.fixture(scope="module")
 def golden(program: Program, tmp_path_factory: pytest.TempPathFactory) -> Run:
-    chip, told = program.chip, (one for part in PARTS for one in part.told)
+    chip, told = program.chip, (one for part in PARTS for one in part.inputs)
     folder = made_once(tmp_path_factory, f"golden-{chip.name}", lambda folder: run(program, told, folder))
     return results(chip, folder)
 
@@ -43,14 +43,14 @@ def test_the_chip_does_what_the_golden_run_holds(golden: Run, part: Part) -> Non
     assert difference(part, done) == ""
 
 
-def test_the_chip_answers_golden_frames_as_the_protocol_says(program: Program, tmp_path: Path) -> None:
+def test_the_chip_answers_golden_frames_by_the_protocol(program: Program, tmp_path: Path) -> None:
     vectors = [bytes.fromhex(vector["frame_hex"]) for vector in VECTORS["frames"]]
     hosts = [of_host_frame(frame) for frame in vectors if frame_type(frame) < 0x80]
     devices = [to_device_frame(frame) for frame in vectors if frame_type(frame) > 0x80]
     conversations = [*hosts, *filter(None, devices)]
-    ticked = iter(run(program, (one for c in conversations for one in c.told), tmp_path).ticked)
+    ticked = iter(run(program, (one for c in conversations for one in c.inputs), tmp_path).ticked)
     for conversation in conversations:
-        steps = sum(isinstance(one, Step) for one in conversation.told)
+        steps = sum(isinstance(one, Step) for one in conversation.inputs)
         *_, last = itertools.islice(ticked, steps)
         assert frames(answers_in(last.done)) == frames(conversation.answers)
     assert next(ticked, None) is None
@@ -78,8 +78,8 @@ def test_instructions_are_counted_right(program: Program, golden: Run, tmp_path:
     """The emulator's clock and a trace of each instruction agree, except for the cost of counting."""
     assert abs(golden.thousand - 1000) <= 3
     part = next(part for part in PARTS if part.name == "watchdog")
-    counted = [ticked.instructions for ticked in run(program, part.told, tmp_path).ticked]
-    operations = list(trace(program, part.told, tmp_path))
+    counted = [ticked.instructions for ticked in run(program, part.inputs, tmp_path).ticked]
+    operations = list(trace(program, part.inputs, tmp_path))
     assert [ticked.done for ticked in results(program.chip, tmp_path).ticked] == part.done
     assert [name for name, _ in operations] == list(Instructions._fields) * len(counted)
     beyond: dict[str, set[int]] = {name: set() for name in Instructions._fields}

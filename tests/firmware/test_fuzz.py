@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from needed import host_compiler, needs_compiler
+from required_programs import host_compiler, needs_compiler
 
 from flying_vines.simulation.phlosar.core_library import SOURCES
 
@@ -75,8 +75,8 @@ def test_the_driver_is_built_once() -> None:
 
 
 def test_the_host_withstands_what_comes() -> None:
-    heard = listen(1, 300_000)
-    assert heard.fed_bytes >= 300_000
-    assert heard.messages > 3000
-    assert heard.ready > 100
-    assert len(heard.memory.looks) == 10
+    received = listen(1, 300_000)
+    assert received.fed_bytes >= 300_000
+    assert received.messages > 3000
+    assert received.ready > 100
+    assert len(received.memory.looks) == 10

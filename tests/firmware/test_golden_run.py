@@ -54,7 +54,7 @@ def telemetry() -> list[Telemetry]:
 
 @pytest.mark.parametrize("part", PARTS, ids=lambda part: part.name)
 def test_the_core_does_on_this_machine_what_it_did(part: Part) -> None:
-    assert difference(part, on_host(part.told)) == ""
+    assert difference(part, on_host(part.inputs)) == ""
 
 
 @pytest.mark.parametrize("vector", VECTORS["frames"], ids=lambda vector: vector["message"])
@@ -67,7 +67,7 @@ def test_a_board_answers_the_hosts_golden_frames_and_sends_the_devices(vector: d
     if conversation is None:
         assert vector["message"] in ("Telemetry", "Setting")
         return
-    *_, done = on_host(conversation.told)
+    *_, done = on_host(conversation.inputs)
     assert frames(answers_in(done)) == frames(conversation.answers)
 
 
@@ -115,7 +115,7 @@ def test_it_reaches_odd_times() -> None:
 
 
 def test_it_reaches_what_boards_keep() -> None:
-    power_ups = [one for part in PARTS for one in part.told if isinstance(one, PowerUp)]
+    power_ups = [one for part in PARTS for one in part.inputs if isinstance(one, PowerUp)]
     assert {one.by_watchdog for one in power_ups} == {False, True}
     assert any(done.kept for _, done in STEPS)
     assert {len(one.stored) for one in power_ups} >= {0, 1, 81, 82}

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from needed import ARM_TOOLS, host_compiler, need
+from required_programs import ARM_TOOLS, host_compiler, need
 
 from flying_vines.install import files
 
@@ -74,7 +74,7 @@ def test_it_is_built_for_the_board_and_fits(
     assert (images / board / "phlosar.hex").read_text().startswith(":")
 
 
-def test_the_guide_says_what_it_needs(needs: dict[str, dict[str, int]]) -> None:
+def test_the_guide_lists_the_requirements(needs: dict[str, dict[str, int]]) -> None:
     """Within a tenth, because compiler releases differ."""
     rows = re.findall(
         r"^\| Teensy (4\.0|4\.1|LC) \| ([\d,]+) \| ([\d,]+) \| ([\d,]+) \| ([\d,]+) \|",
@@ -90,7 +90,7 @@ def test_the_guide_says_what_it_needs(needs: dict[str, dict[str, int]]) -> None:
 
 
 @pytest.mark.parametrize("board", BOARDS)
-def test_the_frames_are_those_that_the_compiler_tells(images: Path, stack: ModuleType, board: str) -> None:
+def test_the_frames_are_those_that_the_compiler_reports(images: Path, stack: ModuleType, board: str) -> None:
     """This holds for our own functions."""
     told: dict[str, int] = {}
     for path in (images / board / "phlosar").rglob("*.ci"):
@@ -259,7 +259,7 @@ def test_the_wiring_guide_has_the_pins_that_are_compiled() -> None:
         assert words[name] in told[pin]
 
 
-def test_platformio_is_told_the_sketch_and_the_boards() -> None:
+def test_platformio_gets_the_sketch_and_the_boards() -> None:
     project = configparser.ConfigParser()
     project.read(FIRMWARE / "platformio.ini")
     assert (FIRMWARE / project["platformio"]["src_dir"] / "phlosar.ino").is_file()

@@ -9,9 +9,9 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from needed import host_compiler, need
-from patience import PATIENCE_S, until
 from real_time import real_time
+from required_programs import host_compiler, need
+from waiting import MAX_WAIT_S, until
 
 from firmware_link.host import HostEvent, Ready, Regulate, TelemetryReceived
 from firmware_link.link import FirmwareLink
@@ -42,7 +42,7 @@ async def running(program: Path, *options: str) -> AsyncIterator[str]:
     process = await asyncio.create_subprocess_exec(program, *options, stdout=asyncio.subprocess.PIPE)
     try:
         assert process.stdout is not None
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             yield (await process.stdout.readline()).decode().strip()
     finally:
         process.terminate()
@@ -53,20 +53,20 @@ class Host:
     """A link, and its results."""
 
     def __init__(self, path: str) -> None:
-        self.link = FirmwareLink(path, self._heard)
+        self.link = FirmwareLink(path, self._handle)
         self.ready: Ready | None = None
         self.telemetry: list[Telemetry] = []
-        self.heard: list[Message] = []
+        self.received: list[Message] = []
         decode = self.link.codec.decode
 
-        def overheard(data: bytes) -> list[Message]:
+        def decoded(data: bytes) -> list[Message]:
             messages = decode(data)
-            self.heard.extend(messages)
+            self.received.extend(messages)
             return messages
 
-        self.link.codec.decode = overheard  # type: ignore[method-assign]
+        self.link.codec.decode = decoded  # type: ignore[method-assign]
 
-    def _heard(self, event: HostEvent) -> None:
+    def _handle(self, event: HostEvent) -> None:
         match event:
             case Ready():
                 self.ready = event
@@ -97,20 +97,20 @@ class Host:
 
     async def setting(self, number: int) -> Setting:
         self.say(GetSetting(number))
-        await until(lambda: any(isinstance(m, Setting) for m in self.heard), "the setting is told")
-        return next(m for m in self.heard if isinstance(m, Setting))
+        await until(lambda: any(isinstance(m, Setting) for m in self.received), "the setting is told")
+        return next(m for m in self.received if isinstance(m, Setting))
 
 
 @contextlib.asynccontextmanager
-async def talking(path: str) -> AsyncIterator[Host]:
+async def connected(path: str) -> AsyncIterator[Host]:
     host = Host(path)
-    talk = asyncio.create_task(host.link.run())
+    link = asyncio.create_task(host.link.run())
     try:
         await until(lambda: host.ready is not None, "the firmware answers")
         yield host
     finally:
-        talk.cancel()
-        await asyncio.gather(talk, return_exceptions=True)
+        link.cancel()
+        await asyncio.gather(link, return_exceptions=True)
 
 
 @pytest.mark.long
@@ -118,20 +118,20 @@ async def test_it_greets_fills_the_bag_and_vents_it(program: Path, tmp_path: Pat
     link = tmp_path / "phlosar"
     async with running(program, "--link", str(link), "--boot-id", "77") as path:
         assert str(link.readlink()) == path
-        async with talking(str(link)) as host:
+        async with connected(str(link)) as host:
             assert host.ready is not None
             assert (host.ready.welcome.boot_id, host.ready.welcome.firmware_build) == (77, "1.1 pty")
             await host.hold(15.0, 30)
             assert host.telemetry[-1].reservoir_kPa < 690.0
         # The end of the link has vented.
-        async with talking(str(link)) as host:
+        async with connected(str(link)) as host:
             await until(lambda: bool(host.telemetry) and host.cv_kPa < 1.0, "it is vented")
             assert host.telemetry[-1].faults is Fault.NONE
     assert not link.is_symlink()
 
 
 async def test_the_dead_man_vents_when_the_host_falls_silent(program: Path) -> None:
-    async with running(program) as path, talking(path) as host:
+    async with running(program) as path, connected(path) as host:
         await host.hold(15.0, 1)
         host.link.command(Regulate(15.1, 60.0))
         number = host.link.session.number
@@ -149,22 +149,22 @@ async def test_the_dead_man_vents_when_the_host_falls_silent(program: Path) -> N
 
 async def test_settings_survive_in_their_file(program: Path, tmp_path: Path) -> None:
     kept = tmp_path / "settings"
-    async with running(program, "--settings", str(kept)) as path, talking(path) as host:
+    async with running(program, "--settings", str(kept)) as path, connected(path) as host:
         host.say(SetSetting(0, 25.0))
         assert (await host.setting(0)).value == 25.0
         await until(kept.exists, "the settings are written")
-    async with running(program, "--settings", str(kept)) as path, talking(path) as host:
+    async with running(program, "--settings", str(kept)) as path, connected(path) as host:
         assert host.ready is not None
         assert host.ready.welcome.cv_limit_kPa == 25.0
         assert (await host.setting(0)).value == 25.0
     kept.write_bytes(b"\x00" * kept.stat().st_size)
-    async with running(program, "--settings", str(kept)) as path, talking(path) as host:
+    async with running(program, "--settings", str(kept)) as path, connected(path) as host:
         await until(lambda: bool(host.telemetry), "telemetry")
         assert host.telemetry[-1].faults is Fault.SETTINGS
 
 
 async def test_sensors_that_always_read_the_same(program: Path) -> None:
-    async with running(program, "--cv-kPa", "45", "--reservoir-kPa", "300") as path, talking(path) as host:
+    async with running(program, "--cv-kPa", "45", "--reservoir-kPa", "300") as path, connected(path) as host:
         await until(lambda: bool(host.telemetry), "telemetry")
         told = host.telemetry[-1]
         assert told.cv_kPa == pytest.approx(45.0, abs=0.01)
@@ -184,7 +184,7 @@ async def test_sensors_that_always_read_the_same(program: Path) -> None:
     ],
 )
 def test_bad_options_are_named(program: Path, options: list[str], text: str) -> None:
-    ran = subprocess.run([program, *options], capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    ran = subprocess.run([program, *options], capture_output=True, text=True, timeout=MAX_WAIT_S, check=False)
     assert ran.returncode == 2
     assert text in ran.stderr
     assert not ran.stdout

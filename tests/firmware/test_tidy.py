@@ -6,7 +6,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from needed import need
+from required_programs import need
 
 from .native import FIRMWARE
 

@@ -99,7 +99,7 @@ def test_a_lasting_leap_is_accepted_from_the_second_message_on() -> None:
     assert session.telemetry_gaps == 1
 
 
-def test_a_backlog_is_as_old_as_the_board_says() -> None:
+def test_the_age_of_a_backlog_is_by_the_boards_clock() -> None:
     """The host paused for 0.8 s: what waited comes at once, oldest first."""
     session = flown()
     ages = []

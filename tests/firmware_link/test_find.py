@@ -61,7 +61,7 @@ def test_of_two_equal_ones_none_is_taken() -> None:
     )
 
 
-def test_two_that_no_number_tells_apart() -> None:
+def test_two_boards_without_different_serial_numbers() -> None:
     nameless = [port(f"/dev/ttyUSB{at}", 0x1A86, 0x7523) for at in range(2)]
     with pytest.raises(BoardNotFoundError, match="by-path"):
         UsbBoard(0x1A86, 0x7523).find(lambda: nameless)

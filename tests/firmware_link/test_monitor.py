@@ -23,7 +23,7 @@ from firmware_link.protocol import (
     Vent,
     Welcome,
 )
-from firmware_link.settings import SettingsTalk
+from firmware_link.settings import SettingsExchange
 from flying_vines.simulation.phlosar.firmware import Firmware
 
 
@@ -66,7 +66,7 @@ def test_it_leaves_what_is_latched() -> None:
     assert firmware.faults == Fault.WATCHDOG_RESET
 
 
-def test_a_greeting_vents_whom_nobody_commands_any_more() -> None:
+def test_a_hello_vents_a_board_without_commands() -> None:
     monitor, firmware = Monitor(), Firmware()
     firmware.step(0, 5.0, 690.0)
     other = Codec()
@@ -79,11 +79,11 @@ def test_a_greeting_vents_whom_nobody_commands_any_more() -> None:
 
 
 def test_settings_are_asked_for_once_it_is_ready() -> None:
-    talk = SettingsTalk()
-    monitor, firmware = Monitor(talk), Firmware()
+    exchange = SettingsExchange()
+    monitor, firmware = Monitor(exchange), Firmware()
     monitor.opened(0.0)
     seen = watch(monitor, firmware, 3000)
-    assert talk.done
+    assert exchange.done
     assert sent_kinds(seen) == {Hello, Ping, GetSetting}
 
 

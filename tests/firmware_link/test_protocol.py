@@ -146,7 +146,7 @@ def test_a_wrong_length_is_malformed(message: Message, data: st.DataObject) -> N
         decode(wrong)
 
 
-def test_an_unknown_type_says_so() -> None:
+def test_an_unknown_type_is_reported() -> None:
     with pytest.raises(UnknownMessageError, match="0x7F"):
         decode(b"\x7f\x00")
 

@@ -14,7 +14,7 @@ from pseudo_terminal import Terminal
 from real_time import real_time
 from serial.tools.list_ports_common import ListPortInfo
 
-from firmware_link import answer, serial_port
+from firmware_link import answer_check, serial_port
 from firmware_link.find import UsbBoard
 from firmware_link.framing import FRAME_END
 from firmware_link.host import FirmwareReset, HostEvent, Ready, Regulate, SessionState, TelemetryReceived
@@ -146,7 +146,7 @@ async def wedge(port: SerialPort) -> bytes:
     return sent
 
 
-async def test_to_a_wedged_reader_nobody_waits_and_what_is_stale_is_not_kept(
+async def test_a_blocked_reader_delays_nothing_and_old_messages_are_dropped(
     link: Path, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(serial_port, "STALE_S", 0.02)
@@ -230,7 +230,7 @@ async def test_a_board_is_found_again_under_another_name() -> None:
 async def test_another_device_on_the_port_is_called_one(
     link: Path, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(answer, "ANSWER_WITHIN_S", 0.2)
+    monkeypatch.setattr(answer_check, "ANSWER_WITHIN_S", 0.2)
     watch = Watch()
     host = FirmwareLink(str(link), watch.on_event, watch.on_state)
     async with running(host):
@@ -270,7 +270,7 @@ async def test_a_port_is_opened_by_one_alone(link: Path, terminal: Terminal) -> 
             assert "in use by another program" in second.states[0][1]
 
 
-async def test_no_permission_says_what_to_do(
+async def test_no_permission_is_reported_with_a_remedy(
     link: Path, terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object, **__: object) -> None:

@@ -15,21 +15,21 @@ from typing import Any
 import msgspec
 import pytest
 from gateway_process import gateway_of
-from patience import PATIENCE_S, until
 from ports import free_port
 from real_time import real_time
+from waiting import MAX_WAIT_S, until
 
 from flying_vines.config.config import PageConfig
 from flying_vines.core.events import Decision
 from flying_vines.gateway import __main__ as gateway_process
-from flying_vines.gateway import gateway, keep_alive, mqtt, page
+from flying_vines.gateway import gateway, mqtt, page, supervisor
 from flying_vines.gateway.feed import Feed
 from flying_vines.gateway.gateway import Gateway
 from flying_vines.gateway.messages import Alive, GatewayStart, Trouble, packet, read_from_gateway
 from flying_vines.vine.intent import Asker, Hold, Intent, StartBench, VentVine
 
+from .gateway_inputs import configured, decision, notice, snapshot
 from .mqtt.brokers import Broker, Onlooker
-from .told import configured, decision, notice, snapshot
 
 pytestmark = real_time
 
@@ -40,7 +40,7 @@ import msgspec
 from flying_vines.gateway.messages import Alive, Request, Trouble, packet, read_to_gateway
 service = socket.socket(fileno=int(sys.argv[1]))
 def say(message): service.send(packet(message))
-def hear(): return read_to_gateway(service.recv(1 << 20))
+def receive(): return read_to_gateway(service.recv(1 << 20))
 """
 
 
@@ -48,11 +48,11 @@ class Service:
     """The part of a service that a gateway needs; `run` is a real process, or a script in its place."""
 
     def __init__(self, **mqtt: Any) -> None:
-        self.said: list[str] = []
+        self.reports: list[str] = []
         self.asked: list[tuple[Asker, Intent]] = []
         self.times: list[tuple[float | None, float | None]] = []
         """For each request: its time, and the time of the state that its sender saw."""
-        self.gateway = Gateway(configured(**mqtt), self._ask, self.said.append)
+        self.gateway = Gateway(configured(**mqtt), self._ask, self.reports.append)
         self.latest_turn_s = 0.0
 
     def _ask(self, by: Asker, intent: Intent, made_at: float | None, seen_at: float | None) -> Decision:
@@ -81,7 +81,7 @@ class Service:
 
 @pytest.fixture(autouse=True)
 def in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(keep_alive, "FIRST_WAIT_S", 0.1)
+    monkeypatch.setattr(supervisor, "FIRST_WAIT_S", 0.1)
     monkeypatch.setattr(gateway, "POLL_S", 0.1)
     # Scripts in place of a gateway only print what the test needs.
     monkeypatch.setattr(gateway, "HANGS_S", 60.0)
@@ -114,13 +114,13 @@ async def test_a_gateway_that_is_killed_leaves_its_last_will_and_comes_back(
         service.gateway.action(notice(2.0, "while it was away"))
         await people.until(f"{BASE}/status", status="online", count=2)
         await people.until(f"{BASE}/event", text="while it was away")
-        assert service.said == ["page and broker stopped (it ended), starting again"]
+        assert service.reports == ["page and broker stopped (it ended), starting again"]
         assert service.latest_turn_s < 0.5
     # The service ends, and its gateway with it. The subscribers are told.
     await people.until(f"{BASE}/status", status="offline", count=2)
 
 
-async def test_a_gateway_whose_service_was_killed_says_so(broker: Broker, people: Onlooker) -> None:
+async def test_a_gateway_reports_that_its_service_was_killed(broker: Broker, people: Onlooker) -> None:
     """It ends by itself, without an error."""
     service = Service(broker=broker.url, name="heron")
     async with service.living():
@@ -133,20 +133,20 @@ async def test_a_gateway_whose_service_was_killed_says_so(broker: Broker, people
         await until(lambda: not Path(f"/proc/{pid}").exists(), "it has ended")
 
 
-async def test_a_gateway_that_hangs_is_replaced_and_holds_nobody_up(
+async def test_a_gateway_that_hangs_is_replaced_and_delays_nothing(
     monkeypatch: pytest.MonkeyPatch, played: Callable[[str], None]
 ) -> None:
     monkeypatch.setattr(gateway, "HANGS_S", 0.5)
-    played("hear()\nsay(Trouble(str(os.getpid())))\ntime.sleep(3600)\n")
+    played("receive()\nsay(Trouble(str(os.getpid())))\ntime.sleep(3600)\n")
     async with Service().living() as service:
-        await until(lambda: len(service.said) == 1, "it has started")
-        first = int(service.said[0])
+        await until(lambda: len(service.reports) == 1, "it has started")
+        first = int(service.reports[0])
         # The socket's buffer is soon full.
         for number in range(2000):
             service.gateway.action(notice(0.0, f"{number}"))
             service.gateway.snapshot(snapshot(0.0))
-        await until(lambda: len(service.said) == 3, "it is replaced")
-        assert service.said[1] == "page and broker stopped (it hung), starting again"
+        await until(lambda: len(service.reports) == 3, "it is replaced")
+        assert service.reports[1] == "page and broker stopped (it hung), starting again"
         await until(lambda: not Path(f"/proc/{first}").exists(), "it is ended")
         assert service.latest_turn_s < 0.5
 
@@ -162,14 +162,14 @@ async def test_a_stopped_gateway_is_replaced(
         os.kill(gateway_of(os.getpid()), signal.SIGSTOP)
         await people.until(f"{BASE}/status", status="offline")
         await people.until(f"{BASE}/status", status="online", count=2)
-        assert service.said == ["page and broker stopped (it hung), starting again"]
+        assert service.reports == ["page and broker stopped (it hung), starting again"]
 
 
 async def test_a_gateway_is_not_to_blame_where_the_service_stopped(
     monkeypatch: pytest.MonkeyPatch, played: Callable[[str], None]
 ) -> None:
     monkeypatch.setattr(gateway, "HANGS_S", 0.5)
-    played("hear()\nwhile True:\n    say(Alive())\n    time.sleep(0.05)\n")
+    played("receive()\nwhile True:\n    say(Alive())\n    time.sleep(0.05)\n")
     async with Service().living() as service:
         await until(lambda: service.gateway._alive, "it has started")
         pid = gateway_of(os.getpid())
@@ -177,7 +177,7 @@ async def test_a_gateway_is_not_to_blame_where_the_service_stopped(
             time.sleep(0.7)  # noqa: ASYNC251
             await asyncio.sleep(0.2)
         assert gateway_of(os.getpid()) == pid
-    assert not service.said
+    assert not service.reports
 
 
 async def test_a_gateway_has_time_to_start(
@@ -185,15 +185,15 @@ async def test_a_gateway_has_time_to_start(
 ) -> None:
     monkeypatch.setattr(gateway, "HANGS_S", 0.2)
     monkeypatch.setattr(gateway, "STARTS_S", 1.0)
-    played("hear()\ntime.sleep(3600)\n")
+    played("receive()\ntime.sleep(3600)\n")
     async with Service().living() as service:
         began = time.monotonic()
-        await until(lambda: bool(service.said), "it is ended")
-    assert "it hung" in service.said[0]
+        await until(lambda: bool(service.reports), "it is ended")
+    assert "it hung" in service.reports[0]
     assert time.monotonic() - began >= 1.0
 
 
-async def test_a_gateway_that_dies_at_once_is_reported_once(
+async def test_a_gateway_that_ends_at_once_is_reported_once(
     played: Callable[[str], None], tmp_path: Path
 ) -> None:
     tries = tmp_path / "tries"
@@ -201,7 +201,7 @@ async def test_a_gateway_that_dies_at_once_is_reported_once(
     played(f"open({str(tries)!r}, 'a').write('.')\nsys.exit('first line\\nthe reason')\n")
     async with Service().living() as service:
         await until(lambda: len(tries.read_text()) == 3, "three tries")
-    assert service.said == ["page and broker stopped (the reason), starting again"]
+    assert service.reports == ["page and broker stopped (the reason), starting again"]
 
 
 async def test_a_page_that_fails_is_served_again_and_the_broker_does_not_notice(
@@ -232,7 +232,7 @@ async def test_a_page_that_fails_is_served_again_and_the_broker_does_not_notice(
         theirs.setblocking(False)
         serving = asyncio.create_task(gateway_process.serve(theirs))
         ours.send(packet(GatewayStart(config, "1.2.3")))
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             await served.wait()
             alive = 0
             while alive < 2:
@@ -249,11 +249,11 @@ async def test_a_page_that_fails_is_served_again_and_the_broker_does_not_notice(
     ]
 
 
-async def test_a_gateway_that_talks_nonsense_is_ended(played: Callable[[str], None]) -> None:
-    played('hear()\nservice.send(b\'{"kind": "order"}\')\ntime.sleep(3600)\n')
+async def test_a_gateway_that_sends_invalid_messages_is_ended(played: Callable[[str], None]) -> None:
+    played('receive()\nservice.send(b\'{"kind": "order"}\')\ntime.sleep(3600)\n')
     async with Service().living() as service:
-        await until(lambda: len(service.said) == 1, "it is ended")
-    assert "it sent an invalid message: Invalid value 'order'" in service.said[0]
+        await until(lambda: len(service.reports) == 1, "it is ended")
+    assert "it sent an invalid message: Invalid value 'order'" in service.reports[0]
     assert not service.asked
 
 
@@ -263,28 +263,31 @@ async def test_a_gateway_that_cannot_be_started_is_tried_again(
     command = gateway.COMMAND
     monkeypatch.setattr(gateway, "COMMAND", ("/no/such/python",))
     async with Service().living() as service:
-        await until(lambda: len(service.said) == 1, "it is told")
+        await until(lambda: len(service.reports) == 1, "it is told")
         monkeypatch.setattr(gateway, "COMMAND", command)
-        played("hear()\nsay(Trouble('started'))\ntime.sleep(3600)\n")
-        await until(lambda: len(service.said) == 2, "it is tried again")
-    assert service.said == ["page and broker stopped (No such file or directory), starting again", "started"]
+        played("receive()\nsay(Trouble('started'))\ntime.sleep(3600)\n")
+        await until(lambda: len(service.reports) == 2, "it is tried again")
+    assert service.reports == [
+        "page and broker stopped (No such file or directory), starting again",
+        "started",
+    ]
 
 
 async def test_a_client_that_asks_too_often_may_still_vent(played: Callable[[str], None]) -> None:
     played(
-        "hear()\n"
+        "receive()\n"
         "for number in range(100): say(Request(number, 'page', 'start_bench'))\n"
         "say(Request(100, 'page', 'vent'))\n"
         "answers = {}\n"
         "while 100 not in answers:\n"
-        "    told = hear()\n"
+        "    told = receive()\n"
         "    if hasattr(told, 'safety'): answers[told.number] = told.safety + told.reason\n"
         "say(Trouble(f\"{list(answers.values()).count('refusedtoo many requests')} {answers[100]}\"))\n"
         "time.sleep(3600)\n"
     )
     async with Service().living() as service:
-        await until(lambda: len(service.said) == 1, "it has asked")
-    refused, vented = service.said[0].split(" ", 1)
+        await until(lambda: len(service.reports) == 1, "it has asked")
+    refused, vented = service.reports[0].split(" ", 1)
     assert vented == "limitedas a test"
     asked = [intent for _, intent in service.asked]
     assert asked[-1] == VentVine()
@@ -294,19 +297,19 @@ async def test_a_client_that_asks_too_often_may_still_vent(played: Callable[[str
 
 async def test_a_flood_of_vents_is_a_few_vents_and_each_is_answered(played: Callable[[str], None]) -> None:
     played(
-        "hear()\n"
+        "receive()\n"
         "for number in range(200): say(Request(number, 'page', 'vent'))\n"
         "say(Request(200, 'page', 'hold'))\n"
         "answers = {}\n"
         "while len(answers) < 201:\n"
-        "    told = hear()\n"
+        "    told = receive()\n"
         "    if hasattr(told, 'safety'): answers[told.number] = told.safety\n"
         "say(Trouble(f'{set(answers.values())}'))\n"
         "time.sleep(3600)\n"
     )
     async with Service().living() as service:
-        await until(lambda: len(service.said) == 1, "all is answered")
-    assert service.said == ["{'limited'}"]
+        await until(lambda: len(service.reports) == 1, "all is answered")
+    assert service.reports == ["{'limited'}"]
     asked = [intent for _, intent in service.asked]
     assert 2 <= asked.count(VentVine()) < 20
     # No request after a vent is executed before it.
@@ -316,7 +319,7 @@ async def test_a_flood_of_vents_is_a_few_vents_and_each_is_answered(played: Call
 async def test_a_vent_that_waits_comes_by_itself(played: Callable[[str], None]) -> None:
     """The bend between two vents must not remain if the second vent came too soon."""
     played(
-        "hear()\n"
+        "receive()\n"
         "for number in range(3): say(Request(number, ('page', 'broker')[number % 2], 'vent'))\n"
         "time.sleep(3600)\n"
     )
@@ -330,7 +333,7 @@ async def test_when_it_was_made_and_what_was_seen_goes_on_to_the_service(
 ) -> None:
     """A combined vent clears the faults that any of its senders has seen."""
     played(
-        "hear()\n"
+        "receive()\n"
         "say(Request(1, 'page', 'hold', made_at=3.25, seen_at=3.0))\n"
         "say(Request(2, 'page', 'vent', seen_at=1.0))\n"
         "for number, seen in enumerate((None, 4.0, 2.0)):\n"
@@ -347,10 +350,10 @@ async def test_events_before_the_gateway_reads_are_sent_in_order(
 ) -> None:
     """The start comes first. Of too many events the last ones are stored."""
     played(
-        "kinds = [type(hear()).__name__]\n"
+        "kinds = [type(receive()).__name__]\n"
         "texts = []\n"
         "while not texts or texts[-1] != 599:\n"
-        "    told = hear()\n"
+        "    told = receive()\n"
         "    if hasattr(told, 'fields'): texts.append(int(msgspec.json.decode(told.fields)['text']))\n"
         "say(Trouble(f'{kinds[0]} {texts == list(range(100, 600))}'))\n"
         "time.sleep(3600)\n"
@@ -359,5 +362,5 @@ async def test_events_before_the_gateway_reads_are_sent_in_order(
     for number in range(600):
         service.gateway.action(notice(0.0, str(number)))
     async with service.living():
-        await until(lambda: len(service.said) == 1, "it has heard them")
-    assert service.said == ["GatewayStart True"]
+        await until(lambda: len(service.reports) == 1, "it has received them")
+    assert service.reports == ["GatewayStart True"]

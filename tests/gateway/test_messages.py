@@ -19,7 +19,7 @@ from flying_vines.gateway.messages import (
 )
 from flying_vines.vine.intent import BendTo, CommandName, SetPressure, StartProfile, VentVine
 
-from .told import decision, happened, notice, seen, start
+from .gateway_inputs import decision, happened, notice, seen, start
 
 plain = [word for word in messages.COMMANDS if word not in ("bend", "pressure", "profile")]
 finite = st.floats(allow_nan=False, allow_infinity=False)

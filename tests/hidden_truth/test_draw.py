@@ -64,7 +64,7 @@ def test_the_same_seed_is_the_same_case_and_another_is_another(tier: str) -> Non
 
 
 @pytest.mark.parametrize("tier", ["clear", "subtle", "short", "holes", "worn", "faint"])
-def test_one_cause_of_the_table_or_none_where_that_is_said(tier: str) -> None:
+def test_one_cause_of_the_table_or_none_in_the_worn_tier(tier: str) -> None:
     for truth in drawn(tier):
         assert len(truth.hidden) == 1 or (tier == "worn" and not truth.hidden)
         assert {one.name for one in truth.hidden} <= set(CAUSES)
@@ -269,7 +269,7 @@ def test_readings_are_rounded_by_a_converter_and_hold_their_noise_otherwise() ->
             assert np.abs(off).max() < 1.5 + 5.0
 
 
-def test_correlated_noise_is_as_large_as_white_noise_and_lasts_as_long_as_said() -> None:
+def test_correlated_noise_is_as_large_as_white_noise_and_has_its_correlation_time() -> None:
     for correlation_s in (0.05, 0.2):
         truth = replace(example("cv_leak"), variant="correlated", correlation_s=correlation_s)
         noise = [(run.read - run.clean) / (0.15, 1.2) for run in make(truth)]

@@ -67,7 +67,7 @@ def test_effects_are_found_that_only_pay_together(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_an_effect_of_the_catalogue_is_measured_beside_one_that_nobody_has_named(tmp_path: Path) -> None:
+def test_an_effect_of_the_catalogue_is_measured_beside_an_unknown_one(tmp_path: Path) -> None:
     """The dead zone imitates a valve whose flow is a power of its command. The slow solenoid is really
     there."""
     truth, verdict = verdict_on("several_outside", 7000, tmp_path)
@@ -98,7 +98,7 @@ def test_causes_that_the_data_cannot_separate_are_all_named(tmp_path: Path) -> N
 
 @pytest.mark.long
 @pytest.mark.parametrize("runs", [2, 4])
-def test_a_clean_rig_is_not_accused(runs: int, tmp_path: Path) -> None:
+def test_a_clean_rig_has_no_false_cause(runs: int, tmp_path: Path) -> None:
     _, verdict = verdict_on("null", 0, tmp_path, runs)
     assert verdict.cause == "none"
     assert verdict.confidence > 0.9
@@ -106,7 +106,7 @@ def test_a_clean_rig_is_not_accused(runs: int, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_an_effect_that_nobody_has_named_gets_no_name(tmp_path: Path) -> None:
+def test_an_unknown_effect_gets_no_name(tmp_path: Path) -> None:
     truth, verdict = verdict_on("outside", 0, tmp_path, runs=2)
     assert truth.hidden[0].name.startswith("x_")
     assert verdict.cause == "unexplained"

@@ -289,7 +289,7 @@ def test_a_delay_of_whole_samples_is_the_same_inputs_later_and_shut_before() -> 
     assert delayed[2, 0] == 0.0
 
 
-def test_a_solenoid_that_closes_late_is_told_so_later_but_never_opens_later() -> None:
+def test_a_solenoid_that_closes_late_opens_on_time() -> None:
     inputs = random_inputs()
     late = inputs.copy()
     late[:, 2] = np.maximum(inputs[:, 2], np.maximum(shifted(inputs[:, 2], 1), shifted(inputs[:, 2], 2)))
@@ -395,7 +395,7 @@ def test_a_host_that_hangs_leaves_the_inputs_and_begins_while_nothing_inflates()
     assert np.all(flown[hung, 0] == 0.0)
 
 
-def test_repeats_are_of_both_readings_and_as_many_as_said() -> None:
+def test_repeats_are_of_both_readings_and_in_the_given_number() -> None:
     n = TIME.size
     rng = np.random.default_rng(5)
     rows = np.column_stack([np.full(n, np.nan), random_inputs()])

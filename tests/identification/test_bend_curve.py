@@ -42,7 +42,7 @@ def test_without_noise_the_truth_is_found_exactly() -> None:
     assert found.rms_deg < 1e-4
 
 
-def test_the_intervals_hold_the_truth_as_often_as_they_say() -> None:
+def test_the_intervals_contain_the_truth_as_often_as_stated() -> None:
     rng = np.random.default_rng(11)
     held: list[bool] = []
     for seed in range(25):

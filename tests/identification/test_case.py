@@ -12,7 +12,7 @@ import pytest
 from flying_vines.identification.case import CaseError, RecordedRun, read_case
 from flying_vines.physics.rig import Rig, load_rig
 from flying_vines.simulation.scenario import csv_text, load_scenario, simulate, write_case
-from flying_vines.simulation.scenario.kinds import BendsRun, DischargeRun, OpeningsRun, Valves
+from flying_vines.simulation.scenario.run_kinds import BendsRun, DischargeRun, OpeningsRun, Valves
 
 RIG = "[reservoir]\nvolume_L = 2.0\n[cv]\nvolume_L = 0.5\n"
 HEADER = "time_s,command_kPa,evp_opening,dvp_opening,solenoid,cv_pressure_kPa,reservoir_pressure_kPa"
@@ -161,7 +161,7 @@ REMARKED = {
 
 
 @pytest.mark.parametrize("what", REMARKED)
-def test_a_remark_says_what_was_assumed(folder: Path, what: str) -> None:
+def test_a_remark_names_what_was_assumed(folder: Path, what: str) -> None:
     content, expected = REMARKED[what]
     read(folder, content)
     (remark,) = read_case(folder).remarks

@@ -57,7 +57,7 @@ class Worn:
         )
 
 
-def told(
+def drawn_commands(
     kind: str, time_s: float, cv_kPa: float, change: random.Random, last: tuple[float, ...]
 ) -> tuple[float, ...]:
     """Command, openings and solenoid of one sample."""
@@ -97,7 +97,7 @@ def record(rig: Worn, kind: str, seed: int, reservoir_kPa: float = 600.0, second
                 (cv, reservoir), rig.gain, rig.noise_kPa, rig.offset_kPa, rig.step_kPa, strict=True
             )
         ]
-        last = told(kind, i * step_s, readings[0] if rig.cv_L else 0.0, chance, last)
+        last = drawn_commands(kind, i * step_s, readings[0] if rig.cv_L else 0.0, chance, last)
         _, evp, dvp, solenoid = last
         evp = max(0.0, (evp - rig.dead_zone) / (1.0 - rig.dead_zone))
         rows.append((i * step_s, *last, *readings))

@@ -56,7 +56,7 @@ def test_a_cause_takes_its_parameters_by_their_names() -> None:
 
 
 @pytest.mark.parametrize("cause", catalogue(), ids=lambda cause: cause.name)
-def test_a_cause_says_what_it_is(cause: Cause) -> None:
+def test_a_cause_has_a_description(cause: Cause) -> None:
     assert cause.what.endswith(".") and cause.experiment.endswith(".")
     for parameter in cause.parameters:
         assert parameter.source

@@ -55,7 +55,7 @@ def test_json_is_one_object_of_the_format_and_the_extended_rig_can_be_simulated(
 
 
 @pytest.mark.long
-def test_words_tell_the_cause_and_what_it_is_worth(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_text_names_the_cause_and_its_evidence(case: Path, capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, str(case))
     assert status == 0
     assert draw("short", 1).hidden[0].name in out

@@ -107,7 +107,7 @@ def test_a_hidden_leak_is_named_and_measured(leaky: Path) -> None:
 
 
 @pytest.mark.long
-def test_an_ideal_rig_is_not_accused(tmp_path: Path) -> None:
+def test_an_ideal_rig_has_no_false_cause(tmp_path: Path) -> None:
     case = read_flight(flown(tmp_path, {}, ONCE))
     assert not case.remarks
     assert diagnose(case).cause == "none"
@@ -181,7 +181,7 @@ def test_the_air_around_is_the_autopilots(tmp_path: Path) -> None:
     assert run.ambient_kPa == pytest.approx(95.0 - (run.time_s + 2.02) * 0.1, abs=0.005)
 
 
-def test_the_air_around_is_known_as_long_as_the_autopilot_says_it() -> None:
+def test_the_ambient_pressure_is_known_as_long_as_the_autopilot_reports_it() -> None:
     flight = SimulatedFlight(config.default())
     flight.run(1.5)
     said = mavlink.MAVLink_scaled_pressure_message(0, 950.0, 0.0, 2000)
@@ -200,14 +200,14 @@ def test_a_fake_sends_no_more_often_than_it_regulates(capsys: pytest.CaptureFixt
         assert exit_.value.code == 2 and "--telemetry-Hz must be from 10 to 1000" in capsys.readouterr().err
 
 
-def test_slow_telemetry_is_said_to_be_slow(tmp_path: Path) -> None:
+def test_slow_telemetry_is_reported(tmp_path: Path) -> None:
     case = read_flight(written(tmp_path, messages(*ONE_BEND, period_ms=10)))
     (remark,) = case.remarks
     assert "every 10 ms" in remark and "telemetry_Hz = 1000" in remark
     assert np.isfinite(case.runs[0].cv_kPa).all()
 
 
-def test_lost_telemetry_is_said_to_be_lost(tmp_path: Path) -> None:
+def test_lost_telemetry_is_reported(tmp_path: Path) -> None:
     kept = (m for m in messages(*ONE_BEND, period_ms=1) if m.device_time_ms % 20)
     (remark,) = read_flight(written(tmp_path, kept)).remarks
     assert "5%" in remark and "lost" in remark

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from examples import examples
 from flying_vines.identification.case import read_case
 from flying_vines.identification.diagnose import possible_causes
-from flying_vines.identification.importing.answers import (
+from flying_vines.identification.importing.answers_file import (
     Answers,
     ImportSetup,
     answers_path,
@@ -30,7 +30,7 @@ from flying_vines.identification.importing.columns import ImportedColumn
 from flying_vines.identification.importing.layout import read_foreign
 from flying_vines.identification.importing.runs import Proposal, Run, propose, write_case
 from flying_vines.identification.importing.units import UNITS, Unit, parse_unit, psi_instead, unit_in
-from flying_vines.identification.many import read_any
+from flying_vines.identification.parallel_diagnosis import read_any
 from flying_vines.identification.recording import CaseError
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.gas import GASES
@@ -83,7 +83,7 @@ SMALL = {"plenum_discharge.csv": DISCHARGE, "leaking_chamber.csv": LEAK, "pump_a
     + [(SHARED / name, guess) for name, guess in REAL.items()],
     ids=lambda value: value.stem if isinstance(value, Path) else "",
 )
-def test_the_guess_on_real_files(path: Path, guess: tuple[dict[str, str], str], tmp_path: Path) -> None:
+def test_the_proposal_on_real_files(path: Path, guess: tuple[dict[str, str], str], tmp_path: Path) -> None:
     if not path.exists():
         pytest.skip(f"{path} is not there")
     proposal = propose(path, Answers(), {"": 0.1})
@@ -361,7 +361,7 @@ def test_names_of_columns(name: str, tmp_path: Path) -> None:
     assert found == expected
 
 
-def test_an_error_says_which_column_is_read_as_what(tmp_path: Path) -> None:
+def test_an_error_names_the_meaning_of_each_column(tmp_path: Path) -> None:
     rows = "\n".join(f"{i / 10},{i},{600 - i},{i}" for i in range(40))
     with pytest.raises(CaseError, match=r"2 Angle \(ignored\), 3 tank kPa \(reservoir_pressure\)"):
         proposed(tmp_path / "a.csv", f"t,Angle,tank kPa,chamber kPa\n{rows}")
@@ -526,7 +526,7 @@ def test_units_are_found_in_names(unit: Unit) -> None:
     {"Pressure (psig)": "psi", "p_bar_abs": "bar abs", "P [kPaA]": "kPa abs", "t/ms": "ms", "time_s": "s",
      "absolute pressure, mbar": "mbar abs", "PWM_Main": "0-255", "valve %": "%", "T °C": "C"}.items(),
 )  # fmt: skip
-def test_units_as_people_write_them(name: str, unit: str) -> None:
+def test_units_in_their_usual_spellings(name: str, unit: str) -> None:
     found = unit_in(name)
     assert found and found.name == unit
 
@@ -543,7 +543,7 @@ def copied(tmp_path: Path, name: str = "plenum_discharge.csv") -> Path:
     return Path(shutil.copy(EXCERPTS / name, tmp_path))
 
 
-def test_the_command_says_what_is_missing_and_keeps_the_answer(
+def test_the_command_reports_what_is_missing_and_stores_the_answer(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = copied(tmp_path)
@@ -611,7 +611,7 @@ def test_wrong_answers(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[
 )
 @example(b"PK\x03\x04")
 @example(b"t,tank kPa\n" + b"1,1\n" * 20)
-def test_random_files_give_a_guess_or_one_line(tmp_path: Path, data: bytes) -> None:
+def test_random_files_give_a_proposal_or_one_line(tmp_path: Path, data: bytes) -> None:
     try:
         proposal = proposed(tmp_path / "a.csv", data)
         write_case([proposal] if not proposal.missing else [], tmp_path / "case") if proposal.runs else None

@@ -73,7 +73,7 @@ def test_the_curvature_along_a_step_is_half_of_the_second_derivative() -> None:
     assert not np.allclose(curved.reduced_residuals, Jacobian(runs).reduced_residuals)
 
 
-def test_a_one_sided_effect_promises_nothing_backwards() -> None:
+def test_a_one_sided_effect_predicts_no_gain_backwards() -> None:
     random = np.random.default_rng(4)
     residuals = random.standard_normal((2, SAMPLES))
     run = RunJacobian(

@@ -8,7 +8,7 @@ import pytest
 
 from flying_vines.identification.case import read_case
 from flying_vines.identification.diagnose import diagnose
-from flying_vines.identification.importing.answers import answers_path, read_answers
+from flying_vines.identification.importing.answers_file import answers_path, read_answers
 from flying_vines.identification.importing.runs import propose, write_case
 from flying_vines.identification.verdict import Verdict
 
@@ -22,7 +22,7 @@ def verdict_on(recording: str, folder: Path) -> Verdict:
 
 
 @pytest.mark.long
-def test_a_value_on_its_bound_says_that_a_cause_is_missing(tmp_path: Path) -> None:
+def test_a_value_on_its_bound_shows_that_a_cause_is_missing(tmp_path: Path) -> None:
     """Without cooling, the critical pressure ratio is 0, which is impossible for a nozzle. CO2 has at most
     0.55."""
     verdict = verdict_on("20191129_144248", tmp_path)

@@ -21,11 +21,11 @@ from flying_vines.identification.plan import (
     plan,
     recommend,
 )
-from flying_vines.identification.plan.apart import SETTLED, apart
-from flying_vines.identification.plan.check import FullFits
+from flying_vines.identification.plan.cause_distance import SETTLED, cause_distances
 from flying_vines.identification.plan.choose import gram_of
+from flying_vines.identification.plan.full_fits import FullFits
 from flying_vines.identification.plan.library import CandidateRun, library
-from flying_vines.identification.plan.rehearsal import rehearsed
+from flying_vines.identification.plan.nominal_run import nominal_run
 from flying_vines.identification.plan.strengths import strengths, typical
 from flying_vines.identification.plan.traces import CandidatePart, Layout, _moved, layout_of, parts_of
 from flying_vines.identification.plan.write import profiles_text, scenario_text
@@ -35,7 +35,7 @@ from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.effects import catalogue, cause_named, causes_of
 from flying_vines.physics.rig import ControlVolume, Rig, Sensors, Venturi, load_rig
 from flying_vines.simulation.scenario import load_scenario, parse_scenario, simulate, simulate_scenario
-from flying_vines.simulation.scenario.kinds import BendsRun, ProfileRun, RunKind, StepsRun
+from flying_vines.simulation.scenario.run_kinds import BendsRun, ProfileRun, RunKind, StepsRun
 
 HALF = Rig(cv=ControlVolume(0.5), venturi=Venturi(rated_supply_kPa=900.0))
 """Below the Venturi's rated supply everything is proportional to pressure: a gain g of one sensor looks like
@@ -100,8 +100,8 @@ def test_a_plan_beats_what_one_would_record_without_it(made: RecordingPlan, layo
     naive = parts(layout, [bends, stairs, hold])
     assert sum(part.seconds for part in naive) == pytest.approx(made.best.seconds, abs=2.5)
     planned = parts(layout, [run.kind for run in made.best.runs])
-    least = worst(apart(layout, gram_of(layout, planned)), but=GAINS)
-    assert least > 4.0 * worst(apart(layout, gram_of(layout, naive)), but=GAINS)
+    least = worst(cause_distances(layout, gram_of(layout, planned)), but=GAINS)
+    assert least > 4.0 * worst(cause_distances(layout, gram_of(layout, naive)), but=GAINS)
     assert least > SETTLED
 
 
@@ -110,7 +110,7 @@ def test_it_settles_what_the_example_scenario_leaves_open(short: RecordingPlan) 
     """With a sixth of its three minutes and a third of its pressure. The two gains remain open."""
     layout = layout_of(short.rig, causes_of(short.rig))
     example = parts(layout, list(load_scenario("case").runs))
-    assert worst(apart(layout, gram_of(layout, example))) < 1.0
+    assert worst(cause_distances(layout, gram_of(layout, example))) < 1.0
     assert set(short.best.open) <= {GAINS} and worst(short.matrix, but=GAINS) > SETTLED
     assert GAINS in short.by_commands.open
 
@@ -148,10 +148,10 @@ def test_pairs_that_no_run_separates_are_reported(made: RecordingPlan) -> None:
 def test_floors_hold_against_full_fits(made: RecordingPlan, layout: Layout) -> None:
     """Pairs that are hard to separate have a low distance."""
     runs = [part for run in made.best.runs[:2] for part in parts(layout, [run.kind])]
-    floors, check = apart(layout, gram_of(layout, runs)), FullFits(layout, runs)
+    floors, check = cause_distances(layout, gram_of(layout, runs)), FullFits(layout, runs)
     others = np.argwhere(~np.eye(*floors.shape, dtype=np.bool_))
     others = others[np.argsort(floors[tuple(others.T)])]
-    fits = np.array([check.apart(*pair) for pair in others[:150:6]])
+    fits = np.array([check.distance(*pair) for pair in others[:150:6]])
     there = floors[tuple(others[:150:6].T)]
     assert (there < 1.15 * fits + 1.0).all()
     assert np.median((there + 1.0) / (fits + 1.0)) > 0.5
@@ -163,7 +163,7 @@ def test_rehearsed_is_what_the_simulator_records() -> None:
     for candidate in library(quiet):
         if candidate.name in ("bends_low", "random_full", "pulses", "vent_venturi_half"):
             kind = candidate.make(candidate.counts[0])
-            ours, theirs = rehearsed(quiet, kind), simulate(quiet, kind)
+            ours, theirs = nominal_run(quiet, kind), simulate(quiet, kind)
             for name in ("time_s", "evp_opening", "dvp_opening", "solenoid"):
                 assert np.array_equal(getattr(ours, name), getattr(theirs, name)), (candidate.name, name)
 
@@ -171,7 +171,7 @@ def test_rehearsed_is_what_the_simulator_records() -> None:
 def test_parts_begin_alike() -> None:
     for candidate in library(HALF):
         short, whole = (
-            rehearsed(HALF, candidate.make(n)) for n in (candidate.counts[0], candidate.counts[-1])
+            nominal_run(HALF, candidate.make(n)) for n in (candidate.counts[0], candidate.counts[-1])
         )
         n = len(short.time_s) - 1
         assert n < len(whole.time_s)
@@ -189,7 +189,7 @@ def test_the_run_that_settles_a_doubt(layout: Layout) -> None:
     assert run.name in found.in_words()
     rest: RunKind = StepsRun(pressures_kPa=(0.0,), hold_s=run.seconds)
     names = [cause.name for cause in layout.causes]
-    idle = apart(layout, gram_of(layout, parts(layout, [rest])))
+    idle = cause_distances(layout, gram_of(layout, parts(layout, [rest])))
     assert idle[names.index("evp_lag"), names.index("line_delay")] < 0.01 * sigmas(found) ** 2
     assert sigmas(recommend(HALF, named("cv_leak", "none"))) > sqrt(SETTLED)
     with pytest.raises(RecordingPlanError, match="evp_lag"):
@@ -230,7 +230,7 @@ def test_a_new_cause_is_planned_for_without_more_ado() -> None:
     )
     laid = layout_of(HALF, [new])
     (part,) = parts(laid, [StepsRun(pressures_kPa=(20.0, 0.0), hold_s=3.0)])
-    assert apart(laid, part.gram)[0, -1] > 0.0
+    assert cause_distances(laid, part.gram)[0, -1] > 0.0
 
 
 @pytest.mark.long

@@ -158,7 +158,7 @@ def written(found: Diagnosed, tmp_path_factory: pytest.TempPathFactory) -> list[
     return [page, *(path for path in sorted(folder.iterdir()) if path != page)]
 
 
-def test_a_report_is_one_page_that_asks_nothing_of_a_network(written: list[Path]) -> None:
+def test_a_report_is_one_page_that_needs_no_network(written: list[Path]) -> None:
     html = written[0].read_text(encoding="utf-8")
     seen = Page(html)
     assert written[0].name == "report.html" and len(html) < 3e6
@@ -175,7 +175,7 @@ def test_a_report_is_one_page_that_asks_nothing_of_a_network(written: list[Path]
         assert all(value.startswith(("#", "data:image/png;base64,")) for value in hrefs)
 
 
-def test_a_report_says_what_the_verdict_says(found: Diagnosed, written: list[Path]) -> None:
+def test_a_report_has_the_content_of_the_verdict(found: Diagnosed, written: list[Path]) -> None:
     verdict, text = found.verdict, read(written[0]).text
     assert verdict.cause == draw("short", 1).hidden[0].name
     assert in_words(verdict) in text and "workshop" in text

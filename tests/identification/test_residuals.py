@@ -12,9 +12,9 @@ from flying_vines.identification.candidate import STRUCTURE
 from flying_vines.identification.case import Case, RecordedRun
 from flying_vines.identification.fit import Fit, FitProblem
 from flying_vines.identification.noise import independent_noise
+from flying_vines.identification.prediction_error import blocks
 from flying_vines.identification.residuals import excess, patterns
 from flying_vines.identification.simulate import Simulation
-from flying_vines.identification.unseen import blocks
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.rig import ControlVolume, Rig
 

@@ -39,7 +39,7 @@ def with_tolerance(case: Case, key: str, percent: float) -> Case:
     return replace(case, rig=replace(case.rig, tolerance_percent={key: percent}))
 
 
-def test_a_twin_is_alike_and_a_stranger_is_not(case: Case) -> None:
+def test_equal_causes_are_similar_and_different_ones_are_not(case: Case) -> None:
     lag = BY_NAME["evp_lag"]
     alike = found(case, lag, replace(lag, name="twin"), BY_NAME["reservoir_leak"])
     assert alike.causes == ("evp_lag", "twin", "reservoir_leak")

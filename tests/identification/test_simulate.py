@@ -63,7 +63,7 @@ def strength(name: str) -> float:
 
 @pytest.mark.parametrize("cause", KNOWN_TO_BOTH, ids=lambda cause: cause.name)
 @pytest.mark.parametrize("seed", (1, 2))
-def test_a_cause_is_what_the_truth_says_it_is(cause: Cause, seed: int) -> None:
+def test_a_cause_agrees_with_the_independent_model(cause: Cause, seed: int) -> None:
     run = random_run(seed)
     value = strength(cause.name)
     physics = with_effects(TrueRig(cv_L=0.25), [Hidden(cause.name, value)])
@@ -246,7 +246,7 @@ def test_without_causes_it_is_the_baseline() -> None:
             state = step(RIG, state, Inputs(inputs[0], inputs[1], bool(inputs[2])), 0.001)
 
 
-def test_all_causes_together_are_what_the_truth_says_they_are() -> None:
+def test_all_causes_together_agree_with_the_independent_model() -> None:
     """In the order of the effects of each part."""
     names = [
         cause.name for cause in KNOWN_TO_BOTH if cause.name not in ("compressible_flow", "venturi_stall")

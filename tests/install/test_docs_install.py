@@ -40,6 +40,6 @@ def test_every_file_has_its_row(path: Path) -> None:
         ("SupplementaryGroups=dialout", "the group dialout"),
     ],
 )
-def test_the_unit_keeps_what_the_page_promises(setting: str, said: str) -> None:
+def test_the_unit_has_the_settings_that_the_page_states(setting: str, said: str) -> None:
     assert f"\n{setting}\n" in UNIT
     assert said in " ".join(PAGE.split())

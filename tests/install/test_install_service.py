@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 
 import pytest
 from command_line import run
-from needed import need
+from required_programs import need
 
 from firmware_link.find import UsbBoard
 from flying_vines.config import config
@@ -182,7 +182,9 @@ def test_without_an_answer_nothing_is_written(tmp_path: Path) -> None:
     assert there(tmp_path) == set()
 
 
-def test_without_root_it_says_so(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_root_it_reports_it(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     status, _, wrong = run(capsys, "install-service")
     assert status == 2

@@ -16,10 +16,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from patience import until
 from ports import free_port
 from real_time import real_time
 from service_bench import between
+from waiting import until
 
 from flying_vines.config import config
 from flying_vines.core.core import Core
@@ -41,7 +41,7 @@ class Listener:
         self.socket.bind("\0" + address[1:] if address.startswith("@") else address)
         self.socket.settimeout(10.0)
 
-    def heard(self) -> list[str]:
+    def received(self) -> list[str]:
         """All received messages."""
         found = []
         self.socket.setblocking(False)
@@ -76,25 +76,25 @@ def test_ready_once_and_alive_four_times_in_the_watchdogs_time(listener: Listene
     said = []
     for tick in range(65):
         manager.event(Tick(50.0 + tick / 32))
-        said += listener.heard()
+        said += listener.received()
     assert said == ["READY=1"] + ["WATCHDOG=1"] * int(2.0 / 0.5 * PER_WATCHDOG)
 
 
-def test_only_a_tick_says_that_the_loop_turns(listener: Listener) -> None:
+def test_only_a_tick_shows_that_the_loop_runs(listener: Listener) -> None:
     manager = listener.manager()
     for second in range(20):
         manager.event(LinkChanged(float(second), "vehicle", up=True))
-    assert listener.heard() == []
+    assert listener.received() == []
 
 
 @pytest.mark.parametrize("of_another", [{}, {"WATCHDOG_USEC": "400000", "WATCHDOG_PID": "1"}])
-def test_without_a_watchdog_of_ours_it_says_that_it_is_ready_and_no_more(
+def test_without_a_watchdog_of_ours_it_notifies_ready_and_no_more(
     listener: Listener, of_another: dict[str, str]
 ) -> None:
     (manager,) = service_manager({"NOTIFY_SOCKET": listener.address, **of_another})
     for second in range(1000):
         manager.event(Tick(float(second)))
-    assert listener.heard() == ["READY=1"]
+    assert listener.received() == ["READY=1"]
 
 
 def test_a_status_that_was_not_accepted_is_sent_again(listener: Listener) -> None:
@@ -105,9 +105,9 @@ def test_a_status_that_was_not_accepted_is_sent_again(listener: Listener) -> Non
                 crowd.send(b"noise")
     manager = listener.manager()
     manager.event(Tick(0.0))
-    assert set(listener.heard()) == {"noise"}
+    assert set(listener.received()) == {"noise"}
     manager.event(Tick(0.02))
-    assert listener.heard() == ["READY=1"]
+    assert listener.received() == ["READY=1"]
 
 
 def test_a_manager_that_is_gone_stops_nothing(tmp_path: Path) -> None:
@@ -123,7 +123,7 @@ def test_the_status_is_reported_when_it_changes_and_not_more_than_once_a_second(
     snapshot = Core(config.default()).snapshot(0.0)
     for tenth in range(50):
         manager.snapshot(replace(snapshot, t=tenth / 10, reservoir_kPa=690.0 - (tenth if tenth < 25 else 25)))
-    assert [status.split("; ")[3] for status in listener.heard()] == [
+    assert [status.split("; ")[3] for status in listener.received()] == [
         "bottle 690 kPa",
         "bottle 680 kPa",
         "bottle 670 kPa",
@@ -137,13 +137,13 @@ def test_nobody_adds_a_line_to_the_status() -> None:
     assert "odd WATCHDOG=trigger" in status_line(snapshot)
 
 
-async def test_a_loop_that_hangs_does_not_say_that_it_is_alive(tmp_path: Path) -> None:
+async def test_a_loop_that_hangs_does_not_notify_the_watchdog(tmp_path: Path) -> None:
     listener = Listener(str(tmp_path / "notify"))
-    heard_at: list[float] = []
+    received_at: list[float] = []
 
     def listen() -> None:
         while listener.socket.recv(4096) != b"STOPPING=1":
-            heard_at.append(time.monotonic())
+            received_at.append(time.monotonic())
 
     # Another thread, which receives while the loop hangs.
     ear = threading.Thread(target=listen)
@@ -151,19 +151,19 @@ async def test_a_loop_that_hangs_does_not_say_that_it_is_alive(tmp_path: Path) -
     conf = config.parse(between(free_port(), str(tmp_path / "none")), "test")
     service = Service(conf, (listener.manager(),))
     serving = asyncio.create_task(service.run())
-    await until(lambda: len(heard_at) > 3, "it is alive")
+    await until(lambda: len(received_at) > 3, "it is alive")
     hangs_at = time.monotonic()
     time.sleep(2 * WATCHDOG_S)  # noqa: ASYNC251
     goes_on_at = time.monotonic()
-    await until(lambda: heard_at[-1] > goes_on_at, "it is alive again")
+    await until(lambda: received_at[-1] > goes_on_at, "it is alive again")
     service.stop()
     await serving
     ear.join()
     listener.socket.close()
-    assert not [t for t in heard_at if hangs_at + 0.05 < t < goes_on_at]
+    assert not [t for t in received_at if hangs_at + 0.05 < t < goes_on_at]
 
 
-def test_the_command_says_that_it_is_ready_alive_and_stopping(tmp_path: Path) -> None:
+def test_the_command_notifies_ready_watchdog_and_stopping(tmp_path: Path) -> None:
     listener = Listener(str(tmp_path / "notify"))
     config_file = tmp_path / "vine.toml"
     config_file.write_text(between(free_port(), str(tmp_path / "none")), encoding="utf-8")

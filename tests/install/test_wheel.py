@@ -15,8 +15,8 @@ from importlib.metadata import distribution, packages_distributions
 from pathlib import Path
 
 import pytest
-from docs.commands_said import PAGES, blocks_and_spans
-from docs.shelf import maker
+from docs.documented_commands import PAGES, blocks_and_spans
+from docs.example_files import maker
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 

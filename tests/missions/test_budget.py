@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import msgspec
 import pytest
-from mission_building import HEAD, HOMES, built, reviewed, said, waypoint
+from mission_building import HEAD, HOMES, built, finding_texts, reviewed, waypoint
 
 from flying_vines.config import config as configuration
 from flying_vines.physics.plant.effects import Effects
@@ -90,19 +90,21 @@ def test_a_vine_with_hysteresis_is_let_down_further() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ["ardupilot", "px4"])
-def test_the_service_flies_what_the_budget_says(kind: AutopilotKind) -> None:
+def test_the_service_flies_as_the_budget_predicts(kind: AutopilotKind) -> None:
     given = built(SHORT, kind)
-    belief = nominal(CONFIG.pneumatics)
-    report = review("short", given, kind, HOMES[kind], CONFIG, belief, 690.0)
+    prior = nominal(CONFIG.pneumatics)
+    report = review("short", given, kind, HOMES[kind], CONFIG, prior, 690.0)
     report = with_flight(report, CONFIG, 690.0)
-    assert report.trial is not None and report.trial.landed
+    assert report.flight_result is not None and report.flight_result.landed
     assert report.differences == []
-    assert [item.seq for item in report.trial.ran] == [bend.step.item.seq for bend in report.budget.bends]
-    assert [decision.intent for decision in report.trial.decisions] == ["bend 30°", "straight"]
+    assert [item.seq for item in report.flight_result.ran] == [
+        bend.step.item.seq for bend in report.budget.bends
+    ]
+    assert [decision.intent for decision in report.flight_result.decisions] == ["bend 30°", "straight"]
     budget = report.budget
-    assert budget.ends.low < report.trial.ends_kPa < budget.ends.high
-    otherwise = replace(report.trial, ran=(), ends_kPa=300.0, landed=False)
-    said = " ".join(replace(report, trial=otherwise).differences)
+    assert budget.ends.low < report.flight_result.ends_kPa < budget.ends.high
+    otherwise = replace(report.flight_result, ran=(), ends_kPa=300.0, landed=False)
+    said = " ".join(replace(report, flight_result=otherwise).differences)
     assert "items [] ran, not" in said and "the bottle lost" in said and "had not landed" in said
     found = as_json(report)["trial"]
     assert found["items"] == [bend.step.item.seq for bend in report.budget.bends]
@@ -114,11 +116,11 @@ def test_the_service_flies_what_the_budget_says(kind: AutopilotKind) -> None:
 def test_a_low_bottle_is_judged_as_the_service_judges_it(reservoir_kPa: float, verdict: str) -> None:
     given = built(SHORT, "px4")
     report = reviewed(given, "px4", reservoir_kPa=reservoir_kPa)
-    trial = fly(given, CONFIG, "px4", HOMES["px4"], reservoir_kPa, report.timeline.length_s, IDEAL)
+    flown = fly(given, CONFIG, "px4", HOMES["px4"], reservoir_kPa, report.timeline.length_s, IDEAL)
     assert report.budget.bends[0].ruling.verdict == verdict
-    assert trial.decisions[0].safety == verdict
+    assert flown.decisions[0].safety == verdict
     words = report.budget.bends[0].ruling.reason.split(" kPa")[0].rstrip("0123456789")
-    assert trial.decisions[0].reason.startswith(words)
+    assert flown.decisions[0].reason.startswith(words)
 
 
 def test_a_mission_with_errors_is_not_flown() -> None:
@@ -126,4 +128,4 @@ def test_a_mission_with_errors_is_not_flown() -> None:
     home: Home = HOMES["px4"]
     report = review("low", given, "px4", home, CONFIG, nominal(CONFIG.pneumatics), 690.0)
     report = with_flight(report, CONFIG, 690.0)
-    assert said(report) and report.trial is None
+    assert finding_texts(report) and report.flight_result is None

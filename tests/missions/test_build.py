@@ -20,8 +20,8 @@ from mission_building import (
     WINCH,
     WP,
     built,
+    finding_texts,
     reviewed,
-    said,
     waypoint,
 )
 
@@ -32,7 +32,7 @@ from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.storage import AutopilotKind
 from flying_vines.vehicle.triggers import Rules
 from flying_vines.vine.intent import BendTo, Intent, StartProfile
-from missions.carriers import carrier, described, over_the_wire
+from missions.item_for_intent import described, item_for_intent, over_the_wire
 from missions.mission import MissionError
 
 DEFAULT = configuration.default()
@@ -78,7 +78,7 @@ def test_speed_take_off_actions_and_return() -> None:
     assert items[4].params[:3] == (1.0, 3.0, -1.0)
 
 
-def test_a_hold_that_nobody_gave_lasts_until_the_vine_rests() -> None:
+def test_a_default_hold_lasts_until_the_vine_rests() -> None:
     items = built(HEAD + waypoint("{ profile = 'reach' }, { profile = 'straight' }"), "px4")
     # `reach` takes 1.5 + 2 + 1.5 s; the last `straight` takes no time.
     assert [item.params[0] for item in items if item.command == DELAY] == [5.5, 0.5]
@@ -104,33 +104,33 @@ def test_an_action_without_a_rule_gives_the_rule_to_add(kind: AutopilotKind) -> 
         for word in ("command", "match", "profile =", "bend ="):
             rule = rule.replace(f" {word}", f"\n{word}")
         added = configuration.parse(rule + "\n" + configuration.default_text(), "added").items[0]
-        assert carrier(intent, with_items(added), kind) is not None
+        assert item_for_intent(intent, with_items(added), kind) is not None
 
 
 def test_the_preferred_carrier_is_the_one_that_survives() -> None:
     winch = ItemConfig(command="winch", bend="param1")
     gripper = ItemConfig(command="gripper", bend="param1", scale=0.5)
     # ArduPilot stores both as whole numbers; only the scale of the gripper makes 30.5 possible.
-    item = carrier(BendTo(30.5), with_items(winch, gripper), "ardupilot")
+    item = item_for_intent(BendTo(30.5), with_items(winch, gripper), "ardupilot")
     assert item is not None and item.command == GRIPPER and item.params[0] == 61.0
-    item = carrier(BendTo(30.0), with_items(gripper, winch), "ardupilot")
+    item = item_for_intent(BendTo(30.0), with_items(gripper, winch), "ardupilot")
     assert item is not None and item.command == WINCH
-    assert carrier(BendTo(30.5), with_items(winch), "ardupilot") is None
-    whole = carrier(BendTo(30.5), with_items(winch), "px4")
+    assert item_for_intent(BendTo(30.5), with_items(winch), "ardupilot") is None
+    whole = item_for_intent(BendTo(30.5), with_items(winch), "px4")
     assert whole is not None and described(whole) == "winch (30.5)"
 
 
 def test_a_rule_in_front_that_catches_the_numbers_is_seen() -> None:
     catches = ItemConfig(command="script_message", profile="straight")
     behind = ItemConfig(command="script_message", match={"param1": 2.0}, profile="reach")
-    assert carrier(StartProfile("reach"), with_items(catches, behind), "ardupilot") is None
-    assert carrier(StartProfile("reach"), with_items(behind, catches), "ardupilot") is not None
+    assert item_for_intent(StartProfile("reach"), with_items(catches, behind), "ardupilot") is None
+    assert item_for_intent(StartProfile("reach"), with_items(behind, catches), "ardupilot") is not None
 
 
 def test_x_and_y_travel_as_whole_numbers() -> None:
     by_x = ItemConfig(command="winch", bend="param5")
-    assert carrier(BendTo(30.5), with_items(by_x), "px4") is None
-    assert carrier(BendTo(30.0), with_items(by_x), "px4") is not None
+    assert item_for_intent(BendTo(30.5), with_items(by_x), "px4") is None
+    assert item_for_intent(BendTo(30.0), with_items(by_x), "px4") is not None
 
 
 ACTION = st.one_of(
@@ -158,7 +158,7 @@ def test_any_mission_passes_its_own_check_and_means_the_same_once_stored(
     items = built(text, kind)
     report = reviewed(items, kind)
     # Only the time of the bend depends on the mission, because legs may have any length.
-    assert [text for text in said(report) if "max_bent_s" not in text] == []
+    assert [text for text in finding_texts(report) if "max_bent_s" not in text] == []
     rules = Rules(DEFAULT)
     stored = [AUTOPILOTS[kind].store(over_the_wire(item)) for item in items]
     found = [rules.for_command(i.command, i.params)[0] for i in stored if i.command in rules.commands]

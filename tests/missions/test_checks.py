@@ -21,9 +21,9 @@ from mission_building import (
     WINCH,
     WP,
     built,
+    finding_texts,
     items,
     reviewed,
-    said,
     waypoint,
 )
 
@@ -38,11 +38,11 @@ NAN = math.nan
 
 
 def errors(kind: AutopilotKind, *entries: tuple[float, ...], frame: int = 2) -> list[str]:
-    return said(reviewed(items(*entries, frame=frame), kind))
+    return finding_texts(reviewed(items(*entries, frame=frame), kind))
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_good_mission_has_nothing_to_say(kind: AutopilotKind) -> None:
+def test_a_good_mission_has_no_findings(kind: AutopilotKind) -> None:
     report = reviewed(built(HEAD + waypoint("{ profile = 'reach' }"), kind), kind)
     assert report.findings == []
 
@@ -88,13 +88,13 @@ def test_numbers_that_storage_changes_are_reported_with_what_they_then_mean() ->
         ),
     )
     given = items(HOME, (TAKEOFF,), (WP,), (WINCH, 30.5), (WP,), (LAND,))
-    assert said(reviewed(given, "ardupilot", config)) == [
+    assert finding_texts(reviewed(given, "ardupilot", config)) == [
         "item 3 (winch (30.5), waypoint 1): ArduPilot stores other numbers: param1 30.5 becomes 30, so that "
         "'bend 30.5°' becomes 'bend 30°'; use script message (0, 30.5)"
     ]
-    assert said(reviewed(given, "px4", config)) == []
+    assert finding_texts(reviewed(given, "px4", config)) == []
     harmless = items(HOME, (TAKEOFF,), (WP,), (SCRIPT, 0, 0, 0, 0, 9, 0, 0), (WP,), (LAND,))
-    assert "param5 9 becomes 0" in said(reviewed(harmless, "ardupilot"), "warning")[0]
+    assert "param5 9 becomes 0" in finding_texts(reviewed(harmless, "ardupilot"), "warning")[0]
 
 
 def test_items_behind_the_end_never_run() -> None:
@@ -126,7 +126,7 @@ def test_home_is_in_front_on_ardupilot_and_nowhere_on_px4() -> None:
     )
     with_home = items(HOME, (TAKEOFF,), (WP,), (ACTUATOR, 0.5), (LAND,))
     with_home[0] = msgspec_replace_frame(with_home[0])
-    assert any("looks like home" in text for text in said(reviewed(with_home, "px4")))
+    assert any("looks like home" in text for text in finding_texts(reviewed(with_home, "px4")))
 
 
 def msgspec_replace_frame(item: MissionItem) -> MissionItem:
@@ -152,21 +152,23 @@ def test_two_at_once_and_one_that_is_broken_off() -> None:
     early = reviewed(
         built(HEAD + waypoint("{ profile = 'reach', hold_s = 3 }, { profile = 'straight' }"), "px4"), "px4"
     )
-    assert said(early) == []
-    assert said(early, "warning") == [
+    assert finding_texts(early) == []
+    assert finding_texts(early, "warning") == [
         "item 2 (actuator (2, 0, 0, 0, 0, 0, 1), waypoint 1): takes 5.0 s, but item 4 replaces it after "
         "3.0 s; hold longer"
     ]
 
 
 def test_too_low_too_long_and_still_bent() -> None:
-    low = said(
+    low = finding_texts(
         reviewed(built(HEAD + waypoint("{ bend_deg = 30 }", "north_m = 9\naltitude_m = 1"), "px4"), "px4")
     )
     assert "refused: at 1.0 m, below 2 m; fly higher there (interlocks.min_altitude_m)" in low[0]
     long = reviewed(built(HEAD + waypoint("{ bend_deg = 30, hold_s = 200 }"), "px4"), "px4")
-    assert "stays bent for 200 s, but safety vents it after 120 s (limits.max_bent_s)" in said(long)[0]
-    assert "still bent when the mission ends" in said(long, "warning")[0]
+    assert (
+        "stays bent for 200 s, but safety vents it after 120 s (limits.max_bent_s)" in finding_texts(long)[0]
+    )
+    assert "still bent when the mission ends" in finding_texts(long, "warning")[0]
     short = reviewed(built(HEAD + waypoint("{ profile = 'reach', hold_s = 200 }"), "px4"), "px4")
     assert short.findings == []
 
@@ -179,28 +181,28 @@ def test_an_angle_outside_the_curve() -> None:
 def test_an_item_without_a_rule_is_only_a_warning() -> None:
     given = items(HOME, (TAKEOFF,), (WP,), (SCRIPT, 77), (WP,), (LAND,))
     report = reviewed(given, "ardupilot")
-    assert said(report) == []
-    assert "refused: no rule for script_message (77" in said(report, "warning")[0]
+    assert finding_texts(report) == []
+    assert "refused: no rule for script_message (77" in finding_texts(report, "warning")[0]
 
 
-def test_a_bottle_that_is_too_low_refuses_and_says_so() -> None:
+def test_a_bend_with_too_little_air_is_refused_with_this_reason() -> None:
     given = built(HEAD + waypoint("{ bend_deg = 50 }, { profile = 'straight' }"), "px4")
     report = reviewed(given, "px4", reservoir_kPa=50.0)
-    text = said(report)[0]
+    text = finding_texts(report)[0]
     assert "refused: bottle at 50 kPa, needs " in text and "fill the bottle more" in text
     waved = built(HEAD + waypoint("{ profile = 'wave' }, { bend_deg = 50 }, { profile = 'straight' }"), "px4")
     doubtful = reviewed(waved, "px4", reservoir_kPa=80.0)
-    assert said(doubtful) == []
+    assert finding_texts(doubtful) == []
     assert any(
         "may be refused, if the bottle has its low estimate: bottle at" in text
-        for text in said(doubtful, "warning")
+        for text in finding_texts(doubtful, "warning")
     )
 
 
 def test_a_mission_without_the_vine_far_away_with_jumps_and_conditions() -> None:
     far = (WP, 0, 0, 0, 0, 47.5, 8.5455944, 10.0)
     given = items((TAKEOFF,), far, (CONDITION, 3), (JUMP, 1, -1), (WP,), (LAND,))
-    warnings = said(reviewed(given, "px4"), "warning")
+    warnings = finding_texts(reviewed(given, "px4"), "warning")
     assert any("11.4 km from home" in text for text in warnings)
     assert any("endless loop" in text for text in warnings)
     assert any("may run later than shown" in text for text in warnings)
@@ -212,7 +214,7 @@ def test_disarmed_pneumatics_are_remembered() -> None:
     interlocks = msgspec.structs.replace(default.interlocks, armed_at_start=False)
     config = msgspec.structs.replace(default, interlocks=interlocks)
     given = built(HEAD + waypoint("{ profile = 'reach' }"), "px4")
-    (text,) = said(reviewed(given, "px4", config), "warning")
+    (text,) = finding_texts(reviewed(given, "px4", config), "warning")
     assert text.endswith("arm them before the flight")
 
 

@@ -134,7 +134,9 @@ class ArduPilot:
         if len(self.items) < 5:
             self.items.append((self.now_ms & 0xFFFFFFFF, p1, p2, p3, p4))
 
-    def hear(self, message: MavlinkMessage, system: int = 1, component: int = 191, channel: int = US) -> None:
+    def deliver(
+        self, message: MavlinkMessage, system: int = 1, component: int = 191, channel: int = US
+    ) -> None:
         """A message arrives. The script gets ArduPilot's own structure of it."""
         if message.get_msgId() not in self.registered:
             return
@@ -145,12 +147,12 @@ class ArduPilot:
         assert len(structure) == 291
         self.received.append((structure, channel, self.now_ms & 0xFFFFFFFF))
 
-    def hear_companion(self) -> None:
-        self.hear(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 3, 3))
+    def deliver_heartbeat(self) -> None:
+        self.deliver(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 3, 3))
         self.run(20)
 
     def acknowledge(self, command: int = 31010, component: int = 191) -> None:
-        self.hear(mavlink.MAVLink_command_ack_message(command, 0, 0, 0, 1, 1), component=component)
+        self.deliver(mavlink.MAVLink_command_ack_message(command, 0, 0, 0, 1, 1), component=component)
         self.run(20)
 
     def commands(self) -> list[tuple[float, ...]]:
@@ -165,11 +167,11 @@ class ArduPilot:
 @pytest.fixture
 def autopilot() -> ArduPilot:
     autopilot = ArduPilot()
-    autopilot.hear_companion()
+    autopilot.deliver_heartbeat()
     return autopilot
 
 
-def test_it_says_that_it_runs(autopilot: ArduPilot) -> None:
+def test_it_reports_that_it_runs(autopilot: ArduPilot) -> None:
     assert autopilot.texts == ["Vine: script runs"]
     assert autopilot.sent == []
 
@@ -194,7 +196,7 @@ def test_it_is_repeated_until_it_is_acknowledged(autopilot: ArduPilot) -> None:
     assert autopilot.texts == ["Vine: script runs"]
 
 
-def test_without_an_answer_it_gives_up_and_says_so(autopilot: ArduPilot) -> None:
+def test_without_an_answer_it_gives_up_and_reports_it(autopilot: ArduPilot) -> None:
     autopilot.item(1, 40.0)
     autopilot.run(10_000)
     assert [m.confirmation for _, m in autopilot.sent] == [0, 1, 2, 3]
@@ -217,19 +219,19 @@ def test_acknowledgements_of_others_and_of_other_commands_are_not_for_it(autopil
     autopilot.run(20)
     autopilot.acknowledge(component=154)
     autopilot.acknowledge(command=400)
-    autopilot.hear(mavlink.MAVLink_command_ack_message(31010, 0, 0, 0, 1, 1), system=2)
+    autopilot.deliver(mavlink.MAVLink_command_ack_message(31010, 0, 0, 0, 1, 1), system=2)
     autopilot.run(600)
     assert [m.confirmation for _, m in autopilot.sent] == [0, 1]
 
 
 def test_nothing_is_sent_before_a_message_of_the_companion() -> None:
     autopilot = ArduPilot()
-    autopilot.hear(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), 255, 190, TELEMETRY)
-    autopilot.hear(mavlink.MAVLink_heartbeat_message(26, 8, 0, 0, 4, 3), 1, 154, TELEMETRY)
+    autopilot.deliver(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), 255, 190, TELEMETRY)
+    autopilot.deliver(mavlink.MAVLink_heartbeat_message(26, 8, 0, 0, 4, 3), 1, 154, TELEMETRY)
     autopilot.item(1, 40.0)
     autopilot.run(500)
     assert autopilot.sent == []
-    autopilot.hear_companion()
+    autopilot.deliver_heartbeat()
     assert [(channel, m.param2) for channel, m in autopilot.sent] == [(US, 40.0)]
 
 
@@ -237,7 +239,7 @@ def test_an_old_item_is_not_sent() -> None:
     autopilot = ArduPilot()
     autopilot.item(1, 40.0)
     autopilot.run(3000)
-    autopilot.hear_companion()
+    autopilot.deliver_heartbeat()
     autopilot.run(3000)
     assert autopilot.sent == []
     assert autopilot.texts[1:] == ["Vine: component 191 does not answer"]

@@ -99,7 +99,7 @@ def test_json_is_one_object_with_the_same_numbers(mission: Path, capsys: Capture
 
 
 @pytest.mark.long
-def test_flying_says_whether_it_went_as_planned(mission: Path, capsys: Captured) -> None:
+def test_a_simulated_flight_reports_differences_from_the_plan(mission: Path, capsys: Captured) -> None:
     mission.write_text(GOOD.replace("= 10", "= 4").replace("north_m = 20", "north_m = 2"))
     status, out, err = run(capsys, "mission", "check", mission, "--autopilot", "px4", "--fly")
     assert (status, err) == (0, "")

@@ -7,14 +7,14 @@ import contextlib
 
 import pytest
 from mission_building import EXAMPLES, KINDS
-from patience import PATIENCE_S
+from waiting import MAX_WAIT_S
 
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer
 from flying_vines.vehicle.mission.item import has_place
 from flying_vines.vehicle.mission.storage import AutopilotKind
-from missions.carriers import over_the_wire
 from missions.files import load_items
+from missions.item_for_intent import over_the_wire
 from missions.link import vehicle
 
 pytest.importorskip(
@@ -30,7 +30,7 @@ async def test_mavsdk_reads_the_plans_as_we_do(kind: AutopilotKind) -> None:
     server = AutopilotServer(FakeAutopilot(kind), None, listen=[("127.0.0.1", 0)])
     flying = asyncio.create_task(server.run())
     try:
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             await server.ready.wait()
         async with vehicle(f"tcp:127.0.0.1:{server.ports[0]}") as found:
             for name in ("bridge_inspection", "canopy_sampling"):

@@ -26,7 +26,7 @@ def content(kind: AutopilotKind) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_plan_has_what_qgroundcontrol_asks_for(kind: AutopilotKind) -> None:
+def test_a_plan_has_what_qgroundcontrol_requires(kind: AutopilotKind) -> None:
     plan = content(kind)
     assert (plan["fileType"], plan["version"], plan["groundStation"]) == ("Plan", 1, "QGroundControl")
     assert plan["geoFence"] == {"circles": [], "polygons": [], "version": 2}

@@ -10,8 +10,8 @@ import pytest
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import AutopilotKind, Params
-from missions.carriers import over_the_wire
 from missions.files import load_items
+from missions.item_for_intent import over_the_wire
 from missions.mission import MissionError
 from missions.upload import compare, refuse_wrong_home
 

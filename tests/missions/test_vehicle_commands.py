@@ -22,7 +22,7 @@ ACTIONS = pytest.mark.parametrize(
 )
 
 
-def said(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+def error_line(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     """The only line on standard error of a failing command."""
     status, _, error = command_line.run(capsys, "mission", *arguments)
     assert status == 2
@@ -31,15 +31,15 @@ def said(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 
 
 @ACTIONS
-def test_without_mavsdk_it_says_what_to_install(
+def test_without_mavsdk_it_names_what_to_install(
     arguments: tuple[object, ...], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "mavsdk", None)
-    error = said(capsys, *arguments, "--link", NOBODY)
+    error = error_line(capsys, *arguments, "--link", NOBODY)
     assert error == "mavsdk is missing: pip install 'flying-vines[missions]', on 64-bit systems"
 
 
-def test_where_its_library_does_not_load_the_first_line_says_so(
+def test_if_its_library_does_not_load_the_first_line_reports_it(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     package = tmp_path / "mavsdk"
@@ -48,13 +48,13 @@ def test_where_its_library_does_not_load_the_first_line_says_so(
     for name in [name for name in sys.modules if name.split(".")[0] == "mavsdk"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.syspath_prepend(str(tmp_path))
-    error = said(capsys, "watch", "--link", NOBODY)
+    error = error_line(capsys, "watch", "--link", NOBODY)
     assert error == "mavsdk does not run here: Could not load cmavsdk"
 
 
 @ACTIONS
 def test_a_link_that_is_none(arguments: tuple[object, ...], capsys: pytest.CaptureFixture[str]) -> None:
-    assert said(capsys, *arguments, "--link", "telepathy").startswith(
+    assert error_line(capsys, *arguments, "--link", "telepathy").startswith(
         "'telepathy' is not a link: give serial:"
     )
 
@@ -69,7 +69,7 @@ def test_a_link_that_is_none(arguments: tuple[object, ...], capsys: pytest.Captu
 def test_files_are_looked_at_before_the_vehicle(
     arguments: tuple[str, ...], begins: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert said(capsys, *arguments, "--link", NOBODY).startswith(begins)
+    assert error_line(capsys, *arguments, "--link", NOBODY).startswith(begins)
 
 
 @pytest.mark.long

@@ -41,25 +41,25 @@ class Direct:
 
 async def test_messages_of_a_thread_arrive_in_order() -> None:
     direct = Direct()
-    ears = MessageQueue(direct, ["A", "B"])
+    queue = MessageQueue(direct, ["A", "B"])
     direct.say("A", '{"n": 1}', '{"n": 2}', "{ no json")
     direct.say("B", '{"n": 3}')
-    heard = await ears.receive(1.0)
-    assert [(each.name, each.component, each.fields["n"]) for each in heard] == [
+    received = await queue.receive(1.0)
+    assert [(each.name, each.component, each.fields["n"]) for each in received] == [
         ("A", 191, 1),
         ("A", 191, 2),
         ("B", 191, 3),
     ]
-    assert await ears.receive(0.01) == []
+    assert await queue.receive(0.01) == []
     asyncio.get_running_loop().call_later(0.02, lambda: direct.say("A", '{"n": 4}'))
-    assert [each.fields["n"] for each in await ears.receive(5.0)] == [4]
-    ears.close()
+    assert [each.fields["n"] for each in await queue.receive(5.0)] == [4]
+    queue.close()
     assert direct.subscribed == {}
 
 
 async def test_a_slow_listener_keeps_the_latest_and_no_more() -> None:
     direct = Direct()
-    ears = MessageQueue(direct, ["A"])
+    queue = MessageQueue(direct, ["A"])
     calls = 0
     loop = asyncio.get_running_loop()
     call = loop.call_soon_threadsafe
@@ -72,7 +72,7 @@ async def test_a_slow_listener_keeps_the_latest_and_no_more() -> None:
     loop.call_soon_threadsafe = counted  # type: ignore[method-assign, assignment]
     direct.say("A", *(json.dumps({"n": n}) for n in range(10 * MAX_WAITING)))
     assert calls == 1, "the loop's own queue does not grow either"
-    numbers = [each.fields["n"] for each in await ears.receive(1.0)]
+    numbers = [each.fields["n"] for each in await queue.receive(1.0)]
     assert numbers == list(range(9 * MAX_WAITING, 10 * MAX_WAITING))
 
 
@@ -82,9 +82,9 @@ def test_a_loop_that_has_ended_is_no_error() -> None:
     async def listen() -> MessageQueue:
         return MessageQueue(direct, ["A"])
 
-    ears = asyncio.run(listen())
+    queue = asyncio.run(listen())
     direct.say("A", "{}")
-    assert len(ears.waiting()) == 1
+    assert len(queue.waiting()) == 1
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,7 @@ def test_a_loop_that_has_ended_is_no_error() -> None:
         ("serial:/dev/ttyUSB0:57600", "serial:///dev/ttyUSB0:57600"),
     ],
 )
-def test_links_are_written_in_mavsdks_words(link: str, url: str) -> None:
+def test_links_are_written_as_mavsdk_writes_them(link: str, url: str) -> None:
     assert mavsdk_url(link) == url
 
 

@@ -12,7 +12,7 @@ from contextlib import asynccontextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
-from patience import PATIENCE_S
+from waiting import MAX_WAIT_S
 
 HOW_TO_INSTALL = "MAVProxy is not installed: pip install 'flying-vines[dev]'"
 
@@ -52,7 +52,7 @@ class MavProxy:
 
     async def sees(self, pattern: str, again: str = "") -> re.Match[str]:
         """Wait for matching output; with `again`, type this every second meanwhile."""
-        deadline = asyncio.get_running_loop().time() + PATIENCE_S
+        deadline = asyncio.get_running_loop().time() + MAX_WAIT_S
         typed_at = -1.0
         while (match := self.printed(pattern)) is None:
             now = asyncio.get_running_loop().time()

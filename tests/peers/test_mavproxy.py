@@ -18,10 +18,10 @@ from pathlib import Path
 
 import pytest
 import pytest_asyncio
-from patience import PATIENCE_S, until
 from ports import free_port
 from real_time import real_time
 from service_bench import between
+from waiting import MAX_WAIT_S, until
 
 from flying_vines.config import config
 from flying_vines.service.service import Service
@@ -56,7 +56,7 @@ class Flight:
 
     async def value(self, name: str, wanted: Callable[[float], bool]) -> float:
         """Wait until MAVProxy shows such a number of a named value."""
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             while True:
                 self.ground.type(f"status *{name}*")
                 seen = await self.ground.sees(rf"name : {name}, value : {NUMBER}", again=f"status *{name}*")
@@ -102,7 +102,7 @@ async def test_the_gauge_is_seen_by_the_name_of_each_value(flight: Flight) -> No
     assert shown_kPa == pytest.approx(flight.phlosar.reservoir_kPa, abs=5)
 
 
-async def test_commands_move_the_vine_and_are_answered_in_words(flight: Flight) -> None:
+async def test_commands_move_the_vine_and_are_answered_as_text(flight: Flight) -> None:
     ground = flight.ground
     ground.type("vehicle 1:191")
     await ground.answers("long 31011 30", "Got COMMAND_ACK: USER_2: ACCEPTED")
@@ -116,7 +116,7 @@ async def test_commands_move_the_vine_and_are_answered_in_words(flight: Flight) 
     await until(lambda: flight.phlosar.cv_kPa < 1, "it is vented")
 
 
-async def test_disarmed_pneumatics_bend_for_nobody_until_they_are_armed(flight: Flight) -> None:
+async def test_disarmed_pneumatics_do_not_bend_until_they_are_armed(flight: Flight) -> None:
     ground = flight.ground
     ground.type("vehicle 1:191")
     await ground.answers("long 31013 2", "Got COMMAND_ACK: USER_4: ACCEPTED")
@@ -154,9 +154,9 @@ async def test_texts_are_printed_when_mavproxy_looks_at_all_components(flight: F
 async def test_a_plan_with_vine_items_is_loaded_and_listed(flight: Flight) -> None:
     plan = EXAMPLES / f"bridge_inspection-{flight.kind}.waypoints"
     text = plan.read_text()
-    carrier = {"ardupilot": 217, "px4": 187}[flight.kind]
+    item_command = {"ardupilot": 217, "px4": 187}[flight.kind]
     items = [line.split() for line in text.splitlines()[1:]]
-    bends = [item[4:6] for item in items if int(item[3]) == carrier]
+    bends = [item[4:6] for item in items if int(item[3]) == item_command]
     assert bends
     ground = flight.ground
     ground.type("vehicle 1:1")
@@ -164,7 +164,7 @@ async def test_a_plan_with_vine_items_is_loaded_and_listed(flight: Flight) -> No
     await ground.sees(f"Sent all {len(items)} waypoints")
     await ground.sees("Got MISSION_ACK: TYPE_MISSION: ACCEPTED")
     await ground.answers("wp list", "Saved waypoints to way.txt")
-    listed = re.findall(rf"\n{carrier} .* p1={NUMBER} p2={NUMBER}", ground.answer)
+    listed = re.findall(rf"\n{item_command} .* p1={NUMBER} p2={NUMBER}", ground.answer)
     assert [[float(p1), float(p2)] for p1, p2 in listed] == [[float(p1), float(p2)] for p1, p2 in bends]
 
 
@@ -183,7 +183,7 @@ async def test_parameters_are_fetched_set_and_kept_within_their_bounds(flight: F
     )
 
 
-async def test_signed_commands_are_obeyed_and_those_of_another_key_are_not(tmp_path: Path) -> None:
+async def test_signed_commands_are_carried_out_and_those_of_another_key_are_not(tmp_path: Path) -> None:
     """The passphrase in our key file and the one typed into MAVProxy give the same key."""
     file = tmp_path / "key"
     file.write_text("passphrase: vines-over-the-lake\n")

@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
-from patience import PATIENCE_S, until
 from ports import free_port
 from real_time import real_time
 from rich.console import Console
 from service_bench import between
+from waiting import MAX_WAIT_S, until
 
 from flying_vines.config import config
 from flying_vines.core.events import Action, Decision
@@ -104,13 +104,13 @@ def written(console: Console) -> str:
     return console.file.getvalue()
 
 
-async def hear(ears: MessageQueue, what: Callable[[ReceivedMessage], bool]) -> ReceivedMessage:
+async def first_of(queue: MessageQueue, what: Callable[[ReceivedMessage], bool]) -> ReceivedMessage:
     """The first matching message."""
-    async with asyncio.timeout(PATIENCE_S):
+    async with asyncio.timeout(MAX_WAIT_S):
         while True:
-            for heard in await ears.receive(1.0):
-                if what(heard):
-                    return heard
+            for message in await queue.receive(1.0):
+                if what(message):
+                    return message
 
 
 @KINDS
@@ -146,14 +146,16 @@ async def test_values_texts_and_acknowledgements_of_the_vine_come_through_the_au
 ) -> None:
     async with scene(kind, 2.0) as flight, vehicle(flight.link) as peer:
         assert peer.kind == kind
-        ears = peer.listen("NAMED_VALUE_FLOAT", "STATUSTEXT")
+        queue = peer.listen("NAMED_VALUE_FLOAT", "STATUSTEXT")
         names: set[str] = set()
         while not names >= {"RES_KPA", "CYC_LEFT", "CV_KPA", "CMD_KPA", "BEND_DEG"}:
-            value = await hear(ears, lambda m: m.component == COMPANION and m.name == "NAMED_VALUE_FLOAT")
+            value = await first_of(
+                queue, lambda m: m.component == COMPANION and m.name == "NAMED_VALUE_FLOAT"
+            )
             names.add(value.fields["name"])
         # On the ground and disarmed the vine must not bend: the command is refused with a reason.
         assert await peer.command(BEND_TO, 30.0, component=COMPANION) == 2
-        refusal = await hear(ears, lambda m: m.component == COMPANION and m.name == "STATUSTEXT")
+        refusal = await first_of(queue, lambda m: m.component == COMPANION and m.name == "STATUSTEXT")
         assert refusal.fields["text"].startswith("Vine: ")
         flight.autopilot.takeoff(8.0)
         await until(lambda: flight.autopilot.height_m > 7.0, "in the air")
@@ -163,8 +165,8 @@ async def test_values_texts_and_acknowledgements_of_the_vine_come_through_the_au
         # mavsdk repeats a command that is answered late, but does not count: each repeat is a new command.
         decided = [key for key, _ in itertools.groupby(a.safety for a in flight.decided("command"))]
         assert decided == ["refused", "accepted"]
-        await hear(
-            ears,
+        await first_of(
+            queue,
             lambda m: (
                 m.component == COMPANION
                 and m.fields.get("name") == "BEND_DEG"
@@ -205,7 +207,7 @@ async def test_changes_by_the_storage_are_reported(tmp_path: Path) -> None:
     assert "item 3 (script message (1.9, 40)): param1 1.9 is stored as 1." in written(console)
 
 
-async def test_nobody_there_is_said_in_one_line() -> None:
+async def test_no_vehicle_is_reported_in_one_line() -> None:
     with pytest.raises(VehicleLinkError, match=r"^udpin:127\.0\.0\.1:\d+: no vehicle found within 0\.5 s$"):
         async with vehicle(f"udpin:127.0.0.1:{free_port()}", within_s=0.5):
             pass
@@ -223,10 +225,10 @@ async def test_objects_that_mavsdk_may_still_call_outlive_it() -> None:
 
 async def test_several_clients_have_a_port_of_the_autopilot_each() -> None:
     async with bare(FakeAutopilot("px4")) as link, vehicle(link) as one, vehicle(link) as other:
-        ears = other.listen("STATUSTEXT")
+        queue = other.listen("STATUSTEXT")
         assert await one.command(511, 33, 100_000.0) == 0
         assert await other.command(31010) == 3
-        assert not [heard for heard in ears.waiting() if heard.component == COMPANION]
+        assert not [message for message in queue.waiting() if message.component == COMPANION]
 
 
 @asynccontextmanager

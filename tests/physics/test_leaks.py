@@ -36,7 +36,7 @@ def through_a_gap(start_kPa: float, volume_L: float, constant: float, t_s: float
     return 2.0 * P0 * share / (1.0 - share)
 
 
-def test_a_viscous_leak_empties_a_held_volume_as_its_integral_says() -> None:
+def test_a_viscous_leak_empties_a_held_volume_as_its_integral() -> None:
     effects = Effects(cv_viscous_leak=Viscous(4e5), reservoir_viscous_leak=Viscous(2e6))
     reservoir_kPa, cv_kPa = held(effects, 5.0)
     assert cv_kPa == pytest.approx(through_a_gap(60.0, 0.5, 4e5, 5.0), rel=1e-9)

@@ -116,7 +116,7 @@ def test_equation_4_is_1_and_2(reservoir_kPa: float, resistance: float, volume_L
 
 
 @given(st.floats(0.1, 1000.0), st.floats(0.1, 100.0))
-def test_at_the_cutoff_a_sine_asks_for_the_greatest_rate(rate: float, amplitude: float) -> None:
+def test_at_the_cutoff_a_sine_needs_the_greatest_rate(rate: float, amplitude: float) -> None:
     cutoff = paper.cutoff_Hz(rate, amplitude)
     assert paper.sine_peak_rate_kPa_per_s(cutoff, amplitude) == pytest.approx(rate, rel=1e-12)
     assert paper.frequency_gain(cutoff, cutoff) == 1.0

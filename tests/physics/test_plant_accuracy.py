@@ -12,7 +12,7 @@ from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.plant.ambient import Climb, air_at
 from flying_vines.physics.plant.coil import Coil
 from flying_vines.physics.plant.effects import Effects
-from flying_vines.physics.plant.likely import likely_effects
+from flying_vines.physics.plant.likely_effects import likely_effects
 from flying_vines.physics.plant.plant import Conditions, Held, Plant
 from flying_vines.physics.plant.rates import conditions, rates
 from flying_vines.physics.plant.simulator import Simulator
@@ -30,8 +30,8 @@ EVERYTHING = dataclasses.replace(
 def switching(seconds: float, seed: int) -> list[Inputs]:
     """Inflate, trim, hold, vent passively, vent with the Venturi: about a second each."""
     rng = random.Random(seed)
-    told: list[Inputs] = []
-    while len(told) < round(seconds * 1000):
+    given_commands: list[Inputs] = []
+    while len(given_commands) < round(seconds * 1000):
         command = rng.choice(
             [
                 Inputs(1.0, 0.0, False),
@@ -41,8 +41,8 @@ def switching(seconds: float, seed: int) -> list[Inputs]:
                 Inputs(0.0, rng.choice([0.6, 1.0]), True),
             ]
         )
-        told += [command] * rng.randrange(100, 2000)
-    return told[: round(seconds * 1000)]
+        given_commands += [command] * rng.randrange(100, 2000)
+    return given_commands[: round(seconds * 1000)]
 
 
 def difference_kPa(a: Conditions, b: Conditions) -> float:

@@ -15,7 +15,7 @@ from flying_vines.physics.gas import Gas
 from flying_vines.physics.plant.ambient import Climb, Recorded, Steady
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
-from flying_vines.physics.plant.likely import likely_effects
+from flying_vines.physics.plant.likely_effects import likely_effects
 from flying_vines.physics.plant.numbers import PlantNumbers, numbers_of
 from flying_vines.physics.plant.plant import Conditions, Plant, State, at_rest
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, read, rested
@@ -76,7 +76,7 @@ CAUSE_NUMBERS: dict[str, dict[str, float]] = {
 }
 
 
-def told(ticks: int, seed: int) -> list[Inputs]:
+def drawn_inputs(ticks: int, seed: int) -> list[Inputs]:
     """Inflate, trim, hold, vent passively and with the Venturi."""
     rng = random.Random(seed)
     inputs: list[Inputs] = []
@@ -146,7 +146,7 @@ PLANTS = {
 @pytest.mark.long
 @pytest.mark.parametrize("name", PLANTS)
 def test_a_replay_is_the_simulators_run(name: str) -> None:
-    plant, inputs = PLANTS[name], told(1500, 4)
+    plant, inputs = PLANTS[name], drawn_inputs(1500, 4)
     worst = differs_kPa(replay(plant, inputs), plant, inputs)
     print(f"{name}: {worst:.1e}")
     assert worst < 1e-9
@@ -154,7 +154,7 @@ def test_a_replay_is_the_simulators_run(name: str) -> None:
 
 @pytest.mark.parametrize("cause", [cause.name for cause in catalogue()])
 def test_every_cause_is_the_simulators_and_so_are_its_readings(cause: str) -> None:
-    made, inputs = setup(Rig(), cause, **CAUSE_NUMBERS[cause]), told(600, 8)
+    made, inputs = setup(Rig(), cause, **CAUSE_NUMBERS[cause]), drawn_inputs(600, 8)
     run = replay(made.plant, inputs, cv_sensor=made.cv_sensor, reservoir_sensor=made.reservoir_sensor, seed=5)
     assert differs_kPa(run, made.plant, inputs) < 1e-9
     noise = noise_of(5, len(inputs))
@@ -194,7 +194,7 @@ def random_plant(seed: int) -> Plant:
 def test_finer_steps_change_little_whatever_the_rig(monkeypatch: pytest.MonkeyPatch) -> None:
     worst = []
     for seed in range(60):
-        plant, inputs = random_plant(seed), told(1000, seed)
+        plant, inputs = random_plant(seed), drawn_inputs(1000, seed)
         usual = replay(plant, inputs).table
         with monkeypatch.context() as patch:
             patch.setattr(compiled, "numbers_of", finer)
@@ -211,10 +211,10 @@ def finer(plant: Plant, tick_s: float) -> PlantNumbers:
     return numbers_of(plant, tick_s)._replace(min_steps=40)
 
 
-def test_it_starts_where_it_is_told_and_writes_every_so_often() -> None:
+def test_it_starts_in_the_given_state_and_writes_at_the_given_interval() -> None:
     plant = Plant(Rig(), dataclasses.replace(LIKELY, evp_motion=ValveMotion(delay_s=0.02)))
     state = at_rest(plant, 300.0, 15.0)
-    inputs = told(501, 2)
+    inputs = drawn_inputs(501, 2)
     every = replay(plant, inputs, state)
     assert differs_kPa(every, plant, inputs, state) < 1e-9
     some = replay(plant, inputs, state, record_every=10)
@@ -228,7 +228,7 @@ def test_it_starts_where_it_is_told_and_writes_every_so_often() -> None:
 
 def test_half_a_run_and_the_other_half_are_the_run() -> None:
     """For a plant without memory except its state."""
-    inputs = told(400, 3)
+    inputs = drawn_inputs(400, 3)
     whole = replay(PLANTS["walls by time constants"], inputs)
     half = replay(PLANTS["walls by time constants"], inputs[:200])
     other = replay(PLANTS["walls by time constants"], inputs[200:], half.state)
@@ -256,7 +256,7 @@ def test_noise_is_the_seeds_and_readings_are_the_converters_codes() -> None:
 
 
 def test_a_batch_is_its_runs() -> None:
-    inputs = told(300, 6)
+    inputs = drawn_inputs(300, 6)
     effects = likely_effects(pouch=False)
     plants = [Plant(Rig(cv=ControlVolume(volume_L)), effects) for volume_L in (0.05, 0.1, 0.2, 0.5)]
     singles = [replay(plant, inputs) for plant in plants]
@@ -300,7 +300,7 @@ def test_without_a_cache_it_is_compiled(tmp_path: Path, monkeypatch: pytest.Monk
     assert compiler.compiled.__wrapped__(dead_zone)(0.65, 0.3) == dead_zone(0.65, 0.3)
 
 
-def test_without_numba_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_numba_it_names_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "numba", None)
     with pytest.raises(compiler.NoCompiler, match=r"pip install 'flying-vines\[analysis\]'"):
         compiler.compiled.__wrapped__(dead_zone)

@@ -104,11 +104,11 @@ def air_SL(state: State) -> float:
 @settings(max_examples=examples(800), deadline=None)
 @given(plants, reservoirs_kPa, cvs_kPa, commands)
 def test_no_air_is_lost_or_made(
-    plant: Plant, reservoir_kPa: float, cv_kPa: float, told: list[Inputs]
+    plant: Plant, reservoir_kPa: float, cv_kPa: float, given_commands: list[Inputs]
 ) -> None:
     simulator = Simulator(plant, at_rest(plant, reservoir_kPa, cv_kPa))
     before = air_SL(simulator.state)
-    for command in told:
+    for command in given_commands:
         for _ in range(15):
             simulator.advance(command)
     assert air_SL(simulator.state) == pytest.approx(before, rel=1e-12)
@@ -235,7 +235,7 @@ def test_a_closed_rig_keeps_its_energy(
     law: Iso6358 | None,
     reservoir_kPa: float,
     cv_kPa: float,
-    told: list[Inputs],
+    given_commands: list[Inputs],
     conductance: float,
 ) -> None:
     """Two volumes with walls, isolated: the energy of gas and walls is constant."""
@@ -248,7 +248,7 @@ def test_a_closed_rig_keeps_its_energy(
         return gas + 20.0 * (state.reservoir_wall_K + state.cv_wall_K)
 
     before = energy_J(simulator.state)
-    for command in told:
+    for command in given_commands:
         for _ in range(40):
             simulator.advance(Inputs(command.evp, 0.0, False))
     assert energy_J(simulator.state) == pytest.approx(before, rel=1e-12)
@@ -257,12 +257,12 @@ def test_a_closed_rig_keeps_its_energy(
 @settings(max_examples=examples(60), deadline=None)
 @given(warm_plants, st.floats(100.0, 760.0), commands)
 def test_the_vented_air_is_the_sum_of_the_flows(
-    plant: Plant, reservoir_kPa: float, told: list[Inputs]
+    plant: Plant, reservoir_kPa: float, given_commands: list[Inputs]
 ) -> None:
     """The balances agree with the independently summed flows."""
     simulator = Simulator(plant, at_rest(plant, reservoir_kPa))
     total = 0.0
-    for command in told:
+    for command in given_commands:
         for _ in range(10):
             before, t_s = simulator.state, simulator.t_s
             simulator.advance(command)

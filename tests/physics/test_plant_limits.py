@@ -55,13 +55,13 @@ def discharging(
 @settings(max_examples=examples(40), deadline=None)
 @given(rigs, st.floats(0.0, 760.0), st.floats(-50.0, 60.0), commands)
 def test_without_effects_it_is_the_baseline(
-    rig: Rig, reservoir_kPa: float, cv_kPa: float, told: list[Inputs]
+    rig: Rig, reservoir_kPa: float, cv_kPa: float, given_commands: list[Inputs]
 ) -> None:
     cv_kPa = 0.0 if rig.cv is None else cv_kPa
     plant = Plant(rig)
     simulator = Simulator(plant, at_rest(plant, reservoir_kPa, cv_kPa))
     state = baseline.BaselineState(reservoir_kPa, cv_kPa)
-    for command in told:
+    for command in given_commands:
         for _ in range(20):
             simulator.advance(command)
             state = baseline.step(rig, state, command, 0.001)

@@ -28,7 +28,7 @@ from flying_vines.physics.plant.flow import (
     flow_SL_per_s,
     iso6358_matching,
 )
-from flying_vines.physics.plant.likely import DVP
+from flying_vines.physics.plant.likely_effects import DVP
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.rates import flows
 from flying_vines.physics.plant.simulator import Simulator
@@ -149,7 +149,7 @@ def test_backlash_and_dead_zone() -> None:
     assert [dead_zone(u, 0.25) for u in (0.0, 0.25, 0.625, 1.0)] == [0.0, 0.0, 0.5, 1.0]
 
 
-def test_a_delayed_valve_does_before_what_it_was_told() -> None:
+def test_a_delayed_valve_still_follows_the_command_before() -> None:
     plant = Plant(Rig(), Effects(evp_motion=ValveMotion(delay_s=0.003)))
     simulator = Simulator(plant, initial=Inputs(0.9, 0.0, False))
     targets = []
@@ -160,10 +160,10 @@ def test_a_delayed_valve_does_before_what_it_was_told() -> None:
 
 
 def test_a_slow_solenoid() -> None:
-    told = [True] * 4 + [False] * 5 + [True, False, False, False, False]
+    commanded = [True] * 4 + [False] * 5 + [True, False, False, False, False]
     is_open, waited, seen = False, 0, []
-    for told_open in told:
-        is_open, waited = solenoid_after(is_open, waited, told_open, 2, 3)
+    for commanded_open in commanded:
+        is_open, waited = solenoid_after(is_open, waited, commanded_open, 2, 3)
         seen.append(int(is_open))
     assert seen == [0, 0, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0]
 
@@ -277,7 +277,7 @@ def drawn(ejector: Ejector, law: Ohm | Iso6358, p: float, theta: float, vacuum: 
     st.floats(0.0, 0.6),
     st.floats(1.0, 30.0),
 )
-def test_an_ejector_draws_what_its_characteristic_says(
+def test_the_suction_flow_of_an_ejector_is_that_of_its_characteristic(
     p: float, theta: float, vacuum: float, free: float, b: float, passage: float
 ) -> None:
     ejector = Ejector(passage_resistance_kPa_s_per_SL=passage)

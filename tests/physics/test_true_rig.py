@@ -11,7 +11,7 @@ import pytest
 from flying_vines.physics.effects import catalogue, setup
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
-from flying_vines.physics.plant.likely import likely_effects
+from flying_vines.physics.plant.likely_effects import likely_effects
 from flying_vines.physics.plant.true_rig import (
     TrueRig,
     likely_sensors,

@@ -13,8 +13,8 @@ import pytest
 from recorded_flight import BEGAN, CONFIG, HIGH, LOW, fly, new_flight, one_bend
 
 from flying_vines.config import config
-from flying_vines.core.contained import CrashSafeCore
 from flying_vines.core.core import Core
+from flying_vines.core.crash_safe_core import CrashSafeCore
 from flying_vines.core.events import Asked, Decision, InternalError, StoredState
 from flying_vines.physics.plant.true_rig import TrueRig, true_rig_text
 from flying_vines.physics.rig import Rig
@@ -27,7 +27,7 @@ from flying_vines.record.topics import NUMBERS, TOPICS, topic_of
 from flying_vines.simulation.replay import replay_flight
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.supply import Features, ReservoirEstimate
-from flying_vines.supply.known_rig import load_known_rig
+from flying_vines.supply.rig_file_prior import load_rig_file_prior
 from flying_vines.vine.intent import BendTo
 
 
@@ -71,11 +71,11 @@ def test_all_that_the_core_began_with_counts(
 ) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text(true_rig_text(TrueRig(Rig(), {"cv_leak": {"flow_resistance_kPa_s_per_SL": 8000.0}})))
-    belief = load_known_rig(rig, CONFIG.pneumatics).belief
+    prior = load_rig_file_prior(rig, CONFIG.pneumatics).prior
     stored = StoredState({"VINE_RATE_HZ": 5.0}, **kept)
-    began = replace(BEGAN, pneumatics=belief.pneumatics, rig=rig.read_text(), stored=stored)
+    began = replace(BEGAN, pneumatics=prior.pneumatics, rig=rig.read_text(), stored=stored)
     flight = new_flight()
-    flight.world.core = Core(CONFIG, (), belief, stored)
+    flight.world.core = Core(CONFIG, (), prior, stored)
     recorder = Recorder(tmp_path / "flights", began, t=0.0)
     fly(flight, recorder, ((3.0, LOW), (5.0, HIGH), (6.0, LOW)))
     recorder.close()
@@ -157,7 +157,7 @@ def test_the_second_flight_of_a_service_is_replayed_from_the_first(tmp_path: Pat
         replay_flight(FlightLog(second))
 
 
-def test_another_answer_is_found_and_said(flown: Path, tmp_path: Path) -> None:
+def test_another_answer_is_found_and_reported(flown: Path, tmp_path: Path) -> None:
     def other_setpoint(entry: LogEntry) -> bytes:
         if entry.topic != "decision":
             return entry.data
@@ -189,7 +189,7 @@ def test_a_damaged_log_is_compared_up_to_there(flown: Path, tmp_path: Path) -> N
     assert not again.differences and "damaged" in again.damage
 
 
-def test_the_command_says_whether_it_is_the_same(
+def test_the_command_reports_whether_it_is_the_same(
     flown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config_file = tmp_path / "grounded.toml"

@@ -60,7 +60,7 @@ def test_list_goes_on_over_what_cannot_be_read(flights: Path, run: Runner, tmp_p
     assert "broken" in err and "is not a flight log" in err
 
 
-def test_show_tells_the_story(flights: Path, run: Runner) -> None:
+def test_show_prints_the_events(flights: Path, run: Runner) -> None:
     (folder,) = flights.iterdir()
     out, _ = run("show", "last", "--in", flights)
     assert out == run("show", flights / "last")[0]
@@ -145,7 +145,7 @@ def test_a_bundle_holds_the_flight_and_no_key(flights: Path, run: Runner, tmp_pa
     assert machine["disk_free_MB"] > 0 and machine["packages"]["pymavlink"][0].isdigit()
 
 
-def test_a_damaged_log_is_shown_and_said_to_be_damaged(flights: Path, run: Runner, tmp_path: Path) -> None:
+def test_a_damaged_log_is_shown_and_marked_as_damaged(flights: Path, run: Runner, tmp_path: Path) -> None:
     (folder,) = flights.iterdir()
     path = tmp_path / "cut.mcap"
     data = (folder / "flight.mcap").read_bytes()

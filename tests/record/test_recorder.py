@@ -88,7 +88,7 @@ def test_another_reader_finds_the_same(flown: Path) -> None:
     assert summary.statistics.message_start_time == ours[0][1]
 
 
-def test_every_message_is_as_its_schema_says(flown: Path) -> None:
+def test_every_message_fits_its_schema(flown: Path) -> None:
     schemas = {topic.name: topic.schema for topic in TOPICS}
     seen: Counter[str] = Counter()
     for entry in FlightLog(flown).entries():
@@ -187,10 +187,10 @@ def test_mavlink_goes_into_a_tlog_as_well(flown: Path) -> None:
     frames = list(reader.frames())
     assert reader.skipped_bytes == 0
     assert [round(unix_s * 1e6) for unix_s, _ in frames] == [entry.unix_ns // 1000 for entry in log]
-    heard = mavutil.mavlink_connection(str(flown / "flight.tlog"))
+    received = mavutil.mavlink_connection(str(flown / "flight.tlog"))
     kinds = [entry.fields["name"] for entry in log]
-    assert [heard.recv_match().get_type() for _ in kinds] == kinds
-    heard.close()
+    assert [received.recv_match().get_type() for _ in kinds] == kinds
+    received.close()
 
 
 def test_a_message_that_the_dialect_lacks_is_kept(tmp_path: Path) -> None:
@@ -215,7 +215,7 @@ def test_a_write_error_ends_only_the_log(tmp_path: Path) -> None:
     assert len(list(FlightLog(recorder.folder).entries())) == 1
 
 
-def test_the_folder_says_what_flew(tmp_path: Path) -> None:
+def test_the_folder_has_the_versions_and_files_of_the_flight(tmp_path: Path) -> None:
     began = dataclasses.replace(
         BEGAN, rig="[cv]\nvolume_L = 0.1\n", stored=StoredState({"VINE_RATE_HZ": 3.0})
     )
@@ -380,7 +380,7 @@ def test_a_disk_that_is_read_only_for_a_while_is_reported_once_and_leaves_no_lit
     assert ticks(recorder.folder)
 
 
-def test_a_replay_says_where_nothing_was_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_replay_reports_gaps_of_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Usage = namedtuple("Usage", "total used free")
     free_MB = [500.0]
     monkeypatch.setattr(shutil, "disk_usage", lambda path: Usage(1e9, 5e8, free_MB[0] * 1e6))
@@ -421,7 +421,7 @@ def test_little_room_ends_the_log_before_the_disk_is_full(
     assert not log.damage, "it was brought to its end"
 
 
-def test_a_disk_that_hangs_holds_up_nobody_and_loses_nothing(
+def test_a_disk_that_hangs_delays_nothing_and_loses_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     goes_on = threading.Event()
@@ -462,13 +462,13 @@ def test_any_mavlink_message_comes_back_whatever_is_in_it() -> None:
         blank._pack(sender, kind.crc_extra, payload)
         raw = blank.get_msgbuf()
         if kind.msgname == "SETUP_SIGNING":
-            (heard,) = MavlinkCodec(0, 191).decode(raw)
-            assert not any(heard.secret_key), "a key is in no log"
+            (received,) = MavlinkCodec(0, 191).decode(raw)
+            assert not any(received.secret_key), "a key is in no log"
             continue
-        (heard,) = MavlinkCodec(0, 191).decode(raw)
-        data = encoded(entry_of_event(VehicleMessage(1.0, heard)))
+        (received,) = MavlinkCodec(0, 191).decode(raw)
+        data = encoded(entry_of_event(VehicleMessage(1.0, received)))
         assert_fits(json.loads(data), schema, kind.msgname)
         again = event_of(LogEntry("mavlink/in", 0, data))
         assert isinstance(again, VehicleMessage)
         assert again.message.get_msgbuf() == raw
-        assert str(again.message) == str(heard)
+        assert str(again.message) == str(received)

@@ -9,10 +9,10 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
-from patience import until
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from real_time import real_time
 from service_bench import Bench, on_bench
+from waiting import until
 
 from flying_vines.config import config
 from flying_vines.core.events import Action, Decision
@@ -133,7 +133,7 @@ async def test_disarmed_pneumatics_stay_so_over_restarts_until_a_person_arms_the
         assert doing(served) == "vented" and not any("disarmed" in text for text in served.texts)
 
 
-async def test_that_they_are_disarmed_cannot_be_kept_is_said_and_they_are(
+async def test_a_disarm_that_cannot_be_stored_is_reported_and_takes_effect(
     bench: Bench, tmp_path: Path
 ) -> None:
     async with serving(bench, tmp_path) as served:
@@ -144,7 +144,7 @@ async def test_that_they_are_disarmed_cannot_be_kept_is_said_and_they_are(
         assert doing(served) == "pneumatics disarmed"
 
 
-def test_disarmed_is_a_file_that_says_what_it_is_for_and_that_may_be_taken_away(tmp_path: Path) -> None:
+def test_disarmed_is_a_file_that_explains_itself_and_may_be_removed(tmp_path: Path) -> None:
     config_file = tmp_path / "vine.toml"
     config_file.write_text(config.default_text().replace('folder = ""', 'folder = "state/of"'))
     kept = PersistentState.of(config_file, config.load(config_file))

@@ -11,12 +11,12 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from patience import until
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from real_time import real_time
 from service_bench import Bench, on_bench
+from waiting import until
 
-from firmware_link import answer
+from firmware_link import answer_check
 from firmware_link.protocol import Fault, Vent
 from firmware_link.serial_port import SerialPort
 from flying_vines.config import config
@@ -73,7 +73,7 @@ async def test_what_moves_the_vine_is_sent_before_any_text(
     assert done[2:] == ["Notice", "ToFirmware", "Notice", "ToFirmware"]
 
 
-async def test_a_stranger_on_the_network_bends_nothing(bench: Bench) -> None:
+async def test_an_unknown_sender_on_the_network_bends_nothing(bench: Bench) -> None:
     # A whole autopilot in the air, from another address than the configured one, and a command.
     seen: list[Action] = []
     link = config.parse(bench.configuration, "test").vehicle.link
@@ -130,10 +130,10 @@ async def test_a_watcher_that_fails_sees_no_more_and_the_others_do(bench: Bench)
     assert texts() == ["Vine: one", "Vine: Clumsy failed, flight goes on", "Vine: two"]
 
 
-async def test_a_silent_port_is_told_to_the_pilot_once_and_on_the_screen(
+async def test_a_silent_port_is_reported_to_the_pilot_once_and_on_the_screen(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(answer, "ANSWER_WITHIN_S", 0.3)
+    monkeypatch.setattr(answer_check, "ANSWER_WITHIN_S", 0.3)
     silent, hosts = os.openpty()
     tty.setraw(hosts)
     seen: list[Action] = []
@@ -194,7 +194,7 @@ async def test_sigterm_vents_and_leaves_no_fault(bench: Bench, tmp_path: Path) -
     assert again.compared["decision"] >= 1
 
 
-async def test_a_service_is_told_that_the_pneumatics_were_disarmed_before_it(
+async def test_a_service_knows_that_the_pneumatics_were_disarmed_before_its_start(
     bench: Bench, tmp_path: Path
 ) -> None:
     (tmp_path / "vine.disarmed").touch()

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from needed import needs_compiler
+from required_programs import needs_compiler
 
 from flying_vines.vehicle.mission.storage import AutopilotKind
 
@@ -28,7 +28,7 @@ def test_every_trigger_of_a_flight_is_a_motion(
 ) -> None:
     outcome = simulated(kind, seed, 1.0, 1.0)
     tally = outcome.world.tally
-    assert tally.fouls == []
+    assert tally.violations == []
     assert set(tally.triggers) == {by}
     assert tally.flights == 1
     assert tally.triggers.total() == tally.motions == outcome.decisions["accepted"] >= 3
@@ -51,11 +51,11 @@ def judged(motion_of_the_plant: dict[float, float], until_s: float = 12.0, angle
 
 def test_a_motion_that_comes_counts() -> None:
     tally = judged({1.4: 11.4})
-    assert (tally.motions, tally.fouls) == (1, [])
+    assert (tally.motions, tally.violations) == (1, [])
 
 
 @pytest.mark.parametrize(
-    ("plant", "motions", "foul"),
+    ("plant", "motions", "violation"),
     [
         ({}, 0, "at 3.5 s: 0.0 kPa since bend 30° at 1.0 s"),
         ({1.4: 11.4, 1.9: 20.7}, 0, "at 3.5 s: 20.7 kPa since bend 30° at 1.0 s"),
@@ -64,10 +64,12 @@ def test_a_motion_that_comes_counts() -> None:
         ({4.0: 11.4}, 0, "at 3.5 s: 0.0 kPa since bend 30° at 1.0 s"),
     ],
 )
-def test_a_motion_missed_or_unasked_is_a_foul(plant: dict[float, float], motions: int, foul: str) -> None:
+def test_a_missed_motion_or_one_without_a_request_is_a_violation(
+    plant: dict[float, float], motions: int, violation: str
+) -> None:
     tally = judged(plant)
     assert tally.motions == motions
-    assert tally.fouls[0] == foul
+    assert tally.violations[0] == violation
 
 
 def test_a_wave_has_to_wave() -> None:
@@ -76,7 +78,7 @@ def test_a_wave_has_to_wave() -> None:
     for tenth in range(100):
         tally.look(tenth / 10, 0.0)
     assert tally.motions == 0
-    assert len(tally.fouls) == 1
+    assert len(tally.violations) == 1
 
 
 def test_memory_that_grows_is_not_flat() -> None:

@@ -153,7 +153,7 @@ def test_an_upload_is_asked_for_again_and_then_given_up() -> None:
     assert [message.type for message in world.gcs.of("MISSION_ACK")] == [15]
 
 
-def test_px4_tells_a_mission_id_that_changes_with_the_mission() -> None:
+def test_px4_reports_a_mission_id_that_changes_with_the_mission() -> None:
     world = World(FakeAutopilot("px4"))
     world.companion.hello()
     world.on(1.5)
@@ -227,7 +227,7 @@ def test_px4_takes_an_acknowledgement_for_the_oldest_command_of_that_number() ->
     assert len(commands_187(world)) == 3
 
 
-def test_px4_tells_an_old_current_item_after_a_jump() -> None:
+def test_px4_reports_an_old_current_item_after_a_jump() -> None:
     world = World(FakeAutopilot("px4", mission=px4_plan((93, 3), (93, 3), (93, 3))))
     world.request_streams()
     world.autopilot.start_mission()
@@ -240,21 +240,21 @@ def test_px4_tells_an_old_current_item_after_a_jump() -> None:
     assert world.companion.of("MISSION_CURRENT")[-1].seq == 3
 
 
-def test_ardupilot_does_not_tell_of_another_mission_of_the_same_length() -> None:
+def test_ardupilot_does_not_report_another_mission_of_the_same_length() -> None:
     world = World(FakeAutopilot("ardupilot", mission=plan(TAKEOFF, (217, 1, 40), (93, 9), LAND)))
     world.gcs.hello()
     world.request_streams()
     world.on(2.0)  # The count of the seconds is sent every 31 s.
-    before = len(world.companion.heard)
+    before = len(world.companion.received)
     world.autopilot.replace_mission(plan(TAKEOFF, (217, 1, 11), (93, 9), LAND))
     world.on(1.0)
-    told = {message.get_type() for _, message in world.companion.heard[before:]}
+    told = {message.get_type() for _, message in world.companion.received[before:]}
     assert not told & {"PARAM_VALUE", "STATUSTEXT", "MISSION_ACK"}
     assert world.gcs.texts() == ["Flight plan received"]
     assert world.autopilot.items[2].params[1] == 11
 
 
-def test_px4_tells_of_another_mission_by_its_id() -> None:
+def test_px4_reports_another_mission_by_its_id() -> None:
     world = World(FakeAutopilot("px4", mission=px4_plan((187, 0.4), (93, 9))))
     world.request_streams()
     world.on(1.0)
@@ -276,7 +276,7 @@ def test_a_stalled_link_delivers_all_at_once(both_ways: bool) -> None:
     world.on(1.0)
     world.companion.command(183, 9, 1900)
     world.on(1.9)
-    assert world.companion.heard == []
+    assert world.companion.received == []
     assert bool(world.autopilot.performed) is not both_ways
     world.on(0.2)
     boots_ms = [message.time_boot_ms for message in world.companion.of("RC_CHANNELS")]
@@ -295,7 +295,7 @@ def test_a_link_that_never_sent_gets_little(kind: AutopilotKind, kinds: set[str]
     world.autopilot.takeoff(5.0)
     world.gcs.say(mavlink.MAVLink_named_value_float_message(1, b"X", 1.0))
     world.on(20.5)
-    assert {message.get_type() for _, message in world.companion.heard} == kinds
+    assert {message.get_type() for _, message in world.companion.received} == kinds
     assert len(world.companion.of("HEARTBEAT")) in (21, 22)
 
 
@@ -400,7 +400,7 @@ def test_the_sequence_counts_up_per_link_without_a_gap() -> None:
     assert sequence == [index % 256 for index in range(len(sequence))]
 
 
-def test_a_reboot_is_silent_then_knows_nobody() -> None:
+def test_a_reboot_sends_nothing_and_then_knows_no_link() -> None:
     world = World(FakeAutopilot("ardupilot", mission=plan(TAKEOFF, LAND)))
     world.request_streams()
     world.on(5.0)
@@ -411,14 +411,14 @@ def test_a_reboot_is_silent_then_knows_nobody() -> None:
     assert world.companion.frames == []
     world.on(5.0)
     assert world.companion.frames[0][4] == 0
-    assert {message.get_type() for _, message in world.companion.heard} == {"HEARTBEAT"}
+    assert {message.get_type() for _, message in world.companion.received} == {"HEARTBEAT"}
     world.request_streams()
     world.on(1.0)
     assert world.companion.of("RC_CHANNELS")[0].time_boot_ms < before_ms
     assert len(world.autopilot.items) == 3
 
 
-def test_an_upload_right_after_boot_finds_no_space_and_ready_is_said_later() -> None:
+def test_an_upload_right_after_boot_finds_no_space_and_ready_is_reported_later() -> None:
     world = World(FakeAutopilot("ardupilot"))
     world.autopilot.reboot()
     world.on(1.3)
@@ -428,7 +428,7 @@ def test_an_upload_right_after_boot_finds_no_space_and_ready_is_said_later() -> 
     assert world.gcs.texts() == ["ArduPilot Ready"]
 
 
-def test_muted_links_carry_nothing_either_way_and_the_gap_shows() -> None:
+def test_interrupted_links_carry_nothing_either_way_and_the_gap_shows() -> None:
     world = streaming(FakeAutopilot("ardupilot"), 1.0)
     last = world.companion.frames[-1][4]
     world.companion.forget()
@@ -552,7 +552,7 @@ UINT16 = st.integers(0, 65535)
 
 @settings(max_examples=examples(150), deadline=None)
 @given(KINDS, st.lists(st.binary(max_size=300), max_size=5))
-def test_random_bytes_do_no_harm(kind: AutopilotKind, chunks: list[bytes]) -> None:
+def test_random_bytes_raise_no_error(kind: AutopilotKind, chunks: list[bytes]) -> None:
     autopilot = FakeAutopilot(kind)
     for t, chunk in enumerate(chunks):
         autopilot.receive(t / 10, "companion", chunk)
@@ -573,7 +573,7 @@ def valid_frames() -> bytes:
 
 @settings(max_examples=examples(150), deadline=None)
 @given(KINDS, st.lists(st.tuples(st.integers(0, 200), st.integers(0, 255)), max_size=8))
-def test_damaged_frames_do_no_harm(kind: AutopilotKind, damage: list[tuple[int, int]]) -> None:
+def test_damaged_frames_raise_no_error(kind: AutopilotKind, damage: list[tuple[int, int]]) -> None:
     frames = bytearray(valid_frames())
     for at, byte in damage:
         frames[at % len(frames)] = byte
@@ -631,7 +631,7 @@ def strange_messages(draw: st.DrawFn) -> Any:
 
 @settings(max_examples=examples(250), deadline=None)
 @given(KINDS, st.lists(strange_messages(), max_size=8), st.lists(SEVEN, min_size=1, max_size=3), COMMANDS)
-def test_strange_messages_do_no_harm(
+def test_invalid_messages_raise_no_error(
     kind: AutopilotKind, messages: list[Any], uploaded: list[tuple[float, ...]], command: int
 ) -> None:
     autopilot = FakeAutopilot(kind)

@@ -183,7 +183,7 @@ def test_px4_forwards_for_a_companion_only_if_set_at_boot() -> None:
         world.on(0.05)
         world.companion.say(mavlink.MAVLink_statustext_message(6, b"hello"))
         world.on(0.1)
-        return len([m for _, m in world.gcs.heard if m.get_srcComponent() == 191])
+        return len([m for _, m in world.gcs.received if m.get_srcComponent() == 191])
 
     assert received_by_gcs() == 0
     set_parameter(world, "MAV_1_FORWARD", struct.unpack("<f", struct.pack("<i", 1))[0], 6)

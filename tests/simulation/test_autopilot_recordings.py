@@ -12,8 +12,8 @@ from autopilot_world import (
     RC_RECEIVER,
     RECORDINGS,
     STREAMS_HZ,
-    Heard,
     Peer,
+    Received,
     World,
     changes,
     heartbeat,
@@ -42,12 +42,12 @@ SBUS_SEED, CRSF_SEED = 11, 1
 ONLY_SIMULATED = {"RELAY_STATUS", "CAMERA_FEEDBACK"}
 
 
-def kinds(heard: list[Heard], since_s: float = 0.0, until_s: float = 1e9) -> set[str]:
-    return {message.get_type() for t, message in heard if since_s <= t < until_s} - ONLY_SIMULATED
+def kinds(log: list[Received], since_s: float = 0.0, until_s: float = 1e9) -> set[str]:
+    return {message.get_type() for t, message in log if since_s <= t < until_s} - ONLY_SIMULATED
 
 
-def commands(heard: list[Heard]) -> list[str]:
-    return [str(message) for _, message in heard if message.get_type() == "COMMAND_LONG"]
+def commands(log: list[Received]) -> list[str]:
+    return [str(message) for _, message in log if message.get_type() == "COMMAND_LONG"]
 
 
 def test_rc_switch_as_recorded() -> None:
@@ -76,14 +76,14 @@ def test_rc_switch_as_recorded() -> None:
         world.to(offset_s + start_s + at_s)
         stimulus()
     world.to(offset_s + 88.0)
-    fake = [(t - offset_s, message) for t, message in world.companion.heard if t >= offset_s]
+    fake = [(t - offset_s, message) for t, message in world.companion.received if t >= offset_s]
 
     for name, view, tolerance_s in (("RC_CHANNELS", rc_values, 0.16), ("SYS_STATUS", rc_health, 0.55)):
         seen, expected = timed_changes(fake, name, view), timed_changes(real, name, view)
         assert [value for _, value in seen] == [value for _, value in expected]
         for (fake_s, _), (real_s, _) in zip(seen[1:], expected[1:], strict=True):
             assert fake_s == pytest.approx(real_s, abs=tolerance_s)
-    modes = [changes(heartbeat(m) for _, m in heard if m.get_type() == "HEARTBEAT") for heard in (fake, real)]
+    modes = [changes(heartbeat(m) for _, m in log if m.get_type() == "HEARTBEAT") for log in (fake, real)]
     assert modes[0] == modes[1]
     assert mission_events(fake) == mission_events(real)
     assert kinds(fake) == kinds(real)
@@ -103,7 +103,7 @@ def test_ardupilot_mission_as_recorded() -> None:
     world.to(6.08)
     world.autopilot.start_mission()
     world.to(100.0)
-    fake = world.companion.heard
+    fake = world.companion.received
 
     assert mission_events(fake) == mission_events(real)
     assert kinds(fake) == kinds(real)
@@ -111,11 +111,10 @@ def test_ardupilot_mission_as_recorded() -> None:
         ("MISSION_CURRENT", lambda m: (m.seq, m.mission_state, m.mission_mode)),
         ("HEARTBEAT", heartbeat),
     ):
-        seen = [changes(view(m) for _, m in heard if m.get_type() == name) for heard in (fake, real)]
+        seen = [changes(view(m) for _, m in log if m.get_type() == name) for log in (fake, real)]
         assert seen[0] == seen[1]
     totals = [
-        [m.param_value for _, m in heard if getattr(m, "param_id", "") == "MIS_TOTAL"]
-        for heard in (fake, real)
+        [m.param_value for _, m in log if getattr(m, "param_id", "") == "MIS_TOTAL"] for log in (fake, real)
     ]
     assert totals[0] == totals[1]
     # As in the autopilot's own log: items 3, 5, 7 and 9.
@@ -148,21 +147,19 @@ def test_px4_mission_as_recorded() -> None:
     world.to(6.02)
     world.autopilot.start_mission()
     world.to(90.0)
-    fake = world.companion.heard
+    fake = world.companion.received
 
     assert commands(fake) == commands(real)
     assert kinds(fake) - {"COMMAND_ACK"} == kinds(real)
-    beats = [changes(heartbeat(m) for _, m in heard if m.get_type() == "HEARTBEAT") for heard in (fake, real)]
+    beats = [changes(heartbeat(m) for _, m in log if m.get_type() == "HEARTBEAT") for log in (fake, real)]
     assert beats[0] == beats[1]
     reached = [
-        changes(m.seq for _, m in heard if m.get_type() == "MISSION_ITEM_REACHED") for heard in (fake, real)
+        changes(m.seq for _, m in log if m.get_type() == "MISSION_ITEM_REACHED") for log in (fake, real)
     ]
     # The real one polls, so chance decides which of two items reached at once is hidden.
     assert set(reached[1]) <= set(reached[0])
     assert set(reached[0]) - set(reached[1]) <= {item.seq - 1 for item in items if item.frame == 2}
-    totals = [
-        changes(m.total for _, m in heard if m.get_type() == "MISSION_CURRENT") for heard in (fake, real)
-    ]
+    totals = [changes(m.total for _, m in log if m.get_type() == "MISSION_CURRENT") for log in (fake, real)]
     assert totals[0] == totals[1] == [65535, 11]
 
 
@@ -193,7 +190,7 @@ def rc_bits(message: Any) -> tuple[bool, ...]:
 
 
 def assert_same_radio(
-    fake: list[Heard], real: list[Heard], rc_s: float, bits_s: float, view: Callable[[Any], object]
+    fake: list[Received], real: list[Received], rc_s: float, bits_s: float, view: Callable[[Any], object]
 ) -> None:
     """The same channels and RC bits in the same order, at about the same times."""
     for name, look, tolerance_s in (("RC_CHANNELS", view, rc_s), ("SYS_STATUS", rc_bits, bits_s)):
@@ -246,17 +243,17 @@ def test_px4_sbus_losses_as_recorded() -> None:
         script += [(lost_s, lose(preset=preset)), (back_s, autopilot.return_rc)]
     script += [(4.9, lambda: autopilot.takeoff(25.0)), (25.5, lambda: autopilot.set_mode("HOLD"))]
     play(world, script, 120.3)
-    assert_same_radio(world.companion.heard, [h for h in real if h[0] < 120.3], 0.16, 0.6, rc_values)
+    assert_same_radio(world.companion.received, [h for h in real if h[0] < 120.3], 0.16, 0.6, rc_values)
     status = [
-        changes(m.system_status for t, m in heard if t < 119.0 and m.get_type() == "HEARTBEAT")
-        for heard in (world.companion.heard, real)
+        changes(m.system_status for t, m in log if t < 119.0 and m.get_type() == "HEARTBEAT")
+        for log in (world.companion.received, real)
     ]
     assert status[0] == status[1]
 
 
 def test_px4_crsf_losses_as_recorded() -> None:
     # The companion's process paused at 4.4 s.
-    real = [heard for heard in recording("px4_crsf_loss") if heard[0] >= 6.0]
+    real = [entry for entry in recording("px4_crsf_loss") if entry[0] >= 6.0]
     low, high = 1012, 1988
     world = World(FakeAutopilot("px4", receiver="crsf", rc_failsafe_mode="HOLD", seed=CRSF_SEED))
     autopilot = world.autopilot
@@ -284,15 +281,15 @@ def test_px4_crsf_losses_as_recorded() -> None:
     script += [(6.1, lambda: autopilot.takeoff(25.0)), (24.6, lambda: autopilot.set_mode("HOLD"))]
     play(world, script, 90.0)
     until_90 = [h for h in real if h[0] < 90.0]
-    fake = [h for h in world.companion.heard if h[0] >= 6.0]
+    fake = [h for h in world.companion.received if h[0] >= 6.0]
 
     def values(message: Any) -> tuple[int, ...]:
         return rc_values(message)[:-1]
 
     # Chance decides if the first frame after a loss lacks its rssi, so it is tested separately.
     assert_same_radio(fake, until_90, 0.2, 0.6, values)
-    for heard in (fake, until_90):
-        shown = [rssi for _, rssi in timed_changes(heard, "RC_CHANNELS", lambda m: m.rssi)]
+    for log in (fake, until_90):
+        shown = [rssi for _, rssi in timed_changes(log, "RC_CHANNELS", lambda m: m.rssi)]
         assert shown == [61, 255] * 4 + [61]
     gone = [
         [t for t, rssi in timed_changes(h, "RC_CHANNELS", lambda m: m.rssi) if rssi == 255]
@@ -301,7 +298,7 @@ def test_px4_crsf_losses_as_recorded() -> None:
     assert gone[0] == pytest.approx(gone[1], abs=0.16)
 
 
-def test_ardupilot_losses_told_and_hidden_as_recorded() -> None:
+def test_ardupilot_losses_reported_and_hidden_as_recorded() -> None:
     real = recording("ardupilot_hidden_rc_loss")
     world = World(FakeAutopilot("ardupilot", rc_failsafe_mode=None))
     autopilot = world.autopilot
@@ -345,14 +342,14 @@ def test_ardupilot_losses_told_and_hidden_as_recorded() -> None:
     script += [(at_s, autopilot.return_rc) for at_s in (0.36, 10.92, 20.5, 29.07, 37.95, 48.17)]
     script += [(41.59, lambda: autopilot.set_parameter("FS_THR_ENABLE", 0.0))]
     play(world, [(offset_s + at_s, stimulus) for at_s, stimulus in script], offset_s + 54.0)
-    fake = [(t - offset_s, message) for t, message in world.companion.heard]
+    fake = [(t - offset_s, message) for t, message in world.companion.received]
     until_54 = [h for h in real if h[0] < 54.0]
     assert_same_radio(fake, until_54, 0.16, 0.3, rc_values)
-    texts = [[m.text for _, m in heard if m.get_type() == "STATUSTEXT"] for heard in (fake, until_54)]
+    texts = [[m.text for _, m in log if m.get_type() == "STATUSTEXT"] for log in (fake, until_54)]
     assert texts[0] == texts[1]
     told = [
-        [(m.param_id, m.param_value) for _, m in heard if m.get_type() == "PARAM_VALUE"]
-        for heard in (fake, until_54)
+        [(m.param_id, m.param_value) for _, m in log if m.get_type() == "PARAM_VALUE"]
+        for log in (fake, until_54)
     ]
     told[1] = [(name, value) for name, value in told[1] if not name.startswith(("SIM_", "STAT_"))]
     assert (
@@ -385,19 +382,19 @@ def test_an_override_that_expires_and_a_link_that_stalls_as_recorded() -> None:
         (70.0, lambda: autopilot.stall(9.02)),
     ]
     play(world, script, 79.2)
-    fake = world.companion.heard
+    fake = world.companion.received
 
-    for heard in (fake, real):
+    for log in (fake, real):
         switch = [
-            (t, us) for t, us in timed_changes(heard, "RC_CHANNELS", lambda m: m.chan9_raw) if 45.0 < t < 70.0
+            (t, us) for t, us in timed_changes(log, "RC_CHANNELS", lambda m: m.chan9_raw) if 45.0 < t < 70.0
         ]
         assert [us for _, us in switch] == [2000, 1000, 2000, 1000]
         assert [t for t, _ in switch] == pytest.approx([48.9, 52.4, 59.36, 61.45], abs=0.1)
-        totals = [m.param_value for _, m in heard if getattr(m, "param_id", "") == "MIS_TOTAL"][:7]
+        totals = [m.param_value for _, m in log if getattr(m, "param_id", "") == "MIS_TOTAL"][:7]
         assert totals == [1, 2, 3, 4, 5, 6, 7]
         late = [
             (t, m.text if m.get_type() == "STATUSTEXT" else m.seq)
-            for t, m in heard
+            for t, m in log
             if 67.4 < t < 79.2 and m.get_type() in ("STATUSTEXT", "MISSION_ITEM_REACHED")
         ]
         first = ["Mission: 1 Delay", "Delaying 4 sec"]
@@ -413,7 +410,7 @@ def test_an_override_that_expires_and_a_link_that_stalls_as_recorded() -> None:
         assert all(t == pytest.approx(67.5, abs=0.1) for t, _ in late[:4])
         assert all(t == pytest.approx(79.06, abs=0.1) for t, _ in late[4:])
         # The messages that arrived with it show its age.
-        boots_ms = [m.time_boot_ms for t, m in heard if m.get_type() == "RC_CHANNELS" and 79.0 < t < 79.12]
+        boots_ms = [m.time_boot_ms for t, m in log if m.get_type() == "RC_CHANNELS" and 79.0 < t < 79.12]
         assert boots_ms[-1] - boots_ms[0] > 8000
     assert "Flight plan received" in world.gcs.texts()
     assert not any("Flight plan" in text for text in world.companion.texts())
@@ -450,7 +447,7 @@ def test_px4_mission_with_overrides_and_a_pause_as_recorded() -> None:
     world.gcs.say(mavlink.MAVLink_mission_count_message(1, 1, len(items)))
     override(17.1, 1000)
     world.autopilot.start_mission()
-    fake = world.companion.heard
+    fake = world.companion.received
     while not any(m.seq == 5 for m in world.companion.of("MISSION_CURRENT")):
         world.on(0.1)
     world.on(2.0)
@@ -469,22 +466,22 @@ def test_px4_mission_with_overrides_and_a_pause_as_recorded() -> None:
         ("EXTENDED_SYS_STATE", lambda m: m.landed_state),
         ("SYS_STATUS", rc_health),
     ):
-        seen = [changes(view(m) for _, m in heard if m.get_type() == name) for heard in (fake, real)]
+        seen = [changes(view(m) for _, m in log if m.get_type() == name) for log in (fake, real)]
         assert seen[0] == seen[1], name
     gaps_s = [
-        max(b - a for a, b in pairwise(t for t, m in heard if m.get_type() == "RC_CHANNELS"))
-        for heard in (fake, real)
+        max(b - a for a, b in pairwise(t for t, m in log if m.get_type() == "RC_CHANNELS"))
+        for log in (fake, real)
     ]
     assert gaps_s[0] == pytest.approx(gaps_s[1], abs=0.15)
     assert max(t for t, m in fake if m.get_type() == "RC_CHANNELS") == pytest.approx(17.1, abs=0.15)
     reached = [
-        changes(m.seq for _, m in heard if m.get_type() == "MISSION_ITEM_REACHED") for heard in (fake, real)
+        changes(m.seq for _, m in log if m.get_type() == "MISSION_ITEM_REACHED") for log in (fake, real)
     ]
     assert set(reached[1]) <= set(reached[0])
     assert set(reached[0]) - set(reached[1]) <= {1, 5, 7}, "hidden by the DO item right behind"
     parameters = [
-        [(m.param_id, parameter_bytes(m)) for _, m in heard if m.get_type() == "PARAM_VALUE"]
-        for heard in (fake, real)
+        [(m.param_id, parameter_bytes(m)) for _, m in log if m.get_type() == "PARAM_VALUE"]
+        for log in (fake, real)
     ]
     assert parameters[0] == parameters[1][:2]
     assert [done.seq for _, done in world.autopilot.payload_log] == [2, 4, 6, 8, 10]
@@ -496,7 +493,7 @@ def test_two_reboots_as_recorded() -> None:
     world = World(FakeAutopilot("ardupilot"))
     world.autopilot.set_rc(8, 1800)
     world.autopilot.set_rc(9, 1500)
-    fake = world.companion.heard
+    fake = world.companion.received
     script: list[tuple[float, Callable[[], None]]] = [
         (0.05, lambda: world.request_streams(streams_hz)),
         (12.05, lambda: world.autopilot.set_rc(9, 2000)),
@@ -528,29 +525,29 @@ def test_two_reboots_as_recorded() -> None:
         assert [value for _, value in seen] == [value for _, value in expected]
         for (fake_s, _), (real_s, _) in zip(seen[1:], expected[1:], strict=True):
             assert fake_s == pytest.approx(real_s, abs=tolerance_s)
-    for heard in (fake, real):
+    for log in (fake, real):
         falls = [
             (before.time_boot_ms, after.time_boot_ms)
-            for before, after in pairwise(m for _, m in heard if m.get_type() == "RC_CHANNELS")
+            for before, after in pairwise(m for _, m in log if m.get_type() == "RC_CHANNELS")
             if after.time_boot_ms < before.time_boot_ms
         ]
         assert len(falls) == 2
         assert [after for _, after in falls] == pytest.approx([8850, 2800], abs=1200)
-        assert [t for t, _ in gaps(heard, 1.2)] == pytest.approx([20.05, 50.1], abs=0.1)
-        assert [seconds for _, seconds in gaps(heard, 1.2)] == pytest.approx([1.26, 1.26], abs=0.1)
-        assert [m.get_seq() for m in after_gaps(heard, 1.2)] == [0, 0]
-        ready = [t for t, m in heard if m.get_type() == "STATUSTEXT" and m.text == "ArduPilot Ready"]
+        assert [t for t, _ in gaps(log, 1.2)] == pytest.approx([20.05, 50.1], abs=0.1)
+        assert [seconds for _, seconds in gaps(log, 1.2)] == pytest.approx([1.26, 1.26], abs=0.1)
+        assert [m.get_seq() for m in after_gaps(log, 1.2)] == [0, 0]
+        ready = [t for t, m in log if m.get_type() == "STATUSTEXT" and m.text == "ArduPilot Ready"]
         assert ready == pytest.approx([22.71, 52.76], abs=0.1)
-        assert len([m for _, m in heard if m.get_type() == "COMMAND_ACK" and m.result == 0]) == 24
+        assert len([m for _, m in log if m.get_type() == "COMMAND_ACK" and m.result == 0]) == 24
 
 
-def gaps(heard: list[Heard], longer_than_s: float) -> list[tuple[float, float]]:
+def gaps(log: list[Received], longer_than_s: float) -> list[tuple[float, float]]:
     """The start and length of silences."""
-    return [(a, b - a) for (a, _), (b, _) in pairwise(heard) if b - a > longer_than_s]
+    return [(a, b - a) for (a, _), (b, _) in pairwise(log) if b - a > longer_than_s]
 
 
-def after_gaps(heard: list[Heard], longer_than_s: float) -> list[Any]:
-    return [message for (a, _), (b, message) in pairwise(heard) if b - a > longer_than_s]
+def after_gaps(log: list[Received], longer_than_s: float) -> list[Any]:
+    return [message for (a, _), (b, message) in pairwise(log) if b - a > longer_than_s]
 
 
 @pytest.mark.parametrize(
@@ -603,7 +600,7 @@ def test_forty_six_kinds_of_items_as_recorded() -> None:
     world.request_streams(STREAMS_HZ | GPS_HZ | {36: 5})
     world.autopilot.start_mission()
     world.on(100.0)
-    fake = world.companion.heard
+    fake = world.companion.received
 
     events = mission_events(fake)
     # The recording begins after the take-off's own text.

@@ -9,9 +9,9 @@ from collections.abc import AsyncIterator
 from typing import Any, cast
 
 import pytest
-from patience import PATIENCE_S
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from real_time import real_time
+from waiting import MAX_WAIT_S
 
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot_server import MAX_CLIENTS, AutopilotServer
@@ -45,8 +45,8 @@ class Listener(asyncio.DatagramProtocol):
         assert self.transport is not None and self._peer is not None
         self.transport.sendto(message.pack(self._mav), self._peer)
 
-    async def hear(self, name: str, count: int = 1) -> list[Any]:
-        async with asyncio.timeout(PATIENCE_S):
+    async def receive(self, name: str, count: int = 1) -> list[Any]:
+        async with asyncio.timeout(MAX_WAIT_S):
             while len(found := [m for m in self.messages if m.get_type() == name]) < count:
                 self.arrived.clear()
                 await self.arrived.wait()
@@ -82,10 +82,10 @@ async def test_a_companion_asks_for_a_stream_and_gets_it() -> None:
     async with listening(1, 191) as companion:
         server = AutopilotServer(FakeAutopilot(), f"udpout:127.0.0.1:{companion.port}")
         async with serving(server):
-            await companion.hear("HEARTBEAT")
+            await companion.receive("HEARTBEAT")
             companion.say(mavlink.MAVLink_command_long_message(1, 1, 511, 0, 65, 2e4, 0, 0, 0, 0, 0))
-            acknowledged = await companion.hear("COMMAND_ACK")
-            channels = await companion.hear("RC_CHANNELS", 10)
+            acknowledged = await companion.receive("COMMAND_ACK")
+            channels = await companion.receive("RC_CHANNELS", 10)
     assert acknowledged[0].result == 0
     assert channels[9].time_boot_ms - channels[0].time_boot_ms == pytest.approx(180, abs=2)
     assert server.frames_unsent == 0
@@ -95,13 +95,13 @@ async def test_a_ground_station_gets_the_messages_of_the_companion() -> None:
     async with listening(1, 191) as companion, listening(255, 190) as gcs:
         server = AutopilotServer(FakeAutopilot(), ("127.0.0.1", companion.port), ("127.0.0.1", gcs.port))
         async with serving(server):
-            await companion.hear("HEARTBEAT")
-            await gcs.hear("HEARTBEAT")
+            await companion.receive("HEARTBEAT")
+            await gcs.receive("HEARTBEAT")
             gcs.say(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
             companion.say(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3))
             await asyncio.sleep(0.05)
             companion.say(mavlink.MAVLink_named_value_float_message(1, b"VINE_BEND", 40.0))
-            value = (await gcs.hear("NAMED_VALUE_FLOAT"))[0]
+            value = (await gcs.receive("NAMED_VALUE_FLOAT"))[0]
     assert (value.get_srcComponent(), value.value) == (191, 40.0)
 
 
@@ -114,9 +114,9 @@ async def test_a_script_moves_the_sticks_in_time() -> None:
             script=[(0.3, lambda fake: fake.set_rc(9, 1000)), (0.1, lambda fake: fake.set_rc(9, 2000))],
         )
         async with serving(server):
-            await companion.hear("HEARTBEAT")
+            await companion.receive("HEARTBEAT")
             companion.say(mavlink.MAVLink_command_long_message(1, 1, 511, 0, 65, 2e4, 0, 0, 0, 0, 0))
-            channels = await companion.hear("RC_CHANNELS", 22)
+            channels = await companion.receive("RC_CHANNELS", 22)
     high = [message.time_boot_ms for message in channels if message.chan9_raw == 2000]
     assert channels[0].chan9_raw == channels[-1].chan9_raw == 1000
     assert high[-1] - high[0] == pytest.approx(200, abs=30)
@@ -132,7 +132,7 @@ async def test_an_error_in_a_stimulus_ends_the_run() -> None:
         await asyncio.sleep(0)
 
 
-async def test_nobody_needs_to_listen() -> None:
+async def test_no_listener_is_needed() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -162,8 +162,8 @@ class Client:
     def say(self, message: Any) -> None:
         self.writer.write(message.pack(self._mav))
 
-    async def hear(self, name: str) -> Any:
-        async with asyncio.timeout(PATIENCE_S):
+    async def receive(self, name: str) -> Any:
+        async with asyncio.timeout(MAX_WAIT_S):
             while True:
                 data = await self._reader.read(4096)
                 assert data, "the connection stands"
@@ -193,14 +193,14 @@ async def test_tcp_clients_have_a_port_each_and_leave_it_to_the_next() -> None:
     async with on_tcp(autopilot) as server:
         one, other = await connect(server), await connect(server, 254)
         for client in (one, other):
-            await client.hear("HEARTBEAT")
+            await client.receive("HEARTBEAT")
             client.say(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
         await asyncio.sleep(0.05)
         one.say(mavlink.MAVLink_statustext_message(6, b"from the one"))
-        assert (await other.hear("STATUSTEXT")).text == "from the one"
+        assert (await other.receive("STATUSTEXT")).text == "from the one"
         await one.close()
         third = await connect(server)
-        await third.hear("HEARTBEAT")
+        await third.receive("HEARTBEAT")
         assert sorted(name for name in autopilot._ports if name.startswith("tcp")) == ["tcp1", "tcp2"]
         for client in (other, third):
             await client.close()
@@ -209,7 +209,7 @@ async def test_tcp_clients_have_a_port_each_and_leave_it_to_the_next() -> None:
 async def test_one_client_too_many_is_sent_away() -> None:
     async with on_tcp(FakeAutopilot()) as server:
         clients = [await connect(server) for _ in range(MAX_CLIENTS)]
-        await clients[-1].hear("HEARTBEAT")
+        await clients[-1].receive("HEARTBEAT")
         last = await asyncio.open_connection("127.0.0.1", server.ports[0])
         assert await asyncio.wait_for(last[0].read(), 5.0) == b""
         last[1].close()
@@ -220,11 +220,11 @@ async def test_one_client_too_many_is_sent_away() -> None:
 async def test_time_can_run_fast() -> None:
     async with on_tcp(FakeAutopilot(), speed=20.0) as server:
         client = await connect(server)
-        await client.hear("HEARTBEAT")
+        await client.receive("HEARTBEAT")
         client.say(mavlink.MAVLink_command_long_message(1, 1, 511, 0, 2, 1e6, 0, 0, 0, 0, 0))
-        first = await client.hear("SYSTEM_TIME")
+        first = await client.receive("SYSTEM_TIME")
         begun = asyncio.get_running_loop().time()
-        while (await client.hear("SYSTEM_TIME")).time_boot_ms < first.time_boot_ms + 10_000:
+        while (await client.receive("SYSTEM_TIME")).time_boot_ms < first.time_boot_ms + 10_000:
             pass
         assert asyncio.get_running_loop().time() - begun < 3.0
         await client.close()

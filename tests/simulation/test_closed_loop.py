@@ -12,7 +12,7 @@ from firmware_link.protocol import Setpoint as SetpointMessage
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.plant.ambient import Climb
 from flying_vines.physics.plant.effects import Effects
-from flying_vines.physics.plant.likely import likely_effects
+from flying_vines.physics.plant.likely_effects import likely_effects
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, read, rested
 from flying_vines.physics.plant.simulator import Simulator
@@ -109,7 +109,7 @@ def test_it_holds_what_the_whole_firmware_holds() -> None:
     assert apart_kPa[-500:].max() < 0.3
 
 
-def test_the_table_tells_what_is_wanted_and_held() -> None:
+def test_the_table_has_the_requested_and_the_held_setpoint() -> None:
     table = closed_loop(PLANTS["baseline"], SETPOINTS, 1.8).table
     assert len(table) == 180
     assert np.diff(table["time_s"]) == pytest.approx(0.01)

@@ -16,7 +16,7 @@ from flying_vines.simulation.scenario.command import (
     command_of,
     valves_of,
 )
-from flying_vines.simulation.scenario.kinds import (
+from flying_vines.simulation.scenario.run_kinds import (
     BendsRun,
     ChirpRun,
     DischargeRun,

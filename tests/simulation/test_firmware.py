@@ -95,7 +95,7 @@ def modes(bench: Bench) -> tuple[Mode, Fault]:
     return bench.firmware.mode, bench.firmware.faults
 
 
-def test_it_vents_from_power_up_and_says_so(cold: Bench) -> None:
+def test_it_vents_from_power_up_and_reports_it(cold: Bench) -> None:
     bench = cold
     assert bench.run(1) == SAFE
     bench.run(10)
@@ -141,7 +141,7 @@ def test_telemetry_comes_at_its_rate(bench: Bench) -> None:
     assert {after - before for before, after in pairwise(times)} == {10}
 
 
-def test_telemetry_says_what_is_held(bench: Bench) -> None:
+def test_telemetry_reports_the_held_setpoint(bench: Bench) -> None:
     bench.cv_kPa = 2.0
     bench.run(1)
     bench.send(bend(number=12, rate=50.0))
@@ -389,7 +389,7 @@ def test_a_board_that_boots_does_not_listen() -> None:
     assert firmware.take_output() == b""
 
 
-def test_output_that_nobody_takes_is_bounded(bench: Bench) -> None:
+def test_output_without_a_reader_is_bounded(bench: Bench) -> None:
     bench.run(1000)
     output = bench.firmware.take_output()
     assert 900 < len(output) <= 1024

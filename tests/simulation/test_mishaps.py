@@ -7,7 +7,7 @@ from statistics import pstdev
 
 import pytest
 from closed_forms import choked_time_constant_s, isothermal_choked_discharge_kPa_abs
-from drawn_mishaps import DRAWN, Mishap, Momentary, draw_mishap
+from random_mishaps import DRAWN, Mishap, Momentary, draw_mishap
 from still_board import StillBoard
 
 from firmware_link.protocol import PROTOCOL_VERSION, Codec, Hello, Mode, Setpoint, Telemetry, Vent
@@ -154,7 +154,7 @@ def test_both_may_be_wrong_at_once_and_well_again() -> None:
 
 
 @likely_and_ideal
-def test_an_inflation_valve_stuck_open_lets_air_in_whatever_it_is_told(effects: Effects | None) -> None:
+def test_an_inflation_valve_stuck_open_lets_air_in_with_any_command(effects: Effects | None) -> None:
     phlosar, _ = rigged(SHUT, effects)
     phlosar.mishaps.evp = StuckAt(1.0)
     phlosar.advance(1.0)
@@ -177,9 +177,9 @@ def test_one_stuck_shut_lets_none_in(effects: Effects | None) -> None:
     assert phlosar.cv_kPa > 20.0
 
 
-@pytest.mark.parametrize("told", [SHUT, INFLATING])
-def test_one_stuck_in_between_is_open_that_far_with_no_dead_zone(told: Inputs) -> None:
-    phlosar, _ = rigged(told)
+@pytest.mark.parametrize("commanded", [SHUT, INFLATING])
+def test_one_stuck_in_between_is_open_that_far_with_no_dead_zone(commanded: Inputs) -> None:
+    phlosar, _ = rigged(commanded)
     phlosar.mishaps.evp = phlosar.mishaps.dvp = StuckAt(0.1)
     phlosar.advance(0.3)
     assert phlosar.state.evp_opening == pytest.approx(0.1)
@@ -205,11 +205,11 @@ def test_a_supply_valve_stuck_shut_does_not_pull(effects: Effects | None) -> Non
 
 
 @likely_and_ideal
-@pytest.mark.parametrize(("told", "opening", "vented"), [(SAFE, 0.0, False), (SHUT, 1.0, True)])
+@pytest.mark.parametrize(("commanded", "opening", "vented"), [(SAFE, 0.0, False), (SHUT, 1.0, True)])
 def test_a_solenoid_may_stick_either_way(
-    effects: Effects | None, told: Inputs, opening: float, vented: bool
+    effects: Effects | None, commanded: Inputs, opening: float, vented: bool
 ) -> None:
-    phlosar, _ = rigged(told, effects, cv_kPa=20.0)
+    phlosar, _ = rigged(commanded, effects, cv_kPa=20.0)
     phlosar.mishaps.solenoid = StuckAt(opening)
     phlosar.advance(0.5)
     assert (phlosar.cv_kPa < 1.0) is vented
@@ -228,12 +228,12 @@ def test_no_air_is_made_or_lost(index: int, effects: Effects | None) -> None:
     place, make = DRAWN[index]
     phlosar, board = rigged(INFLATING, effects)
     all_SL = air_SL(phlosar)
-    for told in (INFLATING, SHUT, SAFE, Inputs(0.0, 1.0, True), INFLATING):
-        if told is SHUT:
+    for commanded in (INFLATING, SHUT, SAFE, Inputs(0.0, 1.0, True), INFLATING):
+        if commanded is SHUT:
             phlosar.inject(place, make(Random(index)))
         elif phlosar.now_s > 0.16:
             phlosar.inject(place, None)
-        board.drive = told
+        board.drive = commanded
         phlosar.advance(phlosar.now_s + 0.05)
         assert air_SL(phlosar) == pytest.approx(all_SL, rel=1e-12)
         assert phlosar.reservoir_kPa > -0.01
@@ -281,7 +281,7 @@ def test_a_slow_leak_comes_beside_the_rigs_own(own: Ohm | None) -> None:
     assert phlosar.state.vented_SL == pytest.approx(0.1 * out_SL_per_s, rel=0.01)
 
 
-def test_a_hole_in_the_bottle_empties_it_as_the_textbook_says() -> None:
+def test_a_hole_in_the_bottle_empties_it_as_in_the_textbook() -> None:
     phlosar, _ = rigged(SHUT, Effects())
     phlosar.mishaps.bottle = Hole(2.0)
     phlosar.advance(1.0)
@@ -337,8 +337,8 @@ def test_the_firmware_is_content_with_what_is_before_a_kink(effects: Effects | N
     phlosar = SimulatedPhlosar(effects=effects)
     phlosar.mishaps.hose = Kinked()
     sent = hold(phlosar, greeted(phlosar), 0.4)
-    told = [message.cv_kPa for message in Codec().decode(sent) if isinstance(message, Telemetry)]
-    assert 17.0 < max(told) < 23.0
+    readings = [message.cv_kPa for message in Codec().decode(sent) if isinstance(message, Telemetry)]
+    assert 17.0 < max(readings) < 23.0
     assert phlosar.firmware.mode is Mode.REGULATE
     assert phlosar.cv_kPa < 0.1
 
@@ -410,7 +410,7 @@ def test_a_hanging_board_keeps_its_valves_until_the_watchdog_resets_it() -> None
     board.drive = SAFE
     phlosar.receive(b"vent!")
     phlosar.advance(0.355)
-    assert board.heard == b""
+    assert board.received == b""
     assert board.resets == []
     assert len(board.steps) == 101
     assert phlosar.drive == INFLATING
@@ -419,7 +419,7 @@ def test_a_hanging_board_keeps_its_valves_until_the_watchdog_resets_it() -> None
     assert phlosar.drive == SAFE
     assert phlosar.mishaps.board is None
     phlosar.receive(b"vent!")
-    assert board.heard == b"vent!"
+    assert board.received == b"vent!"
 
 
 def test_a_board_that_hangs_for_a_moment_goes_on() -> None:

@@ -13,8 +13,8 @@ from statistics import median
 import command_line
 import pytest
 import serial
-from patience import until
 from still_board import StillBoard
+from waiting import until
 
 from firmware_link.host import VENTING, HostCommand, HostSession, Regulate, SessionState
 from firmware_link.protocol import Codec, Fault, Mode, Telemetry
@@ -59,7 +59,7 @@ class Flight:
 
 @pytest.mark.parametrize("effects", [None, Effects()], ids=["likely", "ideal"])
 @pytest.mark.parametrize("volume_L", [0.1, 0.5, 1.0])
-def test_it_goes_where_it_is_told_and_stays(volume_L: float, effects: Effects | None) -> None:
+def test_it_reaches_the_setpoint_and_stays_there(volume_L: float, effects: Effects | None) -> None:
     flight = Flight(SimulatedPhlosar(Rig(cv=ControlVolume(volume_L=volume_L)), effects=effects))
     flight.command(Regulate(20.7, 20.0))
     # A pouch fills before its pressure rises.
@@ -99,7 +99,7 @@ def test_holding_costs_no_air(likely: bool) -> None:
     assert not flight.vented
 
 
-def test_a_small_vine_deflates_without_the_venturi_and_a_large_one_in_a_hurry_with_it() -> None:
+def test_a_small_vine_deflates_without_the_venturi_and_a_large_fast_one_with_it() -> None:
     for volume_L, helped in ((0.1, False), (1.0, True)):
         flight = Flight(SimulatedPhlosar(Rig(cv=ControlVolume(volume_L=volume_L))))
         flight.command(Regulate(20.0, 50.0))
@@ -155,7 +155,7 @@ def test_any_firmware_may_run_it() -> None:
     phlosar.receive(b"hello")
     assert set(phlosar.advance(0.1)) == set(b".")
     phlosar.reset_firmware(watchdog=True)
-    assert board.heard == b"hello"
+    assert board.received == b"hello"
     assert [now_us for now_us, _, _ in board.steps] == [*range(0, 101_000, 1000), 100_000]
     assert board.steps[100][1:] == (phlosar.cv_kPa, phlosar.reservoir_kPa)
     assert 10.0 < phlosar.cv_kPa < 690.0 > phlosar.reservoir_kPa

@@ -17,8 +17,8 @@ from flying_vines.core.events import Action, Decision, ToFirmware, ToVehicle
 from flying_vines.simulation.replay import as_json, replay
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mavlink.tlog import TlogReader
-from flying_vines.vehicle.mission.book import item_of
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.mission_cache import item_of
 from flying_vines.vehicle.notice import Notice
 from missions.waypoints import read_waypoints
 

@@ -24,7 +24,7 @@ from flying_vines.simulation.scenario import (
     simulate,
     simulate_scenario,
 )
-from flying_vines.simulation.scenario.kinds import (
+from flying_vines.simulation.scenario.run_kinds import (
     BendsRun,
     ChirpRun,
     DischargeRun,
@@ -150,7 +150,7 @@ def test_without_a_control_volume_the_reservoir_falls_exponentially() -> None:
 @pytest.mark.parametrize(
     "kind", [BendsRun(cycles=1), OpeningsRun(valves=(Valves(for_s=1.0, evp=1.0, until_kPa=3.0),))]
 )
-def test_runs_that_need_a_control_volume_say_so(kind: RunKind) -> None:
+def test_runs_that_need_a_control_volume_are_refused_without_one(kind: RunKind) -> None:
     with pytest.raises(ScenarioError, match=rf"runs\[0\]: {kind.label} needs a control volume"):
         simulate(NO_CV, kind)
 
@@ -177,7 +177,7 @@ def test_the_true_rig_is_simulated_and_the_nominal_one_decides() -> None:
     assert simulate(doubled, up).evp_opening[0] == simulate(rig, up).evp_opening[0]
 
 
-def test_sensors_read_what_they_are_said_to_read() -> None:
+def test_readings_have_the_errors_of_their_sensors() -> None:
     rig = replace(HALF_LITRE, sensors=QUIET)
     causes = {
         "cv_sensor_lag": {"time_constant_s": 0.05},

@@ -9,7 +9,7 @@ import pytest
 
 from flying_vines.physics.plant.true_rig import true_rig_from
 from flying_vines.simulation.scenario import ScenarioError, load_scenario, parse_scenario
-from flying_vines.simulation.scenario.kinds import (
+from flying_vines.simulation.scenario.run_kinds import (
     BendsRun,
     ChirpRun,
     DischargeRun,

@@ -9,7 +9,7 @@ from command_line import status
 
 from flying_vines.physics.rig import ControlVolume, Rig, load_rig
 from flying_vines.simulation.scenario import csv_text, simulate
-from flying_vines.simulation.scenario.kinds import BendsRun, DischargeRun, OpeningsRun, Valves
+from flying_vines.simulation.scenario.run_kinds import BendsRun, DischargeRun, OpeningsRun, Valves
 
 RIG = """[reservoir]
 volume_L = 2.0

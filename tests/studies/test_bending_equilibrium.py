@@ -25,7 +25,7 @@ def changed(name: str = "pouch", **body: float) -> BendingVine:
     return msgspec.structs.replace(vine, body=msgspec.structs.replace(vine.body, **body))
 
 
-def test_a_body_bears_what_comer_and_levy_say() -> None:
+def test_the_load_of_a_body_agrees_with_comer_and_levy() -> None:
     assert BODY.collapse_Nm == pytest.approx(2.8, abs=0.02)
     assert BODY.axial_N == pytest.approx(70.0, abs=0.5)
     assert BODY.wrinkling_Nm == pytest.approx(0.5 * BODY.collapse_Nm)

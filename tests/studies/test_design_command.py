@@ -16,14 +16,14 @@ def run(*arguments: str) -> int:
     return status("design", *arguments)
 
 
-def test_alone_it_says_what_the_demonstration_does(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_options_it_shows_the_demonstration(capsys: pytest.CaptureFixture[str]) -> None:
     assert run() == 0
     out = capsys.readouterr().out
     for words in ("vine of the demonstration", "311", "0.84", "Meets all requirements", "micropump"):
         assert words in out
 
 
-def test_the_page_shows_what_it_says(
+def test_the_page_shows_what_the_command_prints(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")

@@ -55,7 +55,7 @@ def test_a_wrong_part_is_one_line(old: str, new: str, words: list[str]) -> None:
         assert word in text, text
 
 
-def test_an_unknown_key_is_told_what_it_may_have_meant() -> None:
+def test_an_unknown_key_gets_a_suggestion() -> None:
     with pytest.raises(
         ConfigError, match=r"v.toml:7: max_inlet_kpa: unknown key; did you mean 'max_inlet_kPa'"
     ):

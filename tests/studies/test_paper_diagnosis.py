@@ -26,8 +26,8 @@ from flying_vines.studies.paper.diagnosis.discharge import (
     analyse,
     paper_case,
 )
+from flying_vines.studies.paper.diagnosis.other_causes import VALVE_SETTLES
 from flying_vines.studies.paper.diagnosis.response import FLOOR, SUSPECTS, Responses, account_for
-from flying_vines.studies.paper.diagnosis.rivals import VALVE_SETTLES
 from flying_vines.studies.paper.diagnosis.show import show
 from flying_vines.studies.paper.diagnosis.words import as_json, findings
 
@@ -109,7 +109,7 @@ def test_no_second_cause_is_sure(found: Discharges) -> None:
     assert 2.0 < time_constant_s < 15.0
 
 
-def test_no_discharge_tells_the_valve_from_the_volume(problem: FitProblem) -> None:
+def test_no_discharge_separates_the_valve_from_the_volume(problem: FitProblem) -> None:
     flow, volume = (
         problem.fit(problem.begun(problem.start(), cause_named(name)).point)
         for name in ("evp_restriction", SAME_AS_FLOW)
@@ -158,7 +158,7 @@ def test_on_690_kPa_a_tube_predicts_better_than_on_345(responses: Responses) -> 
     assert responses.of_other(FLOOR).unseen > 1.5 * responses.of(FLOOR).unseen
 
 
-def test_each_finding_has_its_words_and_numbers(diagnosis: PaperDiagnosis) -> None:
+def test_each_finding_has_its_text_and_numbers(diagnosis: PaperDiagnosis) -> None:
     texts = findings(diagnosis)
     out = io.StringIO()
     show(diagnosis, Console(file=out, width=110))

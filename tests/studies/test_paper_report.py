@@ -125,7 +125,7 @@ def test_every_difference_has_a_reason(comparison: PaperComparison) -> None:
         assert row.place
 
 
-def test_the_plant_is_where_the_equations_say(rows: dict[str, PaperRow]) -> None:
+def test_the_plant_agrees_with_the_equations(rows: dict[str, PaperRow]) -> None:
     """Properties of the baseline plant for any tuning of the regulator."""
     for name in ("4L_highRv", "4L_lowRv", "2L_lowRv"):
         assert rows[f"discharge.{name}.nrmse_plant"].verdict == "agrees"

@@ -29,7 +29,7 @@ from flying_vines.simulation.phlosar.mishaps import (
     StuckAt,
 )
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
-from flying_vines.supply import Belief, TelemetryReader, nominal
+from flying_vines.supply import RigPrior, TelemetryReader, nominal
 from flying_vines.supply.physics_checks import CHECKS, PhysicsChecks, PhysicsFinding
 
 HOST_TICK_S = 0.02
@@ -42,9 +42,9 @@ Found = list[tuple[float, PhysicsFinding]]
 class Watch(PhysicsChecks):
     """The checks and the reader before them, as in the core."""
 
-    def __init__(self, belief: Belief, checks: ChecksConfig) -> None:
-        super().__init__(belief, checks)
-        self._reader = TelemetryReader(belief)
+    def __init__(self, prior: RigPrior, checks: ChecksConfig) -> None:
+        super().__init__(prior, checks)
+        self._reader = TelemetryReader(prior)
 
     def watch(self, telemetry: Telemetry) -> list[PhysicsFinding]:
         return self.take(self._reader.read(telemetry.device_time_ms / 1000.0, telemetry))
@@ -91,7 +91,9 @@ def likely(cv_volume_L: float = 0.1, bottle_kPa: float = 690.0) -> SimulatedPhlo
 
 @pytest.mark.parametrize("believed_share", [0.5, pytest.param(1.0, marks=pytest.mark.long), 2.0])
 @pytest.mark.parametrize(("cv_volume_L", "bottle_kPa"), [(0.05, 690.0), (0.1, 120.0), (1.0, 600.0)])
-def test_a_healthy_rig_is_not_accused(cv_volume_L: float, bottle_kPa: float, believed_share: float) -> None:
+def test_a_healthy_rig_has_no_false_fault(
+    cv_volume_L: float, bottle_kPa: float, believed_share: float
+) -> None:
     flying = Flying(likely(cv_volume_L, bottle_kPa), checks_of(believed_share * cv_volume_L))
     flying.run(2.0, None)
     for target_kPa in (TOP_KPA, 8.0, TOP_KPA, 0.0, TOP_KPA, None):
@@ -134,7 +136,7 @@ def test_a_mishap_is_found_in_time(
     assert name in [finding.name for _, finding in found]
 
 
-def slowly_told(seed: int, loses: float, cv_volume_L: float = 0.1) -> Flying:
+def flying_at_10_Hz(seed: int, loses: float, cv_volume_L: float = 0.1) -> Flying:
     """Telemetry at 10 Hz, of which this share is lost."""
     chance = random.Random(seed)
     rig, settings = Rig(cv=ControlVolume(cv_volume_L)), {"telemetry_Hz": 10}
@@ -145,7 +147,7 @@ def slowly_told(seed: int, loses: float, cv_volume_L: float = 0.1) -> Flying:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_hose_off_is_found_within_1_s_at_10_Hz_of_which_a_fifth_is_lost(seed: int) -> None:
-    flying = slowly_told(seed, 0.2)
+    flying = flying_at_10_Hz(seed, 0.2)
     flying.run(2.0, None)
     flying.run(1.4 + 0.02 * seed, TOP_KPA)
     assert flying.found == []
@@ -156,7 +158,7 @@ def test_a_hose_off_is_found_within_1_s_at_10_Hz_of_which_a_fifth_is_lost(seed: 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2, 3))])
 def test_a_hose_off_before_the_bend_is_found_at_10_Hz_nearly_as_soon_as_at_100_Hz(seed: int) -> None:
     found_s = []
-    for flying in (Flying(SimulatedPhlosar(seed=seed), checks_of()), slowly_told(seed, 0.2)):
+    for flying in (Flying(SimulatedPhlosar(seed=seed), checks_of()), flying_at_10_Hz(seed, 0.2)):
         flying.run(2.0, None)
         flying.phlosar.inject("hose", HoseOff())
         found_s.append(next(at_s for at_s, finding in flying.run(4.0, TOP_KPA) if finding.level == "fault"))
@@ -167,8 +169,8 @@ def test_a_hose_off_before_the_bend_is_found_at_10_Hz_nearly_as_soon_as_at_100_H
     "loses", [*(pytest.param(share, marks=pytest.mark.long) for share in (0.0, 0.2)), 0.5]
 )
 @pytest.mark.parametrize("cv_volume_L", [pytest.param(0.05, marks=pytest.mark.long), 0.3])
-def test_a_healthy_rig_is_not_accused_by_telemetry_of_10_Hz(cv_volume_L: float, loses: float) -> None:
-    flying = slowly_told(1, loses, cv_volume_L)
+def test_a_healthy_rig_has_no_false_fault_with_telemetry_of_10_Hz(cv_volume_L: float, loses: float) -> None:
+    flying = flying_at_10_Hz(1, loses, cv_volume_L)
     flying.run(2.0, None)
     for target_kPa in (TOP_KPA, 8.0, TOP_KPA, 0.0, TOP_KPA, None) * 2:
         flying.run(1.5, target_kPa)
@@ -179,10 +181,10 @@ def test_readings_that_are_the_same_by_chance_are_no_stuck_sensor() -> None:
     """Three equal readings at 10 Hz take 0.2 s."""
     checks = checks_of()
     opening = dataclasses.replace(HELD, setpoint_kPa=19.0, evp_opening=0.7)
-    told = [
+    messages = [
         dataclasses.replace(opening, cv_kPa=18.0 + 0.1 * (i // 4), device_time_ms=100 * i) for i in range(8)
     ]
-    assert [finding.name for message in told for finding in checks.watch(message)] == []
+    assert [finding.name for message in messages for finding in checks.watch(message)] == []
 
 
 def test_a_bottle_sensor_that_is_stuck_is_found_within_eight_bends() -> None:
@@ -197,7 +199,7 @@ def test_a_bottle_sensor_that_is_stuck_is_found_within_eight_bends() -> None:
     assert at_s > 4.0, "one bend of this vine moves the bottle by less than its sensor tells apart"
 
 
-def test_the_sentence_says_where_the_air_went() -> None:
+def test_the_sentence_names_where_the_air_went() -> None:
     for place, kind, sentence in (
         ("evp", StuckAt(0.0), "not filling, bottle loses no air: valve"),
         ("hose", HoseOff(), "not filling, air is lost: hose or actuator"),
@@ -236,31 +238,31 @@ HELD = dataclasses.replace(VENTED, mode=Mode.REGULATE, setpoint_kPa=20.0, cv_kPa
 
 
 def stream(
-    checks: Watch, told: Callable[[float], Telemetry], seconds: float, from_ms: int = 0
+    checks: Watch, telemetry_at: Callable[[float], Telemetry], seconds: float, from_ms: int = 0
 ) -> Iterator[tuple[float, PhysicsFinding]]:
-    """The findings in telemetry at 100 Hz; `told` gives it by time in s."""
+    """The findings in telemetry at 100 Hz; `telemetry_at` gives it by time in s."""
     for ms in range(0, round(1000 * seconds), 10):
-        message = dataclasses.replace(told(ms / 1000.0), device_time_ms=(from_ms + ms) & 0xFFFFFFFF)
+        message = dataclasses.replace(telemetry_at(ms / 1000.0), device_time_ms=(from_ms + ms) & 0xFFFFFFFF)
         for finding in checks.watch(message):
             yield ms / 1000.0, finding
 
 
 def test_a_burst_between_two_readings() -> None:
-    def told(t: float) -> Telemetry:
+    def telemetry_at(t: float) -> Telemetry:
         return HELD if t < 1.0 else dataclasses.replace(HELD, cv_kPa=2.0)
 
-    ((at_s, finding),) = stream(checks_of(), told, 2.0)
+    ((at_s, finding),) = stream(checks_of(), telemetry_at, 2.0)
     assert finding.name == "sudden_fall"
     assert "18 kPa at once" in finding.sentence
     assert at_s <= 1.05
 
 
 def test_a_fall_while_the_setpoint_falls_is_none() -> None:
-    def told(t: float) -> Telemetry:
+    def telemetry_at(t: float) -> Telemetry:
         lower = dataclasses.replace(HELD, setpoint_kPa=20.0 - t)
         return lower if t < 1.0 else dataclasses.replace(lower, cv_kPa=8.0)
 
-    assert list(stream(checks_of(), told, 2.0)) == []
+    assert list(stream(checks_of(), telemetry_at, 2.0)) == []
 
 
 @pytest.mark.parametrize(("offset_kPa", "within_s"), [(4.6, 6.5), (-4.6, 2.0)])
@@ -338,10 +340,10 @@ TOLD = st.builds(
 
 @given(st.lists(st.tuples(TOLD, st.integers(0, 150)), max_size=120))
 @settings(max_examples=examples(60), deadline=None)
-def test_any_telemetry_is_taken(told: list[tuple[Telemetry, int]]) -> None:
+def test_any_telemetry_is_taken(messages: list[tuple[Telemetry, int]]) -> None:
     checks = checks_of()
     at_ms = 0
-    for message, later_ms in told:
+    for message, later_ms in messages:
         at_ms += later_ms
         begun = checks.watch(dataclasses.replace(message, device_time_ms=at_ms))
         assert all(checks.present[finding.name] == finding for finding in begun)

@@ -14,10 +14,10 @@ from flying_vines.supply import CyclesLeft, ReportedCycles, ReservoirEstimate, n
 from flying_vines.supply.learned_file import learned_from, text_of
 from flying_vines.supply.reported_cycles import RHYTHM
 
-BELIEF = nominal(DEMONSTRATION)
+PRIOR = nominal(DEMONSTRATION)
 
 
-class Told:
+class Reported:
     """A bench with a report every two seconds."""
 
     def __init__(self, bench: Bench) -> None:
@@ -113,38 +113,38 @@ def test_a_turn_that_no_supply_could_fill_sets_no_floor() -> None:
 
 
 def test_a_pause_is_a_wait_and_not_the_rhythm() -> None:
-    told = Told(Bench(cost_kPa=2.07, leak_per_s=1e-3))
-    told.rest(6.0)
-    told.bend(4)
-    before = told.rest(120.0)[-1]
-    after = told.bend(2)[-1]
-    assert told.events == []
+    reported = Reported(Bench(cost_kPa=2.07, leak_per_s=1e-3))
+    reported.rest(6.0)
+    reported.bend(4)
+    before = reported.rest(120.0)[-1]
+    after = reported.bend(2)[-1]
+    assert reported.events == []
     assert overlap(before, after)
     assert after.expected > 0.8 * before.expected
 
 
-def test_a_slower_rhythm_with_a_leak_says_why_the_number_falls() -> None:
-    told = Told(Bench(cost_kPa=2.07, leak_per_s=1e-3))
-    told.rest(6.0)
-    before = told.bend(6)[-1]
+def test_a_slower_rhythm_with_a_leak_gives_the_reason_for_the_lower_number() -> None:
+    reported = Reported(Bench(cost_kPa=2.07, leak_per_s=1e-3))
+    reported.rest(6.0)
+    before = reported.bend(6)[-1]
     for _ in range(14):
-        told.bench.rest(20.0)
-        after = told.bend()[-1]
+        reported.bench.rest(20.0)
+        after = reported.bend()[-1]
     assert after.high < 0.7 * before.low
-    assert RHYTHM in {event.split(":")[0] for event in told.events}
+    assert RHYTHM in {event.split(":")[0] for event in reported.events}
 
 
 def test_intervals_of_two_minutes_have_a_value_in_common_with_no_event() -> None:
     """A bend suddenly takes 1.5 times the air, while the filter has a small uncertainty."""
-    told = Told(Bench(cost_kPa=6.1))
-    told.rest(6.0)
-    lefts = told.bend(12)
-    told.bench.cost_kPa = 9.5
+    reported = Reported(Bench(cost_kPa=6.1))
+    reported.rest(6.0)
+    lefts = reported.bend(12)
+    reported.bench.cost_kPa = 9.5
     raw = []
     for _ in range(10):
-        lefts += told.bend()
-        raw.append(told.bench.left())
-    assert told.events == []
+        lefts += reported.bend()
+        raw.append(reported.bench.left())
+    assert reported.events == []
     assert any(not overlap(one, lefts[11]) for one in raw), "the bench must show the leap"
     for a, b in combinations(lefts[11:], 2):
         gone = 1.6 * (b.measured_cycles - a.measured_cycles)
@@ -153,75 +153,75 @@ def test_intervals_of_two_minutes_have_a_value_in_common_with_no_event() -> None
 
 def test_below_the_floor_0_stays_0_without_an_event() -> None:
     """Any amount of air below the floor is shown as 0, so a change of that amount is no jump."""
-    told = Told(Bench(start_kPa=300.0))
-    told.rest(6.0)
-    told.bend(4)
-    told.bench.reservoir_kPa = 5.0
-    told.rest(30.0)
-    events = len(told.events)
+    reported = Reported(Bench(start_kPa=300.0))
+    reported.rest(6.0)
+    reported.bend(4)
+    reported.bench.reservoir_kPa = 5.0
+    reported.rest(30.0)
+    events = len(reported.events)
     for step_kPa in (1.0, -1.0, 1.0):
         for _ in range(12):
-            told.bench.reservoir_kPa += step_kPa
-            assert {round(left.high) for left in told.rest(2.0)} == {0}
-    assert len(told.events) == events
+            reported.bench.reservoir_kPa += step_kPa
+            assert {round(left.high) for left in reported.rest(2.0)} == {0}
+    assert len(reported.events) == events
 
 
 def test_a_refill_and_a_burst_are_reported_once_each() -> None:
-    told = Told(Bench(start_kPa=500.0))
-    told.rest(6.0)
-    told.bend(5)
-    told.bench.reservoir_kPa, told.bench.cold_kPa = 690.0, 0.0
-    told.rest(30.0)
-    told.bench.reservoir_kPa = 300.0
-    told.rest(30.0)
-    assert len(told.events) == 2
-    assert told.events[0].startswith("bottle refilled, ")
-    assert told.events[1].startswith("bottle lost air at once, ")
+    reported = Reported(Bench(start_kPa=500.0))
+    reported.rest(6.0)
+    reported.bend(5)
+    reported.bench.reservoir_kPa, reported.bench.cold_kPa = 690.0, 0.0
+    reported.rest(30.0)
+    reported.bench.reservoir_kPa = 300.0
+    reported.rest(30.0)
+    assert len(reported.events) == 2
+    assert reported.events[0].startswith("bottle refilled, ")
+    assert reported.events[1].startswith("bottle lost air at once, ")
 
 
 def test_the_number_after_a_jump_agrees_with_that_at_the_jump() -> None:
     """With an unknown leak the number at a burst may be far too low, but the next one agrees with it."""
     bench = Bench()
-    told = Told(bench)
-    told.rest(6.0)
-    told.bend(5)
-    before, air = told.left, bench.estimate.filter
+    reported = Reported(bench)
+    reported.rest(6.0)
+    reported.bend(5)
+    before, air = reported.left, bench.estimate.filter
     assert air is not None
     predicted = [replace(before, expected=21.0, low=10.0, high=40.0)]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bench.estimate, "cycles_left", lambda: predicted[-1])
         air.jumped_kPa = -300.0
-        assert told.left.expected == 21.0
-        assert told.events == ["bottle lost air at once, 21 cycles left (10-40)"]
+        assert reported.left.expected == 21.0
+        assert reported.events == ["bottle lost air at once, 21 cycles left (10-40)"]
         bench.t += 2.0
         predicted.append(replace(before, expected=70.0, low=51.0, high=96.0))
-        after = told.left
+        after = reported.left
     assert (after.low, after.expected, after.high) == pytest.approx((40.0, 70.0, 96.0), abs=0.5)
-    assert len(told.events) == 1
+    assert len(reported.events) == 1
 
 
-def test_a_latched_loss_says_0_until_it_is_cleared_and_then_learns_again() -> None:
-    told = Told(Bench())
-    told.rest(6.0)
-    before = told.bend(6)[-1]
+def test_a_latched_loss_reports_0_until_it_is_cleared_and_then_learns_again() -> None:
+    reported = Reported(Bench())
+    reported.rest(6.0)
+    before = reported.bend(6)[-1]
     for _ in range(10):
-        told.bench.rest(2.0)
-        left = told.tell(lost=True)
+        reported.bench.rest(2.0)
+        left = reported.tell(lost=True)
         assert left is not None
         assert (left.expected, left.low, left.high, left.minutes, left.lost) == (0.0, 0.0, 0.0, 0.0, True)
-    assert told.tell(lost=False) is None
-    assert told.events == ["cycles left are learned again"]
-    told.bench.rest(2.0)
-    after = told.left
+    assert reported.tell(lost=False) is None
+    assert reported.events == ["cycles left are learned again"]
+    reported.bench.rest(2.0)
+    after = reported.left
     assert after.measured_cycles == 0.0
     assert after.high / after.low > 2.0 * before.high / before.low
 
 
 def test_minutes_are_the_time_to_the_floor_at_the_leak() -> None:
-    told = Told(Bench(cost_kPa=2.07, leak_per_s=1e-3, start_kPa=600.0))
-    told.bend(3)
-    left = told.rest(120.0)[-1]
-    truth = math.log(told.bench.reservoir_kPa / left.floor_kPa) / 1e-3 / 60.0
+    reported = Reported(Bench(cost_kPa=2.07, leak_per_s=1e-3, start_kPa=600.0))
+    reported.bend(3)
+    left = reported.rest(120.0)[-1]
+    truth = math.log(reported.bench.reservoir_kPa / left.floor_kPa) / 1e-3 / 60.0
     assert left.minutes == pytest.approx(truth, rel=0.1)
     assert left.minutes_low < truth < left.minutes_high
 
@@ -241,39 +241,39 @@ def test_a_restart_keeps_what_was_learned_of_this_rig_only() -> None:
     before = bench.fly(8)
     learned = bench.estimate.learned
     assert learned is not None
-    text = text_of(BELIEF, learned)
-    again, problem = learned_from(text, BELIEF)
+    text = text_of(PRIOR, learned)
+    again, problem = learned_from(text, PRIOR)
     assert (again, problem) == (learned, "")
-    bench.estimate = ReservoirEstimate(BELIEF, again)
+    bench.estimate = ReservoirEstimate(PRIOR, again)
     bench.rest(2.0)
     after = bench.left()
     assert after.measured_cycles == before.measured_cycles
     assert after.expected == pytest.approx(before.expected, rel=0.05)
     assert after.high / after.low < 1.2 * before.high / before.low
-    other = replace(BELIEF, response_s=0.11)
+    other = replace(PRIOR, response_s=0.11)
     assert learned_from(text, other) == (None, "another rig or changed numbers: air is learned again")
 
 
 def test_a_restart_with_what_was_learned_is_reported_once() -> None:
-    told = Told(Bench())
-    told.rest(6.0)
-    told.bend(8)
-    assert told.events == []
-    learned = told.bench.estimate.learned
-    told.bench.estimate = ReservoirEstimate(BELIEF, learned)
-    told.cycles = ReportedCycles(told.bench.estimate)
-    told.bench.rest(2.0)
-    left = told.left
-    told.rest(20.0)
-    assert told.events == [f"as learned before: {left}"]
+    reported = Reported(Bench())
+    reported.rest(6.0)
+    reported.bend(8)
+    assert reported.events == []
+    learned = reported.bench.estimate.learned
+    reported.bench.estimate = ReservoirEstimate(PRIOR, learned)
+    reported.cycles = ReportedCycles(reported.bench.estimate)
+    reported.bench.rest(2.0)
+    left = reported.left
+    reported.rest(20.0)
+    assert reported.events == [f"as learned before: {left}"]
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"rig": 3}', "\0", '{"rig":"x","learned":{}}'])
 def test_a_damaged_file_is_reported_and_not_used(text: str) -> None:
-    learned, problem = learned_from(text, BELIEF)
+    learned, problem = learned_from(text, PRIOR)
     assert learned is None
     assert "learned again" in problem
 
 
 def test_no_file_is_no_problem() -> None:
-    assert learned_from("", BELIEF) == (None, "")
+    assert learned_from("", PRIOR) == (None, "")

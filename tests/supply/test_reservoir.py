@@ -14,17 +14,17 @@ from firmware_link.protocol import Fault, Mode, Telemetry
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.plant.wall import Wall
-from flying_vines.supply import Belief, ReservoirEstimate, TelemetryReader, nominal
-from flying_vines.supply.known_rig import belief_of
+from flying_vines.supply import ReservoirEstimate, RigPrior, TelemetryReader, nominal
 from flying_vines.supply.reservoir_filter import LEAK
+from flying_vines.supply.rig_file_prior import prior_of
 
-BELIEFS = (
+PRIORS = (
     nominal(DEMONSTRATION),
-    belief_of(DEMONSTRATION, TrueRig(none_found=True)),
-    belief_of(DEMONSTRATION, TrueRig(likely=True)),
-    belief_of(DEMONSTRATION, TrueRig(effects=Effects(reservoir_wall=Wall(), cv_wall=Wall()))),
-    belief_of(DEMONSTRATION, TrueRig(effects=Effects(reservoir_wall=Wall(1e-3, 10.0, 0.5, 0.0)))),
-    belief_of(
+    prior_of(DEMONSTRATION, TrueRig(none_found=True)),
+    prior_of(DEMONSTRATION, TrueRig(likely=True)),
+    prior_of(DEMONSTRATION, TrueRig(effects=Effects(reservoir_wall=Wall(), cv_wall=Wall()))),
+    prior_of(DEMONSTRATION, TrueRig(effects=Effects(reservoir_wall=Wall(1e-3, 10.0, 0.5, 0.0)))),
+    prior_of(
         DEMONSTRATION,
         TrueRig(
             causes={
@@ -225,14 +225,14 @@ def test_a_regulation_that_begins_where_the_sensor_has_its_zero_begins_no_inflat
     up = [1.2 + 0.4 * i for i in range(49)]
     t, reservoir_kPa = 0.0, 690.0
     for _ in range(6):
-        told = [(Mode.VENT, 0.0)] * 100
-        told += [(Mode.REGULATE, kPa) for kPa in (*down, *up, *[20.4] * 30, *reversed(up))]
-        for mode, setpoint in told:
+        commands = [(Mode.VENT, 0.0)] * 100
+        commands += [(Mode.REGULATE, kPa) for kPa in (*down, *up, *[20.4] * 30, *reversed(up))]
+        for mode, setpoint in commands:
             t += 0.01
             reservoir_kPa -= 0.02
             cv, evp = max(3.0, setpoint), 0.5 if mode is Mode.REGULATE else 0.0
-            told_now = Telemetry(0, mode, Fault.NONE, 0, setpoint, cv, reservoir_kPa, evp, 0.0, evp == 0.0)
-            estimate.update(reader.read(t, told_now))
+            telemetry = Telemetry(0, mode, Fault.NONE, 0, setpoint, cv, reservoir_kPa, evp, 0.0, evp == 0.0)
+            estimate.update(reader.read(t, telemetry))
     left = estimate.cycles_left()
     assert left is not None
     # Six cycles began. The last one has not ended, and the first one does not count.
@@ -250,7 +250,7 @@ def test_the_air_of_a_rise_is_proportional_to_it() -> None:
 
 @settings(max_examples=examples(40), deadline=None)
 @given(
-    st.sampled_from(BELIEFS),
+    st.sampled_from(PRIORS),
     st.lists(
         st.tuples(
             st.floats(-1.0, 30.0),  # seconds since the last
@@ -266,11 +266,11 @@ def test_the_air_of_a_rise_is_proportional_to_it() -> None:
     ),
 )
 def test_any_telemetry_gives_finite_numbers(
-    belief: Belief, told: list[tuple[float, float, float, float, float, float, bool, int]]
+    prior: RigPrior, samples: list[tuple[float, float, float, float, float, float, bool, int]]
 ) -> None:
-    reader, estimate = TelemetryReader(belief), ReservoirEstimate(belief)
+    reader, estimate = TelemetryReader(prior), ReservoirEstimate(prior)
     t = 0.0
-    for wait_s, setpoint, cv, reservoir, evp, dvp, solenoid, times in told:
+    for wait_s, setpoint, cv, reservoir, evp, dvp, solenoid, times in samples:
         t += wait_s
         for _ in range(times):
             t += 0.01

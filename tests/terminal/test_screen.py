@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.screen import Screen
 
 from flying_vines.core.events import Decision
-from flying_vines.core.waiting import Waiting
+from flying_vines.core.pending_bend import PendingBend
 from flying_vines.supply import CyclesLeft
 from flying_vines.terminal.screen import LiveView, event_line
 from flying_vines.vehicle.notice import Notice, Severity
@@ -19,7 +19,7 @@ FAULTS = {
     "firmware_fault": "firmware fault: dead-man timer ran out, over-pressure in the vine, watchdog reset",
     "rc": "RC lost: the receiver hears no transmitter",
 }
-WAITING = Waiting("vent by the page", "switch down, then up")
+WAITING = PendingBend("vent by the page", "switch down, then up")
 PLENTY = CyclesLeft(1234.0, 1000.0, 1500.0, 3.0, 9.0, 80.0, 15.0, 1.2, 600.0, 450.0, 600.0)
 UNASKED = Decision(2.0, "failsafe", {"loss": "rc"}, "vent", "accepted", FAULTS["rc"], 0.0)
 
@@ -51,7 +51,7 @@ def test_a_fault_and_the_latest_event_are_whole(width: int) -> None:
 
 
 @pytest.mark.parametrize("width", [60, 80, 120])
-def test_without_a_fault_it_says_what_vented_and_what_it_waits_for(width: int) -> None:
+def test_without_a_fault_it_shows_what_vented_and_the_awaited_request(width: int) -> None:
     text = " ".join(lines(width, waiting=WAITING))
     assert "vented: vent by the page waiting for: switch down, then up" in " ".join(text.split())
 

@@ -59,7 +59,7 @@ def test_without_a_clock_nothing_is_late() -> None:
 
 
 @pytest.mark.parametrize("stamp_first", [True, False])
-def test_messages_from_before_our_start_are_as_old_as_their_neighbours(stamp_first: bool) -> None:
+def test_messages_from_before_our_start_have_the_age_of_adjacent_ones(stamp_first: bool) -> None:
     """The first message may have waited as long as the messages that arrive with it."""
     line = Line()
     if stamp_first:
@@ -72,7 +72,7 @@ def test_messages_from_before_our_start_are_as_old_as_their_neighbours(stamp_fir
 
 
 @pytest.mark.parametrize("every_s", [0.1, 1.0])
-def test_messages_of_a_stalled_link_are_as_old_as_their_neighbours(every_s: float) -> None:
+def test_messages_of_a_stalled_link_have_the_age_of_adjacent_ones(every_s: float) -> None:
     line = Line()
     line.stream(10.0, every_s)
     marks = []

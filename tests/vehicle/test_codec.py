@@ -149,7 +149,7 @@ def test_a_copy_comes_out_once_also_behind_another_frame() -> None:
     assert codec.lost_frames == 0
 
 
-def test_the_same_text_said_again_is_no_copy() -> None:
+def test_the_same_text_sent_again_is_no_copy() -> None:
     codec, sender = MavlinkCodec(1, 191), Sender()
     found = [texts_of(codec.decode(sender.frame(text("Mission: 3 Scripting")))) for _ in range(300)]
     assert all(found)
@@ -265,17 +265,17 @@ def test_an_old_frame_of_ours_is_no_echo_any_more() -> None:
 def test_a_key_that_is_sent_to_us_does_not_come_out() -> None:
     codec, station = MavlinkCodec(1, 191), Sender(255, 190)
     key = list(range(1, 33))
-    (heard,) = codec.decode(station.frame(mavlink.MAVLink_setup_signing_message(1, 191, key, 7)))
-    assert (heard.target_system, heard.target_component, heard.get_srcSystem()) == (1, 191, 255)
-    assert (heard.secret_key, heard.initial_timestamp) == ([0] * 32, 0)
-    assert bytes(key[:4]) not in heard.get_msgbuf()
-    (again,) = MavlinkCodec(1, 191).decode(bytes(heard.get_msgbuf()))
-    assert str(again) == str(heard), "as a log has it"
+    (received,) = codec.decode(station.frame(mavlink.MAVLink_setup_signing_message(1, 191, key, 7)))
+    assert (received.target_system, received.target_component, received.get_srcSystem()) == (1, 191, 255)
+    assert (received.secret_key, received.initial_timestamp) == ([0] * 32, 0)
+    assert bytes(key[:4]) not in received.get_msgbuf()
+    (again,) = MavlinkCodec(1, 191).decode(bytes(received.get_msgbuf()))
+    assert str(again) == str(received), "as a log has it"
     assert texts_of(codec.decode(station.frame(text("next")))) == ["next"]
     assert codec.lost_frames == 0
 
 
-def test_strangers_without_end_neither_fill_the_memory_nor_crowd_the_autopilot_out() -> None:
+def test_many_unknown_senders_neither_fill_the_memory_nor_displace_the_autopilot() -> None:
     codec, autopilot = MavlinkCodec(1, 191), Sender()
     for i in range(2 * REMEMBERED_FRAMES):
         codec.decode(autopilot.frame(clock(i)))

@@ -15,8 +15,8 @@ from flying_vines.vehicle.autopilots.autopilot import MissionWatch
 from flying_vines.vehicle.clock import AutopilotClock
 from flying_vines.vehicle.commands import CommandReceiver
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.mission_cache import MissionCache
 from flying_vines.vehicle.mission.storage import AutopilotKind
 from flying_vines.vehicle.repeats import LATE_S, MAX_COMMANDS, PX4_REPEAT_S
 from flying_vines.vehicle.triggers import Rules, Trigger
@@ -76,8 +76,8 @@ class Bench:
     ) -> None:
         rules = Rules(config.default())
         self.commands = CommandReceiver(rules, US)
-        book = MissionBook(items)
-        self.watch = AUTOPILOTS[kind].mission_watch(book, rules.commands, AutopilotClock())
+        cache = MissionCache(items)
+        self.watch = AUTOPILOTS[kind].mission_watch(cache, rules.commands, AutopilotClock())
         self.accepts = accepts
         self.triggers: list[Trigger] = []
         self.answers: list[MavlinkMessage] = []
@@ -300,14 +300,16 @@ def test_rules_see_all_seven_params(param: int) -> None:
     )
     numbers = [12.0, *(6 * [0.0])]
     commands = CommandReceiver(Rules(rules), US)
-    (other,) = commands.handle(1.0, command(ACTUATOR, numbers), 1, False, MissionWatch(MissionBook()), True)
+    (other,) = commands.handle(1.0, command(ACTUATOR, numbers), 1, False, MissionWatch(MissionCache()), True)
     numbers[param] = 5.0
-    (trigger,) = commands.handle(2.0, command(ACTUATOR, numbers), 1, False, MissionWatch(MissionBook()), True)
+    (trigger,) = commands.handle(
+        2.0, command(ACTUATOR, numbers), 1, False, MissionWatch(MissionCache()), True
+    )
     assert isinstance(other, Trigger) and isinstance(trigger, Trigger)
     assert (other.intent, trigger.intent) == (None, BendTo(12.0))
     integers = (ACTUATOR, 0, 0, *numbers[:4], *(int(number) for number in numbers[4:6]), numbers[6])
     message = sent(mavlink.MAVLink_command_int_message(1, US, 0, *integers), (254, 190))
-    (whole,) = commands.handle(3.0, message, 1, False, MissionWatch(MissionBook()), True)
+    (whole,) = commands.handle(3.0, message, 1, False, MissionWatch(MissionCache()), True)
     assert isinstance(whole, Trigger) and whole.intent == BendTo(12.0)
 
 

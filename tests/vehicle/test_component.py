@@ -60,7 +60,7 @@ def gaps_s(times_s: list[float]) -> list[float]:
     return [b - a for a, b in itertools.pairwise(times_s)]
 
 
-def test_a_heartbeat_each_second_that_says_what_we_are() -> None:
+def test_a_heartbeat_each_second_has_our_type() -> None:
     beats = of("HEARTBEAT", run(component(), 100.0))
     assert len(beats) == 100
     assert all(gap_s == pytest.approx(1.0) for gap_s in gaps_s([t for t, _ in beats]))
@@ -146,7 +146,7 @@ def test_without_values_there_are_none() -> None:
     assert of("NAMED_VALUE_FLOAT", run(component(), 5.0, {})) == []
 
 
-def test_the_bottle_as_a_fuel_tank_only_for_who_wants_it() -> None:
+def test_the_bottle_as_a_fuel_tank_only_if_configured() -> None:
     def fuel(ours: Component, values: dict[str, float]) -> int:
         sent = [message for i in range(3000) for message in ours.due(i * TICK_S, 0, values, 4)]
         return sum(message.get_type() == "FUEL_STATUS" for message in sent)
@@ -159,7 +159,7 @@ def test_the_bottle_as_a_fuel_tank_only_for_who_wants_it() -> None:
 # Texts.
 
 
-def said(texts: list[str], for_s: float = 20.0) -> list[tuple[float, MavlinkMessage]]:
+def sent_texts(texts: list[str], for_s: float = 20.0) -> list[tuple[float, MavlinkMessage]]:
     ours = component()
     for words in texts:
         ours.say(0.0, 4, words)
@@ -178,7 +178,7 @@ def joined(sent: list[tuple[float, MavlinkMessage]]) -> list[str]:
 
 def test_texts_keep_their_order_and_their_distance() -> None:
     words = [f"Vine: line {i}" for i in range(12)]
-    sent = said(words)
+    sent = sent_texts(words)
     assert [message.text for _, message in sent] == words
     assert all(gap_s >= SPACING_S - 1e-9 for gap_s in gaps_s([t for t, _ in sent]))
     assert {message.severity for _, message in sent} == {4}
@@ -193,7 +193,7 @@ LINES = st.text("abxyz 019()%/-", min_size=1, max_size=180).map(
 @settings(max_examples=examples(60), deadline=None)
 def test_long_texts_come_in_chunks_that_join_again(texts: list[str]) -> None:
     different = list(dict.fromkeys(texts))
-    sent = said(different, for_s=5.0)
+    sent = sent_texts(different, for_s=5.0)
     assert joined(sent) == different
     for _, message in sent:
         assert len(message.text) <= CHUNK_LENGTH
@@ -207,34 +207,34 @@ def test_long_texts_come_in_chunks_that_join_again(texts: list[str]) -> None:
 @pytest.mark.parametrize(
     ("length", "chunks"), [(49, 1), (50, 1), (51, 2), (99, 2), (100, 3), (101, 3), (150, 4), (199, 4)]
 )
-def test_a_receiver_can_tell_where_a_text_ends(length: int, chunks: int) -> None:
+def test_a_receiver_finds_the_end_of_a_text(length: int, chunks: int) -> None:
     words = "Vine: ".ljust(length, "x")
-    sent = said([words])
+    sent = sent_texts([words])
     assert len(sent) == chunks
     assert joined(sent) == [words]
     assert chunks == 1 or len(sent[-1][1].text) < CHUNK_LENGTH
 
 
 def test_a_text_without_end_is_cut() -> None:
-    (words,) = joined(said(["Vine: " + 5000 * "x"]))
+    (words,) = joined(sent_texts(["Vine: " + 5000 * "x"]))
     assert len(words) == MAX_TEXT_LENGTH
     assert words.endswith("x..")
 
 
 def test_two_long_texts_have_different_ids() -> None:
-    sent = said(["Vine: " + "a" * 120, "Vine: " + "b" * 120])
+    sent = sent_texts(["Vine: " + "a" * 120, "Vine: " + "b" * 120])
     assert len({message.id for _, message in sent}) == 2
 
 
 def test_the_same_text_is_sent_again_only_after_a_while() -> None:
     ours = component()
-    heard = []
+    received = []
     for i in range(1000):
         t = i * TICK_S
         ours.say(t, 4, "Vine: bottle low")
-        heard += [t for m in ours.due(t, 0, {}, 4) if m.get_type() == "STATUSTEXT"]
-    assert len(heard) == 4
-    assert all(gap_s >= SAME_AGAIN_S - 1e-9 for gap_s in gaps_s(heard))
+        received += [t for m in ours.due(t, 0, {}, 4) if m.get_type() == "STATUSTEXT"]
+    assert len(received) == 4
+    assert all(gap_s >= SAME_AGAIN_S - 1e-9 for gap_s in gaps_s(received))
 
 
 def test_a_flood_of_texts_stays_bounded() -> None:
@@ -246,7 +246,7 @@ def test_a_flood_of_texts_stays_bounded() -> None:
     assert sent[-1][1].text == "Vine: 999"
 
 
-def test_a_flood_does_not_tear_a_text_that_is_half_told() -> None:
+def test_a_flood_does_not_interrupt_a_text_that_is_half_sent() -> None:
     texts, long = Texts(), "Vine: " + 150 * "x"
     texts.say(0.0, 4, long)
     sent = texts.due(0.0)
@@ -260,7 +260,7 @@ def test_a_flood_does_not_tear_a_text_that_is_half_told() -> None:
 # All messages together.
 
 
-def heard(message: MavlinkMessage, sender: tuple[int, int]) -> MavlinkMessage:
+def from_sender(message: MavlinkMessage, sender: tuple[int, int]) -> MavlinkMessage:
     return mavlink.MAVLink(None).parse_char(message.pack(mavlink.MAVLink(None, *sender)))
 
 
@@ -276,7 +276,7 @@ class Link:
         self.notices: list[Notice] = []
 
     def take(self, message: MavlinkMessage, sender: tuple[int, int] = (255, 190)) -> None:
-        message = heard(message, sender)
+        message = from_sender(message, sender)
         self.state.handle(self.t, message)
         for output in self.ours.handle(self.t, message, self.state, True) or []:
             if isinstance(output, Notice):
@@ -421,7 +421,7 @@ def test_in_flight_all_that_we_send_leaves_in_pairs(
 # A signing key that a ground station gives the vehicle.
 
 
-def told_of_key(conf: config.Config, target_system: int, times: int = 1) -> list[str]:
+def texts_about_key(conf: config.Config, target_system: int, times: int = 1) -> list[str]:
     """The texts when a ground station gives a vehicle its key."""
     core, codec = Core(conf), MavlinkCodec(0, US)
     autopilot, station = mavlink.MAVLink(None, 1, 1), mavlink.MAVLink(None, 255, 190)
@@ -440,15 +440,15 @@ def told_of_key(conf: config.Config, target_system: int, times: int = 1) -> list
 
 @pytest.mark.parametrize("target_system", [0, 1])
 def test_a_key_for_a_vehicle_without_one_in_its_configuration_is_reported_once(target_system: int) -> None:
-    told = told_of_key(config.default(), target_system, times=3)
+    told = texts_about_key(config.default(), target_system, times=3)
     assert told == ["Vine: SETUP_SIGNING ignored: no key configured"]
 
 
 def test_a_key_for_another_vehicle_or_beside_our_own_is_not_reported() -> None:
-    assert told_of_key(config.default(), 2) == []
+    assert texts_about_key(config.default(), 2) == []
     conf = config.default()
     with_key = msgspec.structs.replace(conf.vehicle, signing_key="key.txt")
-    assert told_of_key(msgspec.structs.replace(conf, vehicle=with_key), 1) == []
+    assert texts_about_key(msgspec.structs.replace(conf, vehicle=with_key), 1) == []
 
 
 def test_in_a_simulated_flight_the_answer_to_a_fed_command_reaches_the_autopilot(

@@ -32,7 +32,7 @@ def raws(found: list[Frame]) -> list[bytes]:
     return [frame.raw for frame in found]
 
 
-def test_a_frame_says_what_its_header_says() -> None:
+def test_a_frame_has_the_values_of_its_header() -> None:
     (frame,) = Frames().take(packed(1)[0])
     assert (frame.message_id, frame.system, frame.component, frame.sequence) == (30, 1, 1, 0)
     assert frame.known and not frame.signed
@@ -56,7 +56,7 @@ def test_a_stray_marker_costs_no_frame(marker: bytes) -> None:
     assert frames.bad_frames == 1
 
 
-def test_bytes_that_a_serial_line_loses_cost_hardly_more_than_the_frames_they_were_of() -> None:
+def test_bytes_that_a_serial_line_loses_cost_few_other_frames() -> None:
     good = packed(4000)
     stream, of_frame = b"".join(good), [i for i, frame in enumerate(good) for _ in frame]
     dice = random.Random(1)

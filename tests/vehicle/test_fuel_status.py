@@ -92,7 +92,7 @@ def test_it_has_the_published_identity() -> None:
     assert struct.unpack_from("<f", frame, 10 + 8) == (437.5,)
 
 
-def test_people_can_read_it() -> None:
+def test_it_is_readable_as_text() -> None:
     assert str(fuel_status(437.5, 500.0, temperature_K=293.0)) == (
         "FUEL_STATUS {id : 0, maximum_fuel : 500.0, consumed_fuel : nan, remaining_fuel : 437.5, "
         "percent_remaining : 88, flow_rate : nan, temperature : 293.0, fuel_type : 2}"

@@ -264,7 +264,7 @@ async def test_senders_that_are_not_the_autopilot_are_read_and_not_answered() ->
         assert script.received.empty()
 
 
-async def test_half_a_frame_of_a_stranger_does_not_hold_the_autopilots_up() -> None:
+async def test_half_a_frame_of_an_unknown_sender_does_not_delay_the_autopilots() -> None:
     port = free_port()
     async with (
         serving(NetworkAddress("udpin", HOST, port)) as (watched, believed),
@@ -281,7 +281,7 @@ async def test_half_a_frame_of_a_stranger_does_not_hold_the_autopilots_up() -> N
             assert len(believed) == i + 1
 
 
-async def test_a_named_peer_is_read_and_nobody_else() -> None:
+async def test_only_a_named_peer_is_read() -> None:
     port = free_port()
     async with (
         serving(NetworkAddress("udpin", "127.0.0.1", port, peer="127.0.0.2")) as (watched, believed),
@@ -339,7 +339,7 @@ async def test_on_an_open_port_only_a_signature_opens() -> None:
         assert len(watched.link._peers) == 1
 
 
-async def test_a_datagram_too_large_for_mavlink_is_not_read_from_strangers() -> None:
+async def test_a_datagram_too_large_for_mavlink_is_not_read_from_unknown_senders() -> None:
     port = free_port()
     async with (
         serving(NetworkAddress("udpin", HOST, port)) as (watched, believed),
@@ -365,15 +365,15 @@ def test_a_sender_that_sends_often_keeps_its_place(
         while pause_s > 1.0:
             pause_s -= 1.0
             t += 1.0
-            assert peers.heard(("autopilot", 0), t)
+            assert peers.note(("autopilot", 0), t)
         t += pause_s
         source = ("other", number)
-        if not peers.heard(source, t) and proven:
+        if not peers.note(source, t) and proven:
             peers.enter(source, t)
         present = peers.present(t)
         assert ("autopilot", 0) in present
         assert len(present) == len(peers) <= MAX_PEERS
-        assert peers.heard(("autopilot", 0), t)
+        assert peers.note(("autopilot", 0), t)
 
 
 def test_a_router_that_restarts_with_another_port_is_answered_again_soon() -> None:
@@ -397,7 +397,7 @@ async def test_udp_that_sends_begins_and_gets_the_answer() -> None:
         await watched.until(lambda: watched.data == b"welcome")
 
 
-async def test_udp_to_nobody_goes_on_until_somebody_is_there() -> None:
+async def test_udp_without_a_receiver_continues_until_there_is_one() -> None:
     port = free_port()
     async with running(NetworkAddress("udpout", HOST, port)) as watched:
         await watched.until(lambda: watched.up)
@@ -462,7 +462,7 @@ async def test_tcp_comes_back_when_the_server_does() -> None:
             assert [up for up, _ in watched.states].count(True) == round_number + 2
 
 
-async def test_tcp_says_once_why_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_tcp_reports_once_why_there_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     loop, tried = asyncio.get_running_loop(), asyncio.Semaphore(0)
     connect = loop.create_connection
 

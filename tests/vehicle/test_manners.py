@@ -15,7 +15,7 @@ import flying_vines
 from examples import examples
 from flying_vines.config import config
 from flying_vines.vehicle.component import Component
-from flying_vines.vehicle.component.clash import REPORT_AGAIN_S, WITHIN_S, Clash
+from flying_vines.vehicle.component.duplicate_id import REPORT_AGAIN_S, WITHIN_S, DuplicateIdDetector
 from flying_vines.vehicle.component.parameter_table import SETTINGS
 from flying_vines.vehicle.component.texts import MAX_TEXT_LENGTH, harmless
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
@@ -123,7 +123,7 @@ def sentences() -> list[str]:
     return found
 
 
-def test_nothing_that_the_code_says_has_to_be_broken() -> None:
+def test_no_text_in_the_code_breaks_a_rule() -> None:
     said = sentences()
     assert len(said) > 50
     assert any("autopilot rebooted, vented" in text for text in said)
@@ -151,7 +151,7 @@ def test_notices_begin_with_their_sender() -> None:
 # Our id, and echoes of our messages.
 
 
-def heard(message: MavlinkMessage, sender: tuple[int, int]) -> MavlinkMessage:
+def from_sender(message: MavlinkMessage, sender: tuple[int, int]) -> MavlinkMessage:
     return mavlink.MAVLink(None).parse_char(message.pack(mavlink.MAVLink(None, *sender)))
 
 
@@ -160,10 +160,10 @@ TAKEN = "Vine: another program has component id 191: set vehicle.component_id"
 
 
 def test_a_second_component_with_our_id_is_reported_once_a_minute() -> None:
-    clash = Clash(191)
-    assert clash.heard(10.0) == []
-    assert clash.heard(11.0) == [Notice(11.0, Severity.ERROR, TAKEN)]
-    told = [t for t in range(12, 200) for _ in clash.heard(float(t))]
+    detector = DuplicateIdDetector(191)
+    assert detector.received(10.0) == []
+    assert detector.received(11.0) == [Notice(11.0, Severity.ERROR, TAKEN)]
+    told = [t for t in range(12, 200) for _ in detector.received(float(t))]
     assert told == [
         11 + round(REPORT_AGAIN_S),
         11 + 2 * round(REPORT_AGAIN_S),
@@ -172,20 +172,20 @@ def test_a_second_component_with_our_id_is_reported_once_a_minute() -> None:
 
 
 def test_one_stray_message_is_no_clash() -> None:
-    clash = Clash(191)
+    detector = DuplicateIdDetector(191)
     for i in range(20):
-        assert clash.heard(i * (WITHIN_S + 0.1)) == []
+        assert detector.received(i * (WITHIN_S + 0.1)) == []
 
 
 def test_a_clash_is_seen_on_the_link_and_only_there() -> None:
     ours, state = Component(config.default()), VehicleState()
-    state.handle(0.0, heard(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3), (1, 1)))
+    state.handle(0.0, from_sender(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3), (1, 1)))
     notices = []
     for i in range(4):
         for sender in ((1, 192), (2, 191), (255, 191), (1, 1)):
-            assert not ours.handle(float(i), heard(HEARTBEAT, sender), state, True)
+            assert not ours.handle(float(i), from_sender(HEARTBEAT, sender), state, True)
     for i in range(4):
-        notices += ours.handle(5.0 + i, heard(HEARTBEAT, (1, 191)), state, True) or []
+        notices += ours.handle(5.0 + i, from_sender(HEARTBEAT, (1, 191)), state, True) or []
     assert [notice.text for notice in notices if isinstance(notice, Notice)] == [TAKEN]
     assert len(notices) == 1
 
@@ -194,13 +194,13 @@ def test_a_clash_is_seen_on_the_link_and_only_there() -> None:
 def test_our_values_sent_back_mean_nothing(sender: tuple[int, int]) -> None:
     """PX4 repeats each NAMED_VALUE_FLOAT as its own, with a name of nine characters."""
     vehicle = Vehicle(config.default())
-    vehicle.handle(0.0, heard(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3), (1, 1)))
+    vehicle.handle(0.0, from_sender(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3), (1, 1)))
     for i, name in enumerate([b"RES_KPA", b"CYC_LEFT", b"CV_KPA", b"CMD_KPA", b"BEND_DEG"]):
         for echo in (
             mavlink.MAVLink_named_value_float_message(i, name, 1e9),
             mavlink.MAVLink_named_value_int_message(i, name, -1),
         ):
-            outputs = vehicle.handle(0.1 + 10 * i, heard(echo, sender))
+            outputs = vehicle.handle(0.1 + 10 * i, from_sender(echo, sender))
             assert [output for output in outputs if not isinstance(output, Notice)] == []
             assert sender == (1, 191) or outputs == []
 
@@ -208,6 +208,6 @@ def test_our_values_sent_back_mean_nothing(sender: tuple[int, int]) -> None:
 def test_a_stream_request_of_the_old_kind_is_passed_over_quietly() -> None:
     """Mission Planner sends it to every component."""
     vehicle = Vehicle(config.default())
-    vehicle.handle(0.0, heard(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3), (1, 1)))
+    vehicle.handle(0.0, from_sender(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3), (1, 1)))
     request = mavlink.MAVLink_request_data_stream_message(1, 191, 0, 10, 1)
-    assert vehicle.handle(0.1, heard(request, (255, 190))) == []
+    assert vehicle.handle(0.1, from_sender(request, (255, 190))) == []

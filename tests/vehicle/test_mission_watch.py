@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from examples import examples
-from flying_vines.config.config import CARRIERS
+from flying_vines.config.config import ITEM_COMMANDS
 from flying_vines.vehicle.autopilots.ardupilot_mission import (
     ASK_AGAIN_S,
     GIVE_UP_S,
@@ -23,9 +23,9 @@ from flying_vines.vehicle.autopilots.ardupilot_mission import (
 from flying_vines.vehicle.autopilots.px4_mission import Px4Watch
 from flying_vines.vehicle.clock import BACKLOG_S, LATE_S, AutopilotClock
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
-from flying_vines.vehicle.mission.book import MAX_ITEMS, MissionBook
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.mission_cache import MAX_ITEMS, MissionCache
 
 WP, TAKEOFF, LAND, DELAY, SCRIPT, GRIPPER, WINCH = 16, 22, 21, 93, 217, 211, 42600
 CONDITION_DELAY, JUMP, SERVO, SPEED = 112, 177, 183, 178
@@ -74,9 +74,9 @@ class Air:
     """An ArduPilot's frames, some of them lost."""
 
     def __init__(self, items: list[MissionItem], given_beforehand: bool = True) -> None:
-        self.book = MissionBook(items) if given_beforehand else MissionBook()
+        self.cache = MissionCache(items) if given_beforehand else MissionCache()
         self.clock = AutopilotClock()
-        self.watch = ArduPilotWatch(self.book, PAYLOAD, self.clock)
+        self.watch = ArduPilotWatch(self.cache, PAYLOAD, self.clock)
         self.asked: list[int] = []
         self.stored: dict[int, MissionItem] = {}
         """The mission that the autopilot sends."""
@@ -97,7 +97,7 @@ class Air:
     def _take(self, frame: bytes) -> None:
         arrived = mavlink.MAVLink(None).parse_char(frame)
         self.clock.frame(self.t, arrived.get_seq())
-        self.book.handle(self.t, arrived)
+        self.cache.handle(self.t, arrived)
         self.watch.handle(self.t, arrived)
         self.found += self.watch.due(self.t)
 
@@ -117,7 +117,7 @@ class Air:
         self.send(mavlink.MAVLink_statustext_message(6, words.encode(), 0, 0), lost)
 
     def runs(self, seq: int, name: str | None = None, lost: bool = False) -> None:
-        self.text(f"Mission: {seq} {name or NAMES[self.book.items[seq].command]}", lost)
+        self.text(f"Mission: {seq} {name or NAMES[self.cache.items[seq].command]}", lost)
 
     def reaches(self, seq: int, lost: bool = False, text_lost: bool = False) -> None:
         self.send(mavlink.MAVLink_mission_item_reached_message(seq), lost)
@@ -315,7 +315,7 @@ def test_a_copy_of_a_frame_that_comes_late_is_no_second_execution() -> None:
 
 
 def handed_over(air: Air, params: tuple[float, ...]) -> Execution | None:
-    return air.watch.command(air.t, CARRIERS["user_1"], params, 0)
+    return air.watch.command(air.t, ITEM_COMMANDS["user_1"], params, 0)
 
 
 def test_an_item_from_the_script_is_not_added_again() -> None:
@@ -351,7 +351,7 @@ def test_nothing_overtakes_an_item_that_waits_for_its_numbers() -> None:
 def test_a_text_beyond_the_book_has_it_read_again() -> None:
     air = having_read(PLAN[:3])
     air.runs(3, "Scripting")
-    assert not air.book.fresh
+    assert not air.cache.fresh
     air.give_book(PLAN)
     air.wait(0.1)
     assert [(e.seq, e.params) for e in air.found] == [(3, PLAN[3].params)]
@@ -368,7 +368,7 @@ def test_a_flood_of_texts_is_not_kept() -> None:
     assert max(sizes) <= MAX_ITEMS + 1
 
 
-def test_a_book_that_changes_meanwhile_is_not_guessed_from() -> None:
+def test_a_mission_cache_that_changes_meanwhile_is_not_used_for_a_guess() -> None:
     air = having_read(PLAN)
     air.tell("at 2, reached 2, runs 3 lost, at 5")
     air.text("Flight plan received")
@@ -386,7 +386,7 @@ def test_an_item_needs_no_book() -> None:
     assert (air.payloads(), air.asked) == ([3], [3])
 
 
-def test_a_mission_of_the_same_length_that_nobody_told_of_gives_its_own_numbers() -> None:
+def test_an_unannounced_mission_of_the_same_length_gives_its_own_numbers() -> None:
     air = having_read(PLAN)
     other = [replace(one, params=(1.0, -11.0, 0.0, 0.0, 0.0, 0.0, 0.0)) for one in PLAN]
     air.stores(other)
@@ -396,7 +396,7 @@ def test_a_mission_of_the_same_length_that_nobody_told_of_gives_its_own_numbers(
         (3, other[3].params, True),
         (4, other[4].params, False),  # the stored mission is already marked as outdated
     ]
-    assert not air.book.fresh
+    assert not air.cache.fresh
 
 
 def test_an_answer_from_before_an_item_ran_is_not_its() -> None:
@@ -485,9 +485,9 @@ def test_a_name_against_the_book_has_it_read_again() -> None:
     air = having_read(PLAN)
     air.runs(3, "Winch")
     assert air.found == []
-    assert not air.book.fresh
+    assert not air.cache.fresh
     air.wait(0.6)
-    assert air.book.requests(air.t, 1)
+    assert air.cache.requests(air.t, 1)
     other = mission(WP, TAKEOFF, WP, WINCH, WP, LAND)
     air.give_book(other)
     air.wait(0.1)
@@ -499,7 +499,7 @@ def test_a_name_against_the_book_has_it_read_again() -> None:
 def test_a_waypoints_name_on_a_payload_items_number_runs_no_payload() -> None:
     air = having_read(PLAN)
     air.runs(3, "WP")
-    assert not air.book.fresh
+    assert not air.cache.fresh
     air.give_book(mission(WP, TAKEOFF, WP, WP, SCRIPT, LAND))
     air.wait(10.0)
     assert air.payloads() == []
@@ -510,9 +510,9 @@ def test_a_name_that_stays_against_the_book_is_reported_without_numbers_and_aske
     air.runs(3, "Winch")
     air.wait(0.6)
     air.give_book(PLAN)
-    assert air.book.fresh
+    assert air.cache.fresh
     air.wait(5.0)
-    assert air.book.fresh
+    assert air.cache.fresh
     assert [(e.command, e.seq, e.params) for e in air.found] == [(WINCH, 3, None)]
 
 
@@ -669,7 +669,7 @@ def received(flight: Flight, loss: float, copies: float, late_s: float) -> list[
 
 def watched(flight: Flight, messages: list[tuple[float, MavlinkMessage]]) -> list[tuple[float, int]]:
     clock = AutopilotClock()
-    watch = ArduPilotWatch(MissionBook(flight.items), PAYLOAD, clock)
+    watch = ArduPilotWatch(MissionCache(flight.items), PAYLOAD, clock)
     found, now = [], 0.0
     for t, message in [*messages, (flight.t + 10.0, None)]:
         while now < t:
@@ -722,7 +722,7 @@ def test_at_a_common_loss_hardly_an_item_is_missed() -> None:
 
 
 def px4(*items: MissionItem, current: int = 0) -> Px4Watch:
-    watch = Px4Watch(MissionBook(list(items)))
+    watch = Px4Watch(MissionCache(list(items)))
     watch.handle(0.0, mavlink.MAVLink_mission_current_message(current))
     return watch
 
@@ -810,8 +810,8 @@ class Px4Air:
     """A PX4's messages. Some of its commands do not arrive."""
 
     def __init__(self, *items: MissionItem, mission_id: int = 77) -> None:
-        self.clock, self.book = AutopilotClock(), MissionBook()
-        self.watch = Px4Watch(self.book, {187, GRIPPER, WINCH}, self.clock)
+        self.clock, self.cache = AutopilotClock(), MissionCache()
+        self.watch = Px4Watch(self.cache, {187, GRIPPER, WINCH}, self.clock)
         self.t, self.sequence = 100.0, 0
         self.found: list[Execution] = []
         self._mav = mavlink.MAVLink(None, 1, 1)
@@ -825,7 +825,7 @@ class Px4Air:
         arrived = mavlink.MAVLink(None).parse_char(message.pack(self._mav))
         self._mav.seq = (self._mav.seq + 1) % 256
         self.clock.frame(self.t, arrived.get_seq())
-        self.book.handle(self.t, arrived)
+        self.cache.handle(self.t, arrived)
         self.watch.handle(self.t, arrived)
 
     def lose_frames(self) -> None:
@@ -875,7 +875,7 @@ def test_a_straightening_whose_command_was_lost_comes_after_all_and_once() -> No
     assert air.seqs() == [2]
     air.wait(0.4)
     assert air.seqs() == [2, 4]
-    assert air.found[1].item == air.book.items[4]
+    assert air.found[1].item == air.cache.items[4]
     for confirmation in (1, 2, 3):  # its repeats are the same item
         air.wait(0.5)
         air.command(STRAIGHT, confirmation)
@@ -905,9 +905,9 @@ def test_a_winch_is_reported_as_reached_long_after_its_command() -> None:
 
 def test_a_second_pass_whose_command_was_lost_counts() -> None:
     air = Px4Air(*PX4_PLAN)
-    for heard in (True, False):
+    for received in (True, False):
         air.reaches(3)
-        if heard:
+        if received:
             air.command(STRAIGHT)
         air.reaches(4, 5.0)
         air.reaches(5, 5.0)
@@ -940,7 +940,7 @@ def test_a_waiting_item_is_dropped_after_a_later_one_or_a_person() -> None:
 
 def test_items_reached_before_our_start_do_not_count() -> None:
     air = Px4Air(*PX4_PLAN)
-    late = Px4Watch(air.book, {187}, air.clock)
+    late = Px4Watch(air.cache, {187}, air.clock)
     for _ in range(9):
         late.handle(air.t, mavlink.MAVLink_mission_item_reached_message(2))
         assert late.due(air.t + 0.5) == []
@@ -956,7 +956,7 @@ def test_an_item_reached_before_the_mission_was_read_is_not_reported_by_its_repe
     air.send(mavlink.MAVLink_mission_count_message(1, 191, len(PX4_PLAN), 0))
     for one in PX4_PLAN:
         air.send(item_message(one))
-    assert air.book.fresh
+    assert air.cache.fresh
     air.reaches(5)
     air.reaches(4, 4.0)
     assert len(air.found) == 1

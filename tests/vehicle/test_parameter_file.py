@@ -160,7 +160,7 @@ def test_it_is_on_the_disk_before_it_takes_the_old_ones_place(
     assert done == ["file", "replace", "folder"]
 
 
-def test_a_place_that_cannot_be_written_is_said_in_one_line(tmp_path: Path) -> None:
+def test_a_place_that_cannot_be_written_is_reported_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ParameterFileError, match="cannot be written: "):
         write(tmp_path / "file" / "parameters.toml", VALUES, CONFIG)

@@ -87,7 +87,7 @@ def f32(value: float) -> float:
     return float(struct.unpack("<f", struct.pack("<f", value))[0])
 
 
-def test_names_and_order_are_as_mavlink_wants_them() -> None:
+def test_names_and_order_are_as_mavlink_requires() -> None:
     names = [row.name for row in SETTINGS]
     assert len(set(names)) == len(names) == 15
     assert all(name.startswith("VINE_") and len(name) <= 16 and name.isupper() for name in names)

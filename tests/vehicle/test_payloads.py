@@ -63,7 +63,7 @@ def test_the_payload_itself() -> None:
     assert ours(raw).get_payload() == bytes(range(1, 10))
 
 
-def test_a_header_alone_says_the_same_as_the_whole_message() -> None:
+def test_a_header_alone_gives_the_same_as_the_whole_message() -> None:
     methods = [name for name in vars(HeaderOnly) if name.startswith("get_")]
     assert len(methods) == 6
     for message_id in TYPES:

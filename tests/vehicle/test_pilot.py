@@ -64,7 +64,7 @@ class Radio:
         self.move(0)
         self.received = list(self.sticks)
         self.run(2.0)
-        self.told_at_start = self.told
+        self.texts_at_start = self.texts
         self.outputs.clear()
 
     @property
@@ -106,23 +106,23 @@ class Radio:
                 rssi = OVERRIDE_RSSI
             if not (self.by_station and self.lost_at is not None):
                 stamp_ms = round(1000 * self.now_s) + 60_000
-                self.hear(mavlink.MAVLink_rc_channels_message(stamp_ms, 18, *self.received, rssi))
+                self.receive(mavlink.MAVLink_rc_channels_message(stamp_ms, 18, *self.received, rssi))
             if self.steps % 2 == 0:
                 bits = [RC_BIT * flag | self.sensors for flag in (good, True, good)]
-                self.hear(mavlink.MAVLink_sys_status_message(*bits, 0, 12000, -1, -1, 0, 0, 0, 0, 0, 0))
+                self.receive(mavlink.MAVLink_sys_status_message(*bits, 0, 12000, -1, -1, 0, 0, 0, 0, 0, 0))
             self.outputs.extend((self.now_s, output) for output in self.pilot.tick(self.now_s))
 
     def run_without_status(self, seconds: float) -> None:
         for _ in range(round(seconds / PERIOD_S)):
             self.steps += 1
-            self.hear_channels()
+            self.receive_channels()
             self.outputs.extend((self.now_s, output) for output in self.pilot.tick(self.now_s))
 
-    def hear_channels(self) -> None:
+    def receive_channels(self) -> None:
         stamp_ms = round(1000 * self.now_s) + 60_000
-        self.hear(mavlink.MAVLink_rc_channels_message(stamp_ms, 18, *self.sticks, NO_RSSI))
+        self.receive(mavlink.MAVLink_rc_channels_message(stamp_ms, 18, *self.sticks, NO_RSSI))
 
-    def hear(self, message: object) -> None:
+    def receive(self, message: object) -> None:
         outputs = self.pilot.handle(self.now_s, message, AUTOPILOTS[self.autopilot], self.vented)
         self.outputs.extend((self.now_s, output) for output in outputs)
 
@@ -139,11 +139,11 @@ class Radio:
         return [t for t, name, _ in self.asked if name.startswith("bend")]
 
     @property
-    def told(self) -> list[str]:
+    def texts(self) -> list[str]:
         return [output.text for _, output in self.outputs if isinstance(output, Notice)]
 
 
-def test_a_bend_on_px4_waits_until_the_status_would_have_told_of_a_loss() -> None:
+def test_a_bend_on_px4_waits_until_the_status_would_have_reported_a_loss() -> None:
     radio = Radio()
     moved_s = radio.now_s
     radio.move(2, 5.0)
@@ -179,7 +179,7 @@ def test_straightening_on_px4_waits_for_nothing() -> None:
 
 
 @pytest.mark.parametrize("failsafe", ["hold", 1000, 1500])
-def test_a_receiver_known_to_do_no_harm_bends_at_once(
+def test_a_receiver_known_to_be_safe_bends_at_once(
     failsafe: Literal["hold"] | int,
 ) -> None:
     radio = Radio(failsafe=failsafe)
@@ -233,7 +233,7 @@ def test_a_switch_that_moved_while_rc_was_lost_bends_nothing(
     radio.run(lasts_s - min(moved_after_s, lasts_s))
     radio.restore(4.0)
     assert radio.bends == []
-    assert any("moved while RC was lost, move it again" in text for text in radio.told)
+    assert any("moved while RC was lost, move it again" in text for text in radio.texts)
 
 
 @given(dwells=st.lists(st.tuples(st.sampled_from([0, 1, 2]), st.floats(0.05, 1.4)), max_size=8))
@@ -258,20 +258,20 @@ def test_every_move_of_the_pilot_counts_once(positions: list[int]) -> None:
     assert [name for _, name, _ in radio.asked] == wanted
 
 
-def test_rc_by_a_ground_station_needs_no_receiver_and_is_said() -> None:
+def test_rc_by_a_ground_station_needs_no_receiver_and_is_reported() -> None:
     radio = Radio(by_station=True)
     radio.move(2, 0.3)
     assert len(radio.bends) == 1
-    assert radio.told_at_start == ["Vine: RC comes from a ground station"]
+    assert radio.texts_at_start == ["Vine: RC comes from a ground station"]
 
 
-def test_a_receiver_that_knows_its_signal_tells_of_a_loss_before_the_status() -> None:
+def test_a_receiver_with_a_signal_value_shows_a_loss_before_the_status() -> None:
     radio = Radio(rssi=61)
     radio.lose(0.75)
     assert radio.pilot.radio.problem(radio.now_s) == "the receiver hears no transmitter"
 
 
-def test_a_receiver_that_reports_no_signal_is_lost_whatever_the_status_says() -> None:
+def test_a_receiver_that_reports_no_signal_is_lost_with_any_status() -> None:
     """CRSF frames continue with a link quality of 0, and PX4's status stays good."""
     radio = Radio(rssi=53, rssi_when_lost=0, bits_after_s=100.0, preset={9: 2000})
     radio.lose(10.0)
@@ -297,7 +297,7 @@ def test_several_channels_that_jump_with_the_switch_are_no_pilot(
     radio.sticks[:4] = [1100, 1900, 1000, 1500]
     radio.move(2, 4.0)
     assert radio.bends == []
-    assert radio.told == ["Vine: switch ch9 moved with other channels, move it again"]
+    assert radio.texts == ["Vine: switch ch9 moved with other channels, move it again"]
 
 
 def test_channels_that_jump_still_straighten_but_clear_nothing() -> None:
@@ -321,16 +321,16 @@ def test_a_slow_stick_beside_the_switch_is_the_pilot() -> None:
 
 def test_if_ardupilot_hides_losses_the_switch_only_straightens() -> None:
     radio = Radio("ardupilot")
-    radio.hear(param_value("FS_THR_ENABLE", 0.0))
-    assert radio.told == ["Vine: FS_THR_ENABLE 0 hides RC loss: switch cannot bend"]
+    radio.receive(param_value("FS_THR_ENABLE", 0.0))
+    assert radio.texts == ["Vine: FS_THR_ENABLE 0 hides RC loss: switch cannot bend"]
     radio.move(2, 1.0)
     (refused,) = [output for _, output in radio.outputs if isinstance(output, Trigger)]
     assert refused.intent is None
     assert "FS_THR_ENABLE 0" in refused.problem
     radio.move(0, 1.0)
     assert radio.asked[-1][1] == "straight"
-    radio.hear(param_value("FS_THR_ENABLE", 1.0))
-    assert "can bend" in radio.told[-1]
+    radio.receive(param_value("FS_THR_ENABLE", 1.0))
+    assert "can bend" in radio.texts[-1]
     radio.move(2, 1.0)
     assert len(radio.bends) == 1
 
@@ -347,7 +347,7 @@ def test_an_override_that_ends_bends_nothing_again() -> None:
     radio = Radio("ardupilot")
     overridden(radio, 7.0)
     assert len(radio.bends) == 1
-    assert radio.told[-1] == "Vine: switch ch9 is back where it was, move it again"
+    assert radio.texts[-1] == "Vine: switch ch9 is back where it was, move it again"
     radio.move(0, 1.0)
     radio.move(2, 1.0)
     assert len(radio.bends) == 2, "a fresh move counts"
@@ -358,7 +358,7 @@ def test_without_overrides_a_switch_that_comes_back_was_moved(
     parameter: tuple[str, float],
 ) -> None:
     radio = Radio("ardupilot")
-    radio.hear(param_value(*parameter))
+    radio.receive(param_value(*parameter))
     overridden(radio, 7.0)
     assert len(radio.bends) == 2
 
@@ -375,7 +375,7 @@ def test_an_override_whose_end_is_reported_is_no_move() -> None:
     radio.run(3.0)
     radio.move(2, 1.0)
     assert radio.bends == []
-    assert radio.told[-1] == "Vine: switch ch9 moved as an override ended, move it again"
+    assert radio.texts[-1] == "Vine: switch ch9 moved as an override ended, move it again"
 
 
 def test_a_bend_that_waits_is_overtaken_by_what_others_ask() -> None:
@@ -426,7 +426,7 @@ def test_a_loss_overtakes_a_bend_that_waits() -> None:
     assert radio.bends == []
 
 
-def test_without_a_status_a_bend_is_refused_and_said() -> None:
+def test_without_a_status_a_bend_is_refused_and_reported() -> None:
     radio = Radio()
     radio.move(2, 0.5)
     radio.run_without_status(10.0)
@@ -434,12 +434,12 @@ def test_without_a_status_a_bend_is_refused_and_said() -> None:
     assert refused.problem == "the autopilot does not confirm RC, move it again"
 
 
-def test_a_gap_that_nobody_saw_is_a_loss() -> None:
+def test_an_unnoticed_gap_is_a_loss() -> None:
     radio = Radio("ardupilot")
     radio.steps += 120  # our process paused
     radio.move(2, 3.0)
     assert radio.bends == []
-    assert "moved while RC was lost" in radio.told[-1]
+    assert "moved while RC was lost" in radio.texts[-1]
 
 
 @pytest.mark.parametrize(("channel", "pulse_us"), [(9, 65534), (8, 65534), (8, 0)])
@@ -448,7 +448,7 @@ def test_a_switch_that_moves_as_its_override_is_released_was_not_moved(channel: 
     radio.override(pulse_us)
     radio.move(2, 1.0)
     assert radio.bends == []
-    assert radio.told[-1] == f"Vine: switch ch{channel} moved as an override ended, move it again"
+    assert radio.texts[-1] == f"Vine: switch ch{channel} moved as an override ended, move it again"
 
 
 @pytest.mark.parametrize(("channel", "pulse_us"), [(9, 0), (9, 65535), (8, 65535), (8, 1000)])
@@ -460,7 +460,7 @@ def test_values_that_release_no_override_do_not_affect_the_pilots_moves(channel:
     assert len(radio.bends) == 1
 
 
-def test_after_somebody_else_has_bent_the_vine_the_switch_counts_as_before() -> None:
+def test_after_a_bend_by_another_source_the_switch_counts_as_before() -> None:
     radio = Radio("ardupilot")
     radio.move(2, 1.0)
     radio.pilot.others_asked(straightened=False)
@@ -524,9 +524,9 @@ def test_without_a_status_a_straightening_is_not_refused_afterwards() -> None:
     assert [name for _, name, _ in radio.asked] == ["bend-full", "straight"]
 
 
-def test_on_ardupilot_the_status_says_nothing_of_what_its_parameters_hide() -> None:
+def test_on_ardupilot_the_status_does_not_show_what_its_parameters_hide() -> None:
     radio = Radio("ardupilot", by_station=True)
-    radio.hear(param_value("FS_THR_ENABLE", 0.0))
+    radio.receive(param_value("FS_THR_ENABLE", 0.0))
     radio.move(2, 1.0)
     assert radio.bends == []
 
@@ -534,18 +534,18 @@ def test_on_ardupilot_the_status_says_nothing_of_what_its_parameters_hide() -> N
 def test_a_receiver_that_px4_does_not_use_is_refused_and_a_ground_station_is_not() -> None:
     for by_station, bends in ((False, 0), (True, 1)):
         radio = Radio(by_station=by_station)
-        radio.hear(param_value("COM_RC_IN_MODE", 1.0))
+        radio.receive(param_value("COM_RC_IN_MODE", 1.0))
         radio.move(2, 3.0)
         assert len(radio.bends) == bends
 
 
 def test_a_parameter_that_hides_losses_is_reported_once() -> None:
     radio = Radio("ardupilot")
-    radio.hear(param_value("RC_OVERRIDE_TIME", 4.0))
-    assert radio.told == []
-    radio.hear(param_value("FS_THR_ENABLE", 0.0))
-    radio.hear(param_value("RC_OVERRIDE_TIME", 5.0))
-    assert len(radio.told) == 1
+    radio.receive(param_value("RC_OVERRIDE_TIME", 4.0))
+    assert radio.texts == []
+    radio.receive(param_value("FS_THR_ENABLE", 0.0))
+    radio.receive(param_value("RC_OVERRIDE_TIME", 5.0))
+    assert len(radio.texts) == 1
 
 
 def test_a_single_message_with_the_throttle_in_failsafe_is_a_loss() -> None:
@@ -554,15 +554,15 @@ def test_a_single_message_with_the_throttle_in_failsafe_is_a_loss() -> None:
     radio.move(2)
     radio.sticks[2] = 900
     radio.steps += 1
-    radio.hear_channels()
+    radio.receive_channels()
     radio.sticks[2] = 1400
     good_from_s = radio.now_s + PERIOD_S
     while radio.pilot.switch.position is None or not radio.outputs:
         radio.steps += 1
-        radio.hear_channels()
+        radio.receive_channels()
         assert radio.now_s < good_from_s + 2.0
     assert radio.now_s - good_from_s == pytest.approx(radio.config.switch.settle_s, abs=PERIOD_S / 2)
-    assert radio.told == ["Vine: switch ch9 moved while RC was lost, move it again"]
+    assert radio.texts == ["Vine: switch ch9 moved while RC was lost, move it again"]
 
 
 def test_after_a_loss_the_switch_may_go_where_it_stood_before() -> None:
@@ -591,26 +591,26 @@ def test_a_straightening_that_was_the_receivers_is_no_move_to_hold() -> None:
     radio.move(2, 3.0)
     radio.lose(0.9)
     radio.restore(5.0)
-    assert radio.told == ["Vine: switch ch9 is back where it was, move it again"]
+    assert radio.texts == ["Vine: switch ch9 is back where it was, move it again"]
 
 
 HOLD_ON = "Vine: hold switch ch9 for 1.6 s to bend"
 
 
-def test_a_position_that_is_left_too_soon_asks_for_nothing_and_the_pilot_reads_why() -> None:
+def test_a_position_that_is_left_too_soon_requests_nothing_and_the_reason_is_reported() -> None:
     radio = Radio(vented=True)
     radio.move(2, 0.5)
     radio.move(0, 3.0)
-    assert radio.told == [HOLD_ON]
+    assert radio.texts == [HOLD_ON]
     assert radio.asked == []
 
 
-def test_from_a_bend_to_another_and_back_too_soon_asks_for_nothing() -> None:
+def test_from_a_bend_to_another_and_back_too_soon_requests_nothing() -> None:
     radio = Radio()
     radio.move(1, 3.0)
     radio.move(2, 0.5)
     radio.move(1, 3.0)
-    assert radio.told == [HOLD_ON]
+    assert radio.texts == [HOLD_ON]
     assert [name for _, name, _ in radio.asked] == ["bend-half"]
 
 
@@ -621,7 +621,7 @@ def test_while_another_bends_the_vine_a_position_that_is_left_too_soon_straighte
     assert [name for _, name, _ in radio.asked] == ["straight"]
 
 
-def test_a_bend_that_waits_gives_way_to_another_position() -> None:
+def test_a_waiting_bend_is_replaced_by_another_position() -> None:
     radio = Radio()
     radio.move(1, 0.5)
     radio.move(2, 3.0)
@@ -629,7 +629,7 @@ def test_a_bend_that_waits_gives_way_to_another_position() -> None:
 
 
 @pytest.mark.parametrize("steps", range(8))
-def test_the_status_that_tells_of_a_loss_confirms_no_bend(steps: int) -> None:
+def test_a_status_that_reports_a_loss_confirms_no_bend(steps: int) -> None:
     radio = Radio()
     radio.move(2, steps * PERIOD_S)
     radio.lose()

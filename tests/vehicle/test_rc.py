@@ -72,7 +72,7 @@ def test_health_alone_and_its_return() -> None:
 
 
 @pytest.mark.parametrize(("present", "enabled"), [(False, False), (True, False), (False, True)])
-def test_an_autopilot_that_does_not_watch_a_receiver_says_nothing(present: bool, enabled: bool) -> None:
+def test_an_autopilot_that_does_not_watch_a_receiver_shows_no_loss(present: bool, enabled: bool) -> None:
     link = radio()
     link.handle(0.0, channels())
     link.handle(0.1, health(False, present, enabled))
@@ -80,7 +80,7 @@ def test_an_autopilot_that_does_not_watch_a_receiver_says_nothing(present: bool,
 
 
 @pytest.mark.parametrize(("present", "enabled"), [(False, False), (True, False), (False, True), (True, True)])
-def test_a_receiver_that_was_good_is_lost_however_the_status_says_so(present: bool, enabled: bool) -> None:
+def test_a_receiver_that_was_good_is_lost_by_each_form_of_the_status(present: bool, enabled: bool) -> None:
     link = good()
     link.handle(0.1, health(False, present, enabled))
     assert link.problem(0.1) == "the autopilot reports RC lost"
@@ -154,7 +154,7 @@ def test_throttle_below_its_range_alone() -> None:
 
 
 @pytest.mark.parametrize("throttle_us", [0, 65535])
-def test_a_throttle_that_is_not_there_says_nothing(throttle_us: int) -> None:
+def test_an_absent_throttle_shows_no_loss(throttle_us: int) -> None:
     link = radio()
     link.handle(0.0, channels(1500, throttle_us))
     assert link.problem(0.0) is None

@@ -69,8 +69,8 @@ def test_a_copy_of_a_frame_is_no_second_command_and_the_next_first_is() -> None:
 
 def test_the_answer_is_that_of_the_command_and_not_of_the_one_before() -> None:
     repeats = Repeats()
-    repeats.answer("unheard", 2)
-    assert repeats.answered("unheard") is None
+    repeats.answer("unknown", 2)
+    assert repeats.answered("unknown") is None
     repeats.is_repeat(10.0, "command", 0, 1, PX4_REPEAT_S)
     repeats.answer("command", 2)
     repeats.is_repeat(10.5, "command", 1, 2, PX4_REPEAT_S)

@@ -27,7 +27,7 @@ TICK_S = 0.02
 VALUES = {"RES_KPA": 500.0, "CYC_LEFT": 40.0, "CV_KPA": 3.0}
 
 
-def heard(message: MavlinkMessage, sender: tuple[int, int] = STATION) -> MavlinkMessage:
+def from_sender(message: MavlinkMessage, sender: tuple[int, int] = STATION) -> MavlinkMessage:
     return mavlink.MAVLink(None).parse_char(message.pack(mavlink.MAVLink(None, *sender)))
 
 
@@ -50,7 +50,7 @@ class Bench:
         self.t = 100.0
 
     def take(self, message: MavlinkMessage, sender: tuple[int, int] = STATION) -> list[MavlinkMessage] | None:
-        return self.requests.handle(self.t, heard(message, sender), 1)
+        return self.requests.handle(self.t, from_sender(message, sender), 1)
 
     def ask(
         self, number: int, *params: float, sender: tuple[int, int] = STATION
@@ -187,7 +187,7 @@ def test_a_request_that_requests_nothing_is_denied(number: int, param: float) ->
 # Rates.
 
 
-def test_the_interval_of_values_is_set_told_and_kept() -> None:
+def test_the_interval_of_values_is_set_reported_and_kept() -> None:
     bench = Bench()
     for interval_us in (1e5, 2.5e5, 1e6, 1e7):
         assert bench.ask(SET_INTERVAL, 251, interval_us) == (ACCEPTED, [])
@@ -317,9 +317,7 @@ def test_an_answer_about_the_clock_names_whom_it_is_for() -> None:
 @pytest.mark.parametrize(
     ("target", "answered"), [(US, True), ((1, 0), True), ((1, 154), False), ((2, 0), False)]
 )
-def test_a_question_about_the_clock_of_somebody_else_is_left_alone(
-    target: tuple[int, int], answered: bool
-) -> None:
+def test_a_timesync_request_is_answered_only_if_it_is_for_us(target: tuple[int, int], answered: bool) -> None:
     asked = Timesync(0, 1234, *target).pack(mavlink.MAVLink(None, *AUTOPILOT))
     (received,) = MavlinkCodec(*US).decode(asked)
     assert bool(Bench().requests.handle(0.0, received, 1)) is answered

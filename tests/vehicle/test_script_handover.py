@@ -70,7 +70,7 @@ def test_one_item_is_one_trigger(mission: list[MissionItem], order: str) -> None
     assert link.answers == [mavlink.MAV_RESULT_ACCEPTED]
 
 
-def test_without_a_script_the_text_is_refused_for_want_of_numbers() -> None:
+def test_without_a_script_the_text_is_refused_because_it_has_no_numbers() -> None:
     link = Link([])
     link.send(5.0, TEXT)
     link.wait(9.0)

@@ -171,7 +171,7 @@ def test_a_clock_that_was_set_back_changes_nothing(file: Path) -> None:
         b"036000000000000 191\n191 001 001 " + b"9" * 15 + b"\n",
     ],
 )
-def test_a_damaged_file_leaves_the_clock_alone_and_says_so(file: Path, content: bytes) -> None:
+def test_a_damaged_file_leaves_the_clock_alone_and_is_reported(file: Path, content: bytes) -> None:
     file.write_bytes(content)
     assert TimestampFile(file).load() == (
         SigningMemory(),
@@ -220,7 +220,7 @@ def test_it_is_written_as_a_whole_or_not_at_all(file: Path, monkeypatch: pytest.
     assert TimestampFile(file).load()[0].timestamp == 36_000_006_000_000
 
 
-def test_a_folder_is_made_where_there_is_none_and_said_where_that_fails(tmp_path: Path) -> None:
+def test_a_missing_folder_is_made_and_a_failure_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "none" / "signing.timestamp"
     TimestampFile(path).save(SigningMemory(7))
     assert path.read_text() == "000000000000007 000\n"

@@ -89,7 +89,7 @@ def test_only_an_autopilot_is_served(other: str) -> None:
 
 
 @pytest.mark.parametrize("other", OTHERS)
-def test_nobody_else_says_that_the_vehicle_is_armed(other: str) -> None:
+def test_only_the_autopilot_reports_that_the_vehicle_is_armed(other: str) -> None:
     state = VehicleState()
     state.handle(0.0, heartbeat(1, base_mode=ARMED))
     theirs = OTHERS[other]
@@ -142,7 +142,7 @@ def test_the_configured_vehicle_is_served_among_others() -> None:
     assert state.system_id == 7
 
 
-def test_armed_and_mode_are_the_autopilots_words() -> None:
+def test_armed_and_mode_are_as_the_autopilot_reports_them() -> None:
     state = VehicleState()
     state.handle(0.0, heartbeat(base_mode=ARMED, custom_mode=3))
     assert (state.armed, state.mode) == (True, "AUTO")
@@ -226,7 +226,7 @@ def test_the_first_ready_after_power_up_is_no_reboot() -> None:
     assert state.handle(3.0, text("ArduPilot Ready")) == []
 
 
-def test_a_ready_of_somebody_else_is_not_ours() -> None:
+def test_a_ready_of_another_vehicle_is_not_ours() -> None:
     state = found()
     state.handle(0.0, clock(100_000))
     words = mavlink.MAVLink_statustext_message(6, b"ArduPilot Ready", 0, 0)
@@ -289,7 +289,7 @@ def test_a_reboot_after_forty_days_is_no_wrap() -> None:
     assert state.handle(5.0, clock(2000)) == [Rebooted()]
 
 
-def test_any_frame_of_our_autopilot_proves_it_alive_but_only_heartbeats_say_armed() -> None:
+def test_any_frame_shows_that_the_autopilot_runs_but_only_heartbeats_that_it_is_armed() -> None:
     state = VehicleState()
     assert state.silence_s(0.0) is None
     state.handle(0.0, heartbeat(1, base_mode=ARMED))
@@ -302,7 +302,7 @@ def test_any_frame_of_our_autopilot_proves_it_alive_but_only_heartbeats_say_arme
     assert not state.heartbeat_missing
 
 
-def test_a_silent_autopilot_is_silent_and_its_heartbeats_are_not_what_is_missing() -> None:
+def test_for_a_silent_autopilot_missing_heartbeats_are_not_reported() -> None:
     state = VehicleState()
     state.handle(0.0, heartbeat(1, base_mode=ARMED))
     assert (state.silence_s(60.0), state.heartbeat_missing) == (60.0, False)

@@ -87,7 +87,7 @@ def test_a_missing_stream_is_requested_again_and_named() -> None:
     assert autopilot.streams.missing(autopilot.now_s) == ["SYS_STATUS"]
 
 
-def test_missing_is_said_in_time_and_taken_back() -> None:
+def test_a_missing_stream_is_reported_in_time_and_withdrawn() -> None:
     autopilot = Autopilot(deaf_to={33})
     autopilot.run(MISSING_AFTER_S - 0.5)
     assert autopilot.streams.missing(autopilot.now_s) == []

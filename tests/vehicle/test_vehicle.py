@@ -41,15 +41,15 @@ class Link:
     def now_s(self) -> float:
         return self.ticks * TICK_S
 
-    def hear(self, message: MavlinkMessage, system_id: int = 1, component_id: int = 1) -> None:
+    def receive(self, message: MavlinkMessage, system_id: int = 1, component_id: int = 1) -> None:
         sender = self._senders.setdefault(
             (system_id, component_id), mavlink.MAVLink(None, system_id, component_id)
         )
         frame = message.pack(sender)
         sender.seq = (sender.seq + 1) % 256
-        self.receive(self.now_s, frame)
+        self.receive_frame(self.now_s, frame)
 
-    def receive(self, t: float, frame: bytes) -> None:
+    def receive_frame(self, t: float, frame: bytes) -> None:
         for message in self.codec.decode(frame):
             if message.get_type() == "MISSION_ITEM_INT":
                 self.items[message.seq] = message
@@ -75,16 +75,16 @@ class Link:
         """An autopilot that streams RC at 20 Hz and the rest at 5 Hz."""
         for i in range(round(for_s / 0.02)):
             if i % 50 == 0:
-                self.hear(mavlink.MAVLink_heartbeat_message(2, autopilot, 0x80, 3, 4, 3))
+                self.receive(mavlink.MAVLink_heartbeat_message(2, autopilot, 0x80, 3, 4, 3))
             if i % 3 == 0:
                 pulses_us = [1500, 1500, 1100, *(5 * [1500]), switch_us, *(9 * [0])]
-                self.hear(mavlink.MAVLink_rc_channels_message(0, 16, *pulses_us, 255))
+                self.receive(mavlink.MAVLink_rc_channels_message(0, 16, *pulses_us, 255))
             if i % 10 == 0:
-                self.hear(mavlink.MAVLink_system_time_message(0, boot_ms + int(self.now_s * 1000)))
+                self.receive(mavlink.MAVLink_system_time_message(0, boot_ms + int(self.now_s * 1000)))
             self.wait(0.02)
 
     def text(self, words: str) -> None:
-        self.hear(mavlink.MAVLink_statustext_message(6, words.encode(), 0, 0))
+        self.receive(mavlink.MAVLink_statustext_message(6, words.encode(), 0, 0))
 
 
 def test_a_move_of_the_switch_starts_its_profile() -> None:
@@ -124,7 +124,7 @@ def test_a_move_while_the_radio_is_lost_is_only_reported() -> None:
     assert told.count("Vine: switch ch9 moved while RC was lost, move it again") == 1
 
 
-def test_silence_of_the_radio_wants_a_fresh_move() -> None:
+def test_after_a_loss_of_rc_a_fresh_move_is_needed() -> None:
     link = Link()
     link.run(2.0, 1000)
     link.wait(2.0)
@@ -134,24 +134,24 @@ def test_silence_of_the_radio_wants_a_fresh_move() -> None:
 
 def test_two_autopilots_are_reported_and_neither_is_served() -> None:
     link = Link()
-    link.hear(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3), 1)
+    link.receive(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3), 1)
     link.wait(0.5)
-    link.hear(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3), 2)
+    link.receive(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3), 2)
     asked = len(link.sent)
     link.run(4.0, 1000)
     link.run(2.0, 2000)
     link.text("Mission: 3 Scripting")
-    link.hear(mavlink.MAVLink_command_long_message(1, 191, 31011, 0, 20, 0, 0, 0, 0, 0, 0), 255, 190)
+    link.receive(mavlink.MAVLink_command_long_message(1, 191, 31011, 0, 20, 0, 0, 0, 0, 0, 0), 255, 190)
     link.wait(5.0)
     assert link.triggers == []
     assert len(link.sent) == asked
     assert "autopilots 1 and 2" in link.notices[-1].text
 
 
-def test_nothing_is_said_before_a_vehicle_is_found() -> None:
+def test_nothing_is_sent_before_a_vehicle_is_found() -> None:
     link = Link()
-    link.hear(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), 255, 190)
-    link.hear(mavlink.MAVLink_command_long_message(1, 191, 31011, 0, 20, 0, 0, 0, 0, 0, 0), 255, 190)
+    link.receive(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), 255, 190)
+    link.receive(mavlink.MAVLink_command_long_message(1, 191, 31011, 0, 20, 0, 0, 0, 0, 0, 0), 255, 190)
     link.wait(10.0)
     assert link.sent == []
     assert link.notices == []
@@ -162,9 +162,9 @@ def test_messages_of_a_second_vehicle_move_nothing() -> None:
     link = Link()
     link.run(4.0, 1000)
     for _ in range(40):
-        link.hear(mavlink.MAVLink_rc_channels_message(0, 16, *(18 * [2000]), 255), 2)
-        link.hear(mavlink.MAVLink_statustext_message(6, b"Mission: 3 Scripting", 0, 0), 2)
-        link.hear(mavlink.MAVLink_rc_channels_message(0, 16, *(18 * [2000]), 255), 1, 154)
+        link.receive(mavlink.MAVLink_rc_channels_message(0, 16, *(18 * [2000]), 255), 2)
+        link.receive(mavlink.MAVLink_statustext_message(6, b"Mission: 3 Scripting", 0, 0), 2)
+        link.receive(mavlink.MAVLink_rc_channels_message(0, 16, *(18 * [2000]), 255), 1, 154)
         link.run(0.06, 1000)
     assert link.triggers == []
 
@@ -198,7 +198,7 @@ def test_one_execution_of_an_ardupilot_item_is_one_trigger() -> None:
     link = Link(settings, items)
     link.run(1.0, 1000)
     # As with a camera of type MAVLink: all components get the command, and the text comes too.
-    link.hear(mavlink.MAVLink_command_long_message(0, 0, 203, 0, 12.0, 0, 0, 0, 0, 0, 0))
+    link.receive(mavlink.MAVLink_command_long_message(0, 0, 203, 0, 12.0, 0, 0, 0, 0, 0, 0))
     link.text("Mission: 3 DigiCamCtrl")
     link.run(5.0, 1000)
     assert [trigger.intent for trigger in link.triggers] == [BendTo(12.0)]
@@ -207,8 +207,8 @@ def test_one_execution_of_an_ardupilot_item_is_one_trigger() -> None:
 def test_timesync_is_answered_to_our_autopilot_only() -> None:
     link = Link()
     link.run(0.1, 1000)
-    link.hear(mavlink.MAVLink_timesync_message(0, 77), 2)
-    link.hear(mavlink.MAVLink_timesync_message(0, 99))
+    link.receive(mavlink.MAVLink_timesync_message(0, 77), 2)
+    link.receive(mavlink.MAVLink_timesync_message(0, 99))
     assert [m.ts1 for _, m in link.sent if m.get_type() == "TIMESYNC"] == [99]
 
 
@@ -225,9 +225,9 @@ def replayed(name: str, drop: set[int] | None = None, twice: bool = False) -> Li
         while link.now_s + TICK_S <= unix_s - began:
             link.wait(TICK_S)
         if drop is None or i not in drop:
-            link.receive(unix_s - began, frame)
+            link.receive_frame(unix_s - began, frame)
             if twice:
-                link.receive(unix_s - began, frame)
+                link.receive_frame(unix_s - began, frame)
     link.wait(5.0)
     return link
 
@@ -266,23 +266,23 @@ def test_another_mission_of_the_same_length_is_reported_with_what_was_carried_ou
     link = Link()
     link.run(1.0, 1000)
     read = [mission_item(0, 16), mission_item(1, 22), mission_item(2, 217, 1.0, 11.0)]
-    link.hear(mavlink.MAVLink_mission_count_message(1, 191, 3, 0))
+    link.receive(mavlink.MAVLink_mission_count_message(1, 191, 3, 0))
     for message in read:
-        link.hear(message)
+        link.receive(message)
     link.run(1.0, 1000)
     link.items.clear()
     link.text("Mission: 2 Scripting")
     link.run(0.1, 1000)
     assert link.triggers == []
-    link.hear(mission_item(2, 217, 1.0, 44.0))
+    link.receive(mission_item(2, 217, 1.0, 44.0))
     link.run(0.1, 1000)
     assert [(trigger.intent, trigger.what["params"]) for trigger in link.triggers] == [
         (BendTo(44.0), [1.0, 44.0, 0.0, 0.0])
     ]
     link.run(1.0, 1000)
-    link.hear(mavlink.MAVLink_mission_count_message(1, 191, 3, 0))
+    link.receive(mavlink.MAVLink_mission_count_message(1, 191, 3, 0))
     for message in (*read[:2], mission_item(2, 217, 1.0, 44.0)):
-        link.hear(message)
+        link.receive(message)
     told = [notice.text for notice in link.notices if "mission changed" in notice.text]
     assert told == ["Vine: mission changed, item 2: bend 44°"]
 
@@ -299,10 +299,10 @@ def test_a_button_pressed_before_a_stall_comes_as_late_as_it_is() -> None:
     stopped_at = link.now_s
     link.wait(7.0)
     bend = mavlink.MAVLink_command_long_message(1, 191, 31011, 0, 30.0, 0, 0, 0, 0, 0, 0)
-    link.hear(bend, 255, 190)
+    link.receive(bend, 255, 190)
     assert link.triggers == []
     boot_ms = 100_000 + int(1000 * (stopped_at + 0.5))
-    link.hear(mavlink.MAVLink_system_time_message(0, boot_ms))
+    link.receive(mavlink.MAVLink_system_time_message(0, boot_ms))
     (trigger,) = link.triggers
     assert trigger.age_s == pytest.approx(6.5, abs=0.1)
     assert trigger.what["late_s"] == pytest.approx(6.5, abs=0.1)

@@ -102,7 +102,7 @@ def test_pieces_follow_each_other_without_gaps(
     assert motion.duration_s == edges_s[-1]
 
 
-def test_a_step_takes_what_the_rate_limit_asks() -> None:
+def test_a_step_takes_the_time_of_the_rate_limit() -> None:
     motion = plan([Step(to_deg=60)], CURVE, 0.0, 10.0, MAX_KPA)
     assert motion.duration_s == pytest.approx(2.07)
     assert motion.final_kPa == motion.aim_kPa == motion.peak_kPa == 20.7
@@ -121,7 +121,7 @@ def test_a_hold_stays_where_it_is() -> None:
     assert plan([HoldFor(for_s=3)], CURVE, 4.0, 6.0, MAX_KPA).final_kPa == 4.0
 
 
-def test_a_sine_swings_as_told_while_the_rate_allows() -> None:
+def test_a_sine_swings_as_commanded_while_the_rate_allows() -> None:
     sine = Sine(frequency_Hz=0.5, cycles=3, from_kPa=2, to_kPa=12)
     motion = plan([sine], CURVE, 2.0, 60.0, MAX_KPA)
     assert motion.duration_s == pytest.approx(6.0)

@@ -9,19 +9,19 @@ REPORT_EVERY = 2
 class Board:
     def __init__(self) -> None:
         self.pressure_kPa = 0.0
-        self._state, self._line, self._heard_at, self._steps = b"V", b"", 0.0, 0
+        self._state, self._line, self._received_at, self._steps = b"V", b"", 0.0, 0
 
     def receive(self, data: bytes) -> None:
         *lines, self._line = (self._line + data).split(b"\n")
         for line in lines:
             if line in RATES_KPA_PER_S:
-                self._state, self._heard_at = line, self._steps * STEP_S
+                self._state, self._received_at = line, self._steps * STEP_S
 
     def advance(self, t: float) -> bytes:
         sent = b""
         while (self._steps + 1) * STEP_S <= t + 1e-9:
             self._steps += 1
-            if self._steps * STEP_S - self._heard_at > DEAD_MAN_S:
+            if self._steps * STEP_S - self._received_at > DEAD_MAN_S:
                 self._state = b"V"
             self.pressure_kPa = max(0.0, self.pressure_kPa + RATES_KPA_PER_S[self._state] * STEP_S)
             if self._steps % REPORT_EVERY == 0:

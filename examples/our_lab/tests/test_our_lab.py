@@ -7,7 +7,7 @@ from our_lab.chirp import chirp
 from firmware_link.conformance import broken_promises
 
 
-def test_the_air_pump_keeps_the_promises_of_an_actuator() -> None:
+def test_the_air_pump_meets_the_requirements_of_an_actuator() -> None:
     assert broken_promises(AirPump, Board) == []
 
 

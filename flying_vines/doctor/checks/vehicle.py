@@ -98,19 +98,19 @@ SLOW = FindingText("{name}", "warning", "{rate:.1f} a second, not {wanted:g} (fo
 TOO_SLOW = FindingText("{name}", "bad", "{rate:.1f} a second; {use} needs {least:.1f}", "{where}")
 MISSING = FindingText("{name}", "bad", "does not arrive; needed for {use}", "{where}")
 MISSED = FindingText("{name}", "warning", "does not arrive; used for {use}", "{where}")
-CLASH = FindingText(
+DUPLICATE_ID = FindingText(
     "component id",
     "bad",
     "{id} is taken by another program on this vehicle",
     "set vehicle.component_id to a free one (BlueOS and Rpanion have 191)",
 )
-CLASH_WITH_SERVICE = FindingText(
+DUPLICATE_ID_OF_SERVICE = FindingText(
     "component id",
     "warning",
     "{id} is in use on this vehicle, probably by {who}, which runs",
     "stop it ({stop}) and repeat this check",
 )
-CLASH_ONCE = FindingText(
+DUPLICATE_ID_ONCE = FindingText(
     "component id",
     "warning",
     "a message came from {id}, our own: another program may have it",
@@ -241,12 +241,12 @@ def uses_switch(config: Config) -> bool:
 def _component(facts: VehicleFacts, config: Config, running: Sequence[Process]) -> DoctorFinding:
     ours = config.vehicle.component_id
     came_once = (facts.system_id, ours) in facts.others
-    if running and (facts.clash or came_once):
-        return CLASH_WITH_SERVICE(id=ours, who=named(running), stop=stop(running))
-    if facts.clash:
-        return CLASH(id=ours)
+    if running and (facts.duplicate_id or came_once):
+        return DUPLICATE_ID_OF_SERVICE(id=ours, who=named(running), stop=stop(running))
+    if facts.duplicate_id:
+        return DUPLICATE_ID(id=ours)
     if came_once:
-        return CLASH_ONCE(id=ours)
+        return DUPLICATE_ID_ONCE(id=ours)
     return FREE(id=ours, others=_named(facts.others) or "none")
 
 

@@ -10,8 +10,8 @@ from flying_vines.config.config import Config
 from flying_vines.doctor.checks.configuration import ConfigurationFacts
 from flying_vines.physics.rig import RigError
 from flying_vines.service.persistent_state import PersistentState
-from flying_vines.supply import Belief, nominal
-from flying_vines.supply.known_rig import load_known_rig
+from flying_vines.supply import RigPrior, nominal
+from flying_vines.supply.rig_file_prior import load_rig_file_prior
 from flying_vines.vehicle.component.parameter_file import ParameterFileError
 from flying_vines.vehicle.component.parameters import Parameters
 from flying_vines.vehicle.mavlink.signing import Signing
@@ -23,7 +23,7 @@ class ServiceConfiguration:
     """Everything that the service would start with."""
 
     facts: ConfigurationFacts
-    belief: Belief
+    prior: RigPrior
     signing: Signing | None
     state: Path | None
     """The folder of the persistent state; None for a configuration without a file."""
@@ -48,12 +48,12 @@ def read(path: Path) -> ServiceConfiguration:
         signing, signing_clock_problem = state.read_signing(config)
     except SigningKeyError as error:
         signing_problem = str(error)
-    belief, rig_said, rig_problem = nominal(config.pneumatics), "", ""
+    prior, rig_said, rig_problem = nominal(config.pneumatics), "", ""
     rig = configuration.rig_named(config, path)
     if rig is not None:
         try:
-            known = load_known_rig(rig, config.pneumatics)
-            belief, rig_said = known.belief, known.summary
+            known = load_rig_file_prior(rig, config.pneumatics)
+            prior, rig_said = known.prior, known.summary
         except RigError as error:
             rig_problem = str(error)
         except OSError as error:
@@ -73,7 +73,7 @@ def read(path: Path) -> ServiceConfiguration:
         disarming=str(state.disarming) if _exists(state.disarming) else "",
         latched=state.read_latched(),
     )
-    return ServiceConfiguration(facts, belief, signing, state.parameters.parent, state.signing_timestamp)
+    return ServiceConfiguration(facts, prior, signing, state.parameters.parent, state.signing_timestamp)
 
 
 def given(config: Config, name: str) -> ServiceConfiguration:

@@ -8,7 +8,7 @@ import subprocess
 from pathlib import Path
 
 from flying_vines.doctor.checks.machine import MachineFacts
-from flying_vines.record.about import version_of
+from flying_vines.record.flight_metadata import version_of
 
 MEMORY = Path("/proc/meminfo")
 THROTTLED = Path("/sys/devices/platform/soc/soc:firmware/get_throttled")

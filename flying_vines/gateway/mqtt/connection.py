@@ -120,7 +120,7 @@ class Connection:
             async with client:
                 health.connected(self._now.t)
                 try:
-                    await self._talk(client, health)
+                    await self._communicate(client, health)
                 finally:
                     await self._say_goodbye(client)
         except* (aiomqtt.MqttError, RefusedError, FileError, OSError) as group:
@@ -176,7 +176,7 @@ class Connection:
         with contextlib.suppress(aiomqtt.MqttError):
             await _publish(client, self._publisher.last_will(self._now))
 
-    async def _talk(self, client: _Client, health: Health) -> None:
+    async def _communicate(self, client: _Client, health: Health) -> None:
         async with asyncio.TaskGroup() as tasks:
             # Detects a lost connection much faster than a failed publication.
             tasks.create_task(_lost(client))

@@ -29,7 +29,7 @@ from flying_vines.gateway.page.access import Access, Refused
 from flying_vines.gateway.page.connections import MAX_VIEWERS, Connections
 from flying_vines.gateway.page.history import History
 from flying_vines.gateway.page.request import MAX_REQUEST_BYTES
-from flying_vines.gateway.page.viewer import Viewer
+from flying_vines.gateway.page.viewer_session import ViewerSession
 
 KEEP_ALIVE_S = 5.0
 CLOSING_S = 0.2
@@ -216,7 +216,7 @@ class PageServer(Server):
             return _refusal(Refused(503, f"the limit of {MAX_VIEWERS} viewers is reached"))
         await viewing.prepare(request)
         try:
-            await Viewer(self._feed, self._history, viewing, may_ask).serve()
+            await ViewerSession(self._feed, self._history, viewing, may_ask).serve()
         except (TimeoutError, ConnectionError):
             transport.abort()
         return viewing

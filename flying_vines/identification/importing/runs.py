@@ -19,7 +19,7 @@ import numpy as np
 
 from flying_vines.config.toml_edit import value_text
 from flying_vines.identification.case import MIN_S, MIN_SAMPLES, RIG, Case, read_case
-from flying_vines.identification.importing.answers import (
+from flying_vines.identification.importing.answers_file import (
     Answers,
     ImportQuestion,
     answers_path,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from flying_vines.identification.plan.apart import apart, open_pairs
+from flying_vines.identification.plan.cause_distance import cause_distances, open_pairs
 from flying_vines.identification.plan.traces import CandidatePart, Layout
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA
@@ -109,4 +109,4 @@ def _others(parts: Sequence[CandidatePart], chosen: Sequence[CandidatePart]) -> 
 
 
 def _open(layout: Layout, gram: Array) -> float:
-    return open_pairs(apart(layout, gram))
+    return open_pairs(cause_distances(layout, gram))

@@ -14,7 +14,7 @@ from math import ceil, log
 
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.rig import ControlVolume, Rig
-from flying_vines.simulation.scenario.kinds import (
+from flying_vines.simulation.scenario.run_kinds import (
     MOST_KPA,
     OpeningsRun,
     ProfileRun,

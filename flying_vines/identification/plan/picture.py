@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 
-from flying_vines.identification.plan.apart import SETTLED
+from flying_vines.identification.plan.cause_distance import SETTLED
 from flying_vines.identification.plan.planning import RecordingPlan
 from flying_vines.identification.verdict import NONE
 from flying_vines.plots.style import BLUE, RED, finish

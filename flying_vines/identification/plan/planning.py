@@ -13,9 +13,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from flying_vines.identification.noise import Noise
-from flying_vines.identification.plan.apart import SETTLED, apart
-from flying_vines.identification.plan.check import FullFits
+from flying_vines.identification.plan.cause_distance import SETTLED, cause_distances
 from flying_vines.identification.plan.choose import RecordingBudget, choose, gram_of
+from flying_vines.identification.plan.full_fits import FullFits
 from flying_vines.identification.plan.library import (
     FULL_KPA,
     LOW_KPA,
@@ -32,7 +32,7 @@ from flying_vines.physics.cause import Cause, Values
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.effects import causes_of
 from flying_vines.physics.rig import Rig
-from flying_vines.simulation.scenario.kinds import RunKind
+from flying_vines.simulation.scenario.run_kinds import RunKind
 from flying_vines.simulation.scenario.scenario import Scenario
 
 MINUTES = 3.0
@@ -315,7 +315,7 @@ def recommend(
             raise RecordingPlanError(f"no run of the library fits into {max_s:g} s")
         commanded = [part for part in parts if part.candidate.commanded]
         chosen = _separating(layout, commanded, with_none)
-        pairs = _pairs(layout, apart(layout, gram_of(layout, chosen)), with_none)
+        pairs = _pairs(layout, cause_distances(layout, gram_of(layout, chosen)), with_none)
         if pairs[0][1] < SETTLED:
             chosen = _separating(layout, parts, with_none)
             # The traces give lower bounds: full fits may still separate the causes.
@@ -350,7 +350,7 @@ def _longest(parts: Sequence[CandidatePart]) -> list[CandidatePart]:
 
 def _evaluated(layout: Layout, parts: list[CandidatePart]) -> _Evaluation:
     """Evaluate some runs; full fits replace lower bounds below `_FULL_FIT`."""
-    matrix = apart(layout, gram_of(layout, parts))
+    matrix = cause_distances(layout, gram_of(layout, parts))
     none = len(layout.causes)
     if parts:
         check = FullFits(layout, parts)
@@ -358,7 +358,7 @@ def _evaluated(layout: Layout, parts: list[CandidatePart]) -> _Evaluation:
             # `none` first: a cause that does not show cannot be separated from any other.
             for fitted in (none, *range(none)):
                 if fitted != there and row[fitted] < _FULL_FIT:
-                    row[fitted] = check.apart(there, fitted)
+                    row[fitted] = check.distance(there, fitted)
                 if row[none] < SETTLED:
                     break
     return _Evaluation(parts, matrix, _open(layout, matrix))
@@ -380,12 +380,12 @@ def _open_in_all(
 ) -> tuple[CausePair, ...]:
     """The pairs that stay open even with all runs, each at its longest."""
     whole = _longest(parts)
-    bounds, check = apart(layout, gram_of(layout, whole)), FullFits(layout, whole)
+    bounds, check = cause_distances(layout, gram_of(layout, whole)), FullFits(layout, whole)
     columns = (*layout.names, NONE)
 
     def is_open(there: str, fitted: str) -> bool:
         at = columns.index(there), columns.index(fitted)
-        return bounds[at] < SETTLED and check.apart(*at) < SETTLED
+        return bounds[at] < SETTLED and check.distance(*at) < SETTLED
 
     return tuple(
         pair for pair in pairs if is_open(*pair) or (pair.second != NONE and is_open(pair.second, pair.first))
@@ -395,7 +395,7 @@ def _open_in_all(
 def _recording(layout: Layout, budget: RecordingBudget, look: _Evaluation) -> Recording:
     runs = []
     for index, part in enumerate(look.parts):
-        without = apart(layout, gram_of(layout, [*look.parts[:index], *look.parts[index + 1 :]]))
+        without = cause_distances(layout, gram_of(layout, [*look.parts[:index], *look.parts[index + 1 :]]))
         opened = [pair for pair in _open(layout, without) if pair not in look.open]
         pairs = opened or [_sharpened(layout, look.matrix, without)]
         found = [
@@ -444,7 +444,9 @@ def _separating(layout: Layout, parts: Sequence[CandidatePart], with_none: bool)
     lowest = inf
     while parts and len(chosen) < MAX_RUNS:
         more = [[*chosen, part] for part in parts if part not in chosen]
-        left = [_left(_pairs(layout, apart(layout, gram_of(layout, runs)), with_none)) for runs in more]
+        left = [
+            _left(_pairs(layout, cause_distances(layout, gram_of(layout, runs)), with_none)) for runs in more
+        ]
         if not left or min(left) > lowest - MIN_FALL:
             break
         lowest = min(left)

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from flying_vines.identification.plan.apart import SETTLED
+from flying_vines.identification.plan.cause_distance import SETTLED
 from flying_vines.identification.plan.planning import CausePair, PlannedRun, Recording, RecordingPlan
 from flying_vines.identification.verdict import NONE
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from flying_vines.identification.case import Case
 from flying_vines.identification.noise import Noise, stated_noise
 from flying_vines.identification.plan.library import CandidateRun
-from flying_vines.identification.plan.rehearsal import rehearsed
+from flying_vines.identification.plan.nominal_run import nominal_run
 from flying_vines.identification.plan.strengths import strengths, typical
 from flying_vines.identification.recording import RecordedRun
 from flying_vines.identification.simulate import Simulation, prior_std, rig_number_keys
@@ -32,7 +32,7 @@ from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, Values
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.rig import Rig, number
-from flying_vines.simulation.scenario.kinds import RunKind
+from flying_vines.simulation.scenario.run_kinds import RunKind
 
 Causes = Sequence[tuple[Cause, Values]]
 
@@ -133,7 +133,7 @@ def parts_of(layout: Layout, candidate: CandidateRun, max_s: float = inf) -> lis
     if not counts:
         return []
     whole = candidate.make(counts[-1])
-    run = rehearsed(layout.rig, whole)
+    run = nominal_run(layout.rig, whole)
     rows, reservoir_kPa = _traces(layout, run, whole.reservoir_kPa)
     parts, gram, done = [], np.zeros((len(rows), len(rows))), 0
     for count in counts:

@@ -13,6 +13,7 @@ from flying_vines.identification.candidate import CLAIM, STRUCTURE
 from flying_vines.identification.case import Case
 from flying_vines.identification.evidence import Compared
 from flying_vines.identification.intervals import ABOVE
+from flying_vines.identification.prediction_error import STRETCHES
 from flying_vines.identification.report.canvas import channels, models, residuals
 from flying_vines.identification.report.figures import ALIKE, SEEN, alike_pairs
 from flying_vines.identification.report.residual_figures import same, strongest
@@ -21,7 +22,6 @@ from flying_vines.identification.report.words import chance, labelled, signed
 from flying_vines.identification.residuals import CHANNELS, Pattern
 from flying_vines.identification.show import in_words
 from flying_vines.identification.simulate import rig_number_keys
-from flying_vines.identification.unseen import STRETCHES
 from flying_vines.identification.verdict import NONE, UNEXPLAINED, Verdict
 
 _CONSTANTS = {

@@ -18,7 +18,7 @@ from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.compiler import compiled, record
 from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import HIGHEST_KPA, LOWEST_KPA, Ambient, Climb, Recorded, Steady
-from flying_vines.physics.plant.loops import APART, COLUMNS, Table, run_openings
+from flying_vines.physics.plant.loops import COLUMNS, NOT_INLINED, Table, run_openings
 from flying_vines.physics.plant.numbers import numbers_of
 from flying_vines.physics.plant.plant import Plant, State, at_rest
 from flying_vines.physics.plant.sensors import Sensor
@@ -58,7 +58,7 @@ def replay(
             f"openings need 3 columns (EVP, DVP, solenoid) and one row per tick, not {commands.shape}"
         )
     table = empty_table(len(commands), record_every)
-    final = compiled(run_openings, APART)(
+    final = compiled(run_openings, NOT_INLINED)(
         record(numbers_of(plant, TICK_S)),
         record((cv_sensor or Sensor()).numbers),
         record((reservoir_sensor or Sensor()).numbers),

@@ -18,7 +18,7 @@ from flying_vines.physics.plant.tick import memory_at_rest, runge_kutta, tick
 
 Table = NDArray[np.float64]
 
-APART = (rates, conditions, runge_kutta, tick)
+NOT_INLINED = (rates, conditions, runge_kutta, tick)
 """Not inlined by the compiler, because they are called from several places."""
 
 COLUMNS = (

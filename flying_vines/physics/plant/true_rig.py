@@ -29,7 +29,7 @@ import msgspec
 
 from flying_vines.physics.effects import NONE, catalogue, cause_named
 from flying_vines.physics.plant.effects import Effects
-from flying_vines.physics.plant.likely import likely_effects
+from flying_vines.physics.plant.likely_effects import likely_effects
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, Sensor
 from flying_vines.physics.plant.setup import Setup, changed, perfect
 from flying_vines.physics.rig import WITHOUT_PUMP, Rig, RigError, Sensors, read_rig, rig_from

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from flying_vines.simulation.autopilot.agenda import AgendaEntry
 from flying_vines.simulation.autopilot.legs import DELAY, LAND, RETURN_HOME, Leg
 from flying_vines.simulation.autopilot.runner import (
     ACTIVE,
@@ -14,6 +13,7 @@ from flying_vines.simulation.autopilot.runner import (
     Host,
     MissionStatus,
 )
+from flying_vines.simulation.autopilot.scheduler import ScheduledCallback
 from flying_vines.vehicle.mission.item import MissionItem, is_nav
 from flying_vines.vehicle.mission.jumps import JUMP, Jumps
 
@@ -53,7 +53,7 @@ class ArduPilotMission:
         self._nav_seq = 0
         self._leg: Leg | None = None
         self._queue: list[int] = []
-        self._next_do: AgendaEntry | None = None
+        self._next_do: ScheduledCallback | None = None
         self._condition: Callable[[], bool] | None = None
         self._condition_seq = 0
         self._from_the_start = False
@@ -110,7 +110,7 @@ class ArduPilotMission:
     def update(self) -> None:
         if self._state != ACTIVE or self._leg is None:
             return
-        self._leg.update(self._host.agenda.now_s, self._host.armed)
+        self._leg.update(self._host.scheduler.now_s, self._host.armed)
         if self._condition is not None and self._condition():
             self._end_condition()
         if self._leg.done:
@@ -164,7 +164,7 @@ class ArduPilotMission:
         self._announce(item)
         if item.command == DELAY:
             self._host.text(f"Delaying {int(item.params[0])} sec")
-        self._leg = Leg(self._host.flight, item, self._host.agenda.now_s)
+        self._leg = Leg(self._host.flight, item, self._host.scheduler.now_s)
 
     def _announce(self, item: MissionItem) -> None:
         name = _NAMES.get(item.command, "?")
@@ -180,7 +180,7 @@ class ArduPilotMission:
 
     def _schedule_do(self) -> None:
         if self._queue:
-            self._next_do = self._host.agenda.after(_DO_SPACING_S, self._run_next_do)
+            self._next_do = self._host.scheduler.after(_DO_SPACING_S, self._run_next_do)
 
     def _run_next_do(self) -> None:
         self._next_do = None
@@ -208,8 +208,8 @@ class ArduPilotMission:
             self._host.reached(seq)
 
     def _start_condition(self, item: MissionItem) -> bool:
-        agenda, flight = self._host.agenda, self._host.flight
-        ends_s = agenda.now_s
+        scheduler, flight = self._host.scheduler, self._host.flight
+        ends_s = scheduler.now_s
         if item.command == _COND_DELAY:
             ends_s += item.params[0]
         elif item.command == _COND_YAW:
@@ -221,7 +221,7 @@ class ArduPilotMission:
         if item.command == _COND_DISTANCE:
             self._condition = lambda: flight.distance_to_target_m() <= within_m
         else:
-            self._condition = lambda: agenda.now_s >= ends_s
+            self._condition = lambda: scheduler.now_s >= ends_s
         return True
 
     def _end_condition(self) -> None:

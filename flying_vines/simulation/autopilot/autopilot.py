@@ -11,7 +11,6 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.simulation.autopilot import commands, files, legs, sensors, telemetry
-from flying_vines.simulation.autopilot.agenda import Agenda, AgendaEntry
 from flying_vines.simulation.autopilot.ardupilot import ArduPilotMission
 from flying_vines.simulation.autopilot.flight import CopterMotion
 from flying_vines.simulation.autopilot.forwarding import Forwarder
@@ -24,6 +23,7 @@ from flying_vines.simulation.autopilot.rc_input import ArduPilotRc, RcInput, rc_
 from flying_vines.simulation.autopilot.receiver import RcLoss, RcSource, Receiver
 from flying_vines.simulation.autopilot.routing import Routes
 from flying_vines.simulation.autopilot.runner import Runner
+from flying_vines.simulation.autopilot.scheduler import ScheduledCallback, Scheduler
 from flying_vines.simulation.autopilot.snapshot import AutopilotSnapshot
 from flying_vines.simulation.autopilot.streams import StreamSender
 from flying_vines.vehicle.mission.item import MissionItem
@@ -118,13 +118,13 @@ class FakeAutopilot:
         """
         self.kind: AutopilotKind = kind
         self.system_id = system_id
-        self.agenda = Agenda()
+        self.scheduler = Scheduler()
         self.flight = CopterMotion(home or (ARDUPILOT_HOME if kind == "ardupilot" else PX4_HOME))
         self._rc: RcInput = rc_input(
             kind,
             rc_present,
             receiver,
-            self.agenda,
+            self.scheduler,
             Random(seed),
             self._parameter,
             self._rc_failsafe_changed,
@@ -144,19 +144,19 @@ class FakeAutopilot:
         self._reached: int | None = None
         self._ports: dict[str, Port] = {}
         self._routes = Routes(kind, system_id)
-        self._forwarder = Forwarder(kind, self.agenda, self._put_out)
-        self._streams = StreamSender(kind, self.agenda, self._snapshot, self._send)
+        self._forwarder = Forwarder(kind, self.scheduler, self._put_out)
+        self._streams = StreamSender(kind, self.scheduler, self._snapshot, self._send)
         own = {"SYSID_THISMAV": system_id, "MAV_SYS_ID": system_id}
         self.parameters = ParameterServer(
-            kind, {**(parameters or {}), **own}, self.agenda, self._send_to, self._tell, self.text
+            kind, {**(parameters or {}), **own}, self.scheduler, self._send_to, self._tell, self.text
         )
-        self._sender = CommandSender(self.agenda, self._send_command)
+        self._sender = CommandSender(self.scheduler, self._send_command)
         self._storage = MissionStorage(
-            kind, self.flight.home, self.agenda, self._send_to, self._mission_changed
+            kind, self.flight.home, self.scheduler, self._send_to, self._mission_changed
         )
         self._runner: Runner = self._new_runner()
         self._leg: legs.Leg | None = None
-        self._reached_again: AgendaEntry | None = None
+        self._reached_again: ScheduledCallback | None = None
         self._grounded_s: float | None = None
         self._muted_until_s = -1.0
         self._stalls: dict[str, _Stall] = {}
@@ -205,7 +205,7 @@ class FakeAutopilot:
     @property
     def now_s(self) -> float:
         """The latest time given, on the caller's clock."""
-        return (self._epoch_s or 0.0) + self.agenda.now_s
+        return (self._epoch_s or 0.0) + self.scheduler.now_s
 
     # Links
 
@@ -229,7 +229,7 @@ class FakeAutopilot:
         self._receive(link, data)
 
     def _receive(self, link: str, data: bytes) -> None:
-        if not self._running or self.agenda.now_s < self._muted_until_s:
+        if not self._running or self.scheduler.now_s < self._muted_until_s:
             return
         self.add_link(link)
         port = self._ports[link]
@@ -244,7 +244,7 @@ class FakeAutopilot:
         """Advance to `t`. Returns the frames sent since the last call as (link, frame), in order."""
         self._run_to(t)
         for link, stall in list(self._stalls.items()):
-            if self.agenda.now_s >= stall.until_s:
+            if self.scheduler.now_s >= stall.until_s:
                 del self._stalls[link]
                 self._transmit_queue = [(link, frame) for frame in stall.outgoing] + self._transmit_queue
                 for data in stall.incoming:
@@ -255,7 +255,7 @@ class FakeAutopilot:
     def _run_to(self, t: float) -> None:
         if self._epoch_s is None:
             self._epoch_s = t
-        self.agenda.run_until(t - self._epoch_s)
+        self.scheduler.run_until(t - self._epoch_s)
 
     # Stimuli
 
@@ -346,12 +346,12 @@ class FakeAutopilot:
 
     def reboot(self) -> None:
         """Restart on the ground: silent for 1.25 s; then all learnt state is lost, but not the mission."""
-        self.agenda.clear()
+        self.scheduler.clear()
         self._running = False
         for port in self._ports.values():
             port.reboot()
         self._routes = Routes(self.kind, self.system_id)
-        self._sender = CommandSender(self.agenda, self._send_command)
+        self._sender = CommandSender(self.scheduler, self._send_command)
         place = self.flight
         self.flight = CopterMotion(place.home)
         self.flight.north_m, self.flight.east_m = place.north_m, place.east_m
@@ -366,12 +366,12 @@ class FakeAutopilot:
         self._mode_before = None
         self._texts, self._reached = [], None
         self.mode = mode_named(self.kind, "STABILIZE" if self.kind == "ardupilot" else "HOLD")
-        now_s = self.agenda.now_s
+        now_s = self.scheduler.now_s
         self._boot_s, self._ready_s = now_s + 0.2, now_s + _REBOOT_SILENCE_S
-        self.agenda.at(self._ready_s, self._come_up)
+        self.scheduler.at(self._ready_s, self._come_up)
         if self.kind == "ardupilot":
-            self.agenda.at(self._ready_s + _READY_S, self._say_ready)
-            self.agenda.at(self._ready_s + _ORIGIN_S, self._tell_home)
+            self.scheduler.at(self._ready_s + _READY_S, self._say_ready)
+            self.scheduler.at(self._ready_s + _ORIGIN_S, self._tell_home)
 
     def stir_health(self) -> None:
         """PX4's health changes for another reason than RC: it is reported now, and then not again for 2 s."""
@@ -380,11 +380,11 @@ class FakeAutopilot:
 
     def mute(self, seconds: float) -> None:
         """Cut all links for this time; the vehicle continues to fly."""
-        self._muted_until_s = self.agenda.now_s + seconds
+        self._muted_until_s = self.scheduler.now_s + seconds
 
     def stall(self, seconds: float, *, both_ways: bool = False) -> None:
         """Delay frames to the companion (`both_ways`: also received bytes); then all arrive together."""
-        self._stalls.setdefault(COMPANION, _Stall(both_ways)).until_s = self.agenda.now_s + seconds
+        self._stalls.setdefault(COMPANION, _Stall(both_ways)).until_s = self.scheduler.now_s + seconds
 
     # Host of the mission runner
 
@@ -428,16 +428,16 @@ class FakeAutopilot:
             port.forwards = self._forwards(port.name)
             self._streams.begin(port)
         if self.kind == "ardupilot":
-            runtime_s = self.agenda.now_s - self._boot_s
-            self.agenda.after(_RUNTIME_EVERY_S - runtime_s % _RUNTIME_EVERY_S, self._count_runtime)
+            runtime_s = self.scheduler.now_s - self._boot_s
+            self.scheduler.after(_RUNTIME_EVERY_S - runtime_s % _RUNTIME_EVERY_S, self._count_runtime)
         self._ticks = 0
-        self._first_tick_s = self.agenda.now_s
+        self._first_tick_s = self.scheduler.now_s
         self._schedule_tick()
 
     def _schedule_tick(self) -> None:
         # Computed from a count, so that rounding errors do not add up.
         self._ticks += 1
-        self.agenda.at(self._first_tick_s + self._ticks * _TICK_S, self._tick)
+        self.scheduler.at(self._first_tick_s + self._ticks * _TICK_S, self._tick)
 
     def _tell_home(self) -> None:
         for port in self._ports.values():
@@ -456,8 +456,8 @@ class FakeAutopilot:
         return bool(self.parameters["MAV_1_FORWARD" if link == COMPANION else "MAV_0_FORWARD"])
 
     def _count_runtime(self) -> None:
-        self.agenda.after(_RUNTIME_EVERY_S, self._count_runtime)
-        self.parameters.change("STAT_RUNTIME", int(self.agenda.now_s - self._boot_s))
+        self.scheduler.after(_RUNTIME_EVERY_S, self._count_runtime)
+        self.parameters.change("STAT_RUNTIME", int(self.scheduler.now_s - self._boot_s))
 
     def _tick(self) -> None:
         self._schedule_tick()
@@ -465,7 +465,7 @@ class FakeAutopilot:
         if self.mode == self._mission_mode:
             self._runner.update()
         elif self._leg is not None:
-            self._leg.update(self.agenda.now_s, self.armed)
+            self._leg.update(self.scheduler.now_s, self.armed)
             if self._leg.done:
                 self._leg = None
                 if self.mode.name == "TAKEOFF":
@@ -477,8 +477,8 @@ class FakeAutopilot:
         if not (self.armed and self.flight.landing and not self.flight.airborne):
             self._grounded_s = None
         elif self._grounded_s is None:
-            self._grounded_s = self.agenda.now_s
-        elif self.agenda.now_s - self._grounded_s >= _DISARM_AFTER_LANDING_S:
+            self._grounded_s = self.scheduler.now_s
+        elif self.scheduler.now_s - self._grounded_s >= _DISARM_AFTER_LANDING_S:
             self.disarm()
 
     def _select(self, mode: FlightMode) -> bool:
@@ -498,7 +498,7 @@ class FakeAutopilot:
             self._runner.enter()
         elif mode.name in ("LAND", "RTL"):
             command = legs.LAND if mode.name == "LAND" else legs.RETURN_HOME
-            self._leg = legs.Leg(self.flight, MissionItem(0, command, (0.0,) * 7, 3), self.agenda.now_s)
+            self._leg = legs.Leg(self.flight, MissionItem(0, command, (0.0,) * 7, 3), self.scheduler.now_s)
         else:
             self.flight.hold()
         if self.kind == "ardupilot":
@@ -508,7 +508,7 @@ class FakeAutopilot:
 
     def _take_off(self, height_m: float) -> None:
         item = MissionItem(0, legs.TAKEOFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m), 3)
-        self._leg = legs.Leg(self.flight, item, self.agenda.now_s)
+        self._leg = legs.Leg(self.flight, item, self.scheduler.now_s)
 
     def _rc_failsafe_changed(self, on: bool) -> None:
         in_flight = self.armed and self.flight.airborne
@@ -548,7 +548,7 @@ class FakeAutopilot:
 
     @property
     def _unix_now_s(self) -> float:
-        return self._unix_s + self.agenda.now_s
+        return self._unix_s + self.scheduler.now_s
 
     def _tell(self, message: Any) -> None:
         for port in self._ports.values():
@@ -562,7 +562,7 @@ class FakeAutopilot:
         self._put_out(port, port.encode(message))
 
     def _put_out(self, port: Port, frame: bytes) -> None:
-        if self.agenda.now_s < self._muted_until_s:
+        if self.scheduler.now_s < self._muted_until_s:
             return
         if port.name in self._stalls:
             self._stalls[port.name].outgoing.append(frame)
@@ -578,7 +578,7 @@ class FakeAutopilot:
             self._reached_again.cancel()
             self._reached_again = None
         if self.kind == "px4" and times_left:
-            again = self.agenda.after(_REACHED_AGAIN_S, lambda: self._send_reached(seq, times_left - 1))
+            again = self.scheduler.after(_REACHED_AGAIN_S, lambda: self._send_reached(seq, times_left - 1))
             self._reached_again = again
 
     def _send_command(self, command: CommandLong, confirmation: int) -> None:
@@ -588,7 +588,7 @@ class FakeAutopilot:
         )
 
     def _snapshot(self) -> AutopilotSnapshot:
-        now_s = self.agenda.now_s
+        now_s = self.scheduler.now_s
         return AutopilotSnapshot(
             kind=self.kind,
             mode=self.mode,
@@ -634,7 +634,7 @@ class FakeAutopilot:
         elif kind == "COMMAND_ACK":
             self._sender.acknowledged(message.command)
         elif kind in _MISSION_MESSAGES:
-            has_space = self.agenda.now_s - self._ready_s >= _NO_SPACE_S
+            has_space = self.scheduler.now_s - self._ready_s >= _NO_SPACE_S
             self._storage.handle(port.name, message, has_space)
         elif kind == "MISSION_SET_CURRENT":
             if message.seq < len(self.items):
@@ -663,7 +663,7 @@ class FakeAutopilot:
             for message_id in commands.stream_group(message.req_stream_id):
                 self._streams.every(port, message_id, 1.0 / rate_hz if on else 0.0)
         elif kind == "TIMESYNC" and message.tc1 == 0:
-            own_ns = int((self.agenda.now_s - self._boot_s) * 1e9)
+            own_ns = int((self.scheduler.now_s - self._boot_s) * 1e9)
             self._send(port, mavlink.MAVLink_timesync_message(own_ns, message.ts1))
 
     def _command(self, port: Port, message: Any) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from flying_vines.simulation.autopilot.agenda import Agenda
 from flying_vines.simulation.autopilot.port import Port
+from flying_vines.simulation.autopilot.scheduler import Scheduler
 from flying_vines.vehicle.mission.storage import AutopilotKind
 
 PX4_BUFFER = 2
@@ -20,9 +20,11 @@ class Forwarder:
     while its buffer is full are lost.
     """
 
-    def __init__(self, kind: AutopilotKind, agenda: Agenda, put_out: Callable[[Port, bytes], None]) -> None:
+    def __init__(
+        self, kind: AutopilotKind, scheduler: Scheduler, put_out: Callable[[Port, bytes], None]
+    ) -> None:
         self._kind = kind
-        self._agenda = agenda
+        self._scheduler = scheduler
         self._put_out = put_out
         self._buffers: dict[str, deque[bytes]] = {}
 
@@ -39,10 +41,10 @@ class Forwarder:
         if len(buffer) < PX4_BUFFER:
             buffer.append(frame)
             if len(buffer) == 1:
-                self._agenda.after(_PX4_EVERY_S, lambda: self._next(port))
+                self._scheduler.after(_PX4_EVERY_S, lambda: self._next(port))
 
     def _next(self, port: Port) -> None:
         buffer = self._buffers[port.name]
         self._put_out(port, buffer.popleft())
         if buffer:
-            self._agenda.after(_PX4_EVERY_S, lambda: self._next(port))
+            self._scheduler.after(_PX4_EVERY_S, lambda: self._next(port))

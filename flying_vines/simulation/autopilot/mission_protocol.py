@@ -11,11 +11,11 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.simulation.autopilot.agenda import Agenda, AgendaEntry
+from flying_vines.simulation.autopilot.scheduler import ScheduledCallback, Scheduler
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.autopilots.ardupilot import whole_centimetres
-from flying_vines.vehicle.mission.book import item_of
 from flying_vines.vehicle.mission.item import MissionItem, has_place
+from flying_vines.vehicle.mission.mission_cache import item_of
 from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import (
     ACCEPTED,
@@ -44,7 +44,7 @@ class _Upload:
     component: int
     count: int
     deadline_s: float
-    entry: AgendaEntry | None = None
+    entry: ScheduledCallback | None = None
     next_seq: int = 0
 
 
@@ -69,7 +69,7 @@ class MissionStorage:
         self,
         kind: AutopilotKind,
         home: Home,
-        agenda: Agenda,
+        scheduler: Scheduler,
         send: Callable[[str, Any], None],
         changed: Callable[[], None],
     ) -> None:
@@ -78,7 +78,7 @@ class MissionStorage:
         self.mission_id = 0
         self._kind = kind
         self._home = home
-        self._agenda = agenda
+        self._scheduler = scheduler
         self._send = send
         self._changed = changed
         self._upload: _Upload | None = None
@@ -99,10 +99,10 @@ class MissionStorage:
                 del self.items[len(stored) :]
                 self._change()
             for item in stored:
-                self._agenda.after((item.seq + 1) * _WRITE_PERIOD_S, partial(self._write, item))
+                self._scheduler.after((item.seq + 1) * _WRITE_PERIOD_S, partial(self._write, item))
         else:
             self._incoming = stored
-        self._agenda.after((len(stored) + 1) * _WRITE_PERIOD_S, lambda: self._finish(upload))
+        self._scheduler.after((len(stored) + 1) * _WRITE_PERIOD_S, lambda: self._finish(upload))
 
     def reboot(self) -> None:
         self._upload = self._download = None
@@ -119,7 +119,7 @@ class MissionStorage:
             case "MISSION_ITEM" | "MISSION_ITEM_INT":
                 self._take(link, message)
             case "MISSION_REQUEST_LIST":
-                self._download = _Download(_reply(message), 0, self._agenda.now_s)
+                self._download = _Download(_reply(message), 0, self._scheduler.now_s)
                 self._send(link, mavlink.MAVLink_mission_count_message(*_reply(message), len(self.items)))
             case "MISSION_REQUEST" | "MISSION_REQUEST_INT":
                 if self._kind == "ardupilot" or self._is_expected(link, message):
@@ -159,7 +159,7 @@ class MissionStorage:
             del self.items[message.count :]
             self._change()
         self._incoming = []
-        self._upload = _Upload(link, system, component, message.count, self._agenda.now_s + _GIVE_UP_S)
+        self._upload = _Upload(link, system, component, message.count, self._scheduler.now_s + _GIVE_UP_S)
         if message.count == 0:
             self._finish(self._upload)
         else:
@@ -182,13 +182,13 @@ class MissionStorage:
             self._send(upload.link, mavlink.MAVLink_mission_request_message(*to))
         else:
             self._send(upload.link, mavlink.MAVLink_mission_request_int_message(*to))
-        upload.entry = self._agenda.after(_REQUEST_AGAIN_S, self._request_again)
+        upload.entry = self._scheduler.after(_REQUEST_AGAIN_S, self._request_again)
 
     def _request_again(self) -> None:
         upload = self._upload
         if upload is None:
             return
-        if self._agenda.now_s >= upload.deadline_s:
+        if self._scheduler.now_s >= upload.deadline_s:
             self._stop()
             self._ack(upload.link, upload.system, upload.component, CANCELLED)
         else:
@@ -216,7 +216,7 @@ class MissionStorage:
             return
         self._write(item)
         upload.next_seq += 1
-        upload.deadline_s = self._agenda.now_s + _GIVE_UP_S
+        upload.deadline_s = self._scheduler.now_s + _GIVE_UP_S
         if upload.entry is not None:
             upload.entry.cancel()
         if upload.next_seq == upload.count:
@@ -253,7 +253,7 @@ class MissionStorage:
 
     def _is_expected(self, link: str, message: Any) -> bool:
         """PX4 sends the next item, or the last one again. Any other request ends the transfer."""
-        now_s, transfer = self._agenda.now_s, self._download
+        now_s, transfer = self._scheduler.now_s, self._download
         if (
             transfer is None
             or now_s - transfer.requested_s > _TRANSFER_S

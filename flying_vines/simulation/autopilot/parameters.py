@@ -10,7 +10,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.simulation.autopilot.agenda import Agenda, AgendaEntry
+from flying_vines.simulation.autopilot.scheduler import ScheduledCallback, Scheduler
 from flying_vines.vehicle.mission.storage import AutopilotKind
 
 HASH_CHECK = "_HASH_CHECK"
@@ -105,7 +105,7 @@ class ParameterServer:
         self,
         kind: AutopilotKind,
         values: Mapping[str, float],
-        agenda: Agenda,
+        scheduler: Scheduler,
         send: Callable[[str, Any], None],
         tell: Callable[[Any], None],
         say: Callable[[str], None],
@@ -115,11 +115,11 @@ class ParameterServer:
         self._types = _TYPES[kind]
         self._values = {name: float(values.get(name, _FACTORY.get(name, 0.0))) for name in self._types}
         self._names = list(self._types)
-        self._agenda = agenda
+        self._scheduler = scheduler
         self._send = send
         self._tell = tell
         self._say = say
-        self._lists: dict[str, AgendaEntry] = {}
+        self._lists: dict[str, ScheduledCallback] = {}
 
     def __getitem__(self, name: str) -> float:
         return self._values[name]
@@ -151,12 +151,12 @@ class ParameterServer:
         self._stop(link)
         if self._kind == "px4":
             self._send(link, self._hash())
-        self._lists[link] = self._agenda.after(_PACE_S, lambda: self._go_on(link, 0))
+        self._lists[link] = self._scheduler.after(_PACE_S, lambda: self._go_on(link, 0))
 
     def _go_on(self, link: str, index: int) -> None:
         self._send(link, self._message(self._names[index], index))
         if index + 1 < len(self._names):
-            self._lists[link] = self._agenda.after(_PACE_S, lambda: self._go_on(link, index + 1))
+            self._lists[link] = self._scheduler.after(_PACE_S, lambda: self._go_on(link, index + 1))
         else:
             del self._lists[link]
 

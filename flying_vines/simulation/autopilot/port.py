@@ -7,7 +7,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.simulation.autopilot.agenda import AgendaEntry
+from flying_vines.simulation.autopilot.scheduler import ScheduledCallback
 
 COMPANION = "companion"
 USB = "usb"
@@ -23,7 +23,7 @@ class PortStream:
     """One periodic message."""
 
     interval_s: float
-    entry: AgendaEntry
+    entry: ScheduledCallback
 
 
 @dataclass(slots=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from flying_vines.simulation.autopilot.agenda import Agenda, AgendaEntry
 from flying_vines.simulation.autopilot.legs import LAND, RETURN_HOME, Leg
 from flying_vines.simulation.autopilot.runner import (
     ACTIVE,
@@ -16,6 +15,7 @@ from flying_vines.simulation.autopilot.runner import (
     Host,
     MissionStatus,
 )
+from flying_vines.simulation.autopilot.scheduler import ScheduledCallback, Scheduler
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.jumps import JUMP, Jumps
@@ -60,8 +60,8 @@ class CommandSender:
     of a lost command.
     """
 
-    def __init__(self, agenda: Agenda, send: Callable[[CommandLong, int], None]) -> None:
-        self._agenda = agenda
+    def __init__(self, scheduler: Scheduler, send: Callable[[CommandLong, int], None]) -> None:
+        self._scheduler = scheduler
         self._send = send
         self._sent: list[_Sent] = []
 
@@ -86,7 +86,7 @@ class CommandSender:
             else:
                 self._sent.remove(sent)
 
-        self._agenda.after((*_RETRIES_S, _FORGOTTEN_S)[confirmation - 1], again)
+        self._scheduler.after((*_RETRIES_S, _FORGOTTEN_S)[confirmation - 1], again)
 
 
 class Px4Mission:
@@ -105,7 +105,7 @@ class Px4Mission:
         self._stale_seq: int | None = None
         self._jumps = Jumps()
         self._leg: Leg | None = None
-        self._wait: AgendaEntry | None = None
+        self._wait: ScheduledCallback | None = None
         self._uploaded = bool(host.items)
         self._pictures = False
 
@@ -164,7 +164,7 @@ class Px4Mission:
         if self._state != ACTIVE or self._leg is None:
             return
         leg, had_arrived = self._leg, self._leg.arrived
-        leg.update(self._host.agenda.now_s, self._host.armed)
+        leg.update(self._host.scheduler.now_s, self._host.armed)
         if leg.item.command in (LAND, RETURN_HOME):
             # Reported as reached above the place, before the descent.
             if leg.arrived and not had_arrived:
@@ -197,7 +197,9 @@ class Px4Mission:
                 self._issue(burst[:-1])
                 self._issue([item], reached=False)
                 self._host.flush()
-                self._wait = self._host.agenda.after(max(_SHORTEST_WAIT_S, self._timeout_s()), self._waited)
+                self._wait = self._host.scheduler.after(
+                    max(_SHORTEST_WAIT_S, self._timeout_s()), self._waited
+                )
                 return
             self._seq += 1
         self._issue(burst)
@@ -208,7 +210,7 @@ class Px4Mission:
     def _start_leg(self, item: MissionItem) -> None:
         if item.command == LAND:
             self._release_gimbal()
-        self._leg = Leg(self._host.flight, item, self._host.agenda.now_s)
+        self._leg = Leg(self._host.flight, item, self._host.scheduler.now_s)
 
     def _waited(self) -> None:
         self._wait = None

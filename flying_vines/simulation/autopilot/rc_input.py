@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from random import Random
 
-from flying_vines.simulation.autopilot.agenda import Agenda, AgendaEntry
 from flying_vines.simulation.autopilot.receiver import LOSSES, RcLoss, RcSource, Receiver
+from flying_vines.simulation.autopilot.scheduler import ScheduledCallback, Scheduler
 from flying_vines.vehicle.mission.storage import AutopilotKind
 
 _JUMP_FAILSAFE_S = 0.05
@@ -37,17 +37,17 @@ class ArduPilotRc:
     def __init__(
         self,
         present: bool,
-        agenda: Agenda,
+        scheduler: Scheduler,
         parameter: Callable[[str], float],
         failsafe_changed: Callable[[bool], None],
     ) -> None:
         self.receiver = Receiver("ardupilot", present)
         self.failsafe = False
-        self._agenda = agenda
+        self._scheduler = scheduler
         self._parameter = parameter
         self._failsafe_changed = failsafe_changed
-        self._failsafe_due: AgendaEntry | None = None
-        self._override_ends: AgendaEntry | None = None
+        self._failsafe_due: ScheduledCallback | None = None
+        self._override_ends: ScheduledCallback | None = None
 
     def lose(self, how: RcLoss | None, preset: Mapping[int, int] | None) -> None:
         how = _loss(self.receiver, how)
@@ -56,7 +56,7 @@ class ArduPilotRc:
             return
         self._cancel_failsafe()
         delay_s = _JUMP_FAILSAFE_S if how == "jump" else self._parameter("RC_FS_TIMEOUT")
-        self._failsafe_due = self._agenda.after(delay_s, self._fail)
+        self._failsafe_due = self._scheduler.after(delay_s, self._fail)
 
     def restore(self) -> None:
         self.receiver.restore()
@@ -72,7 +72,7 @@ class ArduPilotRc:
             self._override_ends = None
         holds_s = self._parameter("RC_OVERRIDE_TIME")
         if holds_s >= 0.0:
-            self._override_ends = self._agenda.after(holds_s, self._end_override)
+            self._override_ends = self._scheduler.after(holds_s, self._end_override)
         if self.receiver.overridden:
             self._recover()
 
@@ -131,21 +131,21 @@ class Px4Rc:
         self,
         present: bool,
         source: RcSource | None,
-        agenda: Agenda,
+        scheduler: Scheduler,
         random: Random,
         failsafe_changed: Callable[[bool], None],
     ) -> None:
         self.receiver = Receiver("px4", present, source)
         self.failsafe = False
-        self._agenda = agenda
+        self._scheduler = scheduler
         self._random = random
         self._failsafe_changed = failsafe_changed
         self.has_driver = self.receiver.source in ("sbus", "crsf")
         self._good = self.reported_good = self.has_driver and present
         self._reported_s = -math.inf
-        self._due: list[AgendaEntry] = []
-        self._report_due: AgendaEntry | None = None
-        self._override_ends: AgendaEntry | None = None
+        self._due: list[ScheduledCallback] = []
+        self._report_due: ScheduledCallback | None = None
+        self._override_ends: ScheduledCallback | None = None
 
     def lose(self, how: RcLoss | None, preset: Mapping[int, int] | None) -> None:
         self.receiver.lose(_loss(self.receiver, how), preset)
@@ -169,7 +169,7 @@ class Px4Rc:
         self.receiver.override(channels_us)
         if self._override_ends is not None:
             self._override_ends.cancel()
-        self._override_ends = self._agenda.after(_PX4_OVERRIDE_S, self.receiver.release)
+        self._override_ends = self._scheduler.after(_PX4_OVERRIDE_S, self.receiver.release)
 
     def reboot(self) -> None:
         self.receiver.reboot()
@@ -183,22 +183,22 @@ class Px4Rc:
         """Health has changed: report it now, or as soon as the minimum time is over."""
         if self._report_due is not None:
             return
-        wait_s = self._reported_s + REPORTS_APART_S - self._agenda.now_s
+        wait_s = self._reported_s + REPORTS_APART_S - self._scheduler.now_s
         if wait_s > 0.0:
-            self._report_due = self._agenda.after(wait_s, self._report)
+            self._report_due = self._scheduler.after(wait_s, self._report)
         else:
             self._report()
 
     def _report(self) -> None:
         self._report_due = None
-        self._reported_s = self._agenda.now_s
+        self._reported_s = self._scheduler.now_s
         self.reported_good = self._good
 
     def _then(self, *steps: tuple[float, Callable[[], None]]) -> None:
         """Schedule these steps, and cancel pending ones of an earlier loss or return."""
         for entry in self._due:
             entry.cancel()
-        self._due = [self._agenda.after(delay_s, step) for delay_s, step in steps]
+        self._due = [self._scheduler.after(delay_s, step) for delay_s, step in steps]
 
     def _lose_rssi(self) -> None:
         self.receiver.has_rssi = False
@@ -208,7 +208,7 @@ class Px4Rc:
 
     def _detect(self) -> None:
         self._good = False
-        self._due.append(self._agenda.after(self._random.uniform(*self._REPORTS_S), self.report))
+        self._due.append(self._scheduler.after(self._random.uniform(*self._REPORTS_S), self.report))
         self._act(True)
 
     def _recover(self) -> None:
@@ -229,7 +229,7 @@ def rc_input(
     kind: AutopilotKind,
     present: bool,
     source: RcSource | None,
-    agenda: Agenda,
+    scheduler: Scheduler,
     random: Random,
     parameter: Callable[[str], float],
     failsafe_changed: Callable[[bool], None],
@@ -238,5 +238,5 @@ def rc_input(
     if kind == "ardupilot":
         if source not in (None, "pulses"):
             raise ValueError(f"the simulated ardupilot has no receiver {source!r}")
-        return ArduPilotRc(present, agenda, parameter, failsafe_changed)
-    return Px4Rc(present, source, agenda, random, failsafe_changed)
+        return ArduPilotRc(present, scheduler, parameter, failsafe_changed)
+    return Px4Rc(present, source, scheduler, random, failsafe_changed)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from flying_vines.simulation.autopilot.agenda import Agenda
 from flying_vines.simulation.autopilot.flight import CopterMotion
+from flying_vines.simulation.autopilot.scheduler import Scheduler
 from flying_vines.vehicle.mission.item import MissionItem
 
 NO_MISSION, NOT_STARTED, ACTIVE, PAUSED, COMPLETE = 1, 2, 3, 4, 5
@@ -25,7 +25,7 @@ class MissionStatus:
 class Host(Protocol):
     """The autopilot as its mission runner sees it."""
 
-    agenda: Agenda
+    scheduler: Scheduler
     flight: CopterMotion
 
     @property

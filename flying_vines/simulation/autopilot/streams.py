@@ -9,8 +9,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.simulation.autopilot import sensors, telemetry
-from flying_vines.simulation.autopilot.agenda import Agenda
 from flying_vines.simulation.autopilot.port import COMPANION, Port, PortStream
+from flying_vines.simulation.autopilot.scheduler import Scheduler
 from flying_vines.simulation.autopilot.snapshot import AutopilotSnapshot
 from flying_vines.vehicle.mission.storage import AutopilotKind
 
@@ -41,12 +41,12 @@ class StreamSender:
     def __init__(
         self,
         kind: AutopilotKind,
-        agenda: Agenda,
+        scheduler: Scheduler,
         snapshot: Callable[[], AutopilotSnapshot],
         send: Callable[[Port, Any], None],
     ) -> None:
         self._kind = kind
-        self._agenda = agenda
+        self._scheduler = scheduler
         self._snapshot = snapshot
         self._send = send
         self._named_value: Any = None
@@ -79,13 +79,13 @@ class StreamSender:
         if interval_s <= 0.0:
             return
 
-        begin_s = self._agenda.now_s + (interval_s if first_s is None else first_s)
+        begin_s = self._scheduler.now_s + (interval_s if first_s is None else first_s)
         self._schedule(port, message_id, interval_s, begin_s, 0)
 
     def _schedule(self, port: Port, message_id: int, interval_s: float, begin_s: float, count: int) -> None:
         # Computed from a count, so that rounding errors do not add up.
         t_s = begin_s + count * interval_s
-        entry = self._agenda.at(t_s, partial(self._repeat, port, message_id, interval_s, begin_s, count))
+        entry = self._scheduler.at(t_s, partial(self._repeat, port, message_id, interval_s, begin_s, count))
         port.streams[message_id] = PortStream(interval_s, entry)
 
     def _repeat(self, port: Port, message_id: int, interval_s: float, begin_s: float, count: int) -> None:

@@ -23,7 +23,7 @@ from flying_vines.physics.plant.compiled import (
     noise_of,
     weather_of,
 )
-from flying_vines.physics.plant.loops import APART, Table, read_both, weather_at, write
+from flying_vines.physics.plant.loops import NOT_INLINED, Table, read_both, weather_at, write
 from flying_vines.physics.plant.numbers import PlantNumbers, numbers_of
 from flying_vines.physics.plant.plant import Plant, State, at_rest
 from flying_vines.physics.plant.rates import Floats, conditions
@@ -72,7 +72,7 @@ def closed_loop(
         raise ValueError("times of setpoints must increase by at least one tick")
     table = empty_table(n_ticks, record_every)
     regulator = Regulator(tuning)
-    final = compiled(run_regulated, APART)(
+    final = compiled(run_regulated, NOT_INLINED)(
         record(numbers_of(plant, TICK_S)),
         record((cv_sensor or Sensor()).numbers),
         record((reservoir_sensor or Sensor()).numbers),

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from itertools import accumulate
 
 from flying_vines.physics.baseline import Inputs
-from flying_vines.simulation.scenario.kinds import (
+from flying_vines.simulation.scenario.run_kinds import (
     BendsRun,
     ChirpRun,
     DischargeRun,

@@ -9,7 +9,7 @@ from __future__ import annotations
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.rig import ControlVolume, Rig
 from flying_vines.simulation.phlosar.regulator import Tuning, standard_tuning
-from flying_vines.simulation.scenario.kinds import FIRMWARE_HZ
+from flying_vines.simulation.scenario.run_kinds import FIRMWARE_HZ
 
 FASTEST_KPA_PER_S = 1e6
 """Practically no rate limit, so that a step stays a step."""

@@ -25,8 +25,8 @@ from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.rig import ControlVolume, Rig
 from flying_vines.simulation.phlosar.regulator import SAFE, Regulator
 from flying_vines.simulation.scenario.command import OpeningOverTime, ValveCommand, command_of, valves_of
-from flying_vines.simulation.scenario.kinds import FIRMWARE_HZ, RunKind
 from flying_vines.simulation.scenario.regulation import FASTEST_KPA_PER_S, tuning_for
+from flying_vines.simulation.scenario.run_kinds import FIRMWARE_HZ, RunKind
 from flying_vines.simulation.scenario.scenario import Scenario, ScenarioError
 
 OPENING_DIGITS = 4

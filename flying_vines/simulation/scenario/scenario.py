@@ -12,7 +12,7 @@ import msgspec
 from msgspec import Meta
 
 from flying_vines.config.toml_text import OneLineError, dotted, not_finite, parsed, read_text
-from flying_vines.simulation.scenario.kinds import RunKind, ScenarioSegment, Valves
+from flying_vines.simulation.scenario.run_kinds import RunKind, ScenarioSegment, Valves
 
 _EXAMPLES = resources.files("flying_vines.simulation.scenario") / "examples"
 _KINDS = {str(kind.__struct_config__.tag): kind for kind in get_args(RunKind)}

@@ -12,7 +12,7 @@ import msgspec
 from msgspec import Meta
 
 from flying_vines.studies.design.evaluate import Evaluation
-from flying_vines.studies.design.reading import decode
+from flying_vines.studies.design.toml_reader import decode
 
 METRICS = ("cost", "weight", "size", "speed", "range", "air_supply", "renewability")
 """A higher rating is better: a high rating for cost means a low cost."""

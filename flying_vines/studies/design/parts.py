@@ -15,8 +15,8 @@ from msgspec import Meta
 from flying_vines.config.config import ConfigError
 from flying_vines.config.toml_text import read_text
 from flying_vines.physics import paper
-from flying_vines.studies.design.reading import decode
 from flying_vines.studies.design.robot import PartNames
+from flying_vines.studies.design.toml_reader import decode
 
 Origin = Literal["printed", "computed", "assumed"]
 

@@ -14,7 +14,7 @@ from flying_vines.config.config import ConfigError
 from flying_vines.config.toml_text import read_text
 from flying_vines.physics import paper
 from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
-from flying_vines.studies.design.reading import decode
+from flying_vines.studies.design.toml_reader import decode
 
 # The bounds keep every result finite.
 PositiveNumeral = Annotated[float, Meta(ge=1e-6, le=1e6)]

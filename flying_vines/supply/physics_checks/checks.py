@@ -9,7 +9,7 @@ from typing import Literal, Protocol
 
 from flying_vines.config.config import ChecksConfig
 from flying_vines.config.plugins import PluginError, find
-from flying_vines.supply import Belief, Features
+from flying_vines.supply import Features, RigPrior
 from flying_vines.supply.physics_checks.expected import Expected, expected
 from flying_vines.supply.physics_checks.filling import Filling, StuckVineSensor
 from flying_vines.supply.physics_checks.leak import VineLeak
@@ -64,11 +64,11 @@ class PhysicsChecks:
 
     def __init__(
         self,
-        belief: Belief,
+        prior: RigPrior,
         config: ChecksConfig,
         made_by: Mapping[str, Callable[[Expected], Check]] = CHECKS,
     ) -> None:
-        self._rig = expected(belief, config)
+        self._rig = expected(prior, config)
         self._made_by = made_by
         self._levels: dict[str, FindingSeverity] = {
             name: config.own[name] if name in config.own else getattr(config, name) for name in made_by
@@ -113,12 +113,12 @@ class PhysicsChecks:
         return {name: found.sentence for name, found in self.present.items() if found.level == "fault"}
 
 
-def own_checks(belief: Belief, config: ChecksConfig) -> dict[str, PhysicsChecks]:
+def own_checks(prior: RigPrior, config: ChecksConfig) -> dict[str, PhysicsChecks]:
     """Each check of an installed package in the configuration, alone, so that its errors stop no other.
 
     Raises `PluginError`.
     """
-    return {name: PhysicsChecks(belief, config, {name: _maker(name)}) for name in config.own}
+    return {name: PhysicsChecks(prior, config, {name: _maker(name)}) for name in config.own}
 
 
 def _maker(name: str) -> Callable[[Expected], Check]:

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from flying_vines.config.config import ChecksConfig
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.plant.flow import Opening
-from flying_vines.supply import Belief, Features
+from flying_vines.supply import Features, RigPrior
 from flying_vines.supply.air_use import driving_kPa
-from flying_vines.supply.belief import AMBIENT_KPA, MIN_RISE_SHARE, conductance_SL_per_s_kPa
+from flying_vines.supply.rig_prior import AMBIENT_KPA, MIN_RISE_SHARE, conductance_SL_per_s_kPa
 
 MIN_FLOW, MAX_FLOW = 0.7, 1.4
 """The valve's flow as a share of its rating."""
@@ -83,15 +83,15 @@ def _max_effective(opening: float) -> float:
     return max(0.0, (opening - MIN_DEAD) / (1.0 - MIN_DEAD))
 
 
-def expected(belief: Belief, checks: ChecksConfig) -> Expected:
+def expected(prior: RigPrior, checks: ChecksConfig) -> Expected:
     """The bounds around a rig's prior."""
-    p = belief.pneumatics
+    p = prior.pneumatics
     return Expected(
         vine_min_L=p.cv_volume_L / checks.volume_factor,
         vine_max_L=p.cv_volume_L * checks.volume_factor,
         bottle_L=p.reservoir_volume_L,
         full_kPa=p.full_kPa,
-        evp_law=belief.evp_law.numbers(),
+        evp_law=prior.evp_law.numbers(),
         dvp_SL_per_s_kPa=conductance_SL_per_s_kPa(p.dvp_flow_resistance_kPa_s_per_SL, p.full_kPa),
         zero_kPa=checks.zero_kPa,
     )

@@ -6,8 +6,8 @@ vine takes for this rise. Air is counted, not time. So a low reservoir or a slig
 
 from __future__ import annotations
 
-from flying_vines.supply.features import Features
 from flying_vines.supply.physics_checks.expected import Expected
+from flying_vines.supply.telemetry_features import Features
 
 GAIN_KPA = 2.0
 BEHIND_KPA = 1.5

@@ -7,8 +7,8 @@ reservoir shows a leak: its pressure falls faster while the vine is held than wh
 from __future__ import annotations
 
 from flying_vines.physics.constants import ALPHA_KPA
-from flying_vines.supply.features import Features
 from flying_vines.supply.physics_checks.expected import Expected
+from flying_vines.supply.telemetry_features import Features
 
 # Time in which the gas in the filled vine cools, and that in the reservoir warms. It grows with the vine.
 SETTLED_S = 2.0

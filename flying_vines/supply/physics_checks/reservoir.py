@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import deque
 
 from flying_vines.physics.constants import GAMMA
-from flying_vines.supply.features import Features
 from flying_vines.supply.physics_checks.expected import Expected
+from flying_vines.supply.telemetry_features import Features
 
 BLOCK_S = 0.2
 """Averaging time of a reading of the reservoir."""

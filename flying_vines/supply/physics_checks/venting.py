@@ -8,8 +8,8 @@ show while the Venturi takes air, too.
 
 from __future__ import annotations
 
-from flying_vines.supply.features import VALVE_LAG_S, Features
 from flying_vines.supply.physics_checks.expected import Expected
+from flying_vines.supply.telemetry_features import VALVE_LAG_S, Features
 
 DOWN_KPA = 3.0
 """The vine counts as vented up to this far above the largest zero of a good sensor."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 
-from flying_vines.supply.features import Features
 from flying_vines.supply.physics_checks.expected import Expected
+from flying_vines.supply.telemetry_features import Features
 
 RESTED_S = 2.0
 """Additional time after the maximum time that a vine needs to vent."""

@@ -49,7 +49,7 @@ class ArduPilot(Autopilot):
     rc_parameters = ("FS_THR_ENABLE", "RC_FS_TIMEOUT", "RC_OPTIONS", "RC_OVERRIDE_TIME")
     mission_watch = ArduPilotWatch
     begins_with_home = True
-    carriers = ("script_message", "winch", "gripper")
+    item_commands = ("script_message", "winch", "gripper")
     gives_items_in_any_order = True
     hides_our_parameters = True
     rc_remedies: ClassVar = {

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import NamedTuple
 
-from flying_vines.config.config import CARRIERS
+from flying_vines.config.config import ITEM_COMMANDS
 from flying_vines.vehicle.autopilots.autopilot import MissionWatch
 from flying_vines.vehicle.clock import AutopilotClock, Mark
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mission.book import MAX_ITEMS, MissionBook, item_of
 from flying_vines.vehicle.mission.execution import Execution, same_numbers
 from flying_vines.vehicle.mission.item import MissionItem, is_nav
 from flying_vines.vehicle.mission.jumps import JUMP
+from flying_vines.vehicle.mission.mission_cache import MAX_ITEMS, MissionCache, item_of
 
 ITEM_TEXT = re.compile(r"Mission: (\d{1,5}) (\S+)")
 REACHED_TEXT = re.compile(r"Reached command #(\d{1,5})")
@@ -75,7 +75,7 @@ class _Waiting:
     """Its name in the text; None if the text was lost."""
     command: int | None
     before: MissionItem | None
-    """The item in the book, if it was known."""
+    """The item in the cache, if it was known."""
     mark: Mark
     late_s: float = 0.0
     """The item ran this long before the mark."""
@@ -110,9 +110,9 @@ class ArduPilotWatch(MissionWatch):
     publishes_items = False
 
     def __init__(
-        self, book: MissionBook, commands: Container[int] = (), clock: AutopilotClock | None = None
+        self, cache: MissionCache, commands: Container[int] = (), clock: AutopilotClock | None = None
     ) -> None:
-        super().__init__(book, commands, clock)
+        super().__init__(cache, commands, clock)
         self.restarted()
 
     def restarted(self) -> None:
@@ -131,7 +131,7 @@ class ArduPilotWatch(MissionWatch):
     def command(
         self, t: float, command: int, params: tuple[float, ...], confirmation: int
     ) -> Execution | None:
-        if command != CARRIERS["user_1"]:
+        if command != ITEM_COMMANDS["user_1"]:
             return super().command(t, command, params, confirmation)
         return self._handed_over(t, params[:4])
 
@@ -144,7 +144,7 @@ class ArduPilotWatch(MissionWatch):
         if self._text_numbers.take(t, params):
             return None
         self._script_numbers.put(t, params)
-        item = self._book.only(SCRIPT_MESSAGE, params)
+        item = self._cache.only(SCRIPT_MESSAGE, params)
         seq = item.seq if item else None
         self._note(t, seq)
         return Execution(SCRIPT_MESSAGE, seq, item, params)
@@ -169,7 +169,7 @@ class ArduPilotWatch(MissionWatch):
     def asks(self, t: float) -> list[int]:
         asks = []
         for waiting in islice(self._waiting, MAX_REQUESTED):
-            if waiting.item is None and not self._book.is_given and t - waiting.asked_at >= ASK_AGAIN_S:
+            if waiting.item is None and not self._cache.is_given and t - waiting.asked_at >= ASK_AGAIN_S:
                 waiting.asked_at = t
                 asks.append(waiting.seq)
         return asks
@@ -192,10 +192,10 @@ class ArduPilotWatch(MissionWatch):
             return
         self._ran_at[seq] = t
         command = COMMAND_OF_NAME.get(name)
-        item = self._book.items.get(seq) if self._book.fresh else None
-        if self._book.fresh:
+        item = self._cache.items.get(seq) if self._cache.fresh else None
+        if self._cache.fresh:
             if item is None or not _fits(name, item.command):
-                self._book.mark_outdated(t)
+                self._cache.mark_outdated(t)
             elif command is None:
                 command = item.command
         if command is None or command in self._commands:
@@ -211,14 +211,14 @@ class ArduPilotWatch(MissionWatch):
         if seq > MAX_ITEMS or t - self._reached.get(seq, -math.inf) < REACHED_AGAIN_S:
             return
         self._reached[seq] = t
-        item = self._book.items.get(seq)
+        item = self._cache.items.get(seq)
         if item is not None and not is_nav(item.command) and item.command in self._commands:
             self._suspects.append(_Suspect(t, t, item, seq - 1, None))
 
     def _suspect_between(self, t: float, before: int | None, now: int) -> None:
         """The mission moved on from waypoint `before` to `now`. Texts of items between them may be lost."""
         reached_at = self._reached.get(before or 0, -math.inf)
-        if before is None or not self._book.fresh or t - reached_at > PROGRESS_AFTER_REACHED_S:
+        if before is None or not self._cache.fresh or t - reached_at > PROGRESS_AFTER_REACHED_S:
             return
         for item in self._certain(before, now):
             # The first item after a waypoint starts at the waypoint's end, the others milliseconds later.
@@ -227,7 +227,7 @@ class ArduPilotWatch(MissionWatch):
 
     def _certain(self, before: int, now: int) -> list[MissionItem]:
         """The items that certainly run after waypoint `before`; none if `now` cannot be the next waypoint."""
-        items = self._book.items
+        items = self._cache.items
         certain: list[MissionItem] = []
         conditional = False
         leads_to: set[int | None] = set()
@@ -245,7 +245,7 @@ class ArduPilotWatch(MissionWatch):
         return certain if now in leads_to else []
 
     def _first_nav(self, seq: int) -> int | None:
-        while (item := self._book.items.get(seq)) is not None:
+        while (item := self._cache.items.get(seq)) is not None:
             if is_nav(item.command):
                 return seq
             seq += 1
@@ -262,11 +262,11 @@ class ArduPilotWatch(MissionWatch):
             waiting = self._waiting[0]
             item = waiting.item
             gave_up = t - waiting.mark.t >= GIVE_UP_S
-            if self._book.is_given or (gave_up and self._book.is_running):
-                known = self._book.items.get(waiting.seq)
+            if self._cache.is_given or (gave_up and self._cache.is_running):
+                known = self._cache.items.get(waiting.seq)
                 item = item or (known if known and _fits(waiting.name, known.command) else None)
             age_s = self._clock.age_s(waiting.mark, t)
-            if age_s is None or (item is None and not gave_up and not self._book.is_given):
+            if age_s is None or (item is None and not gave_up and not self._cache.is_given):
                 break  # later items wait, to keep the order
             self._waiting.popleft()
             command = item.command if item else waiting.command
@@ -296,8 +296,8 @@ class ArduPilotWatch(MissionWatch):
 
     def _ran_without_text(self, t: float, suspect: _Suspect) -> bool:
         since, item = suspect.since - MAX_DELAY_DIFFERENCE_S, suspect.item
-        book = self._book
-        if not book.fresh or book.items.get(item.seq) != item or self._clock.lost_at < since:
+        cache = self._cache
+        if not cache.fresh or cache.items.get(item.seq) != item or self._clock.lost_at < since:
             return False
         if self._ran_at.get(item.seq, -math.inf) >= since:
             return False

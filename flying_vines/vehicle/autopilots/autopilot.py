@@ -13,9 +13,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.clock import AutopilotClock
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vehicle.mission.item import MissionItem, is_nav
+from flying_vines.vehicle.mission.mission_cache import MissionCache
 from flying_vines.vehicle.mission.reference_vehicle import Home
 
 LOSS_SHOWN_WITHIN_S = 2.0
@@ -30,15 +30,15 @@ class MissionWatch:
     0; an ArduPilot sends such commands to a camera."""
 
     def __init__(
-        self, book: MissionBook, commands: Container[int] = (), clock: AutopilotClock | None = None
+        self, cache: MissionCache, commands: Container[int] = (), clock: AutopilotClock | None = None
     ) -> None:
         """`commands` are the command numbers of items for the vine."""
-        self._book = book
+        self._cache = cache
         self._commands = commands
         self._clock = clock or AutopilotClock()
 
     def handle(self, t: float, message: MavlinkMessage) -> None:
-        """Take in a message of the autopilot, after the book and the clock have handled it."""
+        """Take in a message of the autopilot, after the cache and the clock have handled it."""
 
     @property
     def idle(self) -> bool:
@@ -86,10 +86,10 @@ class Autopilot:
     """Detects which mission items ran."""
     begins_with_home = False
     """Item 0 of a mission is the home position."""
-    carriers: tuple[str, ...] = ()
+    item_commands: tuple[str, ...] = ()
     """Mission commands that can carry a vine action, best first. The best ones move nothing but the vine."""
-    carrier_match = ""
-    """An extra match for an `[[items]]` rule. With it the first carrier moves nothing but the vine."""
+    item_match = ""
+    """An extra match for an `[[items]]` rule. With it the first command moves nothing but the vine."""
     gives_items_in_any_order = False
     """It answers a request for any item at any time."""
     own_rates_Hz: ClassVar[Mapping[str, float]] = {}

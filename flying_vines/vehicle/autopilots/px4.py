@@ -49,8 +49,8 @@ class Px4(Autopilot):
     rc_parameters = ("COM_RC_LOSS_T", "COM_RC_IN_MODE")
     needs_rc_status = True
     mission_watch = Px4Watch
-    carriers = ("actuator", "winch", "gripper")
-    carrier_match = ", param7 = 1"
+    item_commands = ("actuator", "winch", "gripper")
+    item_match = ", param7 = 1"
     own_rates_Hz: ClassVar = {"MISSION_CURRENT": 1.0}
     rc_remedies: ClassVar = {"COM_RC_IN_MODE": "set COM_RC_IN_MODE = 0, so that the receiver is used"}
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from flying_vines.vehicle.autopilots.autopilot import MissionWatch
 from flying_vines.vehicle.clock import AutopilotClock, Mark
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mission.book import MissionBook
 from flying_vines.vehicle.mission.execution import Execution, same_numbers
 from flying_vines.vehicle.mission.item import MissionItem, is_nav
+from flying_vines.vehicle.mission.mission_cache import MissionCache
 from flying_vines.vehicle.repeats import LATE_S, PX4_REPEAT_S
 
 MIN_REPEAT_S = 0.5
@@ -27,7 +27,7 @@ SAME_BURST_S = 3.0
 WAIT_FOR_COMMAND_S = 0.3
 """MISSION_ITEM_REACHED was seen up to 20 ms after its command, and once before it."""
 LAST_REPEAT_S = 2.5
-"""Wait this long for a repeat of the command: it has its own params, so the book is not needed."""
+"""Wait this long for a repeat of the command: it has its own params, so the cache is not needed."""
 REACHED_WITHIN_S = 3.0
 """PX4 repeats MISSION_ITEM_REACHED every second. A report counts up to this time after the command."""
 GRIPPER, WINCH = 211, 42600
@@ -60,14 +60,14 @@ class _Reached:
 class Px4Watch(MissionWatch):
     """Detects the executions of mission items, which PX4 sends as COMMAND_LONG with their params.
 
-    If the command was lost, MISSION_ITEM_REACHED shows the execution. Its params then come from the book, if
+    If the command was lost, MISSION_ITEM_REACHED shows the execution. Its params then come from the cache, if
     that certainly holds the running mission. PX4 reports only the last of several items at one waypoint.
     """
 
     def __init__(
-        self, book: MissionBook, commands: Container[int] = (), clock: AutopilotClock | None = None
+        self, cache: MissionCache, commands: Container[int] = (), clock: AutopilotClock | None = None
     ) -> None:
-        super().__init__(book, commands, clock)
+        super().__init__(cache, commands, clock)
         self._current = 0
         self._past: deque[_Ran] = deque(maxlen=MAX_PAST)
         self._forgotten_at = -math.inf
@@ -107,7 +107,7 @@ class Px4Watch(MissionWatch):
         self._reached_at[seq] = t
         if len(self._reached_at) > MAX_PAST:
             del self._reached_at[next(iter(self._reached_at))]
-        item = self._book.items.get(seq) if self._book.fresh else None
+        item = self._cache.items.get(seq) if self._cache.fresh else None
         if item is None or item.command not in self._commands:
             return
         if repeated or (known is None and t - (self._begun_at or 0.0) < HISTORY_S):
@@ -131,7 +131,7 @@ class Px4Watch(MissionWatch):
             other.seq > item.seq and not self._flies_between(item.seq, other.seq)
             for ran in self._past
             if t - ran.t < REACHED_WITHIN_S
-            for other in self._book.alike(ran.execution.command, ran.execution.params or ())
+            for other in self._cache.alike(ran.execution.command, ran.execution.params or ())
         )
 
     def command(
@@ -142,7 +142,7 @@ class Px4Watch(MissionWatch):
         None if the execution was inferred already. Also None for a repeat whose earlier copies were lost, if
         a later item already ran or `forget` was called.
         """
-        item = self._book.only(command, params) if self._book.is_running else None
+        item = self._cache.only(command, params) if self._cache.is_running else None
         age_s = confirmation * MIN_REPEAT_S + (FIRST_REPEAT_LATER_S if confirmation else 0.0)
         execution = Execution(command, item.seq if item else None, item, params, age_s)
         max_age_s = (confirmation + 1) * PX4_REPEAT_S + LATE_S
@@ -167,7 +167,7 @@ class Px4Watch(MissionWatch):
     def due(self, t: float) -> list[Execution]:
         """The item whose command was certainly lost, if there is one."""
         waiting = self._waiting
-        wait_s = WAIT_FOR_COMMAND_S if self._book.is_running else LAST_REPEAT_S
+        wait_s = WAIT_FOR_COMMAND_S if self._cache.is_running else LAST_REPEAT_S
         if waiting is None or t - waiting.mark.t < wait_s:
             return []
         age_s = self._clock.age_s(waiting.mark, t)
@@ -175,10 +175,10 @@ class Px4Watch(MissionWatch):
             return []
         self._waiting = None
         item = waiting.item
-        if self._book.items.get(item.seq) != item:
+        if self._cache.items.get(item.seq) != item:
             return []
         execution = replace(_of(item), age_s=age_s + waiting.late_s)
-        if not self._book.is_running:
+        if not self._cache.is_running:
             return [replace(execution, item=None, params=None)]
         self._inferred, self._inferred_at = execution, t
         self._past.append(_Ran(t, execution, True))
@@ -199,11 +199,11 @@ class Px4Watch(MissionWatch):
         """The matching item nearest to the current one; the later of two that are equally near."""
         if execution.seq is not None:
             return execution.seq
-        seqs = [item.seq for item in self._book.alike(execution.command, execution.params or ())]
+        seqs = [item.seq for item in self._cache.alike(execution.command, execution.params or ())]
         return min(seqs, key=lambda seq: (abs(seq - self._current), -seq), default=None)
 
     def _flies_between(self, first: int, last: int) -> bool:
-        items = self._book.items
+        items = self._cache.items
         return any(is_nav(items[seq].command) for seq in range(first, last) if seq in items)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config.config import Config
-from flying_vines.vehicle.component.clash import Clash
+from flying_vines.vehicle.component.duplicate_id import DuplicateIdDetector
 from flying_vines.vehicle.component.parameters import ParameterOutput, Parameters
 from flying_vines.vehicle.component.requests import Requests
 from flying_vines.vehicle.component.stations import Stations
@@ -36,7 +36,7 @@ class Component:
         self._texts = Texts()
         self._requests = Requests(self._component_id, self._heartbeat, self._values)
         self._key_reported = bool(config.vehicle.signing_key)
-        self._clash = Clash(self._component_id)
+        self._duplicate_id = DuplicateIdDetector(self._component_id)
         self._stations = Stations()
         self._queue = TransmitQueue()
 
@@ -59,13 +59,13 @@ class Component:
         if not vehicle.found:
             return None
         if (message.get_srcSystem(), message.get_srcComponent()) == (vehicle.system_id, self._component_id):
-            return list(self._clash.heard(t))
+            return list(self._duplicate_id.received(t))
         number = message.get_msgId()
         if number == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             if vehicle.is_ours(message):
                 self._heartbeat.autopilot_spoke(t)
             else:
-                self._stations.heard(t, message, vehicle.autopilot.hides_our_parameters)
+                self._stations.handle(t, message, vehicle.autopilot.hides_our_parameters)
             return None
         if number in Requests.MESSAGES:
             return self._requests.handle(t, message, vehicle.system_id)

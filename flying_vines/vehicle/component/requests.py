@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.component.answer import acknowledgement
+from flying_vines.vehicle.component.command_ack import acknowledgement
 from flying_vines.vehicle.component.identity import ProtocolVersion, autopilot_version
 from flying_vines.vehicle.component.telemetry import (
     HEARTBEAT_S,

@@ -33,10 +33,10 @@ class Stations:
     def __init__(self) -> None:
         self._type_of: dict[tuple[int, int], int] = {}
         """MAV_TYPE of each sender's latest heartbeat."""
-        self._heard_at: dict[int, float] = {}
+        self._received_at: dict[int, float] = {}
         self._show_at: dict[int, float] = {}
 
-    def heard(self, t: float, heartbeat: MavlinkMessage, show: bool) -> None:
+    def handle(self, t: float, heartbeat: MavlinkMessage, show: bool) -> None:
         """Take in a heartbeat that is not the autopilot's. `show`: send our parameters to a new station."""
         sender = _sender(heartbeat)
         self._type_of.pop(sender, None)
@@ -46,9 +46,9 @@ class Stations:
         if not show or heartbeat.type != mavlink.MAV_TYPE_GCS:
             return
         system_id = heartbeat.get_srcSystem()
-        if t - self._heard_at.get(system_id, float("-inf")) > GONE_S:
+        if t - self._received_at.get(system_id, float("-inf")) > GONE_S:
             self._show_at[system_id] = t + SETTLED_S
-        self._heard_at[system_id] = t
+        self._received_at[system_id] = t
 
     def sent(self, message: MavlinkMessage) -> bool:
         sender = _sender(message)

@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mavlink.fuel_status import FuelStatus
-from flying_vines.vehicle.mission.book import ItemRequest
+from flying_vines.vehicle.mission.mission_cache import ItemRequest
 
 _WINDOW_S = 0.02 - 1e-6  # less the rounding of clocks
 MAX_IN_WINDOW = 2

@@ -109,33 +109,33 @@ class Peers:
     """The peers that get our messages. A peer that sends regularly is never replaced by a new one."""
 
     def __init__(self) -> None:
-        self._heard_at: dict[Source, float] = {}
+        self._received_at: dict[Source, float] = {}
 
     def __len__(self) -> int:
-        return len(self._heard_at)
+        return len(self._received_at)
 
-    def heard(self, source: Source, t: float) -> bool:
+    def note(self, source: Source, t: float) -> bool:
         """Note a datagram of `source`. Returns True if it is a peer."""
-        if source not in self._heard_at:
+        if source not in self._received_at:
             return False
-        self._heard_at[source] = t
+        self._received_at[source] = t
         return True
 
     def enter(self, source: Source, t: float) -> bool:
         """Make `source` a peer. Returns False if there is no room."""
-        if source not in self._heard_at and len(self._heard_at) >= MAX_PEERS:
-            most_silent = min(self._heard_at, key=lambda peer: self._heard_at[peer])
-            if t - self._heard_at[most_silent] <= PEER_REPLACED_S:
+        if source not in self._received_at and len(self._received_at) >= MAX_PEERS:
+            most_silent = min(self._received_at, key=lambda peer: self._received_at[peer])
+            if t - self._received_at[most_silent] <= PEER_REPLACED_S:
                 return False
-            del self._heard_at[most_silent]
-        self._heard_at[source] = t
+            del self._received_at[most_silent]
+        self._received_at[source] = t
         return True
 
     def present(self, t: float) -> list[Source]:
-        for peer, heard_at in list(self._heard_at.items()):
-            if t - heard_at > PEER_FORGOTTEN_S:
-                del self._heard_at[peer]
-        return list(self._heard_at)
+        for peer, received_at in list(self._received_at.items()):
+            if t - received_at > PEER_FORGOTTEN_S:
+                del self._received_at[peer]
+        return list(self._received_at)
 
 
 class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
@@ -196,7 +196,7 @@ class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: Source) -> None:
         now = asyncio.get_running_loop().time()
-        if self._peers.heard(addr, now):
+        if self._peers.note(addr, now):
             self._on_bytes(data)
         elif not self._address.reads(addr[0]):
             self.unread_from = addr[0]

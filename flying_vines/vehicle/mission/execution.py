@@ -20,7 +20,7 @@ class Execution:
     age_s: float = 0.0
     """The minimum time since it ran."""
     changed: bool = False
-    """The autopilot sent other params than those in the book."""
+    """The autopilot sent other params than those in the cache."""
 
 
 def same_numbers(a: Sequence[float], b: Sequence[float]) -> bool:

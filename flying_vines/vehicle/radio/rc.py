@@ -63,7 +63,7 @@ class RadioLink:
 
     def forget(self) -> None:
         """Forget everything: the autopilot rebooted or was lost."""
-        self._heard_at: float | None = None
+        self._received_at: float | None = None
         self._interrupted = False
         self._channels_us: tuple[int, ...] = ()
         self._chancount = 0
@@ -86,7 +86,7 @@ class RadioLink:
     def by_station(self) -> bool:
         """True if RC comes from a ground station, which PX4's RC status does not cover."""
         no_receiver = self.autopilot.needs_rc_status and not self._status_was_good
-        return no_receiver and self._heard_at is not None and self._rssi == OVERRIDE_RSSI
+        return no_receiver and self._received_at is not None and self._rssi == OVERRIDE_RSSI
 
     def handle(self, t: float, message: MavlinkMessage) -> None:
         """Take in a message of our autopilot."""
@@ -110,9 +110,9 @@ class RadioLink:
 
     def problem(self, t: float) -> str | None:
         """Why the switch cannot be trusted at time `t`; None if it can."""
-        if self._heard_at is None:
+        if self._received_at is None:
             return "no RC_CHANNELS yet"
-        if t - self._heard_at > self._silent_after_s:
+        if t - self._received_at > self._silent_after_s:
             return f"no RC_CHANNELS for {self._silent_after_s:g} s"
         if self._failsafe_text_at is not None:
             return "radio failsafe"
@@ -133,11 +133,11 @@ class RadioLink:
 
     def _take_channels(self, t: float, message: MavlinkMessage) -> None:
         # While our process stalls, nobody calls `problem`. So a long gap itself counts as a loss.
-        if self._heard_at is not None and t - self._heard_at > self._silent_after_s:
+        if self._received_at is not None and t - self._received_at > self._silent_after_s:
             self._interrupted = True
         channels_us: tuple[int, ...] = _PULSES_US(message)
         self.jumped = self._jumped_with_switch(channels_us)
-        self._heard_at, self._channels_us = t, channels_us
+        self._received_at, self._channels_us = t, channels_us
         self._chancount = message.chancount
         self.switch_us = channels_us[self._channel_number - 1]
         self.stamp_s = message.time_boot_ms / 1000.0

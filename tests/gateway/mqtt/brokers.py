@@ -16,9 +16,9 @@ from typing import Any
 import aiomqtt
 import msgspec
 import pytest
-from needed import need
-from patience import PATIENCE_S, until
 from ports import free_port
+from required_programs import need
+from waiting import MAX_WAIT_S, until
 
 MOSQUITTO_HOW = "sudo apt install mosquitto"
 AMQTT = """\
@@ -151,14 +151,14 @@ class Onlooker:
 
     def __init__(self, client: aiomqtt.Client) -> None:
         self.client = client
-        self.heard: list[aiomqtt.Message] = []
+        self.received: list[aiomqtt.Message] = []
 
     def on(self, topic: str) -> list[dict[str, Any]]:
-        return [read(message) for message in self.heard if str(message.topic) == topic]
+        return [read(message) for message in self.received if str(message.topic) == topic]
 
     async def until(self, topic: str, count: int = 1, **fields: Any) -> dict[str, Any]:
         """The latest message on a topic, after at least `count` with these fields."""
-        deadline = time.monotonic() + PATIENCE_S
+        deadline = time.monotonic() + MAX_WAIT_S
         while True:
             fit = [told for told in self.on(topic) if all(told.get(key) == fields[key] for key in fields)]
             if len(fit) >= count:
@@ -185,7 +185,7 @@ async def onlooker(broker: Broker, host: str = "127.0.0.1", **client: Any) -> As
 
         async def listen() -> None:
             async for message in connected.messages:
-                person.heard.append(message)
+                person.received.append(message)
 
         listening = asyncio.create_task(listen())
         try:

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from needed import need
-from patience import until
 from real_time import real_time
+from required_programs import need
+from waiting import until
 
 from flying_vines.gateway.mqtt import connection, health
 from flying_vines.gateway.mqtt.publisher import Publication
@@ -47,7 +47,7 @@ async def test_a_later_subscriber_gets_the_present_vehicles(broker: Broker, peop
         async with onlooker(broker) as latecomer:
             await latecomer.until(f"{BASE}/status", status="online")
             await latecomer.until(f"{BASE}/about", flying_vines="1.2.3")
-            first = {str(message.topic): message.retain for message in latecomer.heard}
+            first = {str(message.topic): message.retain for message in latecomer.received}
             assert first[f"{BASE}/status"]
             assert first[f"{BASE}/about"]
         assert not vehicle.troubles
@@ -88,7 +88,7 @@ async def test_events_while_the_broker_is_away_are_sent_once_and_in_order(broker
         assert len(vehicle.troubles) == 2
 
 
-async def test_a_flood_of_asks_holds_up_neither_states_nor_a_vent(broker: Broker, people: Onlooker) -> None:
+async def test_a_flood_of_requests_delays_neither_states_nor_a_vent(broker: Broker, people: Onlooker) -> None:
     async with flying(broker=broker.url, name="heron", rate_Hz=10.0, commands=("vent", "bend")) as vehicle:
         await people.until(f"{BASE}/status", status="online")
         before = len(people.on(f"{BASE}/state"))
@@ -185,7 +185,7 @@ async def test_vehicles_of_a_fleet_are_distinguished(broker: Broker, people: Onl
         assert not people.on("flying-vines/heron/answer")
 
 
-async def test_two_vehicles_of_one_name_are_told_so(broker: Broker, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_two_vehicles_of_one_name_are_reported(broker: Broker, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(health, "STABLE_S", 3.0)
     monkeypatch.setattr(health, "REPORT_AFTER_S", 5.0)
     heron = {"broker": broker.url, "name": "heron"}
@@ -223,14 +223,16 @@ async def test_a_user_and_a_password(tmp_path: Path) -> None:
             assert not vehicle.troubles
         async with flying(broker=broker.url, name="egret", **login) as vehicle:
             await vehicle.in_trouble("it does not let us publish to flying-vines/egret/…")
-        assert not [message for message in people.heard if "egret" in str(message.topic)]
+        assert not [message for message in people.received if "egret" in str(message.topic)]
         home = {"discovery_prefix": "homeassistant", "commands": ("vent",)}
         async with flying(broker=broker.url, name="heron", **home, **login) as vehicle:
             await people.until(f"{BASE}/about", commands=["vent"])
             await people.say(f"{BASE}/ask", ask("1"))
             await people.until(f"{BASE}/answer", id="1", safety="accepted")
             assert not vehicle.troubles
-        seen = [message.topic.value for message in people.heard if message.topic.matches("homeassistant/#")]
+        seen = [
+            message.topic.value for message in people.received if message.topic.matches("homeassistant/#")
+        ]
         assert "homeassistant/button/heron/flying-vines_vent/config" in seen
 
 

@@ -76,7 +76,7 @@ def test_everything_else_is_none(text: str) -> None:
         (TLS + 'key_file = "/k"', "mqtt.key_file: set both certificate_file and key_file"),
     ],
 )
-def test_every_mistake_says_where_it_is_and_what_is_wrong(text: str, said: str) -> None:
+def test_every_mistake_is_reported_with_its_place_and_reason(text: str, said: str) -> None:
     with pytest.raises(config.ConfigError) as caught:
         parsed(text)
     assert said in str(caught.value)

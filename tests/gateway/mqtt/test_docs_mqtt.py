@@ -15,7 +15,7 @@ from flying_vines.gateway.mqtt.publisher import RESERVOIR_S
 from flying_vines.gateway.mqtt.requests import MAX_AT_ONCE, MAX_PER_S
 from flying_vines.gateway.mqtt.topics import Topics
 
-from ..told import configured
+from ..gateway_inputs import configured
 
 DOCS = Path(__file__).parents[3] / "docs"
 PAGE = (DOCS / "mqtt.md").read_text(encoding="utf-8")

@@ -17,7 +17,7 @@ AWAY = BrokerProblem("nothing answers there")
 LOGIN = BrokerProblem("it does not accept this user and password", needs_person=True)
 
 
-def test_a_broker_that_is_there_is_not_worth_a_word() -> None:
+def test_a_reachable_broker_is_not_reported() -> None:
     health = Health(0.0, "mqtt://b")
     health.connected(0.2)
     assert health.is_connected
@@ -34,7 +34,7 @@ def test_a_broker_that_is_away_is_reported_once_and_that_it_is_back() -> None:
     assert health.lasts(74.0) is None
 
 
-def test_a_short_interruption_is_nobody_s_trouble() -> None:
+def test_a_short_interruption_is_not_reported() -> None:
     health = Health(0.0, "mqtt://b")
     for t in range(10, 1000, 10):
         health.connected(float(t))

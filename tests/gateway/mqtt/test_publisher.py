@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flying_vines.core.events import Action, Asked, Decision
-from flying_vines.core.waiting import Waiting
+from flying_vines.core.pending_bend import PendingBend
 from flying_vines.gateway.messages import Happened, SnapshotMessage, raw
 from flying_vines.gateway.mqtt.home_assistant import discovery
 from flying_vines.gateway.mqtt.payloads import PAYLOADS, EventPayload, LostEvent, NoticeEvent, RequestPayload
@@ -24,7 +24,7 @@ from flying_vines.simulation.simulated_world import SimulatedWorld
 from flying_vines.vehicle.notice import Notice
 from flying_vines.vine.intent import BendTo, Intent, StartBench, StartProfile, VentVine
 
-from ..told import configured, decision, happened, notice, seen, start
+from ..gateway_inputs import configured, decision, happened, notice, seen, start
 
 UNIX_S = 1_700_000_000.0
 TOPICS = Topics("flying-vines", "heron")
@@ -41,17 +41,17 @@ def teller(**mqtt: Any) -> Publisher:
 def read(publication: Publication) -> dict[str, Any]:
     """The payload, which must match its topic."""
     msgspec.json.decode(publication.payload, type=PAYLOADS[publication.topic.rsplit("/", 1)[1]])
-    told: dict[str, Any] = msgspec.json.decode(publication.payload)
-    return told
+    sent: dict[str, Any] = msgspec.json.decode(publication.payload)
+    return sent
 
 
 def tell_all(events: Events, t: float = 10.0) -> list[EventPayload]:
-    told = []
+    sent = []
     while pending := events.first(now(t)):
         event: EventPayload = msgspec.json.decode(pending.publication.payload, type=EventPayload)
-        told.append(event)
+        sent.append(event)
         events.published(pending)
-    return told
+    return sent
 
 
 def test_a_vehicle_is_silent_before_and_after_the_messages_of_its_service() -> None:
@@ -64,7 +64,7 @@ def test_a_vehicle_is_silent_before_and_after_the_messages_of_its_service() -> N
     assert vehicle.due(now(0.1)) == []
 
     vehicle.take(0.2, seen(0.2))
-    assert [read(told).get("status") for told in vehicle.due(now(0.2))] == ["online", None, None]
+    assert [read(sent).get("status") for sent in vehicle.due(now(0.2))] == ["online", None, None]
     assert vehicle.due(now(0.3)) == [], "the same moment is not told twice"
     (status,) = vehicle.due(now(0.2 + SILENT_S))
     assert read(status)["status"] == "silent"
@@ -78,13 +78,13 @@ def test_a_state_has_the_time_of_its_snapshot_and_null_for_what_is_not_known() -
     vehicle = teller()
     vehicle.take(5.0, seen(5.0, altitude_m=float("nan"), safe_state={"rc": "RC lost"}))
     _, state, reservoir = vehicle.due(now(7.0))
-    told = read(state)
-    assert told["t"] == 5.0
+    sent = read(state)
+    assert sent["t"] == 5.0
     assert (state.topic, state.qos, state.retain) == ("flying-vines/heron/state", 0, False)
-    assert told["unix_s"] == UNIX_S + 5.0
-    assert told["altitude_m"] is None
-    assert (told["cv_kPa"], told["bend_deg"], told["doing"]) == (20.6, 59.7, "bend-full")
-    assert told["safe_state"] == {"rc": "RC lost"}
+    assert sent["unix_s"] == UNIX_S + 5.0
+    assert sent["altitude_m"] is None
+    assert (sent["cv_kPa"], sent["bend_deg"], sent["doing"]) == (20.6, 59.7, "bend-full")
+    assert sent["safe_state"] == {"rc": "RC lost"}
     assert reservoir.topic == "flying-vines/heron/reservoir"
     assert (
         read(reservoir)["cycles"] | {"expected": 31.2, "low": 27.9, "high": 35.0} == read(reservoir)["cycles"]
@@ -96,7 +96,7 @@ def test_the_reservoir_is_reported_less_often() -> None:
     topics = []
     for tenth in range(101):
         vehicle.take(tenth / 10, seen(tenth / 10, cycles=None))
-        topics += [told.topic for told in vehicle.due(now(tenth / 10))]
+        topics += [sent.topic for sent in vehicle.due(now(tenth / 10))]
     assert topics.count(TOPICS.state) == 101
     assert topics.count(TOPICS.reservoir) == 1 + 10 / RESERVOIR_S
 
@@ -105,16 +105,16 @@ def test_every_kind_of_event_is_reported_with_its_time_and_number() -> None:
     vehicle = teller()
     for thing in (decision(1.0, "limited", "to 60 kPa/s"), notice(2.0)):
         vehicle.take(3.0, happened(thing))
-    told = []
+    sent = []
     while pending := vehicle.events.first(now(4.0)):
         assert (pending.publication.topic, pending.publication.qos) == (TOPICS.event, 1)
-        told.append(read(pending.publication))
+        sent.append(read(pending.publication))
         vehicle.events.published(pending)
-    assert [event["event"] for event in told] == ["decision", "notice"]
-    assert [event["unix_s"] - UNIX_S for event in told] == [1.0, 2.0]
-    assert [event["number"] for event in told] == [1, 2]
-    assert told[0]["reason"] == "to 60 kPa/s"
-    assert told[1]["severity"] == "notice"
+    assert [event["event"] for event in sent] == ["decision", "notice"]
+    assert [event["unix_s"] - UNIX_S for event in sent] == [1.0, 2.0]
+    assert [event["number"] for event in sent] == [1, 2]
+    assert sent[0]["reason"] == "to 60 kPa/s"
+    assert sent[1]["severity"] == "notice"
 
 
 def test_an_event_has_the_time_of_the_clock_as_it_was_set_since() -> None:
@@ -155,7 +155,7 @@ def test_more_than_are_kept_are_lost_and_counted() -> None:
 def test_every_event_is_sent_once_and_in_order_or_counted(steps: list[str], most: int) -> None:
     """`told meanwhile`: events between sending an event and the broker's receipt."""
     events = Events("event", "run", most)
-    made, told, lost = 0, [], 0
+    made, sent, lost = 0, [], 0
 
     def happen() -> None:
         nonlocal made
@@ -172,7 +172,7 @@ def test_every_event_is_sent_once_and_in_order_or_counted(steps: list[str], most
             if isinstance(event, LostEvent):
                 lost += event.count
             else:
-                told.append(event.number)
+                sent.append(event.number)
             events.published(pending)
 
     for step in steps:
@@ -183,8 +183,8 @@ def test_every_event_is_sent_once_and_in_order_or_counted(steps: list[str], most
         assert len(events) <= most
     while events.first(now(1.0)):
         tell(0)
-    assert told == sorted(set(told))
-    assert len(told) + lost == made
+    assert sent == sorted(set(sent))
+    assert len(sent) + lost == made
 
 
 def test_messages_of_a_later_service_do_not_end_the_connection() -> None:
@@ -221,8 +221,8 @@ def test_every_output_of_a_core_can_be_published() -> None:
         watch(world.feed(Asked(float(second), "calibration", intent)))
     watch(world.advance(12.0))
     assert set(made) == {"decision", "notice"}
-    told: list[str] = [event.__struct_config__.tag for event in tell_all(vehicle.events)]  # type: ignore[misc]
-    assert told == made
+    sent: list[str] = [event.__struct_config__.tag for event in tell_all(vehicle.events)]  # type: ignore[misc]
+    assert sent == made
     vehicle.take(12.0, SnapshotMessage(raw(world.core.snapshot(12.0))))
     _, state, reservoir = vehicle.due(now(12.0))
     assert read(state)["doing"] == "vented"
@@ -236,11 +236,11 @@ def test_home_assistant_is_informed_only_if_wanted() -> None:
 def test_home_assistant_gets_sensors_and_a_button_only_where_venting_is_allowed() -> None:
     vehicle = teller()
     vehicle.take(1.0, seen(1.0))
-    known = {told.topic: read(told) for told in vehicle.due(now(1.0))}
+    known = {sent.topic: read(sent) for sent in vehicle.due(now(1.0))}
     for commands, pressed in (((), b""), (("bend", "vent"), None)):
         wanted = configured(discovery_prefix="homeassistant", commands=commands)
         *sensors, _, _, button = discovery(wanted, TOPICS, "1.2.3")
-        assert all(told.retain for told in (*sensors, button))
+        assert all(sent.retain for sent in (*sensors, button))
         assert button.topic == "homeassistant/button/heron/flying-vines_vent/config"
         assert pressed is None or button.payload == pressed
         if pressed is None:
@@ -266,10 +266,10 @@ def test_home_assistant_bends_only_where_the_configuration_allows_it(commands: t
     wanted = configured(discovery_prefix="homeassistant", commands=commands)
     *_, number, select, button = discovery(wanted, TOPICS, "1.2.3")
     asked = {"bend": (number, 25.0), "profile": (select, "wave"), "vent": (button, None)}
-    for command, (told, value) in asked.items():
-        assert bool(told.payload) is (command in commands)
-        if told.payload:
-            template = msgspec.json.decode(told.payload)["command_template"]
+    for command, (sent, value) in asked.items():
+        assert bool(sent.payload) is (command in commands)
+        if sent.payload:
+            template = msgspec.json.decode(sent.payload)["command_template"]
             request = msgspec.json.decode(rendered(template, value=value), type=RequestPayload)
             assert (request.command, request.value or request.name) == (command, value)
 
@@ -280,7 +280,7 @@ def test_home_assistant_bends_only_where_the_configuration_allows_it(commands: t
         ({}, {"problem": "False", "armed": "True", "waiting": "nothing", "profile": "bend-full"}),
         (
             {"safe_state": {"rc": "RC lost"}, "armed": False, "doing": "vented"}
-            | {"waiting": Waiting("RC lost", "switch down, then up")},
+            | {"waiting": PendingBend("RC lost", "switch down, then up")},
             {"problem": "True", "armed": "False", "waiting": "switch down, then up", "profile": "None"},
         ),
     ],
@@ -288,12 +288,12 @@ def test_home_assistant_bends_only_where_the_configuration_allows_it(commands: t
 def test_home_assistant_reads_the_state(snapshot: dict[str, Any], shown: dict[str, str]) -> None:
     vehicle = teller()
     vehicle.take(1.0, seen(1.0, **snapshot))
-    (state,) = (read(told) for told in vehicle.due(now(1.0)) if told.topic == TOPICS.state)
+    (state,) = (read(sent) for sent in vehicle.due(now(1.0)) if sent.topic == TOPICS.state)
     wanted = configured(discovery_prefix="homeassistant", commands=("profile",))
     templates = {
-        told.topic.split("/")[-2].removeprefix("flying-vines_"): msgspec.json.decode(told.payload)
-        for told in discovery(wanted, TOPICS, "1.2.3")
-        if told.payload
+        sent.topic.split("/")[-2].removeprefix("flying-vines_"): msgspec.json.decode(sent.payload)
+        for sent in discovery(wanted, TOPICS, "1.2.3")
+        if sent.payload
     }
     assert {key: rendered(templates[key]["value_template"], value_json=state) for key in shown} == shown
     for status, available in (("online", "online"), ("silent", "offline"), ("offline", "offline")):

@@ -11,16 +11,16 @@ from flying_vines.gateway import mqtt
 from flying_vines.gateway.feed import Feed
 from flying_vines.gateway.messages import Answered, FromGateway, Request, Trouble
 
-from ..told import happened, notice, seen, start
+from ..gateway_inputs import happened, notice, seen, start
 
-PATIENCE_S = 10.0
+MAX_WAIT_S = 10.0
 
 
 class Vehicle:
     """Its service sends a snapshot ten times a second and carries out requests, unless it is deaf."""
 
     def __init__(self, **settings: Any) -> None:
-        self.feed = Feed(start(**settings), self._hear)
+        self.feed = Feed(start(**settings), self._receive)
         self.troubles: list[str] = []
         self.asked: list[Request] = []
         self.deaf = False
@@ -32,7 +32,7 @@ class Vehicle:
     def say(self, text: str) -> None:
         self.feed.take(happened(notice(self.t, text)))
 
-    def _hear(self, message: FromGateway) -> None:
+    def _receive(self, message: FromGateway) -> None:
         if isinstance(message, Trouble):
             self.troubles.append(message.text)
             return
@@ -48,7 +48,7 @@ class Vehicle:
             await asyncio.sleep(0.1)
 
     async def in_trouble(self, text: str) -> None:
-        deadline = self.t + PATIENCE_S
+        deadline = self.t + MAX_WAIT_S
         while not any(text in trouble for trouble in self.troubles):
             assert self.t < deadline, f"'{text}' is not in {self.troubles}"
             await asyncio.sleep(0.01)

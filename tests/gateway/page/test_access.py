@@ -138,7 +138,9 @@ def test_a_token_is_made_once_for_its_owner_alone(tmp_path: Path) -> None:
         ("ä" * 20, 0o600, "no valid page token"),
     ],
 )
-def test_a_file_that_is_no_token_says_so(tmp_path: Path, text: str, mode: int, said: str) -> None:
+def test_a_file_that_is_no_token_is_refused_with_this_reason(
+    tmp_path: Path, text: str, mode: int, said: str
+) -> None:
     file = tmp_path / "token"
     file.write_text(text)
     file.chmod(mode)
@@ -147,7 +149,7 @@ def test_a_file_that_is_no_token_says_so(tmp_path: Path, text: str, mode: int, s
     assert str(file) in str(error.value)
 
 
-def test_a_folder_that_cannot_be_written_says_so(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(PageTokenError, match="cannot be written"):
         page_token.read_or_make(tmp_path / "file" / "token")

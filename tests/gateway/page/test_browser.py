@@ -14,14 +14,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from needed import need
 from page_bench import Bench, served, snapshot
 from page_service import serving
-from patience import PATIENCE_S, until
 from real_time import real_time
+from required_programs import need
+from waiting import MAX_WAIT_S, until
 
+from flying_vines.core.pending_bend import PendingBend
 from flying_vines.core.snapshot import Snapshot
-from flying_vines.core.waiting import Waiting
 from flying_vines.gateway import page_token
 from flying_vines.supply import CyclesLeft
 
@@ -96,7 +96,7 @@ async def browser() -> AsyncIterator[Browser]:
 async def opened(browser: Browser, url: str, device: Mapping[str, Any]) -> tuple[Page, list[str]]:
     """A new visitor's page, and its errors."""
     context = await browser.new_context(**device)
-    context.set_default_timeout(1000.0 * PATIENCE_S)
+    context.set_default_timeout(1000.0 * MAX_WAIT_S)
     page = await context.new_page()
     wrong: list[str] = []
     page.on("pageerror", lambda error: wrong.append(str(error)))
@@ -106,7 +106,7 @@ async def opened(browser: Browser, url: str, device: Mapping[str, Any]) -> tuple
     return page, wrong
 
 
-async def says(page: Page, selector: str, text: str) -> None:
+async def until_shown(page: Page, selector: str, text: str) -> None:
     await page.wait_for_function(
         "([selector, text]) => document.querySelector(selector).textContent.includes(text)",
         arg=[selector, text],
@@ -123,18 +123,18 @@ async def test_on_a_phone_a_thumb_tries_the_vine_and_vents(
             {**PHONE, "proxy": {"server": f"http://127.0.0.1:{proxy.port}", "bypass": "127.0.0.1"}},
         )
         bench = served.bench
-        await says(page, "#firmware", "ready")
+        await until_shown(page, "#firmware", "ready")
         assert await page.get_by_role("button", name="bend-full").is_disabled()
         await page.evaluate(WATCH_SHIFTS)
 
         await page.tap("#bench-mode")
-        await says(page, "#said", "bench mode: accepted")
+        await until_shown(page, "#said", "bench mode: accepted")
         await page.get_by_role("button", name="bend-full").tap()
         await until(bench.bent, "the vine bends")
         await page.wait_for_function("() => Number(document.querySelector('#bend').textContent) > 40")
         assert "M" in str(await page.get_attribute("#body", "d"))
         await page.tap("#vent")
-        await says(page, "#vent-said", "Vent confirmed")
+        await until_shown(page, "#vent-said", "Vent confirmed")
         await until(bench.vented, "the vine is vented")
 
         await page.get_by_role("button", name="bend-full").tap()
@@ -142,23 +142,23 @@ async def test_on_a_phone_a_thumb_tries_the_vine_and_vents(
         os.kill(served.pid, signal.SIGSTOP)
         await until(bench.vented, "the dead-man vents")
         os.kill(served.pid, signal.SIGCONT)
-        await says(page, "#reasons", "dead-man")
+        await until_shown(page, "#reasons", "dead-man")
         await page.tap("#clear")
-        await says(page, "#clear", "Sure?")
+        await until_shown(page, "#clear", "Sure?")
         await page.tap("#clear")
-        await says(page, "#reasons", "a new request")
+        await until_shown(page, "#reasons", "a new request")
 
         await page.fill("#angle", "20")
         await page.tap("#bend-to")
         await page.wait_for_function("() => Number(document.querySelector('#bend').textContent) > 10")
         await page.tap("#armed")
-        await says(page, "#said", "disarm: accepted")
+        await until_shown(page, "#said", "disarm: accepted")
         await until(bench.vented, "disarmed is vented")
         await page.tap("#bend-to")
-        await says(page, "#said", "refused, the pneumatics are disarmed")
+        await until_shown(page, "#said", "refused, the pneumatics are disarmed")
         await page.tap("#armed")
         await page.tap("#armed")
-        await says(page, "#said", "arm: accepted")
+        await until_shown(page, "#said", "arm: accepted")
 
         assert not await page.evaluate("shifts")
         await _fits(page)
@@ -189,31 +189,31 @@ async def _fits(page: Page) -> None:
 async def test_a_link_that_is_cut_is_seen_and_comes_back(browser: Browser, tmp_path: Path) -> None:
     async with serving(tmp_path) as served:
         page, wrong = await opened(browser, served.url, DESKTOP)
-        await says(page, "#events", "phloSAR ready")
+        await until_shown(page, "#events", "phloSAR ready")
 
         # The network loses everything, but no connection is closed.
         os.kill(served.gateway, signal.SIGSTOP)
         await page.wait_for_selector("body.lost")
-        await says(page, "#link", "old")
+        await until_shown(page, "#link", "old")
         os.kill(served.gateway, signal.SIGCONT)
         await page.wait_for_selector(LIVE)
 
         # The page's process dies, and the service starts it again.
         os.kill(served.gateway, signal.SIGKILL)
         await page.wait_for_selector("body.lost")
-        await says(page, "#link", "No link")
+        await until_shown(page, "#link", "No link")
         await page.wait_for_selector(LIVE)
 
         # The service dies, and a person wants to vent.
         await served.kill()
         await page.wait_for_selector("body.lost")
         await page.keyboard.press("Escape")
-        await says(page, "#vent-said", "VENT not sent, no link")
+        await until_shown(page, "#vent-said", "VENT not sent, no link")
         assert await page.locator("#bench-mode").is_disabled()
         await served.start()
-        await says(page, "#vent-said", "Vent confirmed")
+        await until_shown(page, "#vent-said", "Vent confirmed")
         await page.wait_for_selector(LIVE)
-        await says(page, "#events", "page → vent: accepted")
+        await until_shown(page, "#events", "page → vent: accepted")
 
         # Space always vents, whatever has the focus, and presses no button.
         await page.focus("#bench-mode")
@@ -223,9 +223,9 @@ async def test_a_link_that_is_cut_is_seen_and_comes_back(browser: Browser, tmp_p
 
         # A page that is loaded anew shows the earlier events, some seconds after the restart of the service.
         hello: dict[str, Any] = {}
-        for _ in range(round(PATIENCE_S)):
+        for _ in range(round(MAX_WAIT_S)):
             hello = await _greeting(page)
-            await says(page, "#events", "page → vent: accepted")
+            await until_shown(page, "#events", "page → vent: accepted")
             if len(hello["history"]) > 5:
                 break
             await asyncio.sleep(1.0)
@@ -247,9 +247,9 @@ async def test_a_request_has_its_time_and_the_shown_state(browser: Browser, tmp_
         await page.reload()
         await page.wait_for_selector(LIVE)
         await page.click("#bench-mode")
-        await says(page, "#said", "bench mode: accepted")
+        await until_shown(page, "#said", "bench mode: accepted")
         (pressed,) = sent
-        assert time.monotonic() - PATIENCE_S < pressed["seen_at"] <= pressed["made_at"] <= time.monotonic()
+        assert time.monotonic() - MAX_WAIT_S < pressed["seen_at"] <= pressed["made_at"] <= time.monotonic()
 
         # The shown state does not change but gets older. A vent reports that there is nothing newer.
         os.kill(served.pid, signal.SIGSTOP)
@@ -257,7 +257,7 @@ async def test_a_request_has_its_time_and_the_shown_state(browser: Browser, tmp_
         await page.click("#vent")
         await page.wait_for_timeout(1200)
         os.kill(served.pid, signal.SIGCONT)
-        await says(page, "#vent-said", "Vent confirmed")
+        await until_shown(page, "#vent-said", "Vent confirmed")
         vents = [request for request in sent if request["command"] == "vent"]
         assert len(vents) > 1
         assert len({vent["seen_at"] for vent in vents}) == 1
@@ -265,7 +265,7 @@ async def test_a_request_has_its_time_and_the_shown_state(browser: Browser, tmp_
         assert not wrong
 
 
-SWITCH = Waiting("vent by the page", "switch down, then up")
+SWITCH = PendingBend("vent by the page", "switch down, then up")
 PLENTY = CyclesLeft(1234.0, 1000.0, 1500.0, 3.0, 9.0, 80.0, 15.0, 1.2, 600.0, 450.0, 600.0)
 FAULTS = {
     "firmware_fault": "firmware fault: dead-man timer ran out, over-pressure in the vine, watchdog reset",
@@ -314,7 +314,7 @@ async def test_problems_and_cycles_left_are_visible_without_scrolling(
         async with showing(bench, STATES["bent"]):
             page, _ = await opened(browser, bench.url, device)
             await page.click("#vent")
-            await says(page, "#vent-said", "Vent confirmed")
+            await until_shown(page, "#vent-said", "Vent confirmed")
         for name, shown in STATES.items():
             async with showing(bench, shown):
                 await page.wait_for_timeout(300)
@@ -332,9 +332,9 @@ async def test_a_confirmed_vent_is_not_shown_for_ever(browser: Browser) -> None:
         page, _ = await opened(browser, bench.url, DESKTOP)
         await page.clock.install()
         await page.click("#vent")
-        await says(page, "#vent-said", "Vent confirmed")
+        await until_shown(page, "#vent-said", "Vent confirmed")
         await page.clock.fast_forward(11_000)
-        await says(page, "#vent-said", "Vine at")
+        await until_shown(page, "#vent-said", "Vine at")
 
 
 async def _greeting(page: Page) -> dict[str, Any]:
@@ -365,5 +365,5 @@ async def test_from_the_network_by_token_and_watching_only(browser: Browser, tmp
         page, wrong = await opened(browser, f"{served.url}?token={watching}", PHONE)
         assert not await page.is_visible("#vent")
         assert not await page.is_visible("#bench-mode")
-        await says(page, "#vent-said", "only watch")
+        await until_shown(page, "#vent-said", "only watch")
         assert not wrong

@@ -67,7 +67,7 @@ def test_of_too_many_pilots_the_oldest_goes() -> None:
         assert held.add_pilot(i) == out
 
 
-def test_patience_is_for_thumbs_not_for_floods() -> None:
+def test_the_rate_limit_permits_fast_presses_but_no_flood() -> None:
     bucket = TokenBucket(0.0, MAX_AT_ONCE, MAX_PER_S)
     assert all(bucket.take(0.1 * i) for i in range(1000))
     bucket = TokenBucket(0.0, MAX_AT_ONCE, MAX_PER_S)

@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 from aiohttp import ClientSession, ClientWebSocketResponse
-from page_bench import client, heard
+from page_bench import client, next_of_kind
 from page_service import Served, serving
-from patience import until
 from real_time import real_time
+from waiting import until
 
 from flying_vines.gateway import page_token
 
@@ -26,20 +26,20 @@ pytestmark = real_time
 async def ask(viewing: ClientWebSocketResponse, command: str, **what: Any) -> tuple[str, str]:
     """Send a request. Returns the result."""
     await viewing.send_str(json.dumps({"id": 1, "command": command, **what}))
-    answer = await heard(viewing, "answer")
+    answer = await next_of_kind(viewing, "answer")
     return answer["safety"], answer["reason"]
 
 
 async def ready(viewing: ClientWebSocketResponse) -> None:
     while True:
-        now = (await heard(viewing, "snapshot"))["snapshot"]
+        now = (await next_of_kind(viewing, "snapshot"))["snapshot"]
         if now["firmware"] == "ready" and now["vehicle"] != "not found":
             return
 
 
 async def test_it_bends_and_vents_the_vine_and_its_process_may_die(tmp_path: Path) -> None:
     async with serving(tmp_path) as served, client() as session:
-        assert f"Page {served.url}" in served.said.read_text()
+        assert f"Page {served.url}" in served.output.read_text()
         async with session.ws_connect(served.url + "live") as viewing:
             await ready(viewing)
             only_there = ("refused", "the page can bend the vine only in bench mode")
@@ -65,7 +65,7 @@ async def test_it_bends_and_vents_the_vine_and_its_process_may_die(tmp_path: Pat
 
 
 @pytest.mark.long
-async def test_a_page_that_hangs_or_dies_is_back_within_five_seconds(tmp_path: Path) -> None:
+async def test_a_page_that_hangs_or_ends_is_back_within_five_seconds(tmp_path: Path) -> None:
     async with serving(tmp_path) as served, client() as session:
         async with session.ws_connect(served.url + "live") as viewing:
             await ready(viewing)
@@ -81,13 +81,13 @@ async def test_a_page_that_hangs_or_dies_is_back_within_five_seconds(tmp_path: P
                 assert served.bench.bent(), "the vine is not moved by it"
                 async with session.ws_connect(served.url + "live") as viewing:
                     # It names the state that it has seen, so it is not an old page.
-                    await heard(viewing, "snapshot")
+                    await next_of_kind(viewing, "snapshot")
                     assert await ask(viewing, "hold") == ("accepted", "")
         async with session.ws_connect(served.url + "live") as viewing:
             assert await ask(viewing, "vent") == ("accepted", "")
         await until(served.bench.vented, "the vine is vented")
         assert not served.bench.phlosar.firmware.faults
-        said = served.said.read_text()
+        said = served.output.read_text()
     assert said.count("page and broker stopped") == 1, "two in a row are told once"
     assert "page and broker stopped (it hung), starting again" in said
 
@@ -106,7 +106,7 @@ async def test_no_page_bends_the_vine_of_an_armed_vehicle(tmp_path: Path) -> Non
         assert await ask(viewing, "vent") == ("accepted", "")
         await until(served.bench.vented, "the vine is vented")
         served.bench.autopilot.arm()
-        while not (await heard(viewing, "snapshot"))["snapshot"]["armed"]:
+        while not (await next_of_kind(viewing, "snapshot"))["snapshot"]["armed"]:
             pass
         refused = ("refused", "the page cannot bend the vine while the vehicle is armed")
         assert await ask(viewing, "bend", value=50) == refused
@@ -132,7 +132,7 @@ async def test_an_unanswered_request_is_not_executed_when_the_service_continues(
         await asyncio.sleep(1.0)
         os.kill(served.pid, signal.SIGCONT)
         while True:
-            told = await heard(viewing, "happened")
+            told = await next_of_kind(viewing, "happened")
             if told["what"] == "decision" and told["fields"]["intent"] == "bend 50°":
                 break
         assert told["fields"]["safety"] == "refused"
@@ -149,7 +149,7 @@ async def test_an_unanswered_request_is_not_executed_when_the_service_continues(
 async def _all_well(viewing: ClientWebSocketResponse) -> float:
     """Wait for a new state without faults, and return its time. Latched faults of the board are cleared."""
     while True:
-        now = (await heard(viewing, "snapshot"))["snapshot"]
+        now = (await next_of_kind(viewing, "snapshot"))["snapshot"]
         lies_here_s = asyncio.get_running_loop().time() - now["t"]
         if not now["safe_state"] and lies_here_s < 0.3:
             return float(now["t"])
@@ -187,7 +187,7 @@ async def test_its_token_is_made_and_never_logged(tmp_path: Path) -> None:
     async with serving(tmp_path, host="0.0.0.0") as served, client() as session:
         file = tmp_path / "vine.page-token"
         token = page_token.read(file)
-        said = served.said.read_text()
+        said = served.output.read_text()
         assert f"token in {file}" in said
         assert token not in said
         assert await _status(session, served.url) == 401

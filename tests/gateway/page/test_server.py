@@ -13,15 +13,15 @@ from importlib import resources
 
 import pytest
 from aiohttp import ClientSession, TCPConnector, WSMsgType, WSServerHandshakeError
-from page_bench import TOKEN, Bench, client, heard, served, snapshot
-from patience import PATIENCE_S
+from page_bench import TOKEN, Bench, client, next_of_kind, served, snapshot
 from ports import free_port
 from real_time import real_time
+from waiting import MAX_WAIT_S
 
 from flying_vines.config.config import PageConfig
 from flying_vines.core.events import Decision
 from flying_vines.gateway import page, page_token
-from flying_vines.gateway.page import server, viewer
+from flying_vines.gateway.page import server, viewer_session
 from flying_vines.gateway.page.connections import MAX_NEW, MAX_PILOTS, MAX_VIEWERS
 from flying_vines.vehicle.notice import Notice, Severity
 
@@ -66,7 +66,9 @@ async def test_all_files_are_served_and_nothing_but_them(bench: Bench, session: 
         assert response.status == 405
 
 
-async def test_the_browser_is_told_to_load_nothing_else(bench: Bench, session: ClientSession) -> None:
+async def test_the_headers_forbid_the_browser_to_load_anything_else(
+    bench: Bench, session: ClientSession
+) -> None:
     async with session.get(bench.url) as response:
         policy = response.headers["Content-Security-Policy"]
         text = await response.text()
@@ -86,35 +88,35 @@ async def test_the_browser_is_told_to_load_nothing_else(bench: Bench, session: C
     assert "<script>" not in text
 
 
-async def test_a_viewer_is_told_what_was_and_what_is(bench: Bench, session: ClientSession) -> None:
+async def test_a_viewer_gets_past_events_and_the_present_state(bench: Bench, session: ClientSession) -> None:
     bench.happen(Notice(1.0, Severity.INFO, "Vine: ready"))
     bench.show(snapshot(2.0, cv_kPa=3.0))
     await asyncio.sleep(0)
     async with session.ws_connect(bench.url + "/live") as viewing:
-        hello = await heard(viewing, "hello")
+        hello = await next_of_kind(viewing, "hello")
         assert hello["version"] == "1.2.3"
         assert hello["may_ask"]
         angles = {"straight": 0.0, "bend-half": 30.0, "bend-full": 60.0, "reach": 45.0, "wave": 40.0}
         assert hello["vine"]["profiles"] == angles
         assert hello["history"] == [[2.0, 3.0, 0.0, 600.0]]
         assert hello["happened"][0]["fields"]["text"] == "Vine: ready"
-        assert (await heard(viewing, "snapshot"))["snapshot"]["cv_kPa"] == 3.0
+        assert (await next_of_kind(viewing, "snapshot"))["snapshot"]["cv_kPa"] == 3.0
         bench.happen(Decision(3.0, "page", {}, "vent", "accepted", "", 0.0))
-        assert (await heard(viewing, "happened"))["fields"]["intent"] == "vent"
+        assert (await next_of_kind(viewing, "happened"))["fields"]["intent"] == "vent"
         bench.show(snapshot(3.0, cv_kPa=4.0))
-        assert (await heard(viewing, "snapshot"))["snapshot"]["cv_kPa"] == 4.0
+        assert (await next_of_kind(viewing, "snapshot"))["snapshot"]["cv_kPa"] == 4.0
 
 
 async def test_a_page_without_news_gets_signs_of_life(bench: Bench, session: ClientSession) -> None:
     async with session.ws_connect(bench.url + "/live") as viewing:
-        await heard(viewing, "hello")
-        await heard(viewing, "beat")
+        await next_of_kind(viewing, "hello")
+        await next_of_kind(viewing, "beat")
 
 
 async def test_requests_are_answered(bench: Bench, session: ClientSession) -> None:
     async with session.ws_connect(bench.url + "/live") as viewing:
         await viewing.send_str('{"id": 5, "command": "bend", "value": 30}')
-        assert await heard(viewing, "answer") == {
+        assert await next_of_kind(viewing, "answer") == {
             "kind": "answer",
             "id": 5,
             "safety": "accepted",
@@ -122,7 +124,7 @@ async def test_requests_are_answered(bench: Bench, session: ClientSession) -> No
         }
         bench.answer = ("refused", "not armed")
         await viewing.send_str('{"id": 6, "command": "profile", "name": "wave"}')
-        answer = await heard(viewing, "answer")
+        answer = await next_of_kind(viewing, "answer")
     assert (answer["safety"], answer["reason"]) == ("refused", "not armed")
     assert [(ask.by, ask.command, ask.value, ask.name) for ask in bench.asked] == [
         ("page", "bend", 30.0, None),
@@ -136,7 +138,7 @@ async def test_a_request_has_at_least_its_stated_age(bench: Bench, session: Clie
     async with session.ws_connect(bench.url + "/live") as viewing:
         for times in ("", f', "made_at": {began - 9}, "seen_at": 7.5', f', "made_at": {began + 9}'):
             await viewing.send_str(f'{{"id": 5, "command": "hold"{times}}}')
-            await heard(viewing, "answer")
+            await next_of_kind(viewing, "answer")
     made = [ask.made_at for ask in bench.asked]
     assert made[1] == began - 9
     assert all(at is not None and began <= at <= loop.time() for at in (made[0], made[2]))
@@ -152,9 +154,9 @@ async def test_a_client_that_waits_for_an_answer_can_still_vent(bench: Bench, se
             await asyncio.sleep(0.001)
         bench.answers = True
         await viewing.send_str('{"id": 9, "command": "vent"}')
-        answer = await heard(viewing, "answer")
+        answer = await next_of_kind(viewing, "answer")
         assert (answer["id"], answer["safety"]) == (9, "accepted")
-        answer = await heard(viewing, "answer")
+        answer = await next_of_kind(viewing, "answer")
         assert (answer["safety"], answer["reason"]) == ("unanswered", "the service does not answer")
 
 
@@ -195,16 +197,16 @@ async def test_on_the_network_it_opens_by_token_then_by_cookie() -> None:
         assert "SameSite=Strict" in cookie
         remembered = {"Cookie": cookie.partition(";")[0]}
         async with session.ws_connect(bench.url + "/live", headers=remembered) as viewing:
-            assert (await heard(viewing, "hello"))["may_ask"]
+            assert (await next_of_kind(viewing, "hello"))["may_ask"]
 
 
 async def test_requests_of_a_viewer_are_refused() -> None:
     token = page_token.watching(TOKEN)
     async with served("0.0.0.0") as bench, client(Authorization=f"Bearer {token}") as session:
         async with session.ws_connect(bench.url + "/live") as viewing:
-            assert not (await heard(viewing, "hello"))["may_ask"]
+            assert not (await next_of_kind(viewing, "hello"))["may_ask"]
             await viewing.send_str(VENT)
-            assert (await heard(viewing, "answer"))["reason"] == "you may only watch"
+            assert (await next_of_kind(viewing, "answer"))["reason"] == "you may only watch"
         assert not bench.asked
 
 
@@ -225,7 +227,7 @@ async def test_an_invalid_message_ends_only_its_own_socket(
         session.ws_connect(bench.url + "/live") as other,
     ):
         await (other.send_str(said) if isinstance(said, str) else other.send_bytes(said))
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             async for message in other:
                 assert message.type is WSMsgType.TEXT
         assert other.close_code == code
@@ -241,7 +243,7 @@ async def test_a_client_that_asks_too_often_is_disconnected(bench: Bench, sessio
         with contextlib.suppress(ConnectionError):
             for i in range(1000):
                 await flood.send_str(f'{{"id": {i}, "command": "vent"}}')
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             async for _ in flood:
                 pass
         assert flood.close_code in (1013, 1006)
@@ -257,12 +259,12 @@ async def test_pings_are_answered_but_not_too_many(bench: Bench, session: Client
         with contextlib.suppress(ConnectionError):
             for _ in range(1000):
                 await flood.ping()
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             async for _ in flood:
                 pass
         assert flood.close_code in (1013, 1006)
         # A client disconnects if its pings are not answered.
-        await heard(pilot, "beat")
+        await next_of_kind(pilot, "beat")
         await _vents(pilot)
 
 
@@ -298,15 +300,15 @@ async def test_of_too_many_pilots_the_oldest_goes(bench: Bench, session: ClientS
         ]
         await _vents(pilots[-1])
         await _vents(pilots[1])
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(MAX_WAIT_S):
             async for _ in pilots[0]:
                 pass
 
 
-async def test_a_slow_reader_is_dropped_and_nobody_waits_for_it(
+async def test_a_slow_reader_is_dropped_and_delays_nothing(
     bench: Bench, session: ClientSession, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(viewer, "SLOW_S", 0.3)
+    monkeypatch.setattr(viewer_session, "SLOW_S", 0.3)
     slow = socket.create_connection(("127.0.0.1", bench.page.port))
     with slow:
         slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -316,22 +318,22 @@ async def test_a_slow_reader_is_dropped_and_nobody_waits_for_it(
             "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
         )
         async with session.ws_connect(bench.url + "/live") as pilot:
-            await heard(pilot, "hello")
+            await next_of_kind(pilot, "hello")
             long = snapshot(doing="x" * 40_000)
             for i in range(60):
                 bench.show(long)
-                await heard(pilot, "snapshot")
+                await next_of_kind(pilot, "snapshot")
                 if i == 30:
                     await asyncio.sleep(0.5)
             await _vents(pilot)
-        slow.settimeout(PATIENCE_S)
+        slow.settimeout(MAX_WAIT_S)
         with contextlib.suppress(ConnectionResetError):
-            async with asyncio.timeout(PATIENCE_S):
+            async with asyncio.timeout(MAX_WAIT_S):
                 while await asyncio.to_thread(slow.recv, 65536):
                     pass
 
 
-async def test_a_thousand_connections_keep_nobody_out(bench: Bench, session: ClientSession) -> None:
+async def test_a_thousand_connections_exclude_no_pilot(bench: Bench, session: ClientSession) -> None:
     flood: list[socket.socket] = []
     async with session.ws_connect(bench.url + "/live") as pilot:
         try:
@@ -378,7 +380,7 @@ def _closed(connection: socket.socket) -> bool:
 
 async def _vents(viewing: object, number: int = 1) -> None:
     await viewing.send_str(json.dumps({"id": number, "command": "vent"}))  # type: ignore[attr-defined]
-    answer = await heard(viewing, "answer")  # type: ignore[arg-type]
+    answer = await next_of_kind(viewing, "answer")  # type: ignore[arg-type]
     assert (answer["id"], answer["safety"]) == (number, "accepted")
 
 
@@ -398,9 +400,9 @@ async def test_a_port_that_is_taken_is_reported_and_had_later(session: ClientSes
 async def test_it_ends_at_once_with_viewers_and_they_see_it(session: ClientSession) -> None:
     async with served() as bench:
         viewing = await session.ws_connect(bench.url + "/live")
-        await heard(viewing, "hello")
+        await next_of_kind(viewing, "hello")
         began = time.monotonic()
     assert time.monotonic() - began < 10.0, "aiohttp alone waits for a minute"
-    async with asyncio.timeout(PATIENCE_S):
+    async with asyncio.timeout(MAX_WAIT_S):
         while (await viewing.receive()).type not in (WSMsgType.CLOSED, WSMsgType.CLOSE, WSMsgType.ERROR):
             pass

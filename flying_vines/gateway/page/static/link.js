@@ -2,8 +2,8 @@
 
 const SILENT_S = 2.0; // a message comes every second, so the link is lost after this time
 const OPENS_WITHIN_S = 3.0;
-const FIRST_PATIENCE_S = 0.25;
-const LONGEST_PATIENCE_S = 4.0;
+const FIRST_BACKOFF_S = 0.25;
+const MAX_BACKOFF_S = 4.0;
 const ANSWERED_WITHIN_S = 1.5;
 const TRY_AGAIN_S = 0.5;
 const LOOK_S = 0.2;
@@ -22,9 +22,9 @@ export class Link {
     this.refused = "";
     this.lostAt = now();
     this.shownAt = null; // time of the latest snapshot, on the drone's clock
-    this.told = null; // the drone's latest clock time, and its time of arrival on our clock
+    this.droneTime = null; // the drone's latest clock time, and its time of arrival on our clock
     this.offset = Infinity; // our clock minus the drone's: the minimum so far
-    this.patience = FIRST_PATIENCE_S;
+    this.backoff = FIRST_BACKOFF_S;
     this.answers = new Map();
     this.number = 0;
     this.connect();
@@ -51,23 +51,23 @@ export class Link {
     const secure = location.protocol === "https:" ? "wss" : "ws";
     const socket = new WebSocket(`${secure}://${location.host}/live`);
     this.socket = socket;
-    this.began = this.heardAt = now();
-    socket.onmessage = (event) => this.socket === socket && this.heard(JSON.parse(event.data));
+    this.began = this.receivedAt = now();
+    socket.onmessage = (event) => this.socket === socket && this.handle(JSON.parse(event.data));
     socket.onclose = () => this.socket === socket && this.lost();
   }
 
-  heard(message) {
-    this.heardAt = now();
+  handle(message) {
+    this.receivedAt = now();
     if (message.kind === "hello") {
       this.open = true;
       this.refused = "";
-      this.patience = FIRST_PATIENCE_S;
-      this.offset = this.heardAt - message.t;
-      this.told = { t: message.t, at: this.heardAt };
+      this.backoff = FIRST_BACKOFF_S;
+      this.offset = this.receivedAt - message.t;
+      this.droneTime = { t: message.t, at: this.receivedAt };
     } else if (message.kind === "snapshot") {
       this.shownAt = message.snapshot.t;
-      this.told = { t: this.shownAt, at: this.heardAt };
-      this.offset = Math.min(this.offset, this.heardAt - this.shownAt);
+      this.droneTime = { t: this.shownAt, at: this.receivedAt };
+      this.offset = Math.min(this.offset, this.receivedAt - this.shownAt);
     } else if (message.kind === "answer") {
       this.answers.get(message.id)?.(message);
       return;
@@ -76,22 +76,22 @@ export class Link {
   }
 
   watch() {
-    if (this.socket && now() - this.heardAt > (this.open ? SILENT_S : OPENS_WITHIN_S)) this.lost();
+    if (this.socket && now() - this.receivedAt > (this.open ? SILENT_S : OPENS_WITHIN_S)) this.lost();
   }
 
   lost() {
     const socket = this.socket;
     this.socket = null;
     socket.close();
-    if (this.open) this.lostAt = this.heardAt;
+    if (this.open) this.lostAt = this.receivedAt;
     else this.askWhy();
     this.open = false;
-    this.again = setTimeout(() => this.connect(), 1000 * this.patience * (0.75 + 0.5 * Math.random()));
-    this.patience = Math.min(2 * this.patience, LONGEST_PATIENCE_S);
+    this.again = setTimeout(() => this.connect(), 1000 * this.backoff * (0.75 + 0.5 * Math.random()));
+    this.backoff = Math.min(2 * this.backoff, MAX_BACKOFF_S);
   }
 
   hurry() {
-    this.patience = FIRST_PATIENCE_S;
+    this.backoff = FIRST_BACKOFF_S;
     if (this.socket) return this.watch();
     clearTimeout(this.again);
     this.connect();
@@ -109,7 +109,7 @@ export class Link {
 
   // Time on the drone's clock. Delays of the link make it too early, never too late.
   get madeAt() {
-    return this.told && this.told.t + (now() - this.told.at);
+    return this.droneTime && this.droneTime.t + (now() - this.droneTime.at);
   }
 
   // Returns safety's ruling: accepted, limited, refused, or unanswered. Late requests are refused, except vents.

@@ -21,16 +21,16 @@ from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.fit import FitPoint, FitProblem
 from flying_vines.identification.noise import stated_noise
 from flying_vines.identification.plan import Recommendation, recommend
+from flying_vines.identification.prediction_error import Errors, errors, gain, nrmse, split
 from flying_vines.identification.search import Progress, silent
 from flying_vines.identification.simulate import rig_number_keys
-from flying_vines.identification.unseen import Errors, errors, gain, nrmse, split
 from flying_vines.identification.verdict import Verdict
 from flying_vines.physics.cause import Cause
 from flying_vines.physics.effects import causes_of
 from flying_vines.physics.rig import Rig, Sensors
 from flying_vines.studies.paper.compare import HIGH_RESISTANCE, HIGH_RESISTANCE_RATIO, rms
 from flying_vines.studies.paper.data import DISCHARGES, curve
-from flying_vines.studies.paper.diagnosis.rivals import SENSOR_LINE, VALVE_SETTLES
+from flying_vines.studies.paper.diagnosis.other_causes import SENSOR_LINE, VALVE_SETTLES
 
 RESERVOIR = 1
 """Row of the reservoir in a run's readings."""

@@ -1,0 +1,181 @@
+"""Serves one browser or terminal: sends all news and reads its requests. It may be slow or hostile."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Sequence
+
+import msgspec
+from aiohttp import WSCloseCode, WSMsgType
+from aiohttp.web import WebSocketResponse
+
+from flying_vines.config.config import Config
+from flying_vines.gateway.feed import Feed, FeedReader, NoAnswerError
+from flying_vines.gateway.messages import Happened, SnapshotMessage
+from flying_vines.gateway.page.history import History, Sample
+from flying_vines.gateway.page.request import MAX_AT_ONCE, MAX_PER_S, PageRequest, read_request
+from flying_vines.gateway.token_bucket import TokenBucket
+from flying_vines.vine.profile import flatten, top_kPa
+
+BEAT_S = 1.0
+"""A message is sent at least this often. Without one the browser reports a lost link."""
+SLOW_S = 5.0
+"""A viewer that accepts no data for this long is disconnected."""
+PAST_EVENTS = 200
+"""Maximum number of past events that a new viewer gets."""
+
+
+class _Vine(msgspec.Struct, frozen=True):
+    """What the page needs from the configuration."""
+
+    profiles: dict[str, float]
+    """The largest angle of each profile, degrees."""
+    curve: tuple[tuple[float, float], ...]
+    max_kPa: float
+    full_kPa: float
+    bench_mode: bool
+
+
+class _Hello(msgspec.Struct, frozen=True, tag="hello", tag_field="kind"):
+    t: float
+    """The present time, on the clock of all other times."""
+    version: str
+    may_ask: bool
+    flights: bool
+    """`/flights` lists the flights."""
+    vine: _Vine
+    history: Sequence[Sample]
+    happened: Sequence[Happened]
+
+
+class _Answer(msgspec.Struct, frozen=True, tag="answer", tag_field="kind"):
+    """The answer to a request."""
+
+    id: int
+    safety: str
+    reason: str
+
+
+class _Missed(msgspec.Struct, frozen=True, tag="missed", tag_field="kind"):
+    """Events that a slow viewer has lost."""
+
+    count: int
+
+
+class _Beat(msgspec.Struct, frozen=True, tag="beat", tag_field="kind"):
+    pass
+
+
+_Message = _Hello | _Answer | _Missed | _Beat | Happened | SnapshotMessage
+
+
+class ViewerSession:
+    """The server side of one WebSocket."""
+
+    def __init__(self, feed: Feed, history: History, socket: WebSocketResponse, may_ask: bool) -> None:
+        self._feed = feed
+        self._history = history
+        self._socket = socket
+        self._may_ask = may_ask
+        self._asking: set[asyncio.Task[None]] = set()
+
+    async def serve(self) -> None:
+        """Serve until the socket closes. Raises `TimeoutError` or `ConnectionError` if sending fails."""
+        with self._feed.reader() as reader:
+            await self._send(self._hello())
+            if self._feed.latest is not None:
+                await self._send(self._feed.latest)
+            sending = asyncio.create_task(self._send_news(reader))
+            listening = asyncio.create_task(self._listen())
+            tasks = {sending, listening}
+            try:
+                await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                tasks |= self._asking
+                for task in tasks:
+                    task.cancel()
+                ended = await asyncio.gather(*tasks, return_exceptions=True)
+        for end in ended:
+            if isinstance(end, Exception):
+                raise end
+
+    def _hello(self) -> _Hello:
+        return _Hello(
+            asyncio.get_running_loop().time(),
+            self._feed.start.version,
+            self._may_ask,
+            self._may_ask and bool(self._feed.start.flights),
+            _vine(self._feed.start.config),
+            tuple(self._history.samples),
+            tuple(self._feed.happened)[-PAST_EVENTS:],
+        )
+
+    async def _send_news(self, reader: FeedReader) -> None:
+        missed = 0
+        while True:
+            try:
+                news: Sequence[_Message] = await asyncio.wait_for(reader.next(), BEAT_S)
+            except TimeoutError:
+                news = (_Beat(),)
+            if reader.missed > missed:
+                await self._send(_Missed(reader.missed - missed))
+                missed = reader.missed
+            for message in news:
+                await self._send(message)
+
+    async def _listen(self) -> None:
+        loop = asyncio.get_running_loop()
+        bucket = TokenBucket(loop.time(), MAX_AT_ONCE, MAX_PER_S)
+        async for message in self._socket:
+            if not bucket.take(loop.time()):
+                await self._close(WSCloseCode.TRY_AGAIN_LATER, "too many requests")
+                return
+            if message.type is WSMsgType.PING:
+                await self._socket.pong(message.data)
+                continue
+            if message.type is WSMsgType.PONG:
+                continue
+            if message.type is not WSMsgType.TEXT:
+                return
+            try:
+                request = read_request(message.data)
+            except (msgspec.DecodeError, ValueError):
+                await self._close(WSCloseCode.INVALID_TEXT, "not understood")
+                return
+            # In a task, so that a viewer can vent while it waits for an answer.
+            task = asyncio.create_task(self._answer_request(request))
+            self._asking.add(task)
+            task.add_done_callback(self._asking.discard)
+
+    async def _answer_request(self, request: PageRequest) -> None:
+        if not self._may_ask:
+            answer = _Answer(request.id, "refused", "you may only watch")
+        else:
+            try:
+                found = await self._feed.ask(
+                    "page", request.command, request.value, request.name, request.made_at, request.seen_at
+                )
+                answer = _Answer(request.id, found.safety, found.reason)
+            except NoAnswerError as error:
+                answer = _Answer(request.id, "unanswered", str(error))
+        await self._send(answer)
+
+    async def _send(self, message: _Message) -> None:
+        async with asyncio.timeout(SLOW_S):
+            await self._socket.send_str(msgspec.json.encode(message).decode())
+
+    async def _close(self, code: WSCloseCode, why: str) -> None:
+        await self._socket.close(code=code, message=why.encode())
+
+
+def _vine(config: Config) -> _Vine:
+    curve, max_kPa = config.vine.bend_curve(), config.limits.max_kPa
+    segments = {name: tuple(flatten(config.profiles, name)) for name in config.profiles}
+    tops_kPa = {name: top_kPa(flat, curve, max_kPa) for name, flat in segments.items()}
+    return _Vine(
+        {name: round(curve.angle_deg(kPa), 1) for name, kPa in tops_kPa.items()},
+        config.vine.curve,
+        max_kPa,
+        config.pneumatics.full_kPa,
+        config.interlocks.bench_mode,
+    )
