@@ -224,6 +224,6 @@ def test_the_vehicle_is_only_asked(seen: dict[str, Examined]) -> None:
 
 
 def test_findings_are_reported_in_order_as_they_come(seen: dict[str, Examined]) -> None:
-    for examined in seen.values():
-        assert [finding for told in examined.reported for finding in told] == examined.findings
-        assert len(examined.reported) > 5
+    for world in seen.values():
+        assert [finding for told in world.reported for finding in told] == world.findings
+        assert len(world.reported) > 5
