@@ -2,9 +2,10 @@
 
 It uses the plant's right-hand side and its step (`physics.plant.tick.runge_kutta`). Differences from a tick
 of the firmware: samples may be at any time. Steps are as long as the gas allows; with a hose they may be
-longer than its time constant. A step that crosses an edge (the Venturi stalls, the control volume begins to
-stretch) is divided there. The lag of a sensor is computed for a pressure that is cubic within a step. numba
-compiles this file. EVP is the inflation valve, DVP the valve that supplies the Venturi.
+longer than its time constant. While no valve moves and the outlet is shut, a step may cover several samples.
+Pressures are cubic within a step, for these samples and for the lag of a sensor. A step that crosses an edge
+(the Venturi stalls, the control volume begins to stretch) is divided there. numba compiles this file. EVP is
+the inflation valve, DVP the valve that supplies the Venturi.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.exponential_integrator import exponential_runge_kutta, tubing_per_s
 from flying_vines.physics.plant.numbers import PlantNumbers, ValveNumbers
-from flying_vines.physics.plant.plant import Held
+from flying_vines.physics.plant.plant import Conditions, Held
 from flying_vines.physics.plant.rates import Floats, conditions, edges, rates
 from flying_vines.physics.plant.sensors import SensorMemory, Transfer, lagged_kPa, transferred
 from flying_vines.physics.plant.tick import runge_kutta
@@ -192,6 +193,34 @@ def _seen_after(
     return SensorMemory(kPa, lagged, 0.0)
 
 
+def _read_within(
+    cv_sensor: Transfer,
+    reservoir_sensor: Transfer,
+    cv_seen: SensorMemory,
+    reservoir_seen: SensorMemory,
+    time_s: Array,
+    first: tuple[float, float],
+    end: Conditions,
+    last: tuple[float, float],
+    out: Array,
+) -> tuple[SensorMemory, SensorMemory]:
+    """Fill the readings at the samples of a step, except the first; both sensors at its end.
+
+    `first` and `last` are the rates of both pressures (kPa/s) at the ends of the step.
+    """
+    h = time_s[-1] - time_s[0]
+    cv, reservoir = cv_seen, reservoir_seen
+    for k in range(1, len(time_s)):
+        since_s = time_s[k] - time_s[0]
+        cv = _seen_after(cv_sensor, cv_seen, first[0], end.line_kPa, last[0], h, since_s)
+        reservoir = _seen_after(
+            reservoir_sensor, reservoir_seen, first[1], end.reservoir_kPa, last[1], h, since_s
+        )
+        out[k, 0] = transferred(cv_sensor, cv, 0.0)
+        out[k, 1] = transferred(reservoir_sensor, reservoir, 0.0)
+    return cv, reservoir
+
+
 NOT_INLINED = (gas_after, runge_kutta, exponential_runge_kutta, rates, conditions)
 """Not inlined by the compiler, because they are called from several places."""
 
@@ -264,22 +293,18 @@ def run(
             if ahead > i + 1 and _smooth(numbers, air, state, held, h, now - max(switch_s[at], time_s[0])):
                 end = step(numbers, air, 0.0, state, held, h)
                 if not _crossed(numbers, air, 0.0, h, state, end):
-                    cv_rate, reservoir_rate = _pressure_rates(numbers, air, state, held, h)
-                    cv_end_rate, reservoir_end_rate = _pressure_rates(numbers, air, end, held, h)
-                    found = conditions(numbers, air, end)
-                    cv_then, reservoir_then = cv_seen, reservoir_seen
-                    for k in range(i + 1, ahead + 1):
-                        since_s = time_s[k] - now
-                        cv_then = _seen_after(
-                            cv_sensor, cv_seen, cv_rate, found.line_kPa, cv_end_rate, h, since_s
-                        )
-                        reservoir_then = _seen_after(
-                            reservoir_sensor, reservoir_seen, reservoir_rate,
-                            found.reservoir_kPa, reservoir_end_rate, h, since_s,
-                        )  # fmt: skip
-                        out[k, 0] = transferred(cv_sensor, cv_then, 0.0)
-                        out[k, 1] = transferred(reservoir_sensor, reservoir_then, 0.0)
-                    cv_seen, reservoir_seen, state = cv_then, reservoir_then, end
+                    cv_seen, reservoir_seen = _read_within(
+                        cv_sensor,
+                        reservoir_sensor,
+                        cv_seen,
+                        reservoir_seen,
+                        time_s[i : ahead + 1],
+                        _pressure_rates(numbers, air, state, held, h),
+                        conditions(numbers, air, end),
+                        _pressure_rates(numbers, air, end, held, h),
+                        out[i : ahead + 1],
+                    )
+                    state = end
                     now, i = time_s[ahead], ahead
                     continue
         between_s = time_s[i + 1] - time_s[i]

@@ -182,12 +182,14 @@ class Search:
         return self.further([*more, *self._vacancies(candidate)], EXCHANGES)
 
     def _may_gain(self, candidate: Candidate) -> bool:
-        """True if a further cause may pay."""
-        if not candidate.adequate:
+        """True if a further cause may pay: something is left, or a parameter is on its bound.
+
+        An expected gain says little on a bound, which the further cause may move the parameter off.
+        """
+        if not candidate.adequate or candidate.on_bound:
             return True
         promises = self._promises(candidate)
-        claim = CLAIM_ON_BOUND if candidate.on_bound else CLAIM
-        return bool(promises) and max(promises.values()) > claim + log(self.problem.readings)
+        return bool(promises) and max(promises.values()) > CLAIM + log(self.problem.readings)
 
     def _promises(self, base: Candidate) -> dict[Cause, float]:
         """The expected gain of each further cause."""
