@@ -139,7 +139,7 @@ VEHICLE = (
         "",
         Cleared.AT_ONCE,
         safe_state="carried out 0.3 s later, from the mission that was read",
-        proof="test_a_straightening_that_was_lost_on_px4_comes_after_all",
+        proof="test_a_lost_straightening_on_px4_is_executed_later",
     ),
     Row(
         "autopilot_silent",
@@ -223,7 +223,7 @@ COMPANION = (
         Cleared.PERSON,
         300,
         250,
-        proof="test_the_dead_man_behind_the_real_service",
+        proof="test_the_dead_man_vents_when_the_service_or_its_line_fails",
     ),
     Row(
         "companion_stutters",
@@ -263,7 +263,7 @@ COMPANION = (
     ),
 )
 
-GOES_ON = "test_a_flight_continues_whatever_happens_around_it"
+GOES_ON = "test_a_flight_continues_when_files_fail_or_a_second_service_starts"
 FILES = (
     Row(
         "configuration_changed",
@@ -373,7 +373,7 @@ FILES = (
         "no flight log can be written there",
         Cleared.AT_ONCE,
         safe_state="never moved",
-        proof="test_a_service_does_not_start_without_its_files",
+        proof="test_a_service_does_not_start_with_bad_files",
     ),
     Row(
         "parameters_damaged",
@@ -382,7 +382,7 @@ FILES = (
         "not TOML",
         Cleared.AT_ONCE,
         safe_state="never moved",
-        proof="test_a_service_does_not_start_without_its_files",
+        proof="test_a_service_does_not_start_with_bad_files",
     ),
 )
 
