@@ -228,7 +228,7 @@ COMPANION = (
     Row(
         "companion_stutters",
         "companion stalled for 0.2 s",
-        "nothing: a setpoint lives for 0.25 s",
+        "nothing: a setpoint is valid for 0.25 s",
         "",
         Cleared.AT_ONCE,
         safe_state="continues",
@@ -522,7 +522,7 @@ BOARD = (
     Row(
         "board_clock_ahead",
         "its clock jumps ahead by an hour",
-        "one message is ignored, the next agrees; a telemetry gap",
+        "one message is ignored, the next one is accepted; a telemetry gap",
         "",
         Cleared.AT_ONCE,
         safe_state="continues",
