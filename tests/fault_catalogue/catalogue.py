@@ -267,7 +267,7 @@ GOES_ON = "test_a_flight_continues_when_files_fail_or_a_second_service_starts"
 FILES = (
     Row(
         "configuration_changed",
-        "configuration file changed or deleted during a run",
+        "configuration changed or deleted during a run",
         "nothing: it is read once, at the start",
         "",
         Cleared.AT_ONCE,
