@@ -50,18 +50,18 @@ Draw = Callable[[Path, "Browser"], None]
 
 
 def start(line: str, folder: Path, size: tuple[int, int] = (100, 32)) -> Terminal:
-    """Begin a command of ours."""
+    """Start a `flying-vines` command on a terminal."""
     return Terminal(("sh", "-c", f"exec {sys.executable} -m flying_vines {line}"), folder, ENVIRONMENT, size)
 
 
 def run(line: str, folder: Path) -> None:
-    """Run a command of ours to its end."""
+    """Run a `flying-vines` command to its end."""
     with start(line, folder) as terminal:
         terminal.end()
 
 
 def commands(*lines: str, **files: str) -> Draw:
-    """Run these commands of ours. `files`: for a picture, the file that the command writes."""
+    """Run these `flying-vines` commands. `files`: for each picture, the file that a command writes."""
 
     def draw(folder: Path, browser: Browser) -> None:
         _write_inputs(folder)
@@ -82,7 +82,7 @@ def commands(*lines: str, **files: str) -> Draw:
 
 
 def measured(name: str, files: str) -> Draw:
-    """Import and diagnose readings of another laboratory, as the guide of measured data does."""
+    """Import and diagnose readings of another laboratory, as in docs/measured-data.md."""
     return commands(
         f"import measured/{files} --to case",
         "diagnose case --out report",
@@ -91,7 +91,7 @@ def measured(name: str, files: str) -> Draw:
 
 
 def _write_inputs(folder: Path) -> None:
-    """The files that the commands read."""
+    """Write the files that the commands read."""
     # A copy: the import writes its answers beside the data.
     shutil.copytree(DOCS.parent / "tests" / "data" / "measured", folder / "measured")
     small, heats = "[cv]\nvolume_L = 0.1\n", "[causes.cv_heating]\ntime_constant_s = 5.6\n"
@@ -110,7 +110,7 @@ def _write_inputs(folder: Path) -> None:
 
 
 def page_of(browser: Browser, port: int, **window: Any) -> Page:
-    """The service's page in a new window, as soon as there is data."""
+    """The service's page in a new window, as soon as it shows data."""
     while True:
         with socket.socket() as probe:
             if probe.connect_ex(("127.0.0.1", port)) == 0:
@@ -140,7 +140,7 @@ def page(folder: Path, browser: Browser) -> None:
 
 
 class StandIns:
-    """Stand-ins for autopilot and phloSAR, and a configuration for them. Leaving it ends them."""
+    """Context manager: stand-ins for autopilot and phloSAR, and a configuration for them."""
 
     def __init__(self, folder: Path, gcs_port: int, options: str = "") -> None:
         self.vehicle_port, self.page_port = free_port(), free_port()
@@ -170,7 +170,7 @@ class GroundStation:
     def __init__(self) -> None:
         self.port = free_port()
         self.values: dict[str, list[tuple[float, float]]] = {}
-        """By name: times and values."""
+        """Pairs of time and value, by name."""
         self._link = mavutil.mavlink_connection(f"udpin:127.0.0.1:{self.port}", source_system=255)
         self._began = self._spoke = monotonic()
 
@@ -245,7 +245,7 @@ def bench(folder: Path, browser: Browser) -> None:
 
 
 def doctor(folder: Path, browser: Browser) -> None:
-    """The doctor before an empty bottle, while another program has our component id."""
+    """The doctor with an empty reservoir, while another program has our component id."""
     other = mavlink.MAVLink(None, srcSystem=1, srcComponent=OUR_ID)
     with StandIns(folder, free_port(), "--reservoir-kPa 30") as there:
         link = mavutil.mavudp(f"127.0.0.1:{there.vehicle_port}", input=False)
@@ -304,7 +304,7 @@ SHEETS: dict[tuple[str, ...], Draw] = {
 
 
 def keep(drawn: Path) -> None:
-    """Copy the picture into the guides, as a small file."""
+    """Copy the picture to docs/images; a PNG with few colours."""
     target = IMAGES / drawn.name
     if drawn.suffix == ".png":
         Image.open(drawn).convert("RGB").quantize(COLOURS).save(target, optimize=True)

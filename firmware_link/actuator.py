@@ -1,4 +1,4 @@
-"""Actuators that are not a phloSAR: what a device must offer, and its line to the host's session."""
+"""Actuators that are not a phloSAR: the interface of a device, and its line to the host's session."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Line(Protocol):
     """Bytes of one device <-> messages of the host's session. It opens no port and reads no clock."""
 
     vent: bytes
-    """Vents the device, whatever came before. It is sent after an error, too."""
+    """Vents the device in any state. It is also sent after an error."""
 
     def restart(self) -> None:
         """The port was opened again: forget incomplete messages."""
@@ -63,21 +63,21 @@ class PhlosarLine:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What a device reports of itself. The host must not make up any of it."""
+    """A report of the device. Each value must come from the device, not from the host."""
 
     pressure_kPa: float
     """Measured, gauge. NaN: the sensor has failed."""
     vented: bool
     """The device drives nothing and its outlet is open."""
     faults: Fault = Fault.NONE
-    """Why the device vents by itself."""
+    """The faults for which the device vents by itself."""
 
 
 class Actuator(Protocol):
     """A device that bends the vine. `conformance.broken_promises` checks the promises.
 
     The device itself, not this class, must vent if nothing comes for `dead_man_ms`, after a reset, and
-    without power: this computer may stop at any time. It must report all the time, vented or not.
+    without power: this computer may stop at any time. It must send reports also while it is vented.
     """
 
     name: str
@@ -89,7 +89,7 @@ class Actuator(Protocol):
     reports_Hz: int
     """At least 10."""
     vent: bytes
-    """Vents the device, whatever came before. Read once, so that no error can prevent a vent."""
+    """Vents the device in any state. Read only once, so that a later error cannot prevent a vent."""
 
     def setpoint(self, kPa: float) -> bytes:
         """Called every 20 ms while the vine bends, with 0…`max_kPa` (gauge)."""
@@ -126,7 +126,7 @@ class ActuatorLine:
             dead_man_ms=actuator.dead_man_ms,
             telemetry_Hz=actuator.reports_Hz,
         )
-        self._welcome.pack()  # raises an error for a name that the protocol cannot have
+        self._welcome.pack()  # raises an error for a name that the protocol does not allow
         self.restart()
 
     def restart(self) -> None:
@@ -159,7 +159,7 @@ class ActuatorLine:
             faults |= Fault(reading.faults)
         messages: list[Message] = []
         if self._nonce is not None:
-            # Only a device that reports is there.
+            # A report proves that the device is connected.
             messages.append(replace(self._welcome, nonce=self._nonce))
             self._nonce = None
         mode = Mode.FAULT if faults else Mode.VENT if last.vented else Mode.REGULATE

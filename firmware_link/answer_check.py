@@ -1,4 +1,4 @@
-"""Checks that the phloSAR is on the port. If it does not answer, finds the probable reason."""
+"""Checks that the phloSAR answers on the port. If it does not, finds the probable reason."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ ANSWER_WITHIN_S = 3.0
 
 
 class AnswerCheck:
-    """Watches for an answer to our greeting after each opening of a port."""
+    """Checks for an answer to our greeting, each time after the port was opened."""
 
     def __init__(self) -> None:
         self._opened_s: float | None = None
@@ -37,7 +37,7 @@ class AnswerCheck:
             self._answered = any(isinstance(message, (Welcome, Refusal)) for message in messages)
 
     def news(self, t: float) -> str | None:
-        """Once, a sentence if there is no answer; once, an empty text if there is again; else None."""
+        """A sentence when the answer is missing, an empty text when it has come; None without a change."""
         if self._opened_s is None:
             return None
         waited = not self._answered and t - self._opened_s >= ANSWER_WITHIN_S

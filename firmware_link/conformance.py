@@ -2,7 +2,7 @@
 
     assert broken_promises(OurPump, ModelOfOurPump) == []
 
-A model shows that the protocol is right. Only the real device shows that it vents by itself: pull its cable
+A model shows only that the protocol is right. To check that the real device vents by itself, pull its cable
 while the vine is bent.
 """
 
@@ -33,7 +33,7 @@ class Device(Protocol):
         """Bytes for the device."""
 
     def advance(self, t: float) -> bytes:
-        """Let the time pass to `t` (seconds, from 0). Returns the bytes that the device sends meanwhile."""
+        """Simulate until `t` (seconds, from 0). Returns the bytes that the device sends until then."""
 
 
 class _Trial:
@@ -105,21 +105,21 @@ def broken_promises(
 
     trial = bent()
     if not trial.device.pressure_kPa > 0.9 * limit_kPa or not trial.reports(Mode.REGULATE):
-        return [*broken, f"it does not reach max_kPa within {moves_within_s:g} s, or does not report that"]
+        return [*broken, f"it does not reach max_kPa within {moves_within_s:g} s, or does not report it"]
     trial.run(1.0)
     if trial.highest_kPa > 1.1 * limit_kPa:
-        broken.append(f"it reaches {trial.highest_kPa:.1f} kPa, max_kPa is {limit_kPa:g}")
+        broken.append(f"it reaches {trial.highest_kPa:.1f} kPa, but max_kPa is {limit_kPa:g}")
     trial.command(limit_kPa / 2.0)
     if not trial.run(moves_within_s, lambda: trial.device.pressure_kPa < 0.6 * limit_kPa):
         broken.append("it does not go down to a lower setpoint")
     trial.command(None)
     if not trial.run(moves_within_s, trial.straight):
-        broken.append("vent does not vent it, or it does not report that")
+        broken.append("vent does not vent it, or it does not report it")
 
     trial = bent()
     trial.cut = True
     if not trial.run(dead_man_s + REPORTS_WITHIN_S, lambda: trial.reports(Mode.VENT)):
-        broken.append("it does not report within dead_man_ms of the last message that it vents")
+        broken.append("it does not report a vent within dead_man_ms of the last message")
     if not trial.run(moves_within_s, trial.straight):
         broken.append("it does not vent when no message comes for dead_man_ms")
 
@@ -136,7 +136,7 @@ def broken_promises(
 
 
 def _misread(actuator: Callable[[], Actuator], device: Callable[[], Device]) -> list[str]:
-    """What is wrong with `readings`."""
+    """The broken promises of `readings`."""
     sent = device().advance(1.0)
     whole, pieces = actuator(), actuator()
     broken = []

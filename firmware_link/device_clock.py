@@ -1,7 +1,7 @@
 """Finds out if telemetry is new, by the board's clock in each message.
 
-An arrival alone is no proof: a board that hangs, or a loop in the line, may repeat one frame for ever. The
-sequence number does not help, because a repeat has the same number and the same clock.
+A message that arrives may still be old: a board that hangs, or a loop in the line, may repeat one frame for
+ever. A repeated frame has the same clock.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ REORDERED_MS = 100
 """A message that is older than the previous one by at most this was only reordered. After a restart the
 board's clock is that close only if the board was silent for as long as it had run before."""
 FORGETS = 0.25
-"""A difference between the clocks decays by this much in each second. So a board that stalled once becomes
-current again. A clock slower than three quarters of ours stays stale for ever."""
+"""Seconds by which a difference between the clocks decays in each second. So a board that stalled once counts
+as current again. A board whose clock runs at less than three quarters of ours always counts as stale."""
 MAX_BEHIND_S = 1.0
 """More than the delay in a serial port's buffer."""
 LEAP_S = 1.0
@@ -31,7 +31,7 @@ class ClockVerdict(Enum):
     OLD = "old"
     """A repeat, or reordered."""
     LEAPT = "leapt"
-    """Too far ahead. It counts only if the next message agrees."""
+    """Too far ahead. If the next message continues from its time, that one is NEW."""
     BACK = "back"
     """The board restarted."""
 
@@ -45,11 +45,11 @@ class DeviceClock:
         self.restart()
 
     def restart(self) -> None:
-        """The next message may have any time."""
+        """Accept any time in the next message."""
         self._last: tuple[float, int] | None = None
         self._leapt: tuple[float, int] | None = None
         self._ahead_s = 0.0
-        """The lead of the board's clock over ours."""
+        """Time by which the board's clock is ahead of ours."""
 
     @property
     def behind_s(self) -> float:
@@ -57,7 +57,7 @@ class DeviceClock:
         return max(0.0, -self._ahead_s)
 
     def take(self, t: float, device_time_ms: int) -> ClockVerdict:
-        """Take in a message that arrived at `t`."""
+        """The verdict on a message that arrived at `t`."""
         now = t, device_time_ms
         if self._last is None:
             return self._accept(now, 0, 0.0)

@@ -1,8 +1,8 @@
 """Finds a board by its USB ids, independent of the name of its port.
 
 A port's name depends on the order in which boards were plugged in. A board that restarts while a program
-still has its old port open gets another name. The ids do not change, nor does the serial number, which
-distinguishes equal boards.
+still has its old port open gets another name. The ids and the serial number do not change. Equal boards have
+the same ids, but different serial numbers.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _TEXT = re.compile(r"usb:([0-9a-f]{4}):([0-9a-f]{4})(?::([^\s:]+))?", re.IGNOREC
 
 
 class BoardNotFoundError(LinkError):
-    """No board matches, or several do. The text lists the present ports."""
+    """No board matches, or several do. The text lists the ports."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +57,9 @@ class UsbBoard:
             return str(found[0].device)
         if found:
             raise BoardNotFoundError(self._too_many(found))
-        others = ", ".join(map(_described, present)) or "no serial port at all"
+        others = ", ".join(map(_described, present)) or "no serial port"
         raise BoardNotFoundError(
-            f"{self} is not there: is the board plugged in, powered and flashed? There is {others}"
+            f"{self} is not there: is the board plugged in, powered and flashed? Present: {others}"
         )
 
     def _is(self, port: ListPortInfo) -> bool:
@@ -67,7 +67,7 @@ class UsbBoard:
         return same_kind and self.serial_number in (None, port.serial_number)
 
     def _too_many(self, found: list[ListPortInfo]) -> str:
-        which = f"{self} is {len(found)} ports: {', '.join(map(_described, found))}"
+        which = f"{self} matches {len(found)} ports: {', '.join(map(_described, found))}"
         numbers = {port.serial_number for port in found}
         if len(numbers) == len(found) and None not in numbers:
             return f"{which}; add the serial number of the right one, as in {self}:{found[0].serial_number}"

@@ -12,7 +12,7 @@ from __future__ import annotations
 import binascii
 
 FRAME_END = b"\x00"
-"""Alone it has no effect. After an incomplete frame it ends that frame, so that the next one can be read."""
+"""Between frames it has no effect. It ends an incomplete frame, so that the next frame can be read."""
 MAX_PAYLOAD = 128
 """Bytes. The longest message has less than half of this. The rest is reserved for later messages."""
 
@@ -65,7 +65,7 @@ def encode_frame(payload: bytes) -> bytes:
 
 
 class FrameDecoder:
-    """Bytes in, payloads out. Stores at most one frame. Never raises.
+    """Splits bytes into payloads. Stores at most one frame. Never raises.
 
     After invalid bytes it reads the first frame that follows a zero byte. Consecutive zero bytes are not
     frames.
@@ -84,7 +84,7 @@ class FrameDecoder:
     def frames(self, data: bytes) -> list[tuple[bytes, bytes | None]]:
         """(bytes on the wire, payload) of everything that ends within `data`, in order.
 
-        The payload is None if the bytes are not a frame. The bytes are empty if there are too many for one.
+        The payload is None if the bytes are not a frame. The bytes are empty if they were too many for one.
         """
         ended: list[tuple[bytes, bytes | None]] = []
         *ends, rest = data.split(FRAME_END)

@@ -42,7 +42,7 @@ class SessionState(Enum):
     READY = "ready"
     """Commands are repeated and telemetry is used."""
     INCOMPATIBLE = "incompatible"
-    """A firmware answered that we must not command. Greeting continues: new firmware may be flashed."""
+    """The firmware that answered must not be commanded. Greeting continues: new firmware may be flashed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +105,7 @@ class TelemetryReceived:
 
 @dataclass(frozen=True, slots=True)
 class ImplausibleTelemetry:
-    """Two messages in a row had an implausible pressure: see `HostSession.implausible`."""
+    """At least two messages in a row had an implausible pressure: see `HostSession.implausible`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +127,7 @@ PLAUSIBLE_KPA = {
 """Minimum and maximum that the firmware can report at the widest settings of its sensors: the span, 10.625 %
 on both sides, and the zero. A setpoint starts at the reading."""
 IMPLAUSIBLE_IN_A_ROW = 2
-"""One in 65536 corrupted frames passes the CRC by chance. So one frame alone is no fault."""
+"""One in 65536 corrupted frames passes the CRC by chance. So a single implausible frame is not a fault."""
 _HELLO_PERIOD_S = 0.5
 _PING_PERIOD_S = 1.0
 _MAX_ROUND_TRIP_S = 5.0
@@ -178,7 +178,7 @@ class HostSession:
     def __init__(self, repeat_s: float = 0.02, first_nonce: int = 1) -> None:
         self.state = SessionState.CLOSED
         self.welcome: Welcome | None = None
-        """That of the firmware that is (or was last) READY."""
+        """The answer of the firmware that is (or was last) READY."""
         self.telemetry: Telemetry | None = None
         """The latest telemetry since the port was opened."""
         self.telemetry_gaps = 0
@@ -192,7 +192,7 @@ class HostSession:
         """Device clock minus host clock, from the recent ping with the shortest round trip. The error is at
         most half of that round trip plus 1 ms."""
         self.clock_drift_ppm: float | None = None
-        """Gain of the device's clock on the host's. Known from a minute after the handshake."""
+        """How much faster the device's clock runs than ours. Known from a minute after the handshake."""
         self._hello = _Every(_HELLO_PERIOD_S)
         self._repeat = _Every(repeat_s)
         self._ping = _Every(_PING_PERIOD_S)
@@ -333,7 +333,7 @@ class HostSession:
         if self.state is not SessionState.READY:
             return []
         if refusal.reason in (RefusalReason.NO_HANDSHAKE, RefusalReason.VERSION):
-            return self._reset("it no longer knows this session")
+            return self._reset("it has lost this session")
         if refusal.reason is RefusalReason.OVERTAKEN:
             # For an old command this refusal is normal.
             current = isinstance(self._command, Regulate) and refusal.number == self._number

@@ -20,9 +20,9 @@ _TICK_S = 0.01
 class FirmwareLink:
     """Communicates with the firmware at `where`, a port or a board. `run` reconnects after every loss.
 
-    `on_event` gets the events. `on_state(up, why)` is called when the port opens or closes, and when nobody
-    answers on it. Both are called from the event loop. When `run` is cancelled it vents the actuator.
-    Example:
+    `on_event` gets the events. `on_state(up, why)` is called when the port opens or closes, when the firmware
+    does not answer on it, and when it answers again. Both are called from the event loop. When `run` is
+    cancelled it vents the actuator. Example:
 
         async def bend() -> None:
             def on_event(event: HostEvent) -> None:
@@ -104,7 +104,7 @@ class FirmwareLink:
 
     def _send(self, messages: Iterable[HostMessage]) -> None:
         for message in messages:
-            # End any incomplete frame on the line, so that it does not spoil ours.
+            # End any incomplete frame on the line, so that it does not damage ours.
             data = FRAME_END + self.codec.encode(message)
             self._traffic.written(time.monotonic(), data)
             self.port.write(data)

@@ -1,7 +1,7 @@
 """A host that only monitors: it greets, requests the time, and shows every frame on the line.
 
-It never commands. Its greeting vents the vine. Only one program can open a port, so it does not disturb
-another one: that one opens the port afterwards.
+It sends no setpoint. Its greeting ends any regulation, so the vine vents. With `settings` it also reads and
+changes the firmware's settings. No other program can have the port open at the same time.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _ALLOWED = (Hello, Ping, GetSetting, SetSetting)
 
 
 class SeenFrame(NamedTuple):
-    """One frame, or bytes that should have been one."""
+    """One frame, or bytes that are not a valid frame."""
 
     t: float
     sent: bool
@@ -39,7 +39,7 @@ class SeenFrame(NamedTuple):
     """The bytes on the line, without the final zero byte."""
     message: Message | None
     problem: str = ""
-    """Why it is not a message."""
+    """Why it is not a message; empty if it is one."""
 
 
 class Tap:

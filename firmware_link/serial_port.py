@@ -15,10 +15,10 @@ from serial_asyncio_fast import SerialTransport, create_serial_connection
 from firmware_link.find import BoardNotFoundError, Ports, UsbBoard
 
 RETRY_S = 0.2
-"""A try takes about 1 ms of processor time. A lost board must be back within a second."""
+"""Time between two tries; one takes about 1 ms of processor time. A lost board must be back within 1 s."""
 _CLOSING_S = 0.5
 STALE_S = 0.25
-"""Data that waits longer is dropped: a setpoint is valid for this time."""
+"""Data that waits longer is dropped, because a setpoint is valid only for this time."""
 MAX_QUEUED_BYTES = 16 * 1024
 """More than any line sends within `STALE_S`."""
 
@@ -61,8 +61,8 @@ class SerialPort:
     def write(self, data: bytes) -> bool:
         """Send `data`, a complete message, as soon as the port accepts it. Never blocks. False: dropped.
 
-        A message that waits longer than `STALE_S` is dropped, the oldest first. So a peer that reads again
-        gets only current messages.
+        Messages that wait longer than `STALE_S` are dropped. So a device that reads again after a pause gets
+        only current messages.
         """
         if self._connection is None or not self._connection.write(data):
             self._dropped_bytes += len(data)
@@ -202,15 +202,15 @@ class _Connection(asyncio.Protocol):
 class _WriteQueue:
     """Writes to a port without blocking, and drops data that is out of date.
 
-    The transport's own writing ends in pyserial, which loops on a full port until there is room: a device
-    that stops reading would stop this whole process. The kernel would also accept kilobytes that we could not
-    drop later. It reports a terminal as writable only while less than 256 bytes wait in it. So we poll it
+    The transport writes by pyserial, which blocks on a full port until there is room. So a device that stops
+    reading would stop this whole process. The kernel would also accept kilobytes, which we could not drop
+    later. It reports a serial port as writable only while less than 256 bytes wait in it. So we poll the port
     before each write and keep the rest in this queue.
     """
 
     def __init__(self, port_fd: int, on_error: Callable[[OSError], None]) -> None:
         self.dropped_bytes = 0
-        # Our own descriptor, because the transport closes its descriptor before it reports this.
+        # A copy, because the transport closes its own descriptor before it calls `connection_lost`.
         self._fd = os.dup(port_fd)
         self._on_error = on_error
         self._loop = asyncio.get_running_loop()

@@ -1,4 +1,4 @@
-"""The firmware's settings: reads them all, and changes some by name. No port, no clock."""
+"""Reads all settings of the firmware, and changes some by name. It opens no port and reads no clock."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class SettingsExchange:
         self.settings: list[Setting] = []
         """The known settings, in the firmware's order, with confirmed changes."""
         self.problem = ""
-        """A sentence about the error that ended the exchange; empty if there is none."""
+        """The error that ended the exchange, as a sentence; empty without an error."""
         self._changes = dict(changes or {})
         self._complete = False
         self._requested_s: float | None = None
@@ -40,7 +40,7 @@ class SettingsExchange:
         if self._requested_s is not None and t - self._requested_s < _REQUEST_AGAIN_S:
             return []
         if self._tries == _MAX_TRIES:
-            self.problem = "the firmware does not answer about its settings"
+            self.problem = "the firmware does not answer requests for settings"
             return []
         self._requested_s = t
         self._tries += 1
@@ -50,7 +50,7 @@ class SettingsExchange:
         return [SetSetting(self._named(name).id, value)]
 
     def receive(self, message: Message) -> None:
-        """Take in any message of the firmware."""
+        """Handle any message of the firmware."""
         if self.done or self.problem:
             return
         match message:
@@ -77,7 +77,7 @@ class SettingsExchange:
         return next(setting for setting in self.settings if setting.name == name)
 
     def _check_changes(self) -> str:
-        """Why this firmware cannot make a change; empty if it can make all. Rounds them to 32-bit floats."""
+        """Why this firmware cannot make one of the changes; else empty. Rounds them to 32-bit floats."""
         names = [setting.name for setting in self.settings]
         for name, value in self._changes.items():
             if name not in names:
@@ -85,8 +85,8 @@ class SettingsExchange:
                 hint = f"; did you mean {near[0]}?" if near else f": it has {', '.join(names)}"
                 return f"this firmware has no setting {name}{hint}"
             setting = self._named(name)
-            # This form is also true for NaN.
+            # Written so that NaN is refused, too.
             if not setting.least <= value <= setting.most:
-                return f"{name} is from {setting.least:g} to {setting.most:g}, not {value:g}"
+                return f"{name} must be from {setting.least:g} to {setting.most:g}, not {value:g}"
             self._changes[name] = struct.unpack("<f", struct.pack("<f", value))[0]
         return ""

@@ -1,4 +1,4 @@
-"""The Python interface for researchers. A name is imported when it is first used.
+"""The Python interface for researchers. A name is imported at its first use.
 
 from flying_vines import api
 

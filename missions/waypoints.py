@@ -1,9 +1,9 @@
-"""Read and write QGC WPL files, the plain-text plan format that every ground station knows.
+"""Read and write QGC WPL files, the plain-text plan format that every ground station reads.
 
 A header line, then one line per item: seq, current, frame, command, param1…4, x (latitude), y (longitude), z,
-autocontinue, separated by tabs. The items are the autopilot's: on ArduPilot the first is home, on PX4 none.
-(QGroundControl takes the first item of such a file as home, so use a `.plan` for PX4. QGroundControl's own
-files without home have version 120, which MAVProxy refuses.)
+autocontinue, separated by tabs. A file has the items as the autopilot stores them: on ArduPilot the first is
+home; on PX4 there is no home item. (QGroundControl always reads the first item as home, so use a `.plan` for
+PX4. QGroundControl's own files without home have version 120, which MAVProxy refuses.)
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _UINT8 = 255
 
 
 class WaypointsError(ValueError):
-    """A file cannot be read, or items cannot be written; the text says which line, and why."""
+    """A file cannot be read, or items cannot be written; the text gives the line and the reason."""
 
 
 def read_waypoints(path: str | Path) -> list[MissionItem]:
@@ -73,7 +73,7 @@ def _number(value: float) -> str:
 
 
 class _Line:
-    """One line's columns, and its place for error texts."""
+    """The columns of a line, and the file and line number for error texts."""
 
     def __init__(self, where: str, columns: list[str]) -> None:
         if len(columns) != _COLUMNS:

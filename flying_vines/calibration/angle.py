@@ -1,4 +1,4 @@
-"""Bend curve and hysteresis, from the angles that a person saw."""
+"""Bend curve and hysteresis, from the angles that a person entered."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from flying_vines.calibration.findings import Chart, Estimate, MeasuredQuantity,
 
 
 def curve(pairs: tuple[tuple[float, float], ...]) -> Result:
-    """Fit pairs (gauge kPa, degrees), which are in the order of the movement."""
+    """Fit pairs (gauge kPa, degrees), in the order in which they were measured."""
     top = MeasuredQuantity("bend_top_deg", "bend at the highest pressure", "deg", key="vine.curve")
-    width = MeasuredQuantity("hysteresis_kPa", "bend's hysteresis", "kPa", key="vine.hysteresis_kPa")
+    width = MeasuredQuantity("hysteresis_kPa", "hysteresis of the bend", "kPa", key="vine.hysteresis_kPa")
     try:
         from flying_vines.identification.bend_curve import Pairs, PairsError, fit
         from flying_vines.identification.bend_curve.pairs import MIN_PAIRS
@@ -18,7 +18,7 @@ def curve(pairs: tuple[tuple[float, float], ...]) -> Result:
         why = "needs pip install 'flying-vines[analysis]'; findings.json has the pairs for `vine fit`"
         return Result((top.unknown(why), width.unknown(why)))
     if len(pairs) < MIN_PAIRS:
-        why = f"{len(pairs)} angles were seen; a curve needs at least {MIN_PAIRS}, up and down"
+        why = f"{len(pairs)} angles were entered; a curve needs at least {MIN_PAIRS}, up and down"
         return Result((top.unknown(why), width.unknown(why)))
     kPa, deg = np.array(pairs).T
     try:
@@ -27,7 +27,7 @@ def curve(pairs: tuple[tuple[float, float], ...]) -> Result:
         return Result((top.unknown(str(error)), width.unknown(str(error))))
     last = found.curve[-1]
     sd = found.rms_deg / float(np.sqrt(len(pairs)))
-    hysteresis = width.unknown("no angle was seen on the way down")
+    hysteresis = width.unknown("no angle was entered on the way down")
     if found.hysteresis_kPa is not None:
         h = found.hysteresis_kPa
         hysteresis = width.measured(Estimate.of_interval(h.value, h.low, h.high), minimum=0.0)

@@ -1,4 +1,4 @@
-"""The user's configuration with the measured values: the same text except for the lines of these keys."""
+"""Writes measured values into the user's configuration. Only the lines of these keys change."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from flying_vines.config.toml_text import lines_of_keys
 from flying_vines.vine.curve import BendCurve
 
 MAX_RELATIVE_WIDTH = 0.25
-"""Half an interval, as a share of the value. A wider result is shown, but changes no key."""
+"""Maximum half-width of an interval, relative to the value. A less precise result changes no key."""
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,9 @@ class ConfigurationChange:
 
 
 def changes(findings: Findings, max_kPa: float) -> Iterator[ConfigurationChange]:
-    """The findings that go into a configuration, with as many digits as are known.
+    """The findings that go into a configuration, rounded to their precision.
 
-    A curve is cut at the configuration's limit, because a held pressure may be slightly above it.
+    A curve is cut at `max_kPa`, the configuration's limit: a measured pressure may be slightly above it.
     """
     for finding in findings.findings:
         if finding.key is not None and is_precise(finding):
@@ -67,10 +67,10 @@ def is_precise(finding: MeasuredQuantity) -> bool:
 
 
 def with_changes(text: str, source: str, changed: Sequence[ConfigurationChange], day: str) -> str:
-    """The configuration's text with these values. A comment gives the old value and the day.
+    """The configuration's text with these values. Comments give the old values and the day.
 
-    Raises `ConfigError` if single lines of the configuration cannot be replaced, or if the measured values
-    contradict the rest of it.
+    Raises `ConfigError` if the configuration does not have one key per line, or if it is invalid with the
+    measured values.
     """
     before = configuration.parse(text, source)
     edited = text
@@ -94,10 +94,10 @@ def _holds(text: str, config: Config) -> bool:
 
 
 def calibrated(text: str, source: str, found: Sequence[ConfigurationChange], day: str) -> tuple[str, str]:
-    """As `with_changes`, and a sentence if the measured curve is only a comment.
+    """As `with_changes`, and a sentence if the measured curve was written only as a comment.
 
-    Other parts of the configuration may use angles that the vine cannot reach. Such a configuration would be
-    invalid with the measured curve.
+    That is so if the configuration would be invalid with the measured curve, for example because a profile
+    has an angle that the vine cannot reach.
     """
     try:
         return with_changes(text, source, found, day), ""

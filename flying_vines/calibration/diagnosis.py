@@ -1,4 +1,4 @@
-"""The diagnosis of a calibration's flight, from a rig file with the measured numbers.
+"""Diagnoses the recording of a calibration, starting from a rig file with the measured numbers.
 
 Needs the extra `analysis`.
 """
@@ -23,7 +23,7 @@ from flying_vines.physics.plant.true_rig import true_rig_text
 from flying_vines.supply.rig_file_prior import load_rig_file_prior
 
 BEGINNING_S = 20.0
-"""Diagnosed part of the movements. With many effects a diagnosis of some minutes of data takes an hour."""
+"""Duration of the diagnosed part. With many effects, diagnosing some minutes of data takes an hour."""
 EXTENDED, REPORT = "rig.toml", "diagnosis"
 
 
@@ -32,9 +32,9 @@ class CalibrationDiagnosis:
     verdict: Verdict
     report: Path
     rig: Path | None
-    """The rig file with the named causes; None if there are none."""
+    """The rig file with the causes found; None if none was found."""
     helps: bool
-    """True if the causes improve the cycles left: they predict unseen data, and they use air."""
+    """True if the causes improve the cycles left: they predict unseen data, and they change the air use."""
 
 
 def diagnosed(
@@ -56,7 +56,7 @@ def diagnosed(
 
 
 def _beginning(case: Case) -> Case:
-    """The first part of the first run, with a remark."""
+    """The first `BEGINNING_S` of the first run, with a remark."""
     run = case.runs[0]
     rows = int(np.searchsorted(run.time_s, BEGINNING_S))
     columns: dict[str, Any] = {

@@ -107,7 +107,7 @@ def test_settings_are_shown_and_changed(board: str, capsys: pytest.CaptureFixtur
     status, out, _ = run(capsys, "link", board, "--settings")
     assert out.split()[:5] == ["setting", "value", "least", "most", "standard"]
     status, _, err = run(capsys, "link", board, "--set", "dead_man_ms=900")
-    assert (status, err) == (2, "flying-vines: dead_man_ms is from 50 to 300, not 900\n")
+    assert (status, err) == (2, "flying-vines: dead_man_ms must be from 50 to 300, not 900\n")
 
 
 async def test_a_board_that_is_unplugged_half_way_ends_the_exchange_of_settings(

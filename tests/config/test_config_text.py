@@ -1,4 +1,4 @@
-"""A configuration that is written and read again is the same."""
+"""A configuration that is written as text and read again is equal."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from flying_vines.config.config import ChecksConfig, Config, FirmwareConfig, Tri
 from flying_vines.config.config_text import configuration_text
 
 DEFAULT = configuration.default()
-ODD = msgspec.structs.replace(
+UNUSUAL = msgspec.structs.replace(
     DEFAULT,
     profiles={**DEFAULT.profiles, 'a "b" \\ c': DEFAULT.profiles["wave"]},
     firmware=FirmwareConfig(kind="pump", settings={"band kPa": 0.5, "port": "a"}),
@@ -25,10 +25,10 @@ ODD = msgspec.structs.replace(
     "config",
     [
         DEFAULT,
-        ODD,
+        UNUSUAL,
         plan(DEFAULT, CalibrationRequest()).config,
     ],
-    ids=["default", "odd", "of a calibration"],
+    ids=["default", "unusual", "of a calibration"],
 )
-def test_it_is_the_same_again(config: Config) -> None:
+def test_a_written_configuration_reads_back_equal(config: Config) -> None:
     assert configuration.parse(configuration_text(config), "the text") == config

@@ -61,7 +61,7 @@ def test_the_switch_bends_and_straightens(likely: bool) -> None:
     assert_vented(flight)
 
 
-def test_a_prepared_flight_continues_like_the_one_that_it_was_copied_from() -> None:
+def test_a_copied_flight_continues_like_its_original() -> None:
     def flown(flight: SimulatedFlight) -> list[str]:
         actions: list[Action] = []
         for pulse_us in (LOW, HIGH):
@@ -95,7 +95,7 @@ def test_a_query_changes_nothing() -> None:
     assert flown(with_queries=True) == flown(with_queries=False)
 
 
-def test_the_first_setpoint_leaves_with_the_trigger_and_already_moves() -> None:
+def test_the_first_setpoint_is_sent_with_the_trigger_and_is_above_zero() -> None:
     flight = airborne()
     flight.autopilot.set_rc(9, HIGH)
     actions = run_for(flight, 1.0)
@@ -117,13 +117,13 @@ def test_a_weak_bottle_bends_the_vine_slower() -> None:
     assert {s.rate_kPa_per_s < 0.95 * rate for s in setpoints(actions)} == {True}
 
 
-def test_a_bent_vine_is_straightened_by_its_profile_and_one_that_vents_goes_on_venting() -> None:
+def test_straight_regulates_a_bent_vine_down_and_leaves_a_venting_vine_venting() -> None:
     flight = bent()
     ground_command(flight, mavlink.MAV_CMD_USER_1, 0.0)
     targets_kPa = [setpoint.target_kPa for setpoint in setpoints(run_for(flight, 1.0))]
     assert len(targets_kPa) > 10
-    assert targets_kPa[-2:] == [0.0, 0.0], "regulated until it is there"
-    assert setpoints(run_for(flight, 1.0)) == [], "and no longer"
+    assert targets_kPa[-2:] == [0.0, 0.0], "regulated until it is straight"
+    assert setpoints(run_for(flight, 1.0)) == [], "then vented"
     flight = bent()
     ground_command(flight, mavlink.MAV_CMD_USER_4, 0.0)
     actions = ground_command(flight, mavlink.MAV_CMD_USER_2, 0.0)
@@ -140,8 +140,8 @@ def test_a_bend_whose_cost_is_unknown_is_refused(monkeypatch: pytest.MonkeyPatch
     assert_vented(flight)
 
 
-def test_a_vehicle_that_is_armed_as_its_rc_is_lost_has_rc(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A flight counts as one without RC only if it was armed without RC."""
+def test_rc_that_is_lost_at_arming_is_a_loss(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only a vehicle that was armed without RC flies without RC."""
     flight = airborne()
     vehicle, t = flight.core._vehicle, flight.world.now
     monkeypatch.setattr(vehicle.state, "armed", False)
@@ -150,7 +150,7 @@ def test_a_vehicle_that_is_armed_as_its_rc_is_lost_has_rc(monkeypatch: pytest.Mo
     assert flight.core._conditions(t + 60.0).rc_problem is not None
 
 
-def test_where_there_is_no_fault_a_vent_clears_none() -> None:
+def test_a_vent_without_a_fault_clears_nothing() -> None:
     cleared = [
         a
         for a in ground_command(airborne(), mavlink.MAV_CMD_USER_4, 0.0)
@@ -183,7 +183,7 @@ def test_a_switch_left_up_does_not_fire_at_the_start() -> None:
 
 
 @pytest.mark.parametrize("how", ["frozen", "jump"])
-def test_rc_loss_vents_and_nothing_resumes(how: str) -> None:
+def test_rc_loss_vents_and_no_bend_resumes(how: str) -> None:
     flight = bent()
     flight.autopilot.lose_rc(how)  # type: ignore[arg-type]
     lost = decisions(run_for(flight, 2.5))
@@ -220,7 +220,7 @@ def test_a_silent_autopilot_vents() -> None:
     assert_vented(flight)
 
 
-def test_an_autopilot_reboot_asks_for_the_streams_again() -> None:
+def test_after_an_autopilot_reboot_the_streams_are_requested_again() -> None:
     flight = airborne()
     flight.autopilot.disarm()
     run_for(flight, 1.0)
@@ -235,7 +235,7 @@ def test_an_autopilot_reboot_asks_for_the_streams_again() -> None:
     assert flight.core.snapshot(flight.world.now).rc == "good"
 
 
-def test_serial_loss_vents_by_the_dead_man_and_stays_so_until_a_person_acts() -> None:
+def test_serial_loss_vents_by_the_dead_man_and_latches() -> None:
     flight = bent()
     gone = flight.feed(LinkChanged(flight.world.now, "firmware", False, "was unplugged"))
     assert [d.what for d in decisions(gone)] == [{"loss": "serial"}]
@@ -359,7 +359,7 @@ def test_a_hot_bottle_is_reported_and_counted_and_the_vine_continues() -> None:
     assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
 
 
-def test_a_check_that_trips_on_an_odd_rig_can_be_set_to_warn() -> None:
+def test_a_check_can_be_set_to_warn() -> None:
     flight = airborne(configured(checks=config.ChecksConfig(filling="warn")))
     flight.phlosar.mishaps.evp = StuckAt(0.0)
     flight.autopilot.set_rc(9, HIGH)
@@ -384,7 +384,7 @@ def test_one_reading_above_the_limit_is_a_glitch_and_two_are_not() -> None:
     assert decision.what == {"loss": "overpressure"}
 
 
-def test_landing_and_disarming_straighten_the_vine() -> None:
+def test_landing_straightens_the_vine() -> None:
     flight = bent()
     flight.autopilot.land()
     found = decisions(run_for(flight, 12.0))
@@ -392,7 +392,7 @@ def test_landing_and_disarming_straighten_the_vine() -> None:
     assert_vented(flight)
 
 
-def test_not_armed_is_refused_and_bench_mode_is_not() -> None:
+def test_a_disarmed_vehicle_bends_only_in_bench_mode() -> None:
     for bench in (False, True):
         conf = configured(interlocks=config.InterlocksConfig(bench_mode=bench))
         autopilot = FakeAutopilot("ardupilot")
@@ -405,7 +405,7 @@ def test_not_armed_is_refused_and_bench_mode_is_not() -> None:
         assert bool(setpoints(flight.run(6.0))) == bench
 
 
-def test_bent_too_long() -> None:
+def test_a_vine_that_is_bent_too_long_is_vented() -> None:
     conf = configured(limits=config.LimitsConfig(max_bent_s=5.0))
     flight = airborne(conf)
     flight.autopilot.set_rc(9, HIGH)
@@ -434,7 +434,7 @@ PX4_MISSION = [
 
 
 @pytest.mark.long
-def test_ardupilot_mission_items_fire_once_with_their_numbers() -> None:
+def test_ardupilot_mission_items_are_executed_once_with_their_params() -> None:
     autopilot = FakeAutopilot("ardupilot", mission=VINE_MISSION)
     flight = SimulatedFlight(config.default(), autopilot)
     flight.run(4.0)
@@ -448,7 +448,7 @@ def test_ardupilot_mission_items_fire_once_with_their_numbers() -> None:
 
 
 @pytest.mark.long
-def test_a_mission_changed_in_flight_fires_the_new_numbers() -> None:
+def test_a_mission_changed_in_flight_is_executed_with_the_new_params() -> None:
     autopilot = FakeAutopilot("ardupilot", mission=VINE_MISSION)
     flight = SimulatedFlight(config.default(), autopilot)
     flight.run(4.0)
@@ -467,7 +467,7 @@ def test_a_mission_changed_in_flight_fires_the_new_numbers() -> None:
 
 
 @pytest.mark.long
-def test_px4_mission_items_are_acknowledged_and_fire_once() -> None:
+def test_px4_mission_items_are_acknowledged_and_executed_once() -> None:
     autopilot = FakeAutopilot("px4", mission=PX4_MISSION)
     flight = SimulatedFlight(config.default(), autopilot)
     flight.run(4.0)
@@ -526,7 +526,7 @@ def test_commands_for_others_and_unknown_ones_move_nothing() -> None:
     assert decisions(unknown) == []
 
 
-def test_hold_freezes_and_vent_vents() -> None:
+def test_hold_keeps_the_pressure_and_vent_vents() -> None:
     flight = airborne()
     flight.autopilot.set_rc(9, HIGH)
     run_for(flight, 0.4)
@@ -562,7 +562,7 @@ def test_stop_vents_and_nothing_moves_after_it() -> None:
     assert_vented(flight)
 
 
-def test_the_ground_station_gets_five_values_twice_a_second_each() -> None:
+def test_the_ground_station_gets_each_value_twice_a_second() -> None:
     flight = airborne()
     actions = run_for(flight, 10.0)
     sent = [
@@ -577,7 +577,7 @@ def test_the_ground_station_gets_five_values_twice_a_second_each() -> None:
     assert boot_ms == pytest.approx(1000 * (flight.world.now + 30.0), abs=300)
 
 
-def test_stale_telemetry_is_not_reported_as_the_present() -> None:
+def test_stale_telemetry_is_not_reported_as_current() -> None:
     flight = airborne()
     flight.feed(LinkChanged(flight.world.now, "firmware", False, "was unplugged"))
     run_for(flight, 0.5)
@@ -588,7 +588,7 @@ def test_stale_telemetry_is_not_reported_as_the_present() -> None:
     assert math.isnan(flight.core.snapshot(flight.world.now).cv_kPa)
 
 
-def test_a_missing_stream_is_named() -> None:
+def test_a_missing_stream_is_reported() -> None:
     conf = config.default()
     flight = SimulatedFlight(conf)
     codec = MavlinkCodec(1, 1)
@@ -626,7 +626,7 @@ def test_the_learned_air_is_used_in_the_next_run_of_the_same_rig() -> None:
 
 
 @pytest.mark.long
-def test_a_new_leak_is_stored_though_nothing_bends() -> None:
+def test_a_new_leak_is_stored_even_without_a_bend() -> None:
     flight = airborne()
     for _ in range(4):
         for pulse_us in (HIGH, LOW):

@@ -1,4 +1,4 @@
-"""The link to the autopilot is lost fully or partly: what the service reports, and what the pilot reads."""
+"""Texts to the pilot, and the vine, when the link to the autopilot is lost fully or partly."""
 
 from __future__ import annotations
 
@@ -72,7 +72,9 @@ def test_a_silent_link_is_reported_once_and_once_when_it_is_back(for_s: float) -
     actions = lives(flight, for_s)
     assert texts_of(actions) == ["Vine: vehicle link silent, vented"]
     assert lost(actions)[0] == "rc"
-    assert ("autopilot" in lost(actions)) == (for_s > 3.5), "it stays in the log"
+    assert ("autopilot" in lost(actions)) == (for_s > 3.5), (
+        "the loss of the autopilot is logged without a text"
+    )
     assert flight.phlosar.cv_kPa < 1.0
     assert texts_of(lives(flight, 10.0)) == ["Vine: vehicle link is back", WAITING]
 
@@ -89,14 +91,14 @@ def test_a_link_is_back_with_the_first_heartbeat() -> None:
 
 
 @pytest.mark.long
-def test_a_silent_link_is_reported_again_when_the_vine_does_something_else() -> None:
+def test_a_silent_link_is_reported_again_when_hold_changes_to_vent() -> None:
     flight = bent(holding(on_rc_loss="hold", hold_at_most_s=1.5))
     flight.autopilot.mute(20.0)
     texts = texts_of(lives(flight, 20.0))
     assert texts == ["Vine: vehicle link silent, holding", "Vine: vehicle link silent, vented"]
 
 
-def test_a_closed_link_is_reported_as_such() -> None:
+def test_a_closed_link_is_reported_as_closed() -> None:
     flight = bent()
     flight.feed(LinkChanged(flight.world.now, "vehicle", False, "was unplugged"))
     flight.from_autopilot = lambda frame: b""
@@ -117,13 +119,13 @@ def test_a_link_that_is_back_without_rc_is_reported() -> None:
     assert texts_of(lives(flight, 2.0)) == ["Vine: RC is back", WAITING]
 
 
-def test_rc_that_stops_while_the_autopilot_sends_is_no_dead_link() -> None:
+def test_missing_rc_is_not_reported_as_a_silent_link() -> None:
     flight = bent()
     without(flight, RC_CHANNELS)
     assert texts_of(lives(flight, 4.0)) == ["Vine: RC lost: no RC_CHANNELS for 1 s, vented"]
 
 
-def test_a_switch_that_moved_while_the_link_was_dead_bends_nothing() -> None:
+def test_a_switch_that_moved_while_the_link_was_silent_bends_nothing() -> None:
     flight = bent()
     flight.autopilot.mute(5.0)
     lives(flight, 2.0)
@@ -134,8 +136,8 @@ def test_a_switch_that_moved_while_the_link_was_dead_bends_nothing() -> None:
     assert flight.phlosar.cv_kPa < 1.0
 
 
-def test_any_frame_of_the_autopilot_shows_that_it_runs() -> None:
-    """Without heartbeats for four seconds the autopilot is not lost while other frames come."""
+def test_any_frame_of_the_autopilot_proves_that_it_runs() -> None:
+    """Without heartbeats for 3.9 s, the autopilot is not lost while other frames arrive."""
     flight = bent()
     without(flight, HEARTBEAT)
     actions = lives(flight, 3.9)

@@ -1,4 +1,4 @@
-"""The notice that a requested bend cannot begin: when it comes, and what it says."""
+"""The notice that a requested bend cannot begin: its time and its text."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_after_a_loss_of_rc_the_reason_is_shown_and_reported_when_rc_is_back() -
     assert waiting(flight) == during
 
 
-def test_a_switch_that_is_up_at_the_start_waits() -> None:
+def test_a_switch_that_is_not_down_when_the_link_opens_waits() -> None:
     flight = airborne()
     flight.autopilot.set_rc(9, MIDDLE)
     run_for(flight, 1.0)
@@ -84,7 +84,7 @@ def test_a_command_that_a_failsafe_ended_waits_for_a_request() -> None:
     assert now is not None and now.awaited == "a new request" and "restarted" in now.stopped_by
     ground_command(flight, mavlink.MAV_CMD_USER_4, 0.0)
     run_for(flight, 0.5)
-    assert waiting(flight) is None, "a person's vent takes the request back"
+    assert waiting(flight) is None, "a person's vent cancels the request"
 
 
 def test_the_end_of_bench_mode_is_reported() -> None:
@@ -100,7 +100,7 @@ def test_the_end_of_bench_mode_is_reported() -> None:
 
 
 class Oracle:
-    """What can be derived from the actions only: does the vine move, and who requested it last?"""
+    """Derives from the actions only whether the vine moves, and who requested the last bend."""
 
     def __init__(self) -> None:
         self.moves = False
@@ -120,8 +120,8 @@ class Oracle:
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2, 3))])
-def test_it_is_reported_whenever_a_request_has_no_effect_and_never_otherwise(seed: int) -> None:
-    """Random moves, requests and losses; every profile of the switch keeps the vine bent."""
+def test_the_notice_is_shown_exactly_while_a_request_has_no_effect(seed: int) -> None:
+    """Random moves, requests and losses. The vine stays bent after each profile of the switch."""
     draw = random.Random(seed)
     flight = airborne()
     oracle, waited = Oracle(), 0

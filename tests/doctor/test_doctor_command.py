@@ -40,7 +40,7 @@ def shown(*, terminal: bool) -> str:
     return console.file.getvalue()
 
 
-def test_in_a_pipe_each_finding_is_a_line_and_each_remedy_another() -> None:
+def test_in_a_pipe_findings_and_remedies_have_a_line_each() -> None:
     text = shown(terminal=False)
     lines = text.splitlines()
     assert "\x1b" not in text
@@ -53,7 +53,7 @@ def test_in_a_pipe_each_finding_is_a_line_and_each_remedy_another() -> None:
     assert len(lines) == 8
 
 
-def test_on_a_terminal_lines_keep_within_it_and_have_signs() -> None:
+def test_on_a_terminal_lines_fit_its_width_and_begin_with_signs() -> None:
     lines = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in shown(terminal=True).splitlines()]
     assert max(map(len, lines)) <= 80
     assert [line[0] for line in lines if line and line[0] != " "] == ["✓", "–", "!", "✗", "D"]
@@ -70,7 +70,7 @@ def test_the_seen_positions_are_shown() -> None:
 
 
 @pytest.mark.long
-def test_on_fakes_it_is_well_and_needs_nothing_else(
+def test_with_fakes_it_finds_no_error_and_leaves_no_file(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     status, out, err = run(capsys, "doctor", "--fakes", "--seconds", "5", "--json", "--out", tmp_path)
@@ -103,7 +103,7 @@ def test_an_error_makes_the_exit_status_one(capsys: pytest.CaptureFixture[str], 
         (("--seconds", "x"), "--seconds"),
     ],
 )
-def test_bad_usage_is_a_line_and_status_two(
+def test_bad_usage_prints_one_line_and_exits_with_2(
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -118,7 +118,7 @@ def test_bad_usage_is_a_line_and_status_two(
     assert "Traceback" not in err
 
 
-async def test_a_service_that_runs_already_is_named_with_what_it_holds(
+async def test_a_running_service_is_reported_with_its_ports(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     async with on_bench(FakeAutopilot("ardupilot")) as bench:

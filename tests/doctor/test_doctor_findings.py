@@ -264,7 +264,10 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (firmware.FAR, of_firmware(round_trip_s=0.11)),
     (firmware.SETTINGS, of_firmware()),
     (firmware.OWN_SETTINGS, of_firmware(settings=(replace(SETTING, value=25.0),))),
-    (firmware.NO_SETTINGS, of_firmware(settings_problem="the firmware does not answer about its settings")),
+    (
+        firmware.NO_SETTINGS,
+        of_firmware(settings_problem="the firmware does not answer requests for settings"),
+    ),
     (firmware.LIMITS, of_firmware()),
     (firmware.LOW_SETPOINTS, of_welcome(setpoint_limit_kPa=20.0, cv_limit_kPa=22.0)),
     (firmware.VENTS_FIRST, of_welcome(setpoint_limit_kPa=22.0, cv_limit_kPa=24.0)),

@@ -155,7 +155,7 @@ def test_a_port_that_is_not_there_is_reported_with_those_that_are(terminal: str)
         f"/dev/ttyACM7 does not exist; found: {terminal} (usb:16c0:0483, USB Serial, 1234560)"
     )
     facts = ports.serial_port("phloSAR", "usb:16c0:0483", UsbBoard(0x16C0, 0x0483), list)
-    assert "no serial port at all" in facts.missing
+    assert "Present: no serial port" in facts.missing
 
 
 def test_a_board_that_is_pulled_out_meanwhile_is_no_error() -> None:

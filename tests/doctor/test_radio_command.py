@@ -60,7 +60,7 @@ def test_with_fakes_it_needs_no_person(capsys: pytest.CaptureFixture[str]) -> No
     assert "\x1b" not in err
 
 
-def test_without_a_terminal_it_is_one_line_and_status_2(
+def test_without_a_terminal_it_prints_one_line_and_exits_with_2(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def test(*arguments: Any) -> RadioLearned:
@@ -98,7 +98,7 @@ def test_the_configuration_is_changed_only_after_a_yes(
     assert LINE in out
 
 
-def test_a_configuration_that_has_the_line_is_not_written(
+def test_a_configuration_with_the_same_value_is_not_written(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, config_file: Path
 ) -> None:
     replace_test(monkeypatch, HOLDING)
@@ -118,7 +118,7 @@ def test_for_the_built_in_configuration_the_line_is_printed(
     assert f"[switch]\n{LINE}" in out
 
 
-def test_a_hidden_loss_is_status_1_and_written_to_the_configuration(
+def test_a_hidden_loss_exits_with_1_and_is_written_to_the_configuration(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, config_file: Path
 ) -> None:
     replace_test(monkeypatch, RadioLearned("ardupilot", losses=(TransmitterLoss(True, 1000, 1000, (), ()),)))

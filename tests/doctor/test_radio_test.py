@@ -1,4 +1,4 @@
-"""What the guided radio test finds about real receivers and autopilots, and about simulated ones."""
+"""What the guided radio test finds in recordings of real receivers and autopilots, and in simulated cases."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ TWO = msgspec.structs.replace(
 )
 SIGN = Sign("RC status", 1.0, "")
 PX4_LATEST_S = 1.4
-"""Measured on real autopilots: by then the RC status has shown a loss."""
+"""Measured on real autopilots: longest time until the RC status shows a loss."""
 
 
 def kinds(loss: TransmitterLoss) -> list[str]:
@@ -54,7 +54,7 @@ def test_px4_with_a_crsf_receiver_that_holds() -> None:
         assert loss.told_after_jump_s is None
         assert loss.jumped == ()
     assert (first.before_us, first.lost_us, second.lost_us) == (1012, 1012, 1988)
-    # The new position shows while PX4 still reports RC lost.
+    # RC_CHANNELS has the new position while PX4 still reports RC lost.
     assert first.back is not None
     assert first.back.switch_us == 1988
     assert first.back.good_after_s == pytest.approx(0.3, abs=0.1)
@@ -79,7 +79,7 @@ def test_px4_with_an_sbus_receiver_that_has_a_preset_in_the_bent_position() -> N
     assert "channel 9 to hold, or to position 1" in line.do
 
 
-def test_one_held_loss_may_be_a_preset_in_that_very_position() -> None:
+def test_one_held_loss_may_be_a_preset_at_the_same_position() -> None:
     """README: held loss at 32.25, ch9 stays 2000. A receiver with this preset sends the same."""
     (loss,) = run_on("px4_sbus_failsafe", 28, 47, presses=(32.25,), target=2).learned.losses
     assert (loss.held, loss.lost_us, kinds(loss)) == (True, 1999, ["RC status"])
@@ -89,7 +89,7 @@ def test_one_held_loss_may_be_a_preset_in_that_very_position() -> None:
     assert failsafe_of((loss,)) == 1999
 
 
-def test_losses_that_end_before_all_is_seen_do_not_count() -> None:
+def test_losses_that_end_too_early_do_not_count() -> None:
     """README: blips of 0.2, 0.4 and 1.0 s at 63.59, 66.27 and 69.21; the first two are never reported."""
     test = run_on("px4_sbus_failsafe", 57, 73, presses=(63.5, 66.2))
     assert test.learned.losses == ()
@@ -109,7 +109,7 @@ def test_ardupilot_with_a_frozen_receiver_and_one_that_jumps() -> None:
     assert kinds(jump) == ["channels", "throttle", "text", "RC status"]
     assert jump.lost_us == 1500
     assert jump.jumped == (5, 6, 7, 8)
-    assert jump.told_after_jump_s == 0.0, "the throttle tells in the same message"
+    assert jump.told_after_jump_s == 0.0, "the throttle shows the loss in the same message"
     assert failsafe_of((frozen, jump)) == "unknown", "once held, once preset"
 
 
@@ -122,7 +122,7 @@ def test_ardupilot_that_hides_losses() -> None:
     (finding,) = [f for f in receiver.check(unseen, CONFIG) if f.verdict == "bad"]
     assert "no sign of RC loss" in finding.what
     assert "FS_THR_ENABLE = 1" in finding.do
-    # The same with the parameter in the stream, at 41.59: nobody needs to switch the transmitter off.
+    # At 41.59 the stream has the parameter. Then nobody needs to switch the transmitter off.
     test = run_on("ardupilot_hidden_rc_loss", 41, 44)
     known = test.learned
     assert test.step == "done"
@@ -142,7 +142,7 @@ def test_px4_whose_rc_comes_from_a_ground_station() -> None:
 
 
 class Person:
-    """A test with handmade messages of an autopilot, twenty times a second."""
+    """A radio test with simulated messages of an autopilot, twenty times a second."""
 
     def __init__(self, kind: int = mavlink.MAV_AUTOPILOT_PX4) -> None:
         self.test = RadioTest(CONFIG)
@@ -212,7 +212,7 @@ def test_after_a_preset_the_second_loss_is_from_a_third_position() -> None:
     assert failsafe_of(person.test.learned.losses) == "unknown", "preset, then held"
 
 
-def test_channels_that_stop_are_a_sign_by_when_the_service_knows_it() -> None:
+def test_missing_rc_channels_are_a_sign_after_the_timeout_of_the_service() -> None:
     person = Person(mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
     person.lose(rc=False)
     (loss,) = person.test.learned.losses
@@ -233,7 +233,7 @@ def test_a_late_or_missing_enter_is_not_timed() -> None:
     assert loss.told_after_jump_s == pytest.approx(0.55, abs=0.1)
 
 
-def test_a_hand_that_moves_the_switch_before_enter_has_to_put_it_back() -> None:
+def test_a_switch_that_moves_before_enter_must_be_moved_back() -> None:
     person = Person()
     person.wait(3.0)
     assert person.test.step == "off"
@@ -242,7 +242,7 @@ def test_a_hand_that_moves_the_switch_before_enter_has_to_put_it_back() -> None:
     assert (person.test.step, person.test.learned.losses) == ("ready", ())
 
 
-def test_an_armed_vehicle_ends_it_at_once_and_at_any_time() -> None:
+def test_arming_ends_it_at_once() -> None:
     person = Person()
     person.wait(3.0)
     person.armed = True
@@ -259,7 +259,7 @@ def test_an_armed_vehicle_ends_it_at_once_and_at_any_time() -> None:
         ({"switch_us": 65535}, "RC not good"),
     ],
 )
-def test_every_step_has_an_end(wrong: dict[str, object], problem: str) -> None:
+def test_the_first_step_has_a_time_limit(wrong: dict[str, object], problem: str) -> None:
     person = Person()
     for name, value in wrong.items():
         setattr(person, name, value)
@@ -269,7 +269,7 @@ def test_every_step_has_an_end(wrong: dict[str, object], problem: str) -> None:
     assert (person.test.step, person.test.learned.problem) == ("done", problem)
 
 
-def test_overrides_are_distinguished_from_a_receiver_before_anybody_is_asked_to_switch_off() -> None:
+def test_overrides_are_recognised_before_the_test_asks_to_switch_off() -> None:
     person = Person()
     person.status, person.rssi = (0, 1, 0), 100
     asked = False

@@ -139,7 +139,7 @@ VEHICLE = (
         "",
         Cleared.AT_ONCE,
         safe_state="carried out 0.3 s later, from the mission that was read",
-        proof="test_a_straightening_that_was_lost_on_px4_comes_after_all",
+        proof="test_a_lost_straightening_on_px4_is_executed_later",
     ),
     Row(
         "autopilot_silent",
@@ -223,12 +223,12 @@ COMPANION = (
         Cleared.PERSON,
         300,
         250,
-        proof="test_the_dead_man_behind_the_real_service",
+        proof="test_the_dead_man_vents_when_the_service_or_its_line_fails",
     ),
     Row(
         "companion_stutters",
         "companion stalled for 0.2 s",
-        "nothing: a setpoint lives for 0.25 s",
+        "nothing: a setpoint is valid for 0.25 s",
         "",
         Cleared.AT_ONCE,
         safe_state="continues",
@@ -263,11 +263,11 @@ COMPANION = (
     ),
 )
 
-GOES_ON = "test_a_flight_continues_whatever_happens_around_it"
+GOES_ON = "test_a_flight_continues_when_files_fail_or_a_second_service_starts"
 FILES = (
     Row(
         "configuration_changed",
-        "configuration file changed or deleted during a run",
+        "configuration changed or deleted during a run",
         "nothing: it is read once, at the start",
         "",
         Cleared.AT_ONCE,
@@ -373,7 +373,7 @@ FILES = (
         "no flight log can be written there",
         Cleared.AT_ONCE,
         safe_state="never moved",
-        proof="test_a_service_does_not_start_without_its_files",
+        proof="test_a_service_does_not_start_with_bad_files",
     ),
     Row(
         "parameters_damaged",
@@ -382,7 +382,7 @@ FILES = (
         "not TOML",
         Cleared.AT_ONCE,
         safe_state="never moved",
-        proof="test_a_service_does_not_start_without_its_files",
+        proof="test_a_service_does_not_start_with_bad_files",
     ),
 )
 
@@ -522,7 +522,7 @@ BOARD = (
     Row(
         "board_clock_ahead",
         "its clock jumps ahead by an hour",
-        "one message is ignored, the next agrees; a telemetry gap",
+        "one message is ignored, the next one is accepted; a telemetry gap",
         "",
         Cleared.AT_ONCE,
         safe_state="continues",

@@ -1,4 +1,4 @@
-"""Every fault of the catalogue in simulated time, in a flight with recorded valves."""
+"""Injects every fault of the catalogue into a flight in simulated time; the valves are recorded."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_fault_in_flight(name: str) -> None:
         assert box.highest_kPa == pytest.approx(row.highest_kPa, abs=SAME_KPA)
     if row.cleared is Cleared.AT_ONCE:
         assert bool(flight.texts.read) == bool(row.pilot_text), flight.describe()
-        assert flight.phlosar.cv_kPa > BENT_AT_LEAST_KPA, "the vine goes on"
+        assert flight.phlosar.cv_kPa > BENT_AT_LEAST_KPA, "the vine stays bent"
         return
     assert left_kPa == pytest.approx(row.left_kPa, abs=SAME_KPA)
     assert flight.phlosar.cv_kPa == pytest.approx(0.0, abs=SAME_KPA)
@@ -63,7 +63,7 @@ def test_a_fault_in_flight(name: str) -> None:
 
 
 def in_the_air(injection: Injection) -> Watched:
-    """A flight in the phase in which the fault begins."""
+    """A flight that has reached the phase in which the fault begins."""
     flight = Watched(
         injection.kind, injection.tables, injection.rc, injection.reservoir_kPa, injection.rested_s
     )
@@ -72,7 +72,7 @@ def in_the_air(injection: Injection) -> Watched:
         flight.bend_full()
         while flight.phlosar.cv_kPa < MID_INFLATION_KPA:
             flight.run(STEP_S)
-            assert flight.now_s < 30.0, f"it never bent: {flight.describe()}"
+            assert flight.now_s < 30.0, f"the vine did not bend: {flight.describe()}"
     if injection.phase == "held":
         flight.run(1.5)
     flight.forget()
@@ -87,7 +87,7 @@ def assert_safe_in_time(row: Row, box: BlackBox, began_s: float) -> None:
     to_safe_ms = round(1000 * (box.unsafe_s + STEP_S - began_s))
     assert to_safe_ms <= row.allowed_ms
     assert row.measured_ms == pytest.approx(to_safe_ms, abs=SAME_MS, rel=SAME_SHARE), (
-        "write this into the catalogue"
+        "correct measured_ms in the catalogue"
     )
     if row.safe_state != UNPOWERED:
         assert box.unsafe_s + STEP_S - box.setpoint_s <= DEAD_MAN_S

@@ -1,4 +1,4 @@
-"""Every row of the catalogue has its test."""
+"""Every row of the catalogue names a test that exists."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The monitor finds no violation in flights in which radio and mission mislead the service.
+"""The monitor finds no violation in flights with misleading data from the radio or the mission.
 
 Each flight exposes one wrong assumption: a service with this assumption has a violation.
 `tests/data/recordings/README.md` says what RC does on PX4, and what ArduPilot hides.
@@ -42,11 +42,11 @@ LOOK_S = 0.01
 
 
 FLOWN: dict[str, Callable[[Config], Core]] = {"core": Core}
-"""The cores to fly. Tests below replace them by cores that lack a rule."""
+"""The core to fly. A test below replaces it by cores that lack a rule."""
 
 
 def airborne(setup: Setup) -> MonitoredFlight:
-    """RC has been good for long enough to be accepted."""
+    """A flight in which RC has been good for long enough to be accepted."""
     flight = MonitoredFlight(setup, FLOWN["core"])
     flight.run(1.5)
     flight.take_off()
@@ -63,7 +63,7 @@ def ardupilot(parameters: Mapping[str, float] | None = None) -> MonitoredFlight:
 
 
 def bent(flight: MonitoredFlight) -> MonitoredFlight:
-    """The pilot has bent the vine."""
+    """The flight after the pilot has bent the vine."""
     flight.move_switch(2)
     flight.run(3.0)
     if flight.phlosar.cv_kPa <= BENT_KPA:
@@ -75,7 +75,7 @@ def assert_clean(flight: MonitoredFlight) -> None:
     assert flight.violations == [], "\n".join(f"{t:7.3f} {text}" for t, text in flight.timeline)
 
 
-# Moves of the pilot, which must work in spite of all rules.
+# Moves of the pilot, which no rule may prevent.
 
 
 @pytest.mark.parametrize("receiver", [*RECEIVERS, "overrides"])
@@ -157,7 +157,7 @@ def test_px4_preset_in_a_blip_is_no_move(seconds: float) -> None:
     assert_clean(flight)
 
 
-# ArduPilot's parameters hide a loss; and an override ends.
+# A parameter of ArduPilot hides a loss, or an override ends.
 
 
 @pytest.mark.parametrize("parameters", [{"FS_THR_ENABLE": 0}, {"RC_FS_TIMEOUT": 8}, {"RC_OPTIONS": 36}])
@@ -196,7 +196,7 @@ def test_an_override_that_ends_is_no_move() -> None:
     assert_clean(flight)
 
 
-# The executed mission, and when it runs.
+# Missions that change, and items that arrive late.
 
 
 def vine_item(kind: AutopilotKind, seq: int, code: float, angle_deg: float) -> MissionItem:
@@ -227,7 +227,7 @@ def other_numbers(stored: tuple[MissionItem, ...], code: float, angle_deg: float
 
 KINDS: list[AutopilotKind] = ["ardupilot", "px4"]
 OTHERS = [((1.0, 11.0), (1.0, 44.0)), ((1.0, 44.0), (1.0, 11.0)), ((5.0, 0.0), (0.0, 0.0))]
-"""The stored mission before and after."""
+"""Code and angle of the vine items, before and after the mission is replaced."""
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -313,7 +313,7 @@ def test_a_vent_from_before_a_fault_does_not_clear_it() -> None:
     assert_clean(flight)
 
 
-def test_a_straightening_that_was_lost_on_px4_comes_after_all() -> None:
+def test_a_lost_straightening_on_px4_is_executed_later() -> None:
     flight = airborne(Setup("px4", mission=mission("px4", (5.0, 0.0), (0.0, 0.0), delay_s=4.0), has_rc=False))
     flight.start_mission()
     while not flight.autopilot.payload_log:
@@ -353,22 +353,22 @@ def test_losses_do_not_restart_the_longest_hold() -> None:
     assert_clean(flight)
 
 
-# Cores without one of the rules, and a flight that exposes each.
+# Cores that lack one rule each, and a flight that fails without it.
 
 
-class BelievesAnyRc(Core):
-    """Takes every RC_CHANNELS for the pilot's."""
+class AcceptsAnyRc(Core):
+    """Accepts every RC_CHANNELS as the pilot's."""
 
     def __init__(self, conf: Config) -> None:
         super().__init__(conf)
         handle = self._vehicle.pilot.handle
 
-        def believe(
+        def accept(
             t: float, message: MavlinkMessage, autopilot: Autopilot, vented: bool = False
         ) -> list[PilotOutput]:
             return [] if message.get_type() == "SYS_STATUS" else handle(t, message, OTHER, vented)
 
-        self._vehicle.pilot.handle = believe  # type: ignore[method-assign]
+        self._vehicle.pilot.handle = accept  # type: ignore[method-assign]
 
 
 class BendsAtOnce(Core):
@@ -380,22 +380,22 @@ class BendsAtOnce(Core):
 
 
 class ReadsNoParameters(Core):
-    """Does not know that losses may be hidden."""
+    """Ignores the parameters that can hide a loss."""
 
     def __init__(self, conf: Config) -> None:
         super().__init__(conf)
         self._vehicle.pilot.parameters.handle = lambda autopilot, message: False  # type: ignore[method-assign]
 
 
-class TakesOverridesForThePilot(Core):
-    """Takes the end of an override for a move of the pilot."""
+class AcceptsEndsOfOverrides(Core):
+    """Accepts the end of an override as a move of the pilot."""
 
     def __init__(self, conf: Config) -> None:
         super().__init__(conf)
         self._vehicle.pilot._why_not_the_pilots = lambda t, move: ""  # type: ignore[method-assign]
 
 
-class TrustsItsBook(Core):
+class DoesNotRereadItems(Core):
     """Does not read an item again when it runs."""
 
     class _Cache(MissionCache):
@@ -408,15 +408,15 @@ class TrustsItsBook(Core):
         self._vehicle._mission_cache.__class__ = self._Cache
 
 
-class IsNeverTooLate(Core):
+class ExecutesLateRequests(Core):
     """Executes late requests."""
 
     def _outdated(self, t: float, trigger: Trigger, intent: Intent) -> str:
         return ""
 
 
-class TakesItsFirstStampForNew(Core):
-    """Takes the first time stamp as the present time."""
+class AcceptsTheFirstTimeStamp(Core):
+    """Accepts the first time stamp as the present time."""
 
     def __init__(self, conf: Config) -> None:
         super().__init__(conf)
@@ -425,21 +425,21 @@ class TakesItsFirstStampForNew(Core):
         clock.mark = lambda t: dataclasses.replace(mark(t), first_stamps=False)  # type: ignore[method-assign]
 
 
-class HearsCommandsOnly(Core):
+class IgnoresReachedItems(Core):
     """Ignores MISSION_ITEM_REACHED of PX4."""
 
     def __init__(self, conf: Config) -> None:
         super().__init__(conf)
         take = self._vehicle._take_autopilot
 
-        def take_deaf(t: float) -> None:
+        def take_and_ignore(t: float) -> None:
             take(t)
             self._vehicle._watch.due = lambda t: []  # type: ignore[method-assign]
 
-        self._vehicle._take_autopilot = take_deaf  # type: ignore[method-assign]
+        self._vehicle._take_autopilot = take_and_ignore  # type: ignore[method-assign]
 
 
-class CountsFromEachLoss(Core):
+class RestartsLimitsAtEachLoss(Core):
     """A loss that holds the vine restarts its limits."""
 
     def _freeze(self, t: float) -> None:
@@ -451,32 +451,32 @@ class CountsFromEachLoss(Core):
 @pytest.mark.parametrize(
     ("mutant", "witness"),
     [
-        (BelievesAnyRc, partial(test_px4_frozen_values_hold_no_bend, "sbus")),
-        (BelievesAnyRc, partial(test_px4_switch_moved_while_rc_was_lost_bends_nothing, "crsf")),
+        (AcceptsAnyRc, partial(test_px4_frozen_values_hold_no_bend, "sbus")),
+        (AcceptsAnyRc, partial(test_px4_switch_moved_while_rc_was_lost_bends_nothing, "crsf")),
         (BendsAtOnce, partial(test_px4_preset_of_the_receiver_is_no_move, {})),
         (BendsAtOnce, partial(test_px4_preset_in_a_blip_is_no_move, 0.9)),
         (
             ReadsNoParameters,
             partial(test_ardupilot_switch_moved_in_a_hidden_loss_bends_nothing, {"FS_THR_ENABLE": 0}),
         ),
-        (TakesOverridesForThePilot, test_an_override_that_ends_is_no_move),
+        (AcceptsEndsOfOverrides, test_an_override_that_ends_is_no_move),
         (
-            TrustsItsBook,
+            DoesNotRereadItems,
             partial(test_a_mission_is_executed_as_stored_at_its_start, "ardupilot", 0.2, *OTHERS[0]),
         ),
         (
-            IsNeverTooLate,
+            ExecutesLateRequests,
             partial(test_an_item_that_arrives_late_is_not_executed, "ardupilot", 5.0, False),
         ),
-        (IsNeverTooLate, partial(test_an_item_that_arrives_late_is_not_executed, "px4", 5.0, True)),
-        (IsNeverTooLate, partial(test_a_button_that_arrives_late_bends_nothing, "ardupilot", False)),
-        (TakesItsFirstStampForNew, test_a_vent_from_before_a_fault_does_not_clear_it),
-        (HearsCommandsOnly, test_a_straightening_that_was_lost_on_px4_comes_after_all),
-        (CountsFromEachLoss, test_losses_do_not_restart_the_longest_time_bent),
-        (CountsFromEachLoss, test_losses_do_not_restart_the_longest_hold),
+        (ExecutesLateRequests, partial(test_an_item_that_arrives_late_is_not_executed, "px4", 5.0, True)),
+        (ExecutesLateRequests, partial(test_a_button_that_arrives_late_bends_nothing, "ardupilot", False)),
+        (AcceptsTheFirstTimeStamp, test_a_vent_from_before_a_fault_does_not_clear_it),
+        (IgnoresReachedItems, test_a_lost_straightening_on_px4_is_executed_later),
+        (RestartsLimitsAtEachLoss, test_losses_do_not_restart_the_longest_time_bent),
+        (RestartsLimitsAtEachLoss, test_losses_do_not_restart_the_longest_hold),
     ],
 )
-def test_without_the_rule_a_flight_shows_it(
+def test_without_the_rule_a_flight_fails(
     mutant: type[Core], witness: Callable[[], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(FLOWN, "core", mutant)

@@ -25,7 +25,7 @@ from .served import Served, on_bench
 pytestmark = [real_time, pytest.mark.long]
 
 TIME_TO_LIVE_MS = 250
-"""Time-to-live of a setpoint; the fault may come directly after one."""
+"""Time-to-live of a setpoint. The worst case is a fault directly after a setpoint."""
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def assert_ended_by_the_dead_man(served: Served, fault: str) -> None:
 
 
 async def assert_latched_until_a_person_clears_it(served: Served, fault: str) -> None:
-    """The switch is at bent, which is no trigger. A move to a smaller bend is refused."""
+    """The switch is still at the bend, which triggers nothing. A move to a smaller bend is refused."""
     await served.until_text(ROWS[fault].pilot_text)
     still_s = served.box.unsafe_s
     await asyncio.sleep(0.5)
@@ -67,7 +67,7 @@ async def vent(served: Served) -> None:
     served.ground.texts.clear()
 
 
-async def test_the_dead_man_behind_the_real_service(served: Served) -> None:
+async def test_the_dead_man_vents_when_the_service_or_its_line_fails(served: Served) -> None:
     await served.serve()
     assert served.process is not None
     assert served.box.unsafe_s is None, "nothing moves before the first trigger"
@@ -103,7 +103,7 @@ async def test_the_dead_man_behind_the_real_service(served: Served) -> None:
     await assert_latched_until_a_person_clears_it(served, "companion_killed")
 
 
-async def test_a_flight_continues_whatever_happens_around_it(served: Served) -> None:
+async def test_a_flight_continues_when_files_fail_or_a_second_service_starts(served: Served) -> None:
     """The configuration and the disk fail, and a second copy of the service is started."""
     await served.serve()
     assert served.process is not None
@@ -113,7 +113,7 @@ async def test_a_flight_continues_whatever_happens_around_it(served: Served) -> 
     text = served.config_file.read_text()
     served.config_file.write_text("[limits]\nmax_kPa = 'as much as it takes'\n")
     served.bend_half()
-    await until(lambda: served.phlosar.cv_kPa < 12.0, "the configuration of the start is in force")
+    await until(lambda: served.phlosar.cv_kPa < 12.0, "the configuration read at the start is still used")
     served.config_file.unlink()
     served.bend_full()
     await served.bent()
@@ -128,7 +128,7 @@ async def test_a_flight_continues_whatever_happens_around_it(served: Served) -> 
     assert len(list(FlightLog(log).entries())) > 10
     shutil.rmtree(served.folder / "flights")
     await served.until_text(ROWS["log_vanished"].pilot_text)
-    await until(lambda: _count(served, "the flight log continues in") == 2, "it goes on again")
+    await until(lambda: _count(served, "the flight log continues in") == 2, "the log continues again")
     assert _count(served, "the flight log ends here") == 2
     (log,) = (served.folder / "flights").glob("*/flight.mcap")
 
@@ -185,7 +185,7 @@ async def test_a_frozen_terminal_delays_nothing(served: Served) -> None:
         await served.bent()
         await asyncio.sleep(1.0)
         assert not served.phlosar.firmware.faults
-        assert select.select([], [its], [], 0.0)[1] == [], "it takes nothing any more"
+        assert select.select([], [its], [], 0.0)[1] == [], "the terminal accepts no more output"
         served.straighten()
         await served.vented()
         served.process.terminate()
@@ -196,7 +196,7 @@ async def test_a_frozen_terminal_delays_nothing(served: Served) -> None:
         os.close(its)
 
 
-async def test_a_service_does_not_start_without_its_files(served: Served) -> None:
+async def test_a_service_does_not_start_with_bad_files(served: Served) -> None:
     for fault, fail in (
         ("log_unwritable", served.block_flights),
         ("parameters_damaged", served.damage_state),

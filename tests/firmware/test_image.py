@@ -200,7 +200,7 @@ def test_another_board_is_refused_with_the_names_of_those_it_knows(define: str) 
     command = [host_compiler(), "-std=gnu++17", "-DARDUINO=10819", define, "-I", str(STUB), "-fsyntax-only"]
     done = subprocess.run([*command, str(source)], capture_output=True, text=True)
     assert done.returncode != 0
-    assert "phlosar knows Teensy 4.0, Teensy 4.1 and Teensy LC" in done.stderr
+    assert "phlosar supports Teensy 4.0, Teensy 4.1 and Teensy LC" in done.stderr
 
 
 @pytest.mark.parametrize("standard", ["gnu++14", "gnu++17"])

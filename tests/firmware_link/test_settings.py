@@ -81,9 +81,9 @@ def test_changes_are_made_and_kept() -> None:
     [
         ({"cv_limit": 25.0}, "no setting cv_limit; did you mean cv_limit_kPa?"),
         ({"colour": 1.0}, "no setting colour: it has cv_limit_kPa, "),
-        ({"dead_man_ms": 900.0}, "dead_man_ms is from 50 to 300, not 900"),
+        ({"dead_man_ms": 900.0}, "dead_man_ms must be from 50 to 300, not 900"),
         ({"dead_man_ms": float("nan")}, "not nan"),
-        ({"cv_limit_kPa": 25.0, "dead_man_ms": 900.0}, "dead_man_ms is from"),
+        ({"cv_limit_kPa": 25.0, "dead_man_ms": 900.0}, "dead_man_ms must be from"),
     ],
 )
 def test_an_impossible_change_is_reported_before_anything_is_changed(

@@ -1,4 +1,4 @@
-"""The checks of an upload before and after the vehicle has the mission."""
+"""The checks before an upload, and the comparison with the stored mission after it."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_the_stored_mission_is_compared_with_the_sent_one(
     assert all(sentence.startswith("item 1 (script message (1.9, 0.1)): ") for sentence in found.changed)
 
 
-def test_items_too_few_and_items_that_were_not_known_to_be_taken_are_unexpected() -> None:
+def test_missing_items_and_unexpectedly_accepted_items_are_reported() -> None:
     sent = held("px4", 0, 31010, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 2)
     assert "accepted, although PX4 was expected to refuse it" in compare("px4", sent, sent).unexpected[0]
     assert compare("px4", sent, []).unexpected == ("The vehicle has 0 items, but 1 were sent.",)
@@ -82,7 +82,7 @@ def as_read_from_a_vehicle(items: list[MissionItem]) -> list[MissionItem]:
 
 
 @pytest.mark.parametrize("last", [20, 21])
-def test_values_that_ardupilot_adds_to_a_return_and_a_landing_are_no_difference(last: int) -> None:
+def test_values_that_ardupilot_adds_to_a_return_or_landing_are_expected(last: int) -> None:
     path = EXAMPLES / "canopy_sampling-ardupilot.waypoints"
     *items, _ = load_items(path, "ardupilot").items
     sent = [*items, MissionItem(len(items), last, (0.0,) * 7, frame=3)]
@@ -104,6 +104,8 @@ def test_values_that_ardupilot_adds_to_a_return_and_a_landing_are_no_difference(
         ),
     ],
 )
-def test_another_landing_is_one(kind: AutopilotKind, sent: MissionItem, kept: MissionItem) -> None:
+def test_another_difference_of_a_landing_is_reported(
+    kind: AutopilotKind, sent: MissionItem, kept: MissionItem
+) -> None:
     first = MissionItem(0, 16, (0.0,) * 7, 6 if kind == "px4" else 0)
     assert len(compare(kind, [first, sent], [first, kept]).unexpected) == 1

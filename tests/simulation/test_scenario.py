@@ -169,7 +169,7 @@ def test_a_text_that_is_not_toml_is_an_error_with_its_line() -> None:
 
 def test_files_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(
-        ScenarioError, match=r"nowhere\.toml: no such file, nor an example; those are case, d"
+        ScenarioError, match=r"nowhere\.toml: no such file and no such example; the examples are case, d"
     ):
         load_scenario(tmp_path / "nowhere.toml")
     with pytest.raises(ScenarioError, match="cannot be read: Is a directory"):

@@ -214,5 +214,7 @@ def test_an_invalid_description_gives_one_line(old: str, new: str, says: str) ->
 
 
 def test_an_unknown_name_gives_the_names_of_the_examples() -> None:
-    with pytest.raises(VineError, match="no such file, nor an example; those are pouch, cpam, fpam"):
+    with pytest.raises(
+        VineError, match="no such file and no such example; the examples are pouch, cpam, fpam"
+    ):
         load_vine("octopus")

@@ -1,4 +1,4 @@
-"""Profiles over time are continuous, never too steep, and have their stated length and end."""
+"""Pressure profiles are continuous, within the rate limit, and have the specified duration and end."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_peak_and_rise_are_those_of_the_pressure(
     motion = plan(parts, CURVE, start_kPa, rate_kPa_per_s, MAX_KPA)
     values = [value for _, value in sampled(motion, 6000)]
     risen = sum(max(0.0, b - a) for a, b in pairwise(values))
-    # Between samples a turning point may be missed by a little.
+    # The samples may slightly miss a turning point.
     assert motion.rise_kPa == pytest.approx(risen, abs=0.02 * (1 + motion.rise_kPa))
     assert motion.peak_kPa >= max(values) - 1e-9
     assert max(motion.peak_kPa, *values) <= MAX_KPA + 1e-9
@@ -134,7 +134,7 @@ def test_a_sine_swings_as_commanded_while_the_rate_allows() -> None:
     assert motion.final_kPa == pytest.approx(2.0)
 
 
-def test_a_sine_that_is_too_fast_is_slowed_to_the_limit_exactly() -> None:
+def test_a_sine_that_is_too_fast_is_slowed_exactly_to_the_limit() -> None:
     sine = Sine(frequency_Hz=5, cycles=2, from_kPa=0, to_kPa=10)
     motion = plan([sine], CURVE, 0.0, 20.0, MAX_KPA)
     assert motion.duration_s == pytest.approx(2 * math.pi * 10 / 20)
@@ -156,7 +156,7 @@ def test_a_sine_that_is_too_fast_is_slowed_to_the_limit_exactly() -> None:
         (5, 5, 3, 0),
     ],
 )
-def test_a_swing_needs_air_only_where_it_rises(
+def test_a_sine_needs_air_only_while_it_rises(
     start: float, end: float, cycles: float, rise_kPa: float
 ) -> None:
     sine = Sine(frequency_Hz=0.2, cycles=cycles, from_kPa=start, to_kPa=end)
@@ -169,7 +169,7 @@ def test_values_beyond_the_limits_are_clipped_to_them() -> None:
     assert min(value for _, value in sampled(motion)) == 0.0
 
 
-def test_nothing_to_do_stays() -> None:
+def test_without_segments_the_pressure_stays() -> None:
     motion = plan([], CURVE, 7.0, 60.0, MAX_KPA)
     assert (motion.duration_s, motion.final_kPa, motion.rise_kPa) == (0.0, 7.0, 0.0)
     assert motion.setpoint_kPa(5.0) == 7.0
@@ -185,7 +185,7 @@ def test_a_motion_begins_at_its_start() -> None:
 
 
 @pytest.mark.parametrize("cycles", [1, 3, 7, 100, 1000])
-def test_a_wave_that_ends_at_no_pressure_lets_all_air_out(cycles: int) -> None:
+def test_a_sine_that_ends_at_zero_ends_exactly_there(cycles: int) -> None:
     wave = plan([Sine(frequency_Hz=0.55, cycles=cycles, from_kPa=0, to_kPa=13)], CURVE, 0.0, 60.0, MAX_KPA)
     assert wave.final_kPa <= 0.0
 
@@ -194,7 +194,7 @@ def test_a_wave_that_ends_at_no_pressure_lets_all_air_out(cycles: int) -> None:
 
 
 def bent_along(curve: BendCurve, motion: Motion, bent_kPa: float) -> tuple[float, list[float]]:
-    """The end of a vine with friction, and all the angles on its way."""
+    """The final `bent_kPa` of a vine with hysteresis after a motion, and all its angles."""
     angles_deg = []
     for _, pressure_kPa in sampled(motion):
         bent_kPa = curve.bent_kPa(pressure_kPa, bent_kPa)
@@ -207,7 +207,7 @@ RUBS = BendCurve([(0, 0), (5, 0), (20.7, 60)], 3.0)
 
 @pytest.mark.parametrize("to_deg", [5.0, 30.0, 60.0])
 @pytest.mark.parametrize("before_kPa", [[0.0], [20.7], [20.7, 0.0], [20.7, 10.0], [20.7, 2.0, 14.0]])
-def test_an_angle_is_reached_from_wherever_the_vine_is(to_deg: float, before_kPa: list[float]) -> None:
+def test_an_angle_is_reached_from_any_bend(to_deg: float, before_kPa: list[float]) -> None:
     bent_kPa = 0.0
     for pressure_kPa in before_kPa:
         bent_kPa = RUBS.bent_kPa(pressure_kPa, bent_kPa)
@@ -215,7 +215,7 @@ def test_an_angle_is_reached_from_wherever_the_vine_is(to_deg: float, before_kPa
     assert bent_along(RUBS, motion, bent_kPa)[1][-1] == pytest.approx(to_deg, abs=1e-6)
 
 
-def test_up_and_down_again_each_angle_has_a_pressure_for_each_way() -> None:
+def test_an_angle_has_different_pressures_on_the_way_up_and_down() -> None:
     there_and_back: list[Segment] = [Ramp(to_deg=30, over_s=1), Step(to_deg=60), Ramp(to_deg=30, over_s=1)]
     motion = plan(there_and_back, RUBS, 0.0, 60.0, MAX_KPA)
     assert motion.setpoint_kPa(1.0) == pytest.approx(RUBS.pressure_kPa(30))
@@ -224,7 +224,7 @@ def test_up_and_down_again_each_angle_has_a_pressure_for_each_way() -> None:
 
 @pytest.mark.parametrize(("from_deg", "to_deg"), [(10.0, 50.0), (50.0, 10.0)])
 @pytest.mark.parametrize("before_deg", [0.0, 60.0])
-def test_a_swing_meets_both_of_its_angles(from_deg: float, to_deg: float, before_deg: float) -> None:
+def test_a_sine_reaches_both_of_its_angles(from_deg: float, to_deg: float, before_deg: float) -> None:
     sine = Sine(frequency_Hz=0.5, cycles=2, from_deg=from_deg, to_deg=to_deg)
     start_kPa = RUBS.pressure_kPa(before_deg)
     motion = plan([sine], RUBS, start_kPa, 200.0, MAX_KPA)
@@ -235,7 +235,7 @@ def test_a_swing_meets_both_of_its_angles(from_deg: float, to_deg: float, before
 
 @given(segments, st.floats(0, 20), st.floats(0, 6), rates, st.floats(0, 4))
 @settings(max_examples=examples(80), deadline=None)
-def test_with_hysteresis_no_limit_is_passed_and_the_bend_is_known(
+def test_with_hysteresis_no_limit_is_exceeded_and_the_final_angle_is_right(
     parts: list[Segment], start_kPa: float, further_kPa: float, rate_kPa_per_s: float, width_kPa: float
 ) -> None:
     curve = BendCurve([(0, 0), (5, 0), (20.7, 60)], width_kPa)
@@ -275,25 +275,25 @@ def chain(length: int) -> dict[str, PressureProfile]:
     return profiles | {str(length - 1): profile(Step(to_kPa=1))}
 
 
-def test_nesting_has_an_end() -> None:
+def test_nesting_is_limited() -> None:
     assert len(list(flatten(chain(MAX_NESTING), "0"))) == 1
     with pytest.raises(ValueError, match=f"nested more than {MAX_NESTING} deep"):
         list(flatten(chain(MAX_NESTING + 1), "0"))
 
 
 @pytest.mark.parametrize("around", [1, 2, 3])
-def test_a_profile_that_contains_itself_is_named(around: int) -> None:
+def test_a_profile_that_contains_itself_is_reported(around: int) -> None:
     profiles = {str(i): profile(Step(to_kPa=1), Sub(name=str((i + 1) % around))) for i in range(around)}
     with pytest.raises(ValueError, match="profile '0' contains itself"):
         list(flatten(profiles, "0"))
 
 
-def test_the_same_profile_twice_side_by_side_is_no_loop() -> None:
+def test_the_same_profile_twice_in_a_row_is_not_a_loop() -> None:
     profiles = {"a": profile(Step(to_kPa=1)), "b": profile(Sub(name="a"), Sub(name="a"))}
     assert len(list(flatten(profiles, "b"))) == 2
 
 
-def test_a_profile_that_is_not_there_is_named() -> None:
+def test_a_missing_profile_is_reported() -> None:
     with pytest.raises(ValueError, match="there is no profile 'nowhere'"):
         list(flatten({"a": profile(Sub(name="nowhere"))}, "a"))
 
@@ -335,13 +335,13 @@ BAD = [
 
 
 @pytest.mark.parametrize("segment", BAD)
-def test_segments_that_make_no_sense_are_refused(segment: dict[str, object]) -> None:
+def test_invalid_segments_are_refused(segment: dict[str, object]) -> None:
     with pytest.raises(msgspec.ValidationError):
         msgspec.convert({"segments": [segment]}, PressureProfile)
 
 
 @pytest.mark.parametrize("keys", [{"repeat": 0}, {"repeat": 1001}, {"rate_kPa_per_s": 0}, {"rate": 1}])
-def test_profiles_that_make_no_sense_are_refused(keys: dict[str, object]) -> None:
+def test_invalid_profiles_are_refused(keys: dict[str, object]) -> None:
     with pytest.raises(msgspec.ValidationError):
         msgspec.convert({"segments": [{"kind": "step", "to_kPa": 0}], **keys}, PressureProfile)
 

@@ -1,4 +1,4 @@
-"""Tries the MQTT broker, with the credentials and error texts of the service's own connection."""
+"""Tries a connection to the MQTT broker, with the service's own credentials and error texts."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SILENT = logging.Logger(__name__, logging.CRITICAL + 1)
 
 
 async def facts(mqtt: MqttConfig) -> BrokerFacts:
-    """Connects with a new client id, so that a running service stays connected, and disconnects."""
+    """Connects and disconnects. A new client id is used, so that a running service stays connected."""
     if not mqtt.broker:
         return BrokerFacts("")
     try:

@@ -130,7 +130,7 @@ def true_rig_from(content: Mapping[str, Any]) -> TrueRig:
 
 
 def true_rig_text(rig: TrueRig) -> str:
-    """The rig as a file that `load_true_rig` reads."""
+    """The rig as the text of a rig file."""
     nominal, default = asdict(rig.nominal), asdict(Rig())
     tables = [
         (name, {key: number for key, number in table.items() if number is not None})

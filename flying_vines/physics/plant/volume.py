@@ -1,11 +1,11 @@
 """Shape of the control volume: rigid, compliant, or a bending pouch that first fills at ambient pressure.
 
-The state of the gas is E = p V + g W. W = ∫ p dV is the work on wall and ambient since the smallest volume;
-g = γ − 1 for gas with its own temperature, 0 for isothermal gas. The rate of p V jumps when a pouch becomes
-full; the rate of E does not.
+The state of the gas is E = p V + g W. W = ∫ p dV is the work on wall and ambient since the smallest volume.
+g is γ − 1 for gas with its own temperature, and 0 for isothermal gas. E is the state because its rate is
+continuous; the rate of p V jumps when a pouch becomes full.
 
 `numbers(volume_L, g)` converts each shape to a pouch, for `pressure_and_volume`. A compliant or rigid shape
-is a pouch without a volume to fill first.
+is a pouch whose flat and full volumes are equal.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ class Chamber(NamedTuple):
     """The numbers of a shape."""
 
     flat_L: float
-    """The smallest volume, also under vacuum. W counts from here."""
+    """The smallest volume, also under vacuum. W is 0 at this volume."""
     full_L: float
     per_kPa: float
     g: float
@@ -31,7 +31,7 @@ class Chamber(NamedTuple):
 
 
 def pressure_and_volume(chamber: Chamber, energy: float, ambient_kPa: float) -> tuple[float, float]:
-    """Absolute pressure in kPa and volume in L for E in kPa·L."""
+    """Absolute pressure in kPa and volume in L, from E in kPa·L."""
     g, flat, full = chamber.g, chamber.flat_L, chamber.full_L
     beyond = energy - g * (full - flat) * ambient_kPa
     rigid_kPa = beyond / full
@@ -81,14 +81,14 @@ class Compliant:
 
 @dataclass(frozen=True)
 class Pouch:
-    """Fills from its flat to its full volume at ambient pressure; above that it is compliant or rigid."""
+    """Fills from its flat to its full volume at ambient pressure; above ambient it is compliant or rigid."""
 
     flat_volume_L: float = 0.01
     per_kPa: float = 0.0
 
     def __post_init__(self) -> None:
         if not (self.flat_volume_L > 0.0 and self.per_kPa >= 0.0):
-            raise ValueError("a pouch's flat volume must be positive, its compliance not negative")
+            raise ValueError("a pouch needs a positive flat volume, and a compliance that is not negative")
 
     def numbers(self, volume_L: float, g: float) -> Chamber:
         flat_L = self.flat_volume_L

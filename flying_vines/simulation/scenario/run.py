@@ -115,7 +115,7 @@ def simulate(rig: Rig | TrueRig, run: RunKind, seed: int = 1, *, index: int = 0)
 
 
 def simulate_scenario(rig: Rig | TrueRig, scenario: Scenario, seed: int = 1) -> tuple[ScenarioRun, ...]:
-    """All runs of a scenario, each from rest, as `simulate`."""
+    """Simulate all runs of a scenario, each from rest."""
     return tuple(simulate(rig, run, seed, index=i) for i, run in enumerate(scenario.runs))
 
 

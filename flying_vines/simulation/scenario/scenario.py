@@ -42,7 +42,7 @@ def load_scenario(source: Path | str) -> Scenario:
     path = Path(source)
     if not path.exists() and str(source) in examples():
         return parse_scenario((_EXAMPLES / f"{source}.toml").read_text(encoding="utf-8"), str(source))
-    absent = f", nor an example; those are {', '.join(examples())}"
+    absent = f" and no such example; the examples are {', '.join(examples())}"
     return parse_scenario(read_text(path, ScenarioError, absent), str(path))
 
 

@@ -59,7 +59,7 @@ def load_vine(source: Path | str) -> BendingVine:
     path = Path(source)
     if not path.exists() and str(source) in examples():
         return parse_vine(example_text(str(source)), str(source))
-    absent = f", nor an example; those are {', '.join(examples())}"
+    absent = f" and no such example; the examples are {', '.join(examples())}"
     return parse_vine(read_text(path, VineError, absent), str(path))
 
 

@@ -1,4 +1,4 @@
-"""The bend of a vine on a terminal, and as plain data."""
+"""Prints the bend of a vine on a terminal, and converts it to plain data for JSON."""
 
 from __future__ import annotations
 

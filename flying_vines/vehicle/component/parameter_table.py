@@ -1,8 +1,8 @@
-"""The settings that a pilot may change in the field: one row each, with the limits of its value.
+"""The settings that a pilot may change in the field: a row for each, with its limits.
 
-For a setting that keeps people or hardware safe, the configuration's value is the maximum or minimum: a pilot
-may make the vine weaker or slower, never stronger or faster. A pressure profile that exceeds the new limits
-is clipped or slowed; safety reports the clipping.
+For a safety setting, the configuration's value is the maximum or minimum: a parameter can only be stricter,
+for example a lower pressure or a higher minimum altitude. A pressure profile that exceeds the new limits is
+clipped or slowed; safety reports the clipping.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ class ParameterRow:
     guard: Guard = "none"
     """ "max": the configuration's value is the maximum that may be set; "min": the minimum."""
     min: float = -math.inf
-    """Lower limit; used if it is narrower than the configuration's."""
+    """Lower limit; used if it is above the lower limit of the key."""
     max: float = math.inf
-    """Upper limit; used if it is narrower than the configuration's."""
+    """Upper limit; used if it is below the upper limit of the key."""
     choices: tuple[str | bool, ...] = ()
     """The values for the numbers 0, 1 …; empty if the number itself is the value."""
     in_flight: bool = False
@@ -114,7 +114,7 @@ def value_of(setting: ParameterRow, config: Config) -> float:
 
 
 def bounds(setting: ParameterRow, base: Config) -> tuple[float, float]:
-    """The minimum and maximum that may be set: the narrowest of the key's limits, the row's, and `base`."""
+    """The minimum and maximum that may be set: the strictest limits of the key, the row and the guard."""
     lower, upper = setting.min, setting.max
     kind = _type(setting)
     if setting.choices:
@@ -134,9 +134,9 @@ def changed(base: Config, config: Config, name: str, value: float) -> Config:
 
     Args:
         base: the configuration without any parameters.
-        config: the configuration with the values in force.
-        name: of the parameter.
-        value: as received; it may not be finite.
+        config: the configuration with the present values.
+        name: the parameter's name.
+        value: the received value; it may be NaN or infinite.
     """
     setting = BY_NAME[name]
     table = getattr(config, setting.table)

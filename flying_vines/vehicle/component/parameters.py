@@ -1,7 +1,7 @@
-"""The parameters as a MAVLink parameter set: listed, read and set by any ground station.
+"""The parameters as a MAVLink parameter set, which any ground station can list, read and set.
 
 All are 32-bit floats, which ground stations encode in the same way for both autopilots. The answer is always
-the value in force. A parameter that we do not have (QGroundControl's `_HASH_CHECK`) is not answered.
+the present value. A request for an unknown parameter (QGroundControl's `_HASH_CHECK`) is not answered.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _BY_NAME = -1
 
 @dataclass(frozen=True, slots=True)
 class Changed:
-    """A parameter has a new value. `config` is the configuration now in force."""
+    """A parameter has a new value. `config` is the configuration with it."""
 
     t: float
     name: str
@@ -44,10 +44,10 @@ ParameterOutput = MavlinkMessage | Notice | Changed
 
 
 class Parameters:
-    """The parameter set over a configuration.
+    """The parameter set of one configuration.
 
-    `config` is the configuration with the values in force. `values` are those that differ from `base`,
-    for the file that saves them.
+    `config` is the configuration with the present values. `values` are the values that differ from `base`;
+    they are saved in a file.
     """
 
     MESSAGES = frozenset(
@@ -77,7 +77,7 @@ class Parameters:
             message: one of `MESSAGES`, of any sender.
             system_id: that of our vehicle.
             component_id: ours.
-            may_change: the vine is vented, so parameters that affect its motion may change.
+            may_change: True while the vine is vented: then parameters that affect its motion may change.
         """
         kind = message.get_type()
         target = (message.target_system, message.target_component)

@@ -17,13 +17,13 @@ REMEMBERED_FRAMES = 32
 """Frames stored per sender to recognise copies. Far fewer than 256, after which the sequence repeats."""
 
 REMEMBERED_SENT = 128
-"""Our own frames stored to recognise their echoes: those of some seconds."""
+"""Our own frames stored to recognise their echoes; they cover some seconds."""
 
 MAX_SENDERS = 64
-"""More components than any vehicle has. The limit keeps forged senders from filling the memory."""
+"""More than the components of any vehicle. With a limit, forged senders cannot fill the memory."""
 
 _WITH_KEY = mavlink.MAVLINK_MSG_ID_SETUP_SIGNING
-"""Decoding removes its secret key: our key comes from a file, and no log may contain a key."""
+"""A message with a secret key, which decoding removes: no log may contain a key, and ours is in a file."""
 
 
 class MavlinkCodec:
@@ -63,7 +63,7 @@ class MavlinkCodec:
         return self._frames.bad_frames
 
     def decode(self, data: bytes) -> list[MavlinkMessage]:
-        """The messages that `data` completes, in order. Only known types with a good checksum."""
+        """The messages that `data` completes, in order; only of known types with a correct checksum."""
         return self._admitted(self._frames.take(data))
 
     def decode_stranger(self, data: bytes) -> tuple[list[MavlinkMessage], bool]:
@@ -145,12 +145,12 @@ class _Sender:
         self._recent: deque[tuple[int, int, int]] = deque(maxlen=REMEMBERED_FRAMES)
 
     def is_copy(self, frame: Frame) -> bool:
-        # If only some frames are forwarded, the sequence repeats soon. A copy is never ahead of its frame.
+        # If only some frames are forwarded, the sequence repeats soon. A copy is never newer than its frame.
         behind = (self._sequence - frame.sequence) & 0xFF
         return behind < 128 and (frame.sequence, frame.message_id, frame.checksum) in self._recent
 
     def take(self, frame: Frame) -> int:
-        """The number of newly lost frames; -1 if this frame was counted as lost before."""
+        """The number of newly lost frames; -1 if this frame was late and had been counted as lost."""
         self.frames += 1
         if frame.known:
             self._recent.append((frame.sequence, frame.message_id, frame.checksum))

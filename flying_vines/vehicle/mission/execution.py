@@ -11,7 +11,7 @@ from flying_vines.vehicle.mission.item import MissionItem
 
 @dataclass(frozen=True, slots=True)
 class Execution:
-    """A mission item ran. `seq` and `params` are None if they are not certain."""
+    """A mission item that ran. `seq`, `item` and `params` are None if they are uncertain."""
 
     command: int
     seq: int | None
@@ -24,7 +24,7 @@ class Execution:
 
 
 def same_numbers(a: Sequence[float], b: Sequence[float]) -> bool:
-    """Equal within the precision of 32-bit floats and text files."""
+    """True if they are equal within the precision of 32-bit floats and text files."""
     return all(
         math.isclose(x, y, rel_tol=1e-5, abs_tol=1e-6) or (math.isnan(x) and math.isnan(y))
         for x, y in zip(a, b, strict=True)

@@ -1,11 +1,12 @@
 """Compares the paper's frequency responses with the baseline in closed loop, and with each cause.
 
-Each cause is put into the plant, with the regulator that the paper describes. Its gains are compared with
-those of TC4 and TC5 in dB. Unseen data decide, as in `identification`: each test is also predicted with the
-value that is best for the other. Gains are not a record over time, so that search cannot use them.
+The plant is simulated with each cause, and with the regulator that the paper describes. The resulting gains
+are compared with the measured gains of TC4 and TC5 in dB. Causes are ranked on unseen data, as in
+`identification`: each test is also predicted with the value that is best for the other test. The search of
+`identification` cannot be used, because it needs recordings over time.
 
 The paper does not state the regulator's PID, the valve drivers, tubes, the outlet, or any phase. So a cause
-that reduces the difference may explain it, but this is no proof of the cause.
+that reduces the difference is a possible explanation, not a proven one.
 """
 
 from __future__ import annotations
@@ -34,38 +35,38 @@ from flying_vines.studies.paper.data import condition, curve, stated
 
 TESTS = ("tc4", "tc5")
 SUPPLY_KPA = {"tc4": 690.0, "tc5": 345.0}
-"""Supplies (gauge); TC5's is from the paper's list of test conditions."""
+"""Supply pressures (gauge); that of TC5 is from the paper's list of test conditions."""
 OTHER_SUPPLY_KPA = {**SUPPLY_KPA, "tc5": 690.0}
-"""TC5's is from the text below that list."""
+"""The same, but with the TC5 supply that the text below the list gives."""
 BASE = Rig(cv=ControlVolume(1.0))
-"""The default rig, for what the paper does not state of valves and outlet."""
+"""The default rig. Its valves and outlet replace the data that the paper does not state."""
 
 SETTLE_S = 1.0
 MEASURE_S = 1.5
 CORNERS = 64
 """Corners of the polygon that approximates a cycle of the command."""
 READINGS = 1000
-"""Maximum readings in a cycle: a slow command does not need every tick."""
+"""Maximum number of readings in a cycle; a slow command does not need a reading for each tick."""
 TUBE_L = 0.0126
 """Volume of a metre of 4 mm tube."""
 
 Benches = Mapping[tuple[float, ...], Setup]
-"""The bench for each set of values."""
+"""The simulated bench for each set of values."""
 
 
 @dataclass(frozen=True)
 class Suspect:
-    """A possible difference of the bench, with one parameter."""
+    """A possible difference between the real bench and the baseline, with one parameter."""
 
     name: str
     parameter: str
     values: tuple[float, ...]
     """Tested values."""
     made: Callable[[Rig, float], Setup] | None = None
-    """None: the cause of that name."""
+    """Makes the bench; None: apply the cause with this name."""
 
     def on(self, rig: Rig, value: float) -> Setup:
-        """The bench with this difference."""
+        """The simulated bench with this difference."""
         return self.made(rig, value) if self.made else setup(rig, self.name, **{self.parameter: value})
 
 
@@ -101,25 +102,25 @@ SUSPECTS = (
 )
 FLOOR = "gain_floor"
 FLOORS = (0.1, 0.15, 0.2, 0.25)
-"""Error of the evaluation, not of the rig: drift and offset in an FFT of few cycles. Its square is added."""
+"""Error of the evaluation, not of the rig: drift and offset in an FFT of few cycles. Squares are added."""
 WITH_TUBE = ("compressible_flow", "cv_heating")
 AGAIN = ("evp_restriction", "cv_heating", "tube")
-"""Also tested on TC5's other supply."""
+"""Also tested with the other supply pressure of TC5."""
 
 
 @dataclass(frozen=True)
 class Account:
-    """The gains with some suspects, compared with the measured ones; tuples are in the order of `TESTS`."""
+    """The gains with some suspects, compared with the measured gains; tuples are in the order of `TESTS`."""
 
     names: tuple[str, ...]
     best: dict[str, float]
     """The tested value of each suspect that is best for both tests together."""
     rms_dB: tuple[float, ...]
-    """Distance of the best values from the measured gains, over all points."""
+    """Difference from the measured gains with the best values, over all points."""
     band_rms_dB: tuple[float, ...]
-    """The same up to `BAND` drawn cut-offs."""
+    """The same, up to `BAND` times the drawn cut-off frequency."""
     unseen_dB: tuple[float, ...]
-    """Distance with the values that are best for the other test."""
+    """Difference with the values that are best for the other test."""
     gains: tuple[Array, ...]
 
     @property
@@ -128,25 +129,25 @@ class Account:
 
     @property
     def unseen(self) -> float:
-        """Distance over both tests, dB rms."""
+        """Difference on unseen data over both tests, dB rms."""
         return rms(np.array(self.unseen_dB))
 
 
 @dataclass(frozen=True)
 class Responses:
-    """All tested accounts, those that predict best first."""
+    """All tested accounts, sorted by their difference on unseen data."""
 
     accounts: tuple[Account, ...]
-    """TC5 on 345 kPa."""
+    """With TC5 at 345 kPa."""
     other: tuple[Account, ...]
-    """TC5 on 690 kPa."""
+    """With TC5 at 690 kPa."""
 
     def of(self, *names: str) -> Account:
-        """The account with these suspects, with TC5 on 345 kPa."""
+        """The account with these suspects, with TC5 at 345 kPa."""
         return _of(self.accounts, names)
 
     def of_other(self, *names: str) -> Account:
-        """The account with these suspects, with TC5 on 690 kPa."""
+        """The account with these suspects, with TC5 at 690 kPa."""
         return _of(self.other, names)
 
 
@@ -163,10 +164,10 @@ def account_for(
     """Compare the suspects with the measured gains.
 
     Args:
-        progress: called with the current step, and the share of the work that is done.
+        progress: called with the current step and the completed share of the work.
         suspects: tested alone, with and without a floor; one of them must be the tube.
         with_tube: suspects that are also tested with a tube.
-        again: suspects that are also tested on TC5's other supply.
+        again: suspects that are also tested with the other supply pressure of TC5.
     """
     by_name = {suspect.name: suspect for suspect in suspects}
     with threadpool_limits(1):
@@ -215,7 +216,7 @@ def _account(names: tuple[str, ...], simulated: Mapping[tuple[float, ...], list[
         for values, found in simulated.items()
     }
     best = min(left, key=lambda values: sum(rms(e) ** 2 for e in left[values]))
-    # TC4 and TC5: the best values of one test predict the other.
+    # `reversed` below: each test is predicted with the best values of the other.
     best_of = [min(left, key=lambda values: rms(left[values][test])) for test in range(len(TESTS))]
     return Account(
         names=names,
@@ -228,7 +229,7 @@ def _account(names: tuple[str, ...], simulated: Mapping[tuple[float, ...], list[
 
 
 def gains(made: Setup, test: str, supply_kPa: float) -> Array:
-    """Response over command at each measured frequency, in closed loop on a constant supply."""
+    """Amplitude of the pressure over that of the command, at each measured frequency, at constant supply."""
     tested = condition(test)
     rig = made.plant.rig
     assert rig.cv is not None
@@ -242,7 +243,7 @@ def gains(made: Setup, test: str, supply_kPa: float) -> Array:
 
 
 def _gain(made: Setup, frequency_Hz: float, peak_to_peak_kPa: float, supply_kPa: float) -> float:
-    """The gain at one frequency, over whole cycles after settling; the command is a polygon."""
+    """The gain at one frequency, from whole cycles after settling. The command is a polygon."""
     settle = ceil(SETTLE_S * frequency_Hz) if frequency_Hz > 1.0 / SETTLE_S else 0
     cycles = settle + max(1, ceil(MEASURE_S * frequency_Hz))
     ticks = round(cycles / frequency_Hz / TICK_S)

@@ -2,7 +2,7 @@
 #if defined(ARDUINO)
 
 #if !defined(ARDUINO_TEENSY40) && !defined(ARDUINO_TEENSY41) && !defined(__MKL26Z64__)
-#error "phlosar knows Teensy 4.0, Teensy 4.1 and Teensy LC: choose one of them under Tools, Board"
+#error "phlosar supports Teensy 4.0, Teensy 4.1 and Teensy LC: choose one of them under Tools, Board"
 #endif
 
 #include <Arduino.h>
