@@ -54,7 +54,7 @@ def test_its_numbers_and_commands_are_the_code_s() -> None:
         f"`version` ({SCHEMA_VERSION})",
         f"every {RESERVOIR_S:g} s",
         f"`mqtt.rate_Hz`, {mqtt.rate_Hz:g} a second",
-        f"{mqtt.kept_events} of them (`mqtt.kept_events`)",
+        f"the last {mqtt.kept_events} events (`mqtt.kept_events`)",
         f"`mqtt.asked_within_s` ({mqtt.asked_within_s:g} s)",
         f"longer than {MAX_PACKET // 1024} kB",
         f"shorter than {health.REPORT_AFTER_S:g} s",
