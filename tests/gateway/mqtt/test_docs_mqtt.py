@@ -68,5 +68,5 @@ def test_its_numbers_and_commands_are_the_code_s() -> None:
         60,
         300,
     )
-    asking = PAGE[PAGE.index("## Asking") :]
-    assert all(f"`{command}`" in asking for command in COMMANDS)
+    guide = PAGE[PAGE.index("## Commands to the vehicle") :]
+    assert all(f"`{command}`" in guide for command in COMMANDS)
