@@ -36,8 +36,8 @@ QUICK_S = 0.002
 _STEP = 0.25
 """Step over the fastest time constant. Fourth-order Runge-Kutta then errs by 1e-5 of the remaining change."""
 _STEEP = 6.0
-"""Near equal pressures the flow of ISO 6358 is this many times as steep. The end of `compressible_flow` is
-eight times steeper, and steps are still stable there."""
+"""Steps resolve this many times the conductance of a valve by ISO 6358, whose flow is steep near equal
+pressures. At the linear end of `compressible_flow` it is about 50 times: steps are still stable there."""
 
 GAP = 8.0
 """A longer time between samples, in median sampling intervals, is a gap."""

@@ -211,10 +211,8 @@ def _heartbeat(facts: VehicleFacts, config: Config) -> DoctorFinding:
 def _stream(stream: StreamFacts, autopilot: Autopilot, config: Config) -> DoctorFinding:
     if stream.name in autopilot.own_rates_Hz:
         stream = replace(stream, wanted_Hz=autopilot.own_rates_Hz[stream.name], refused=False)
-    use, where = (
-        USES.get(stream.name, "[[triggers]]"),
-        autopilot.how_to_set_stream(stream.name, math.ceil(stream.wanted_Hz)),
-    )
+    use = USES.get(stream.name, "[[triggers]]")
+    where = autopilot.how_to_set_stream(stream.name, math.ceil(stream.wanted_Hz))
     needed = stream.essential or (stream.name == "RC_CHANNELS" and uses_switch(config))
     if stream.rate_Hz == 0.0:
         use += "; the autopilot refuses it" if stream.refused else ""

@@ -43,7 +43,7 @@ def serial_port(
     except BoardNotFoundError as error:
         return PortFacts(which, where, missing=str(error))
     if not Path(path).exists():
-        others = ", ".join(f"{port.device}{_in_brackets(port)}" for port in there) or "no serial port at all"
+        others = ", ".join(f"{port.device}{_in_brackets(port)}" for port in there) or "no serial port"
         return PortFacts(which, where, missing=f"{path} does not exist; found: {others}")
     device = os.path.realpath(path)
     board = next((port for port in there if port.device == device and port.vid is not None), None)
