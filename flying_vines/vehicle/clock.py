@@ -29,7 +29,8 @@ MAX_DRIFT = 0.03
 MAX_DRIFT_STEP_S = 1.0
 """Drift is counted for at most this time between two stamps."""
 
-# A clock that lags by more than its limit may have rebooted. The limit is lower after a short uptime.
+# If the autopilot's clock lags by more than this limit, the autopilot may have rebooted. The limit is lower
+# in the first minute of uptime.
 MAX_DELAY_S = 20.0
 YOUNG_MAX_DELAY_S = 2.0
 YOUNG_S = 60.0
@@ -46,11 +47,11 @@ class Mark:
 
     t: float
     suspected_s: float = 0.0
-    """Upper estimate of the delay: that of the last stamp before it, plus the silence since then."""
+    """Upper estimate of the delay: the last stamp's delay plus the silence since then."""
     continuous: bool = True
     """No frame was lost between the last stamp and the message."""
     first_stamps: bool = False
-    """The clock was not known for long yet. The first stamps may be delayed, too."""
+    """The message arrived soon after the first stamp. The first stamps may be delayed, too."""
     boot_s: float = math.inf
     """Autopilot time of the first stamp after the message. The message was sent no later than that."""
 
@@ -95,7 +96,7 @@ class AutopilotClock:
     def stamp(self, t: float, time_boot_ms: int, is_measured: bool = False) -> bool:
         """Take in a message with `time_boot_ms`. Returns True if the autopilot rebooted.
 
-        `is_measured`: it is the time of a measurement. It may freeze, so it does not prove a reboot.
+        `is_measured`: the stamp is the time of a measurement. It may freeze, so it does not prove a reboot.
         """
         boot_s = time_boot_ms / 1000.0
         offset_s = t - boot_s
@@ -103,7 +104,7 @@ class AutopilotClock:
         if known is None:
             known, self._known_since = offset_s, t
         else:
-            # The minimum delay so far; the two clocks may drift apart.
+            # The offset of the smallest delay so far. The two clocks may drift apart.
             known += MAX_DRIFT * min(t - self._stamped_at, MAX_DRIFT_STEP_S)
         if abs(offset_s - known - CLOCK_PERIOD_S) < MAX_DELAY_S:
             known += CLOCK_PERIOD_S

@@ -40,7 +40,7 @@ class CommandReceiver:
         from_station: bool,
         age_s: float = 0.0,
     ) -> list[Trigger | MavlinkMessage]:
-        """A trigger, or the acknowledgement if there is nothing to decide. `age_s`: time since it was sent.
+        """A trigger, or the acknowledgement if there is nothing to decide. `age_s`: the message's age.
 
         Only a ground station and the autopilot may bend the vine. Every sender may deflate it.
 

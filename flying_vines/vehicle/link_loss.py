@@ -29,7 +29,7 @@ class LinkLoss:
         self._back_since: float | None = None
 
     def entered(self, t: float, name: str, reason: str, response: str) -> str | None:
-        """The text for a new loss; None if it was reported already. `response` is that of the vine."""
+        """The text for a new loss; None if it was reported already. `response`: what the vine does."""
         state = self._state(t, name) if name in _FOLLOW else ""
         if not state:
             return f"{reason}, {response}"
@@ -43,7 +43,7 @@ class LinkLoss:
         return not (self._reported and name in _FOLLOW)
 
     def back(self, t: float, lost: Container[str]) -> str | None:
-        """The text when the link is back, once; `lost` are the losses that safety still has."""
+        """The text when the link is back, once; `lost` are the losses that have not ended."""
         received_at = self._vehicle.state.received_at
         if (
             not self._reported

@@ -25,4 +25,4 @@ class Notice:
     severity: Severity
     text: str
     of_decision: bool = False
-    """It repeats a decision, for displays that do not show decisions."""
+    """The text repeats a decision, for displays that do not show decisions."""

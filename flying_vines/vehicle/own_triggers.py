@@ -18,7 +18,7 @@ GAP_S = 3.0
 
 
 class TriggerCondition(Protocol):
-    """A condition in the autopilot's messages. The configuration says what it starts; safety may refuse."""
+    """A condition in the autopilot's messages. It starts the configured profile, unless safety refuses."""
 
     messages: Collection[str]
     """The names of the MAVLink messages that it needs."""

@@ -84,7 +84,7 @@ class Streams:
             self._asked = None
 
     def forget(self) -> None:
-        """The autopilot rebooted: request all streams again, now."""
+        """The autopilot rebooted, or the link is new: request all streams again, now."""
         for stream in self._streams.values():
             stream.asked_at = stream.wanted_since = stream.received_at = None
             stream.refused_at = -math.inf
@@ -126,7 +126,7 @@ class Streams:
         """The essential messages that were requested and do not arrive, although other messages do."""
         if t - self._received_at > SILENT_S:
             return []
-        # Count from the last request, so that one text names all missing streams.
+        # Count from the time when all of them had been requested, so that one text names all missing streams.
         asked = max(t if s.wanted_since is None else s.wanted_since for s in self._essential.values())
         since = max(asked, self._received_since)
         return [

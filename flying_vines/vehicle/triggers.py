@@ -109,7 +109,7 @@ class Rules:
         return StartProfile(name) if name else None
 
     def bends(self, position: int) -> bool:
-        """True if a switch position takes air."""
+        """True if the profile of a switch position inflates the vine."""
         return self._bends[position]
 
     def for_command(self, command: int, params: Sequence[float] | None) -> tuple[Intent | None, str]:

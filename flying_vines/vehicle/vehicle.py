@@ -84,7 +84,7 @@ class Vehicle:
     def handle(self, t: float, message: MavlinkMessage, vented: bool = True) -> list[VehicleOutput]:
         """Take in a message of any sender on the link.
 
-        `vented`: the vine is vented and no motion runs. Only then parameters that affect it may change.
+        `vented`: the vine is vented and no motion runs. Parameters that affect motion may change only then.
         """
         kind = message.get_type()
         state = self.state

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.config.config import SwitchConfig
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 from flying_vines.vehicle.mavlink.tlog import TlogReader
-from flying_vines.vehicle.radio.rc import RC_BIT, TEXT_OUTLIVED_BY_HEALTH_S, RadioLink
+from flying_vines.vehicle.radio.rc import HEALTH_CLEARS_FAILSAFE_S, RC_BIT, RadioLink
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
 SILENT_AFTER_S = 1.0
@@ -112,7 +112,7 @@ def test_a_lost_cleared_is_made_up_for_by_good_health_that_lasts(begin_s: float)
         link.handle(begin_s + tenth / 10, channels())
         link.handle(begin_s + tenth / 10, health(True))
         assert link.problem(begin_s + tenth / 10) == "radio failsafe"
-    back_at = begin_s + TEXT_OUTLIVED_BY_HEALTH_S + 0.1
+    back_at = begin_s + HEALTH_CLEARS_FAILSAFE_S + 0.1
     link.handle(back_at, channels())
     link.handle(back_at, health(True))
     assert link.problem(back_at) is None

@@ -58,8 +58,8 @@ class ArduPilot(Autopilot):
         "RC_OPTIONS": "clear bits 0 and 2 of RC_OPTIONS: they ignore the receiver, or its failsafe flag",
     }
     unseen_loss_remedy = (
-        "was it this transmitter? Then set FS_THR_ENABLE = 1, and the receiver's failsafe to no pulses,"
-        " or to a throttle below FS_THR_VALUE"
+        "if you switched off this vehicle's transmitter: set FS_THR_ENABLE = 1, and the receiver's failsafe"
+        " to no pulses, or to a throttle below FS_THR_VALUE"
     )
 
     def mode_name(self, custom_mode: int) -> str:
@@ -107,7 +107,7 @@ class ArduPilot(Autopilot):
         return _stored(item, (_f32(p1), _f32(p2), _f32(p3), _f32(p4), *place), frame=_frame(item))
 
 
-# A number after ArduPilot's storage.
+# Each function returns a number as ArduPilot stores it.
 
 
 def _u8(value: float) -> float:
@@ -137,7 +137,7 @@ def _f32(value: float) -> float:
 
 
 def whole_centimetres(altitude_m: float) -> float:
-    """An altitude after ArduPilot's storage in centimetres with 32 bits."""
+    """An altitude as ArduPilot stores it: in centimetres, with 32 bits."""
     max_cm = float((1 << 31) - 1)
     centimetres = int(max(-max_cm, min(max_cm, _f32(altitude_m * 100.0))))
     return _f32(centimetres * _f32(0.01))
@@ -149,7 +149,7 @@ def _none(value: float) -> float:
 
 _Cast = Callable[[float], float]
 
-# Casts of param1..4, x, y, z. Values missing at the end are not stored.
+# Casts of param1..4, x, y, z, by command. Values after the last cast are not stored.
 _DO: dict[int, tuple[_Cast, ...]] = {
     112: (_f32,),
     114: (_f32,),

@@ -44,8 +44,8 @@ ASK_AGAIN_S = 0.2
 GIVE_UP_S = 0.8
 """ArduPilot answers within 6 ms."""
 SAME_SCRIPT_ITEM_S = 3.0
-"""A script on the autopilot sent an item's params 5 to 17 ms after the item's text. Our script repeats
-unacknowledged params for two seconds."""
+"""Measured: a script on the autopilot sends an item's params 5 to 17 ms after the item's text. Our script
+repeats unacknowledged params for two seconds."""
 SCRIPT_MESSAGE = 217
 WAIT_FOR_TEXT_S = 0.5
 TEXT_LATE_S = 1.0
@@ -56,8 +56,8 @@ COPIES_WITHIN_S = 2.0
 """A frame with the same sequence number and text within this time is a copy."""
 REACHED_AGAIN_S = 3.0
 PROGRESS_AFTER_REACHED_S = 3.0
-"""MISSION_CURRENT arrives at 1 Hz or faster. A change after this time is a commanded jump, not the end of the
-waypoint."""
+"""MISSION_CURRENT arrives at 1 Hz or faster. If it changes later than this after the waypoint was reached,
+the change is a commanded jump, not the end of the waypoint."""
 CONDITIONAL = {112, 113, 114, 115, 177, 601}
 """CONDITION_* and jumps. The mission may move on without the items after them."""
 FLYING = {0, 3}

@@ -96,10 +96,13 @@ class Autopilot:
     """Messages with a fixed rate, which cannot be requested."""
     rc_remedies: ClassVar[Mapping[str, str]] = {}
     """What to do about each parameter that hides a loss of RC."""
-    unseen_loss_remedy = "was it this transmitter? Then set the receiver's failsafe to no pulses"
+    unseen_loss_remedy = (
+        "if you switched off this vehicle's transmitter: set the receiver's failsafe to no pulses"
+    )
     """What to do if a loss of RC is not detected."""
     hides_our_parameters = False
-    """QGroundControl loads this autopilot's parameters as a file, and then requests no other component's."""
+    """QGroundControl loads this autopilot's parameters as a file. Then it requests no parameters of other
+    components."""
 
     def mode_name(self, custom_mode: int) -> str:
         """The flight mode in HEARTBEAT."""
@@ -122,11 +125,11 @@ class Autopilot:
         return 0.0
 
     def how_to_set_stream(self, message: str, rate_Hz: int) -> str:
-        """What to set on it if a requested message does not arrive."""
+        """What to set on the autopilot if a requested message does not arrive."""
         return f"have it send {message} {rate_Hz} times a second"
 
     def store(self, item: MissionItem) -> MissionItem:
-        """The item as the autopilot would store and return it. Raises `MissionRefused` if it refuses it."""
+        """The item as the autopilot would store and return it. Raises `MissionRefused` for other items."""
         return item
 
     def waits_for(self, item: MissionItem) -> bool:

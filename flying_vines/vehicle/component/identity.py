@@ -15,7 +15,7 @@ CAPABILITIES = (
     | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
     | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
 )
-"""Our parameters are floats, which are equal in both encodings. We must claim one of the two."""
+"""MAVLink has two encodings of parameters, and we must claim one. For floats, as ours are, both are equal."""
 
 _STAGES = {"a": 64, "b": 128, "rc": 192}
 _DEVELOPMENT, _RELEASE = 0, 255

@@ -148,7 +148,7 @@ class Requests:
         return (ACCEPTED, [autopilot_version()]) if message.param1 == 1 else (DENIED, [])
 
     def _ping(self, message: MavlinkMessage, system_id: int) -> list[MavlinkMessage]:
-        """Answer a ping to us or to all, but never twice: two such components would never stop."""
+        """Answer a ping to us or to all, but only once. Otherwise two components could ping without end."""
         sender = (message.get_srcSystem(), message.get_srcComponent())
         ping = (message.time_usec, message.seq)
         target = (message.target_system, message.target_component)

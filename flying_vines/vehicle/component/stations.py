@@ -4,8 +4,8 @@ A ground station is recognised by the type in its HEARTBEAT. Scripts send no HEA
 not forward it to a companion. So a sender without a HEARTBEAT is recognised by its ids. Ids and types can be
 forged; only signing proves the sender.
 
-QGroundControl reads an ArduPilot's parameters as a file, and then requests no other component's parameters.
-But it accepts parameters that it did not request. So each station gets ours once, after it has had time to
+QGroundControl reads an ArduPilot's parameters as a file. Then it requests no parameters of other components,
+but it accepts parameters that it did not request. So each station gets ours once, after it has had time to
 read the autopilot's.
 """
 

@@ -1,4 +1,4 @@
-"""DO_JUMP: the item with which a mission continues."""
+"""DO_JUMP: finds the item with which the mission continues."""
 
 from __future__ import annotations
 

@@ -31,8 +31,8 @@ class MissionCache:
     It also reads downloads that another component requested. So a recording of a companion's link fills the
     cache although no autopilot answers our requests.
 
-    ArduPilot may have no mission id. If a mission is replaced by another of the same length, none of its
-    messages shows the change. So each item that runs there is requested again, unless `is_running`.
+    ArduPilot may have no mission id. Then no message shows that the mission was replaced by another one of
+    the same length. So each item that runs is requested again, unless `is_running`.
     """
 
     def __init__(self, items: Sequence[MissionItem] = ()) -> None:

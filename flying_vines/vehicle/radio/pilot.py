@@ -20,7 +20,7 @@ from flying_vines.vehicle.triggers import Rules, Trigger
 CONFIRMED_WITHIN_S = 4.0
 """A move is refused if it is not confirmed within this time after the earliest possible confirmation."""
 HEALTH_REPORTS_APART_S = 2.0
-"""PX4's minimum time between two health reports (min_reporting_interval). It can delay that of a loss."""
+"""PX4's minimum time between two health reports (min_reporting_interval). It can delay a loss's report."""
 OVERRIDE_SLACK_S = 0.7
 """Uncertainty of the time at which an override ends."""
 RELEASED_US = 65534
@@ -69,7 +69,7 @@ class Pilot:
         self._by_station = False
         self._override_ends_at = -math.inf
         self._overruled_position: int | None = None
-        """The bending position of the switch in which somebody else straightened the vine."""
+        """The bending position that the switch had when somebody else straightened the vine."""
         self._left_overruled_at = math.inf
 
     @property
@@ -102,7 +102,7 @@ class Pilot:
     def others_asked(self, straightened: bool) -> None:
         """Somebody other than the pilot moved the vine.
 
-        The end of an RC override looks as if the switch returns to its position. If somebody else has
+        When an RC override ends, the switch seems to return to its position. If somebody else has
         straightened the vine, such a return must not bend it again.
         """
         self.overtaken()
@@ -152,7 +152,7 @@ class Pilot:
     def fresh_move(self) -> str:
         """The moves after which the switch bends the vine again, such as "switch down, then up".
 
-        Empty if the switch is not where it bends the vine, or if its move there waits for a confirmation.
+        Empty if the switch is not in a bending position, or if its move there waits for a confirmation.
         """
         position = self.switch.last_position
         confirming = self._waiting is not None and self._waits_to_bend(self._waiting)

@@ -19,8 +19,8 @@ RC_BIT = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 MIN_US, MAX_US = 800, 2200
 CHANNELS = 18
 _PULSES_US = attrgetter(*(f"chan{number}_raw" for number in range(1, CHANNELS + 1)))
-TEXT_OUTLIVED_BY_HEALTH_S = 1.5
-"""The text "Cleared" may be lost. Good health this long after "Radio Failsafe" also clears it."""
+HEALTH_CLEARS_FAILSAFE_S = 1.5
+"""The text "Cleared" may be lost. Good health this long after "Radio Failsafe" also clears the failsafe."""
 
 JUMP_US = 150
 """A receiver's preset moves a channel this far within one period of RC_CHANNELS; a stick does not."""
@@ -39,9 +39,9 @@ class RadioLink:
 
     `autopilot` is the sender of these messages, if it is known.
 
-    PX4's RC status (present, enabled, health) is (1, 1, 1) while a receiver is good, (0, 1, 0) after a loss.
-    If RC comes from a ground station the status is always (0, 1, 0), so it is ignored. A loss of such RC
-    shows because RC_CHANNELS stops.
+    PX4's RC status (present, enabled, health) is (1, 1, 1) while a receiver is good, and (0, 1, 0) after a
+    loss. If RC comes from a ground station, the status is always (0, 1, 0), so it is ignored. RC_CHANNELS
+    stops when such RC is lost.
     """
 
     def __init__(self, switch: SwitchConfig, silent_after_s: float) -> None:
@@ -191,5 +191,5 @@ class RadioLink:
             # Channel values before the first good status may be failsafe values.
             self._interrupted |= self.autopilot.needs_rc_status
         text_at = self._failsafe_text_at
-        if text_at is not None and t - text_at > TEXT_OUTLIVED_BY_HEALTH_S:
+        if text_at is not None and t - text_at > HEALTH_CLEARS_FAILSAFE_S:
             self._failsafe_text_at = None

@@ -92,7 +92,7 @@ class SwitchReader:
         return SwitchReady(seen)
 
     def reads(self, pulse_us: float) -> int:
-        """The position of a pulse width, not debounced. The present position is wider by the hysteresis.
+        """The position of a pulse width, not debounced. The present position's range includes the hysteresis.
 
         The settled position is checked first, so a glitch does not move a switch that rests near a boundary.
         """
