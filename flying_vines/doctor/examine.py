@@ -122,7 +122,10 @@ def _page(config: Config, service_runs: bool) -> DoctorFinding:
 def link_to(
     which: Which, where: str, add: Report, running: Sequence[Process], holders: list[Process]
 ) -> Address | None:
-    """Checks a link's port. Returns its address, or None if it cannot be opened. Appends to `holders`."""
+    """Checks a link's port. Returns its address, or None if it cannot be opened.
+
+    Adds the processes that use the port to `holders`.
+    """
 
     def served(held_by: Sequence[Process]) -> bool:
         pids = {process.pid for process in running}

@@ -31,7 +31,7 @@ async def between(
 ) -> AsyncIterator[Config]:
     """The configuration, linked to these two, which run until the block ends.
 
-    Without `phlosar` its link stays.
+    Without `phlosar` the configuration's firmware link stays.
     """
     companion_port = free_udp_port()
     vehicle = f"udpin:127.0.0.1:{companion_port}"

@@ -172,7 +172,7 @@ class Guide:
         said = f"✓ back, channel {self._channel} at {back.switch_us} µs"
         if back.good_after_s is not None:
             when = "before" if back.good_after_s >= 0.0 else "after"
-            said += f", {abs(back.good_after_s):.1f} s {when} the autopilot reported good RC"
+            said += f"; it moved {abs(back.good_after_s):.1f} s {when} the autopilot reported good RC"
         self._note(said, "green")
 
     def _ask(self, number: int | None, text: str) -> None:

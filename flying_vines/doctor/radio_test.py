@@ -125,7 +125,7 @@ def position_of(pulse_us: int, positions: int) -> int:
 def failsafe_of(losses: tuple[TransmitterLoss, ...]) -> ReceiverFailsafe:
     """What the switch's channel reads during RC loss.
 
-    If all losses read the same pulse width, the receiver holds or presets it. The result is then this width.
+    If all losses read the same pulse width, the result is this width, whether it is a held or a preset value.
     """
     seen = [loss for loss in losses if loss.seen]
     if not seen:
@@ -350,7 +350,10 @@ class RadioTest:
             self._end()
 
     def _next_target(self) -> int:
-        """A position other than those before and during the first loss."""
+        """The next position of the switch: if possible none of those before and during the first loss.
+
+        After the last loss it is the first position.
+        """
         first, count = self._losses[0], len(self._switch.positions)
         taken = {position_of(us, count) for us in (first.before_us, first.lost_us)}
         free = [position for position in range(count) if position not in taken]

@@ -11,8 +11,8 @@ MIN_FREE_MB = 200.0
 MAX_C = 80.0
 """A Raspberry Pi slows down from this temperature."""
 
-_NOW = {0: "under-voltage", 1: "a capped clock", 2: "throttling", 3: "the soft limit of temperature"}
-"""Present state, by bit of `get_throttled`. The same bits + 16: it has happened since the start."""
+_NOW = {0: "under-voltage", 1: "a capped CPU clock", 2: "throttling", 3: "the soft temperature limit"}
+"""Present state, by bit of `get_throttled`. A bit that is higher by 16: this has happened since the start."""
 
 
 @dataclass(frozen=True, slots=True)
