@@ -95,11 +95,14 @@ class Actuator(Protocol):
         """Called every 20 ms while the vine bends, with 0…`max_kPa` (gauge)."""
 
     def readings(self, data: bytes) -> Iterable[Reading]:
-        """The readings that end within `data`: bytes in any pieces. An incomplete one waits for the rest."""
+        """The readings that end within `data`, a piece of the stream of any length.
+
+        An incomplete reading waits for the rest.
+        """
 
 
 class ActuatorLine:
-    """The line to an `Actuator`. Raises ValueError with one sentence if its numbers break the promises."""
+    """The line to an `Actuator`. Raises ValueError with one sentence if its values break its promises."""
 
     def __init__(self, actuator: Actuator) -> None:
         self._actuator = actuator

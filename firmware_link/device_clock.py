@@ -10,8 +10,8 @@ import math
 from enum import Enum
 
 REORDERED_MS = 100
-"""A message that is older than the previous one by at most this was only reordered. After a restart the
-board's clock is that close only if the board was silent for as long as it had run before."""
+"""If the board's clock goes back by at most this, messages were only reordered. A restart sets the clock to
+zero. It would look the same only if the board were then silent for as long as it had run before."""
 FORGETS = 0.25
 """Seconds by which a difference between the clocks decays in each second. So a board that stalled once counts
 as current again. A board whose clock runs at less than three quarters of ours always counts as stale."""

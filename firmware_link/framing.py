@@ -84,7 +84,8 @@ class FrameDecoder:
     def frames(self, data: bytes) -> list[tuple[bytes, bytes | None]]:
         """(bytes on the wire, payload) of everything that ends within `data`, in order.
 
-        The payload is None if the bytes are not a frame. The bytes are empty if they were too many for one.
+        The payload is None if the bytes are not a frame. If they are too many for a frame, b"" stands
+        for them.
         """
         ended: list[tuple[bytes, bytes | None]] = []
         *ends, rest = data.split(FRAME_END)

@@ -135,7 +135,8 @@ _CLOCK_SAMPLES = 16
 _DRIFT_OVER_S = 60.0
 """After this time, 1 ms of resolution of the device's clock is less than 20 ppm of drift."""
 _FULL_DEVICE_CLOCK_S = FULL_MS / 1e3
-# A timer that ticks slightly early still counts as due. Otherwise a 10 ms timer would repeat every 30 ms.
+# A call of `tick` that comes slightly early still counts as due. Otherwise a host that calls it every 10 ms
+# would repeat its command every 30 ms instead of every 20 ms.
 _EARLY_S = 1e-4
 
 

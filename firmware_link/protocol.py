@@ -194,8 +194,8 @@ class GetSetting(_Body):
 class SetSetting(_Body):
     """Host to device: store `value` as setting `id`, permanently. Refused while regulating.
 
-    Answered by `Setting`. The frame ends with a fixed number, which a damaged frame with a CRC that is right
-    by chance does not have.
+    Answered by `Setting`. The frame ends with a fixed number. A damaged frame whose CRC is right by chance
+    does not have this number.
     """
 
     TYPE: ClassVar[int] = 0x07
@@ -256,7 +256,7 @@ class Welcome(_Body):
 
     @classmethod
     def unpack(cls, body: bytes) -> Self:
-        """As for every message; of another protocol version only the fields that this version knows."""
+        """The message. Of another protocol version's message only the fields that this version knows."""
         if body and body[0] != PROTOCOL_VERSION:
             body = body[: cls.LAYOUT.size]
         # super() without arguments fails here, because slots=True makes a copy of the class.

@@ -10,7 +10,7 @@ from firmware_link.protocol import Codec
 
 
 class LinkStatistics(NamedTuple):
-    """Counts since the link was made. The other values are present ones; None if unknown."""
+    """Counts since the link object was made, and the present rates and clock values; None if unknown."""
 
     good_frames: int
     bad_frames: int

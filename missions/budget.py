@@ -25,7 +25,7 @@ from flying_vines.vine.motion import Motion
 from missions.timeline import ENDS, Timeline, TimelineStep
 
 WATCHED_S = 60.0
-"""Assumption: before take-off the service has estimated a normal reservoir for this time."""
+"""Assumption: before take-off the service has read the pressure of the reservoir at rest for this time."""
 STILL_S = 5.0
 """Time step while the vine is at rest."""
 

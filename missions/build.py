@@ -20,7 +20,7 @@ WAYPOINT, RETURN, LAND, TAKEOFF, DELAY, SPEED = 16, 20, 21, 22, 93, 178
 GLOBAL_FRAME, ABOVE_HOME_FRAME = 0, 3
 BEND_LESS = "calibrate further, or bend less"
 REST_S = 0.5
-"""Time for the vine to reach its setpoint. Default holds are multiples of it."""
+"""Time for the vine to come to rest after a motion. Default holds are multiples of it."""
 
 
 def build(

@@ -273,7 +273,7 @@ def _ruled(case: CheckedMission) -> Iterator[MissionFinding]:
         elif ruling.verdict == "limited":
             yield case.warning(item, f"limited {ruling.reason}")
         if bend.doubt:
-            yield case.warning(item, f"may be refused, if the bottle has its low estimate: {bend.doubt}")
+            yield case.warning(item, f"may be refused, if the bottle is at its low estimate: {bend.doubt}")
 
 
 def _advice(case: CheckedMission, bend: PlannedBend) -> str:

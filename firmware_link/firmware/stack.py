@@ -41,7 +41,8 @@ _THROUGH_A_REGISTER = {
 _LAST = "_reboot_Teensyduino_"
 """Starts the bootloader and never returns, so its stack does not matter."""
 _ONCE = ("usb_rx_memory", "usb_free")
-"""The first calls the second, which may call the first: only once, because the first clears the condition."""
+"""The first function calls the second, and this may call the first again. It does so only once, because the
+first clears the condition for it."""
 
 _FUNCTION = re.compile(r"^([0-9a-f]{8}) <(.+)>:$")
 _INSTRUCTION = re.compile(r"^\s*([0-9a-f]+):\t(\S+)(?:\t(.*))?$")

@@ -194,7 +194,7 @@ def test_a_bend_with_too_little_air_is_refused_with_this_reason() -> None:
     doubtful = reviewed(waved, "px4", reservoir_kPa=80.0)
     assert finding_texts(doubtful) == []
     assert any(
-        "may be refused, if the bottle has its low estimate: bottle at" in text
+        "may be refused, if the bottle is at its low estimate: bottle at" in text
         for text in finding_texts(doubtful, "warning")
     )
 

@@ -1,6 +1,6 @@
 // Random and mutated inputs for core.cpp: driver SEED BYTES, or one input again: driver 0 0 INPUT.
 //
-// It does not see the coverage. It keeps a pool of inputs, and makes new ones at random or from one or two of them.
+// It does not measure coverage. It keeps a pool of inputs, and makes new ones at random or from one or two of them.
 
 #include <stdint.h>
 #include <stdio.h>

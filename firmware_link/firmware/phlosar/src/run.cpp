@@ -21,9 +21,11 @@ ByteRing<256> to_host;
 StepMonitor monitor;
 uint8_t image[Settings::kImageSize];
 
-// The main loop sets the first two, and the step clears the first. The step sets the third; the loop clears it.
+// The main loop sets it in each turn; the step clears it.
 volatile bool loop_turned = false;
+// The main loop sets it, for good.
 volatile bool flashing = false;
+// The step sets it; the main loop clears it.
 volatile bool storing = false;
 
 Firmware& firmware() {

@@ -9,7 +9,7 @@ class StepMonitor {
 public:
     // Call it in each step. `loop_turned`: the main loop has run since the last step.
     void step(uint32_t now_us, bool loop_turned) {
-        // Compare with a schedule, not with the last step: only then a slightly slow board is found.
+        // Compare with a schedule, not with the last step. Otherwise a slightly slow board would not be found.
         due_us_ += kPeriod_us;
         const int32_t late_us = static_cast<int32_t>(now_us - due_us_);
         if (late_us >= kTolerance_us || late_us <= -kTolerance_us) {
@@ -31,7 +31,7 @@ public:
 private:
     static constexpr uint32_t kPeriod_us = 1000;
     static constexpr int32_t kTolerance_us = 250;
-    // More than one, because an overloaded board has single steps on time.
+    // More than one, because some steps are on time even on an overloaded board.
     static constexpr uint8_t kInARow = 8;
     static constexpr uint8_t kMaxSilentSteps = 100;
 

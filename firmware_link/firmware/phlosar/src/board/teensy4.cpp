@@ -21,7 +21,8 @@ constexpr uint32_t kGpio = 5;
 #define PHLOSAR_WATCHDOG(halves)                                                                              \
     static_cast<uint16_t>(WDOG_WCR_WT(halves) | WDOG_WCR_SRS | WDOG_WCR_WDA | WDOG_WCR_WDE | WDOG_WCR_WDBG)
 
-// The watchdog's shortest time is 0.5 s. If the step hangs or is too slow, SysTick vents after this time.
+// The watchdog's shortest time, 0.5 s, is too long. So SysTick vents if the watchdog is not fed for 250 ms, because
+// the step hangs or is too slow.
 constexpr uint32_t kMaxUnfed_ms = 250;
 volatile uint32_t unfed_ms = 0;
 volatile bool guarding = false;
@@ -64,7 +65,7 @@ namespace board {
 
 #if defined(ARDUINO_TEENSY40)
 const char kBuild[] = PHLOSAR_VERSION " teensy40";
-// Each 4 bytes are in the next of 15 sectors. A copy has 7 sectors.
+// Teensyduino spreads the bytes over 15 sectors, in groups of 4. A copy has 7 sectors.
 const MemoryLayout kMemory = {60, 28, 2};
 #else
 const char kBuild[] = PHLOSAR_VERSION " teensy41";
