@@ -11,7 +11,7 @@ PX4_REPEAT_S = 1.0
 """PX4 repeats an unacknowledged command three times, usually 0.5 s apart. The first repeat may take 1 s."""
 STATION_REPEAT_S = 5.0
 """Ground stations repeat every 0.5 to 3 s."""
-LATE_S = 0.6
+MAX_DELAY_DIFFERENCE_S = 0.6
 """Maximum difference in delay between two frames."""
 COPIES_WITHIN_S = 2.0
 MAX_COMMANDS = 64
@@ -65,5 +65,6 @@ def _belongs(known: _Command, t: float, confirmation: int, sequence: int, repeat
     if any(seen == sequence and t - at < COPIES_WITHIN_S for at, seen in known.frames):
         return True
     if confirmation == 0:
-        return not known.saw_first and t - known.received_at < LATE_S  # its first repeat overtook it
-    return t - known.begun_at <= confirmation * repeat_s + LATE_S
+        # Not the first frame, if its first repeat overtook it.
+        return not known.saw_first and t - known.received_at < MAX_DELAY_DIFFERENCE_S
+    return t - known.begun_at <= confirmation * repeat_s + MAX_DELAY_DIFFERENCE_S

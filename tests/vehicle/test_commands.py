@@ -18,7 +18,7 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.mission_cache import MissionCache
 from flying_vines.vehicle.mission.storage import AutopilotKind
-from flying_vines.vehicle.repeats import LATE_S, MAX_COMMANDS, PX4_REPEAT_S
+from flying_vines.vehicle.repeats import MAX_COMMANDS, MAX_DELAY_DIFFERENCE_S, PX4_REPEAT_S
 from flying_vines.vehicle.triggers import Rules, Trigger
 from flying_vines.vine.intent import (
     ArmPneumatics,
@@ -119,7 +119,7 @@ def repeats(
         (
             [
                 (10.0, broadcast(confirmation=1)),
-                (10.0 + LATE_S / 2, broadcast()),
+                (10.0 + MAX_DELAY_DIFFERENCE_S / 2, broadcast()),
                 (10.9, broadcast(confirmation=2)),
             ],
             [BendTo(30.0)],
@@ -133,7 +133,10 @@ def repeats(
             ],
             [BendTo(30.0)] * 4,
         ),
-        ([(10.0, broadcast(confirmation=1)), (10.4 + LATE_S, broadcast())], [BendTo(30.0)] * 2),
+        (
+            [(10.0, broadcast(confirmation=1)), (10.4 + MAX_DELAY_DIFFERENCE_S, broadcast())],
+            [BendTo(30.0)] * 2,
+        ),
         # Other params are another command.
         (
             [(10.0, broadcast(params=(0.5,))), (10.6, broadcast(params=(0.25,), confirmation=1))],
@@ -149,7 +152,7 @@ def repeats(
         ),
         # A repeat that is much too late is a new command.
         (
-            [(10.0, broadcast()), (10.1 + PX4_REPEAT_S + LATE_S, broadcast(confirmation=1))],
+            [(10.0, broadcast()), (10.1 + PX4_REPEAT_S + MAX_DELAY_DIFFERENCE_S, broadcast(confirmation=1))],
             [BendTo(30.0)] * 2,
         ),
     ],

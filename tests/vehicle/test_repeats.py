@@ -8,8 +8,8 @@ import pytest
 
 from flying_vines.vehicle.repeats import (
     COPIES_WITHIN_S,
-    LATE_S,
     MAX_COMMANDS,
+    MAX_DELAY_DIFFERENCE_S,
     PX4_REPEAT_S,
     STATION_REPEAT_S,
     Repeats,
@@ -49,7 +49,7 @@ def test_a_repeat_that_comes_too_late_is_of_another_command_whose_first_was_lost
     for late_s, new in ((-0.01, False), (0.01, True)):
         line = Line()
         assert line.new(10.0, 0)
-        t = 10.0 + confirmation * PX4_REPEAT_S + LATE_S + late_s
+        t = 10.0 + confirmation * PX4_REPEAT_S + MAX_DELAY_DIFFERENCE_S + late_s
         assert line.new(t, confirmation) is new
 
 

@@ -13,7 +13,7 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.execution import Execution, same_numbers
 from flying_vines.vehicle.mission.item import MissionItem, is_nav
 from flying_vines.vehicle.mission.mission_cache import MissionCache
-from flying_vines.vehicle.repeats import LATE_S, PX4_REPEAT_S
+from flying_vines.vehicle.repeats import MAX_DELAY_DIFFERENCE_S, PX4_REPEAT_S
 
 MIN_REPEAT_S = 0.5
 """The first repeat comes 0.5 s, sometimes 1 s, after its item, plus the link's delay."""
@@ -146,10 +146,10 @@ class Px4Watch(MissionWatch):
         item = self._cache.only(command, params) if self._cache.is_running else None
         age_s = confirmation * MIN_REPEAT_S + (FIRST_REPEAT_LATER_S if confirmation else 0.0)
         execution = Execution(command, item.seq if item else None, item, params, age_s)
-        max_age_s = (confirmation + 1) * PX4_REPEAT_S + LATE_S
+        max_age_s = (confirmation + 1) * PX4_REPEAT_S + MAX_DELAY_DIFFERENCE_S
         if self._inferred and t - self._inferred_at < max_age_s and _same(self._inferred, execution):
             return None
-        ran_at = t - (confirmation + 1) * MIN_REPEAT_S - LATE_S
+        ran_at = t - (confirmation + 1) * MIN_REPEAT_S - MAX_DELAY_DIFFERENCE_S
         if confirmation and (ran_at < self._forgotten_at or self._overtaken(t, execution)):
             return None
         was_reached = False
