@@ -1,9 +1,9 @@
-"""Gain of a diagnosis for the cycles left: rigs with hidden causes, by nominal and by extended rig file.
+"""How much a diagnosis improves the cycles left: rigs with hidden causes, estimated from two rig files.
 
 Each rig is recorded for a minute, in four runs, and diagnosed from that. Then it flies until its reservoir is
 empty, with two estimates: one starts from the nominal rig, the other from the file of `diagnose --write-rig`.
-No diagnosis sees a flight. `HIDDEN` has all causes and their strengths: clear ones, as on real rigs, but
-leaks that leave air for thirty cycles.
+No diagnosis sees a flight. `HIDDEN` has all causes and their strengths. They are clear, as on real rigs, but
+leaks leave air for thirty cycles.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ class Rigged:
 
 
 def draw(seed: int) -> Rigged:
-    """One rig; the same seed gives the same rig. It has none to two causes; in every second rig the valves
+    """One rig; the same seed gives the same rig. It has up to two causes; in every second rig the valves
     choke."""
     dice = random.Random(f"calibrated {seed}")
     believed = Rig(

@@ -32,7 +32,7 @@ LONGEST_S = 8100.0
 TELEMETRY_HZ = 100
 MISSES = 3
 SMOOTHED = 3
-"""Number of readings of the control volume that are averaged, so that no single one counts."""
+"""Number of readings of the control volume that are averaged, so that no single reading decides."""
 
 
 @dataclass(frozen=True, eq=False)

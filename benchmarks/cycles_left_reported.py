@@ -34,7 +34,7 @@ EPISODES = ("bends", "pause", "cut off", "leak", "refill", "lost air", "latched"
 WINDOW_S = 120.0
 TELL_S = 2.0
 FEWEST_CYCLES = 5.0
-"""Flights with fewer cycles are not counted: the error of a sensor's zero is as large."""
+"""Flights with fewer cycles are not counted: the error of the sensor's zero alone is as large."""
 HELD = (0.85, 0.95)
 
 

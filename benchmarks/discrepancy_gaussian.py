@@ -127,8 +127,10 @@ def _stack(rows: Sequence[tuple[Array, Array]], channel: int) -> tuple[Array, Ar
 
 
 def _held_out(problem: FitProblem, null: FitPoint, lacks: Lacks | None) -> dict[str, float]:
-    """Errors on unseen data over the measured range, both channels alike, without and with the process. With
-    None, both are without."""
+    """Errors on unseen data over the measured range, both channels alike, without and with the process.
+
+    Without `lacks` both numbers are without the process.
+    """
     case = problem.case
     squares: list[list[Array]] = [[], []]
     for i, run in enumerate(case.runs):

@@ -127,7 +127,7 @@ def _equation(
     used = np.flatnonzero(np.linalg.norm(columns, axis=0) > 0.0)
     coefficients = _sparse(columns[:, used], rates, _threshold(columns[:, used], rates, run))
     chosen = used[coefficients != 0.0]
-    # Not by size: two terms that nearly cancel would come first.
+    # Not by the size of the coefficients: two terms that nearly cancel would come first.
     left = _left(columns[:, chosen], rates)
     found = {
         names[k]: len(rates) * (_left(columns[:, chosen[chosen != k]], rates) / left - 1.0)

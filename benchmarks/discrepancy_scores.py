@@ -94,7 +94,7 @@ def judgement(outcome: Outcome) -> Judgement:
 
 
 def counts(outcome: Outcome) -> bool:
-    """True if the goal of the tier is met. In twenty seconds it is enough to claim nothing wrong."""
+    """True if the case counts for the goal of its tier. In `short` it is enough to claim nothing wrong."""
     enough = {Judgement.RIGHT, Judgement.ALIKE}
     if outcome.truth.tier == "short":
         enough.add(Judgement.OPEN)
@@ -153,7 +153,7 @@ def off(one: Measured, neutral: Neutral) -> float:
 
 
 def holds(truth: Truth, said: Said) -> bool:
-    """True if the claim with the confidence is right. With two hidden causes either one is right."""
+    """True if the claim that the confidence belongs to is right. Of two hidden causes, either is right."""
     if truth.outside or (truth.partly_outside and said.cause == UNEXPLAINED):
         return said.cause == UNEXPLAINED
     return not set(truth.hidden or {NONE}).isdisjoint(said.candidates)

@@ -139,7 +139,7 @@ class Tally:
         print(
             f"{len(self._pairs)} different pairs. All but the first number are of flights with one fault:\n"
         )
-        print("| fault | flights | alone | bent | told within 5 s | highest, kPa | the first that was read |")
+        print("| fault | flights | alone | bent | text within 5 s | highest, kPa | the pilot's first text |")
         print("| --- | ---: | ---: | ---: | ---: | ---: | --- |")
         for name in sorted(self._drawn):
             told = self._told[name]
@@ -150,7 +150,7 @@ class Tally:
                 f"| {self._highest[name]:.0f} | {'; '.join(first) or '–'} |"
             )
         blind = {name: round(s, 2) for name, s in self._blind.items() if s > 0.05}
-        print(f"\nLongest told to inflate over the firmware's limit, s: {blind or 'never'}")
+        print(f"\nLongest time of inflating above the firmware's limit, s: {blind or 'never'}")
 
 
 def _print_violation(outcome: Outcome) -> None:

@@ -60,7 +60,7 @@ tick."""
 CONFIRMED_S = 2.2
 """The same for PX4 with a receiver of its own: RC must stay good for 1.6 s after the move."""
 LEFT_S = 0.3
-"""After the switch has left a position, a bend of this position may begin for this time."""
+"""After the switch has left a position, this position's bend may still begin within this time."""
 SURELY_BENDS_S = 2.7
 """A position that lasts this long, with good RC, must bend the vine."""
 RC_SHOWN_S = 1.5
@@ -68,7 +68,7 @@ RC_SHOWN_S = 1.5
 TOLD_LATE_S = 2.5
 """The same if PX4 has just reported another change of health."""
 REPORTED_S = 2.4
-"""Latest time at which PX4 reports that RC is good again."""
+"""Maximum time from the return of RC to PX4's report that it is good."""
 RC_LOST_S = 1.4
 OVERRIDES_EVERY_S = 0.2
 COMMANDED_S = 0.3
@@ -88,7 +88,7 @@ FLICK_S = 0.3
 BOOTS_S = 1.5
 """A rebooted autopilot is silent for a little less than this."""
 NEW_CLOCK_S, WAITS_S = 2.5, 0.3
-"""For the first time after the autopilot's clock becomes known, a command waits up to the second time for the
+"""Until `NEW_CLOCK_S` after the autopilot's clock has become known, a command waits up to `WAITS_S` for the
 messages behind it."""
 TICKS_S = 0.05
 RC_MESSAGE_S, TWO_RC_MESSAGES_S = 0.06, 0.1
@@ -542,7 +542,7 @@ class MonitoredFlight:
             how != "frozen" or not self.setup.hides_rc_losses
         )
         if how == "jump" and self.now_s < self._stirred_s + REPORTS_APART_S:
-            self.monitor.trigger(self.now_s, TOLD_LATE_S, f"{LIMIT}PX4 tells of it later than ever")
+            self.monitor.trigger(self.now_s, TOLD_LATE_S, f"{LIMIT}PX4 reports the loss very late")
         if how == "jump" and self.setup.has_real_receiver and self.now_s < self._moved_s + RC_MESSAGE_S:
             self.monitor.trigger(self.now_s, CONFIRMED_S, f"{LIMIT}a preset hides the move before it")
         self._unsee("rc")
@@ -767,7 +767,7 @@ class MonitoredFlight:
             if self._clock_is_new_until_s == math.inf:
                 self._clock_is_new_until_s = now_s + NEW_CLOCK_S
             if now_s - self._arming_s < STEP_S:
-                # Sent at the same moment, it is still on its way.
+                # The arming command was sent at the same moment, and is still on its way.
                 self.monitor.permit("pneumatics disarmed")
             for name, due_s in self._conditions.items():
                 if due_s == math.inf:
@@ -787,7 +787,7 @@ class MonitoredFlight:
             self._settled_s = math.inf
         else:
             if what != "stall":
-                # A short silence is no loss: the service sees a move just before it when it ends.
+                # A short silence is no loss: when it ends, the service sees a move that came just before it.
                 self.monitor.delay(self._unseen_from_s, lasted_s)
             if self._position != self._unseen_position:
                 self._switch_asks(self._position, certain=False)

@@ -382,7 +382,7 @@ def _blind(seed: int, most_bytes: int) -> None:
 def _guided(seed: int, most_bytes: int) -> None:
     clang = shutil.which("clang++")
     if clang is None:
-        print("firmware, guided by coverage: not without clang: sudo apt install clang")
+        print("firmware, guided by coverage: needs clang: sudo apt install clang")
         return
     print(f"firmware, guided by coverage, seeds from {seed} on, {RUNS_AT_ONCE} inputs each")
     began_s = perf_counter()

@@ -86,7 +86,7 @@ def chunked(frames: Feed) -> Feed:
 
 
 def signed(frames: Feed) -> Feed:
-    """The same messages of the dialect, signed with our key (PX4's recordings are signed with none)."""
+    """The same messages of the dialect, signed with our key (PX4 signed its own with a key of zeros)."""
     signing, cutter = Signing(KEY), Frames()
     return [(t, _sign(frame, signing)) for t, raw in frames for frame in cutter.take(raw) if frame.known]
 

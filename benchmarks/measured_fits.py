@@ -1,7 +1,8 @@
 """Independent fits of measured rigs: own equations, scipy's integrator and least squares.
 
-Gauge pressures in kPa, volumes in L, flows in standard litres per second (SL/s), times in s; temperatures
-over ambient temperature. Volumes are assumed, so of a leak only volume times resistance is known.
+Gauge pressures in kPa, volumes in L, flows in standard litres per second (SL/s), times in s; temperatures are
+divided by the ambient temperature. Volumes are assumed, so for a leak only the product of volume and
+resistance is known.
 """
 
 from __future__ import annotations
@@ -227,7 +228,7 @@ def pump(runs: Sequence[Readings], volume_L: float) -> Fitted:
         free, stall_kPa, dead, spin_s, leak_R = np.exp(x[0]), np.exp(x[1]), x[2], np.exp(x[3]), np.exp(x[4])
         wanted = np.clip((run.input - dead) / (1.0 - dead), 0.0, 1.0)
         time_s = run.time_s
-        # Exact for the speed. The pressure equation is linear if the speed is that in the middle of the step.
+        # The speed is exact. The pressure's equation is linear, with the speed in the middle of the step.
         speed, p = 0.0, start_kPa
         drawn = np.empty_like(time_s)
         for i, dt in enumerate([*np.diff(time_s), 0.0]):
@@ -273,8 +274,8 @@ def pump(runs: Sequence[Readings], volume_L: float) -> Fitted:
 
 
 def _phi(ratio: float, critical: float) -> float:
-    """ISO 6358, with a straight end: the slope of the square root is infinite there, but the flow is
-    laminar."""
+    """The flow function of ISO 6358, but straight near a ratio of 1: the slope of the square root is infinite
+    there, and the real flow is laminar."""
     if ratio <= critical:
         return 1.0
     if ratio > _LAMINAR:

@@ -25,9 +25,9 @@ from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_l
 RESERVE_KPA = InterlocksConfig().reserve_kPa
 """Below this reservoir pressure nothing is flown."""
 LONG_REST_S = 1.0
-"""If the rest of a manoeuvre is longer than this, the host vents at its end …"""
+"""If the rest of a manoeuvre is longer than this, the host vents at the end of the rest."""
 VENTED_TICKS = round(0.8 / HOST_TICK_S)
-"""… for this number of its ticks."""
+"""The host vents for this number of its ticks."""
 
 
 def drawn(seed: int) -> Case:

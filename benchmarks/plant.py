@@ -67,7 +67,7 @@ GOALS = {
     "real_time": (2000.0, "one high-fidelity closed loop against the clock"),
     "solve_ivp": (50.0, "the same against the fastest solve_ivp of the same accuracy"),
     "batch": (10.0, "a batch of rigs against a loop over the Simulator, for each core"),
-    "fake": (10.0, "free time of a core beside a real-time fake without numba, over its own time"),
+    "fake": (10.0, "one core against the processor time of a real-time fake without numba"),
 }
 """Minimum values."""
 

@@ -132,8 +132,8 @@ class Damage(NamedTuple):
     kind: str
     opened: bool
     lost_s: float
-    """Cut off: time before the end of what was being written there. Changed: time from the first lost event
-    to the last."""
+    """Cut off: time from the last readable event to the end of the chunk that is cut. Changed: time from the
+    first lost event to the last."""
 
 
 def damaged(whole: Path, times: int, chance: random.Random) -> Iterator[Damage]:

@@ -58,8 +58,7 @@ HOUR_S = 3600.0
 REAL_TIME_SAMPLES_S = 300.0
 MOST_NEW_BLOCKS = 5000
 MOST_NEW_MB = 5.0
-"""Maximum growth from the first sample, while tables fill. The lengths of the missions explain a part of
-it."""
+"""Maximum growth since the first sample. Tables still fill, and the missions have different lengths."""
 _STEP_S = 0.02
 
 

@@ -108,7 +108,7 @@ def _attack_all(target: Target, niceness: int, core: int | None, lead: Connectio
 
 def _again_and_again(attack: Attack, address: str) -> None:
     while True:
-        # The thread must expect that another one closes its socket.
+        # The page or the broker may close the socket at any time. Then the attack starts again.
         with contextlib.suppress(OSError):
             attack(address)
 
