@@ -37,7 +37,7 @@ class ClockVerdict(Enum):
 
 
 class DeviceClock:
-    """Compares the board's clock with ours. It wraps after 49 days."""
+    """Compares the board's clock with ours. The board's clock wraps after 49 days."""
 
     def __init__(self) -> None:
         self.passed_ms = 0

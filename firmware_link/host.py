@@ -118,7 +118,7 @@ class CommandRefused:
 HostEvent = Ready | FirmwareReset | Incompatible | TelemetryReceived | ImplausibleTelemetry | CommandRefused
 
 _ABSURD = 1e6
-"""kPa and kPa/s. Larger numbers do not fit the 32-bit floats of the protocol."""
+"""kPa and kPa/s. A larger number is a mistake, and may not fit the 32-bit floats of the protocol."""
 PLAUSIBLE_KPA = {
     "cv_kPa": (-54.7, 474.7),
     "reservoir_kPa": (-262.6, 2262.6),
@@ -193,7 +193,7 @@ class HostSession:
         """Device clock minus host clock, from the recent ping with the shortest round trip. The error is at
         most half of that round trip plus 1 ms."""
         self.clock_drift_ppm: float | None = None
-        """How much faster the device's clock runs than ours. Known from a minute after the handshake."""
+        """How much faster the device's clock runs than ours. Unknown for 60 to 90 s after the handshake."""
         self._hello = _Every(_HELLO_PERIOD_S)
         self._repeat = _Every(repeat_s)
         self._ping = _Every(_PING_PERIOD_S)

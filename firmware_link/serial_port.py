@@ -20,7 +20,7 @@ _CLOSING_S = 0.5
 STALE_S = 0.25
 """Data that waits longer is dropped, because a setpoint is valid only for this time."""
 MAX_QUEUED_BYTES = 16 * 1024
-"""More than any line sends within `STALE_S`."""
+"""More than this program sends within `STALE_S`."""
 
 
 class SerialPort:

@@ -37,7 +37,7 @@ YOUNG_S = 60.0
 REORDERED_S = 1.0
 """A stamp may be this much older than the one before, because messages were reordered."""
 CONTINUOUS_S = 2.0
-"""A stamp at most this much newer than the one before means a stall, not a reboot."""
+"""If the clock lags, but the stamp is at most this much newer than the one before, there was a stall."""
 MAX_MARKS = 64
 
 
@@ -138,7 +138,7 @@ class AutopilotClock:
             self._silence_s = 0.0
         silence_s = self._silence_s
         if self._received_at is not None and t - self._received_at > SILENCE_S:
-            silence_s += t - self._received_at  # the first message after the silence is another sender's
+            silence_s += t - self._received_at  # after the silence, another sender's message came first
         mark = Mark(t, delay_s + silence_s, not self._lost)
         self._open.append(mark)
         return mark

@@ -13,7 +13,7 @@ from flying_vines.vehicle.vehicle import Vehicle
 SILENT_S = 1.5
 """Longer than the heartbeat period: a link that carries only heartbeats is not dead."""
 BACK_S = 1.0
-"""RC may return this much later than the link, and both are reported together."""
+"""If RC returns at most this much later than the link, one text reports both."""
 _FOLLOW = ("rc", "altitude", "autopilot")
 """Safety's names for the losses that follow from a dead link."""
 

@@ -65,6 +65,6 @@ def _belongs(known: _Command, t: float, confirmation: int, sequence: int, repeat
     if any(seen == sequence and t - at < COPIES_WITHIN_S for at, seen in known.frames):
         return True
     if confirmation == 0:
-        # Not the first frame, if its first repeat overtook it.
+        # A command's first frame may arrive after its first repeat.
         return not known.saw_first and t - known.received_at < MAX_DELAY_DIFFERENCE_S
     return t - known.begun_at <= confirmation * repeat_s + MAX_DELAY_DIFFERENCE_S

@@ -116,7 +116,7 @@ LOST = {
 
 
 def check(learned: RadioLearned, config: Config) -> list[DoctorFinding]:
-    """The findings. All are "good" or "skipped" if the vine is safe with this receiver."""
+    """The findings. If one is "bad", the vine is not safe with this receiver, or the test ended early."""
     problem = _problem(learned, config)
     if problem is not None:
         return [problem]

@@ -23,7 +23,7 @@ MAX_SENDERS = 64
 """More than the components of any vehicle. With a limit, forged senders cannot fill the memory."""
 
 _WITH_KEY = mavlink.MAVLINK_MSG_ID_SETUP_SIGNING
-"""A message with a secret key, which decoding removes: no log may contain a key, and ours is in a file."""
+"""This message has a secret key. Decoding removes the key, because no log may contain one."""
 
 
 class MavlinkCodec:
@@ -145,7 +145,8 @@ class _Sender:
         self._recent: deque[tuple[int, int, int]] = deque(maxlen=REMEMBERED_FRAMES)
 
     def is_copy(self, frame: Frame) -> bool:
-        # If only some frames are forwarded, the sequence repeats soon. A copy is never newer than its frame.
+        # If a router forwards only some frames, sequence numbers repeat soon. A frame ahead of the latest one
+        # is not a copy.
         behind = (self._sequence - frame.sequence) & 0xFF
         return behind < 128 and (frame.sequence, frame.message_id, frame.checksum) in self._recent
 

@@ -1,4 +1,4 @@
-"""The pilot's switch: which of its moves the pilot made, and what they request.
+"""Which moves of the switch the pilot made, and what they request.
 
 A move that straightens the vine counts at once. A move that bends it counts only if the pilot made it.
 """
@@ -20,7 +20,7 @@ from flying_vines.vehicle.triggers import Rules, Trigger
 CONFIRMED_WITHIN_S = 4.0
 """A move is refused if it is not confirmed within this time after the earliest possible confirmation."""
 HEALTH_REPORTS_APART_S = 2.0
-"""PX4's minimum time between two health reports (min_reporting_interval). It can delay a loss's report."""
+"""PX4's minimum time between two health reports (min_reporting_interval). So it may report a loss late."""
 OVERRIDE_SLACK_S = 0.7
 """Uncertainty of the time at which an override ends."""
 RELEASED_US = 65534

@@ -23,7 +23,7 @@ HEALTH_CLEARS_FAILSAFE_S = 1.5
 """The text "Cleared" may be lost. Good health this long after "Radio Failsafe" also clears the failsafe."""
 
 JUMP_US = 150
-"""A receiver's preset moves a channel this far within one period of RC_CHANNELS; a stick does not."""
+"""A receiver's preset moves a channel by this or more within one period of RC_CHANNELS; a stick does not."""
 MIN_JUMPED = 2
 """This many other channels must jump with the switch."""
 
