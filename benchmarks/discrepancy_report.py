@@ -51,8 +51,8 @@ GOALS = {
     "several_outside": 0.80,
     "rounded": 0.85,
 }
-"""Required share of right cases, by tier. Outside the catalogue a case is right if no cause is named with
-confidence."""
+"""Required share of right cases, by tier. If the catalogue lacks everything that is hidden, `unexplained` is
+right."""
 STRONG = ("clear", "subtle")
 """Tiers whose parameters must be near the truth."""
 PAIR = "pair"

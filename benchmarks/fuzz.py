@@ -3,7 +3,7 @@
     python benchmarks/fuzz.py [--bytes 100000000] [--seed 1] [--only blind|guided|host|service]
 
 The firmware's core runs with address and undefined-behaviour sanitizers. First it runs under our own driver,
-which is fast but does not see the coverage. Then it runs under clang's libFuzzer, which looks for inputs that
+which is fast but does not measure coverage. Then it runs under clang's libFuzzer, which looks for inputs that
 reach new code. firmware_link/firmware/fuzz/core.cpp checks what must hold. The host's decoder and session get
 a device's messages: whole frames, flipped, cut, doubled and spliced frames, and noise. The service's core
 gets the same, and on its other link MAVLink of every type with absurd numbers from any sender; its vehicle is

@@ -50,7 +50,7 @@ class SerialSwitch:
 
 
 def bare_socket(udp_port: int, switch: SerialSwitch) -> None:
-    """The minimum: a blocking socket and eight bytes of one message, without a MAVLink library."""
+    """The minimum: a blocking socket and six bytes of one message, without a MAVLink library."""
     link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     link.bind(("127.0.0.1", udp_port))
     switch.listening()

@@ -132,8 +132,8 @@ def discharge(
 
     Shared parameters: conductance, critical ratio, wall time constant, sensor offset. Parameters of each run:
     pressure before, and opening time, which is between two samples. With `cold_flow` the mass flow grows as
-    the gas cools, with the root of the temperature, as in a nozzle; without, it depends on the pressures
-    only.
+    the gas cools, by the inverse root of the temperature, as in a nozzle. Without, it depends on the
+    pressures only.
     """
     # From one sample before the recorded opening of the valve, until some time after the vessel is empty.
     cut = [max(0, int(np.flatnonzero(run.input > 0.0)[0]) - 1) for run in runs]

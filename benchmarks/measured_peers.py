@@ -67,7 +67,7 @@ def _error(
     splits: Sequence[Sequence[Bools]],
     predict: Callable[[Sequence[Readings], Sequence[Bools]], list[Array]],
 ) -> float:
-    """Args: splits: for each run, the unseen readings (n,)."""
+    """The error over all splits. A split has a mask (n,) of the unseen readings of each run."""
     left = []
     for unseen in splits:
         predicted = predict(runs, [~mask for mask in unseen])

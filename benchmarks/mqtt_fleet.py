@@ -4,8 +4,8 @@
 
 Every vehicle has its own connection and sends like a real one: its state at the given rate, and its reservoir
 with every fourth state, QoS 0. One subscriber receives everything. Broker, vehicles (two processes) and
-subscriber share this machine; the table has the share of a core of each. It fails if a message is lost or
-takes longer than 1 s, or if the vehicles cannot send at their rate.
+subscriber share this machine; the table has the share of a core of each. The broker fails if a message is
+lost or takes longer than 1 s. The benchmark also ends if the vehicles cannot send at their rate.
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ async def _returns(runs: int) -> list[float]:
     host = FirmwareLink(BOARD, lambda event: None, ports=ports)
     async with _running(host.run):
         for _ in range(runs):
-            # At any moment between two tries, and sometimes within the first.
+            # The board may return at any moment between two tries of the host.
             await asyncio.sleep(drawn.uniform(0.0, 1.0))
             with PtyPhlosar(_phlosar()) as board:
                 path[:] = [board.path]

@@ -1,7 +1,7 @@
 """Attackers of the page and the broker: every attack, as fast as possible.
 
-One process, with a thread and an address of this machine for each attacker. No attack may have an effect, so
-an attacker counts what it sent, and if it ever got what it wanted.
+One process, with a thread and an address of this machine for each attacker. No attack may succeed. An
+attacker counts what it sent, and how often it got what it wanted.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ class Switched:
 
 @dataclass(frozen=True)
 class Looked:
-    """What the viewers received: the count for each, and the longest time without news."""
+    """What the viewers received: the snapshots a second of each, and the longest time without one."""
 
     snapshots_per_s: float
     longest_gap_s: float
