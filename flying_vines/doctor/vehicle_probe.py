@@ -218,9 +218,9 @@ class VehicleProbe:
         if self._radio.problem(t) is not None:
             self._switch.lose()
             return
-        seen = self._switch.sample(t, self._radio.switch_us)
-        if isinstance(seen, (SwitchMove, MovedUnseen, SwitchReady)):
-            self._seen.add(seen.position)
+        event = self._switch.sample(t, self._radio.switch_us)
+        if isinstance(event, (SwitchMove, MovedUnseen, SwitchReady)):
+            self._seen.add(event.position)
 
     def due(self, t: float) -> list[MavlinkMessage]:
         """The messages to send at `t`: our heartbeat and our requests."""

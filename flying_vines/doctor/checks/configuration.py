@@ -19,7 +19,7 @@ class ConfigurationFacts:
     """Includes the pilot's parameters."""
     rig: str = ""
     """The rig file that it names."""
-    rig_said: str = ""
+    rig_summary: str = ""
     rig_problem: str = ""
     signing_key: str = ""
     signing_problem: str = ""
@@ -89,7 +89,7 @@ def check(facts: ConfigurationFacts) -> list[DoctorFinding]:
     if facts.rig_problem:
         found.append(BAD_RIG(why=facts.rig_problem))
     elif facts.rig:
-        found.append(RIG(path=facts.rig, said=facts.rig_said))
+        found.append(RIG(path=facts.rig, said=facts.rig_summary))
     if facts.signing_problem:
         found.append(BAD_KEY(why=facts.signing_problem))
     elif facts.signing_key:

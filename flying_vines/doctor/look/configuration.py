@@ -48,12 +48,12 @@ def read(path: Path) -> ServiceConfiguration:
         signing, signing_clock_problem = state.read_signing(config)
     except SigningKeyError as error:
         signing_problem = str(error)
-    prior, rig_said, rig_problem = nominal(config.pneumatics), "", ""
+    prior, rig_summary, rig_problem = nominal(config.pneumatics), "", ""
     rig = configuration.rig_named(config, path)
     if rig is not None:
         try:
             known = load_rig_file_prior(rig, config.pneumatics)
-            prior, rig_said = known.prior, known.summary
+            prior, rig_summary = known.prior, known.summary
         except RigError as error:
             rig_problem = str(error)
         except OSError as error:
@@ -63,7 +63,7 @@ def read(path: Path) -> ServiceConfiguration:
         path=str(path),
         config=Parameters(config, parameters).config,
         rig=str(rig or ""),
-        rig_said=rig_said,
+        rig_summary=rig_summary,
         rig_problem=rig_problem,
         signing_key=str(path.parent / key) if key else "",
         signing_problem=signing_problem,

@@ -213,12 +213,12 @@ class Pilot:
             return []
         if self._waiting is not None:
             self._keep_waiting(self._waiting)
-        seen = self.switch.sample(t, radio.switch_us, radio.jumped)
-        if isinstance(seen, SwitchMove):
-            return self._moved(t, seen, vented)
-        if seen is not None:
-            self._positions = {seen.position}
-        return [self._move_again(t, "moved while RC was lost")] if isinstance(seen, MovedUnseen) else []
+        event = self.switch.sample(t, radio.switch_us, radio.jumped)
+        if isinstance(event, SwitchMove):
+            return self._moved(t, event, vented)
+        if event is not None:
+            self._positions = {event.position}
+        return [self._move_again(t, "moved while RC was lost")] if isinstance(event, MovedUnseen) else []
 
     def _keep_waiting(self, waiting: _Waiting) -> None:
         if self.switch.reads(self.radio.switch_us) != waiting.move.position:
