@@ -40,11 +40,12 @@ class CommandReceiver:
         from_station: bool,
         age_s: float = 0.0,
     ) -> list[Trigger | MavlinkMessage]:
-        """A trigger, or the acknowledgement if there is nothing to decide. `age_s`: the message's age.
+        """A trigger, or the acknowledgement if there is nothing to decide; empty if it is not for us.
 
         Only a ground station and the autopilot may bend the vine. Every sender may deflate it.
 
         PX4 sends mission items to component 0. A script on an ArduPilot sends them to our component id.
+        `age_s` is the age of the message.
         """
         to_us = self._for_us(message, system_id)
         to_all = message.target_system in (0, system_id) and message.target_component == 0
