@@ -50,7 +50,7 @@ def run_openings(
     every: int,
     table: Table,
 ) -> Floats:
-    """The state after one tick for each row of `commands` (EVP, DVP, solenoid).
+    """The final state. Each row of `commands` (EVP, DVP, solenoid) is one tick.
 
     Valves and sensors are settled at the start.
 
