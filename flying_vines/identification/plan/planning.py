@@ -65,7 +65,7 @@ class PairSeparation(NamedTuple):
 
     pair: CausePair
     without: float
-    having: float
+    with_all: float
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class PlannedRun:
             "air_SL": round(self.air_SL, 4),
             "commanded": self.commanded,
             "told": [
-                {"pair": [*found.pair], "sigmas_without": found.without, "sigmas_with": found.having}
+                {"pair": [*found.pair], "sigmas_without": found.without, "sigmas_with": found.with_all}
                 for found in self.separations
             ],
         }
@@ -138,7 +138,7 @@ class RecordingPlan:
     by_commands: Recording
     """The best plan that the service can do; it is `best` if no other plan leaves fewer pairs open."""
     names: tuple[str, ...]
-    """The causes of the matrix's rows and columns; its last column is for no cause."""
+    """The causes of the matrix's rows and columns; the last column of the matrix is the baseline, `none`."""
     matrix: Array
     """(causes, causes + 1) Δχ² in `best`: the row is in the rig at typical strength, the column is fitted."""
     never: tuple[CausePair, ...]
