@@ -79,7 +79,8 @@ class Verdict:
     also: tuple[Named, ...]
     """Further causes, the largest share first."""
     numbers: dict[str, float]
-    """Fitted rig numbers within their tolerances, by key; empty if nominal numbers explain the data."""
+    """Fitted rig numbers within their tolerances, by key. Empty if nominal numbers explain the data, or if
+    the verdict is `unexplained`."""
     held_out: HeldOut
     ranking: tuple[Tried, ...]
     """All candidates, the best evidence first."""

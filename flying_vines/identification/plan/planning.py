@@ -392,20 +392,21 @@ def _open_in_all(
     )
 
 
-def _recording(layout: Layout, budget: RecordingBudget, look: _Evaluation) -> Recording:
+def _recording(layout: Layout, budget: RecordingBudget, evaluation: _Evaluation) -> Recording:
     runs = []
-    for index, part in enumerate(look.parts):
-        without = cause_distances(layout, gram_of(layout, [*look.parts[:index], *look.parts[index + 1 :]]))
-        opened = [pair for pair in _open(layout, without) if pair not in look.open]
-        pairs = opened or [_sharpened(layout, look.matrix, without)]
+    for index, part in enumerate(evaluation.parts):
+        others = [*evaluation.parts[:index], *evaluation.parts[index + 1 :]]
+        without = cause_distances(layout, gram_of(layout, others))
+        opened = [pair for pair in _open(layout, without) if pair not in evaluation.open]
+        pairs = opened or [_sharpened(layout, evaluation.matrix, without)]
         found = [
             PairSeparation(
-                pair, *(round(_sigmas(layout, matrix, pair), 2) for matrix in (without, look.matrix))
+                pair, *(round(_sigmas(layout, matrix, pair), 2) for matrix in (without, evaluation.matrix))
             )
             for pair in pairs
         ]
         runs.append(_planned(part, sorted(found, key=lambda one: one.without)))
-    return Recording(tuple(runs), budget.air_SL(look.parts), look.open)
+    return Recording(tuple(runs), budget.air_SL(evaluation.parts), evaluation.open)
 
 
 def _sigmas(layout: Layout, matrix: Array, pair: CausePair) -> float:
