@@ -188,7 +188,7 @@ def _shares(found: SearchResult) -> dict[str, float]:
 
 
 def _remainder(chosen: Candidate, null: Candidate) -> Remainder | None:
-    """The part of the null model's misfit above noise that a candidate leaves; None if that is noise."""
+    """The part of the null model's misfit above noise that a candidate leaves; None if only noise is left."""
     if chosen.adequate:
         return None
     noise = sum(

@@ -46,13 +46,13 @@ same factor. The second value is for fits that are only compared with each other
 DAMPING, HARDER, EASIER = 1e-3, 4.0, 0.1
 """Damping of the first step, its factor after a step that fails, and after a good one."""
 LEAST_DAMPING = 2.5e-6
-"""A step that fails with less is damped as if it had failed with this."""
+"""If a step fails with less damping, the next damping is computed from this value."""
 MAX_TRIALS = 12
 """Maximum number of trials of a step."""
 PROBE = 0.1
 """Share of a step after which its curvature is measured."""
 MAX_BEND = 0.5
-"""A step fails if its curvature changes it by more than this share: it is too long for its model."""
+"""A step fails if the model's curvature changes it by more than this share: then it is too long."""
 SHORTER = 0.3
 """Factor for a step of initial pressures that increases χ² on its own stretch."""
 NO_EFFECT = 1e-6

@@ -19,7 +19,7 @@ from flying_vines.physics.rig import Rig
 MIN_KPA = 1e-3
 """Noise of a sensor whose stated noise is 0: recorded values are rounded."""
 SURE = 6.0
-"""The stated noise is used if the estimate differs from it by a share of less than SURE / √(differences)."""
+"""The stated noise is used if the estimate differs by less than the share SURE / √(number of differences)."""
 _KEPT = 0.8
 """Only this share of the differences is used, the smallest ones: the largest occur when a valve moves."""
 _KEPT_VARIANCE = 0.4377
@@ -111,9 +111,9 @@ def measured_noise(
     """The noise of a sensor, from the residuals of a fit.
 
     Errors of the model hardly change the differences of successive readings, and the few readings at which a
-    valve moves are left out. All other samples are used: a regulator only leaves the valves shut while the
-    noise happens to be small. If most differences are zero, the steps are too coarse, and the stated noise is
-    returned.
+    valve moves are left out. All other samples are used, and not only those with shut valves: a regulator
+    only leaves the valves shut while the noise happens to be small. If most differences are zero, the steps
+    are too coarse, and the stated noise is returned.
 
     Args:
         residuals: for each run (n,) kPa, NaN where nothing was read.

@@ -5,8 +5,8 @@ nominal rig numbers, and the data decide between both. The free fit gets a penal
 volume over posterior volume of these numbers.
 
 A further cause pays if the score falls by `CLAIM`. If the residuals are more than noise, an effect is still
-missing, and a wrong cause can imitate a part of it. So χ² is then divided by the residuals' excess over noise
-(`residuals.excess`), and the interval of the gain on unseen data must be above zero.
+missing, and a wrong cause can imitate a part of it. Then χ² is divided by the residuals' excess over noise
+(`residuals.excess`), and the interval of the gain on unseen data must be above `MIN_GAIN`.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ BEAM = 2
 AHEAD = 2
 """If no further cause pays, this many more are added to the best sets: two effects may only pay together."""
 LEFT_TOGETHER = 0.05
-"""Maximum share of the slow residuals' squares that such causes leave. Any three causes imitate a part of an
-effect that the catalogue lacks, but hardly ever nearly all of it."""
+"""Maximum share of the slow residuals' squares that a set found with `AHEAD` leaves. Any three causes imitate
+a part of an effect that the catalogue lacks, but hardly ever nearly all of it."""
 SURE_OF_TWO = 1 / 3
 """Two causes may leave more, if the interval of their gain on unseen data is above this share."""
 ROUNDS, LOWER = 5, 0.75
@@ -185,7 +185,7 @@ class Search:
     def _may_gain(self, candidate: Candidate) -> bool:
         """True if a further cause may pay: something is left, or a parameter is on its bound.
 
-        An expected gain says little on a bound, which the further cause may move the parameter off.
+        With a parameter on its bound the expected gain says little: the further cause may move it off.
         """
         if not candidate.adequate or candidate.on_bound:
             return True
@@ -406,5 +406,5 @@ class SearchResult:
     """The chosen candidate without each of its causes in turn; empty if it has none or one."""
 
     def score(self, candidate: Candidate) -> float:
-        """The score, with χ² over what the chosen candidate leaves."""
+        """The score, with χ² divided by the chosen candidate's excess over noise."""
         return candidate.score_at(self.chosen.excess)

@@ -180,7 +180,7 @@ class Recommendation:
 
     @property
     def any_separated(self) -> bool:
-        """True if the runs separate at least one pair, surely or not."""
+        """True if the runs separate at least one pair by one standard deviation or more."""
         return any(sigmas >= 1.0 for _, sigmas in self.pairs)
 
     def in_words(self) -> str:
