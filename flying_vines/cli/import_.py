@@ -66,8 +66,8 @@ def _proposal(path: Path, first: Proposal | None, options: argparse.Namespace, f
         answers_of_similar(path, first) if first and not saved.exists() else answers_file.read_answers(saved)
     )
     for text in options.column:
-        answers_file.with_column(said, answers_file.column_said(text))
-    proposal = propose(path, said, dict(answers_file.volume_said(text) for text in options.volume_L))
+        answers_file.set_column(said, answers_file.column_from_option(text))
+    proposal = propose(path, said, dict(answers_file.volume_from_option(text) for text in options.volume_L))
     show(proposal, Console())
     while proposal.questions and sys.stdin.isatty():
         for question in proposal.questions:
@@ -90,14 +90,14 @@ def _proposal(path: Path, first: Proposal | None, options: argparse.Namespace, f
 
 def _ask(path: Path, question: ImportQuestion, answers: Answers) -> None:
     """Ask until the answer can be used."""
-    from flying_vines.identification.importing.answers_file import with_answer
+    from flying_vines.identification.importing.answers_file import set_answer
     from flying_vines.identification.recording import CaseError
 
     guess = f" [{question.guess}]" if question.guess else ""
     while True:
         try:
             said = input(f"{path.name}: {question.text}{guess}: ").strip()
-            return with_answer(answers, question.key, said or question.guess)
+            return set_answer(answers, question.key, said or question.guess)
         except EOFError:
             fail(f"{path}: no answer to: {question.text}")
         except CaseError as error:

@@ -20,7 +20,7 @@ STRUCTURE = 6.0
 SURELY = 4.0
 """A cause is not doubtful if χ² would rise by this times `CLAIM` with its parameter at neutral."""
 SURE_SIZE = 8.0
-"""χ² for each reading is larger than noise explains from 1 + 8/√n on: more than five standard deviations."""
+"""From 1 + 8/√n on, χ² per reading is larger than noise explains: more than five standard deviations."""
 ON_BOUND = 1e-6
 """A parameter nearer than this share of its range to a bound is on the bound."""
 
@@ -97,12 +97,12 @@ class Candidate:
 
     @property
     def impossible(self) -> list[int]:
-        """The causes with a parameter that is not inside its physical range."""
+        """Indices of the causes with a parameter on a bound; parameters with a prior do not count."""
         return sorted({index for index, parameter in self._bounded() if parameter.typical is None})
 
     @property
     def possible(self) -> bool:
-        """True if every parameter is inside its physical range."""
+        """True if no cause is `impossible`."""
         return not self.impossible
 
     def _bounded(self) -> Iterator[tuple[int, Parameter]]:

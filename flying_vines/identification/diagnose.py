@@ -188,7 +188,7 @@ def _shares(found: SearchResult) -> dict[str, float]:
 
 
 def _remainder(chosen: Candidate, null: Candidate) -> Remainder | None:
-    """The part of the null model's misfit above noise that a candidate leaves; None if that is noise."""
+    """The part of the null model's misfit above noise that a candidate leaves; None if only noise is left."""
     if chosen.adequate:
         return None
     noise = sum(
@@ -293,7 +293,7 @@ def _confidence(chosen: Candidate, main: str, found: SearchResult, left: Remaind
 
 
 def _next_experiment(found: SearchResult, doubts: Mapping[str, Sequence[str]]) -> str:
-    """What to record next, in words; empty if nothing is left open."""
+    """The recording to make next, in words; empty if nothing is left open."""
     if doubts:
         return after_doubts(found, doubts)
     return "" if found.chosen.adequate else after_remainder(found, found.chosen)

@@ -7,8 +7,8 @@ record).
 A rig number stays within its tolerance, with a uniform prior there. χ² uses a Gaussian prior of the same
 variance, so numbers that the data do not fix stay nominal. The typical value of a parameter is a prior too.
 
-Each Levenberg-Marquardt step is solved exactly within the bounds (Stark & Parker 1995). It follows the
-curvature of the model along it (geodesic acceleration, Transtrum & Sethna 2012), because χ² has long, narrow
+Each Levenberg-Marquardt step is solved exactly within the bounds (Stark & Parker 1995). It is corrected for
+the curvature of the model (geodesic acceleration, Transtrum & Sethna 2012), because χ² has long, narrow
 valleys where two causes resemble each other. The initial pressures have no bounds and may be many: they are
 eliminated from the linear system, and corrected after each step.
 """
@@ -46,17 +46,17 @@ same factor. The second value is for fits that are only compared with each other
 DAMPING, HARDER, EASIER = 1e-3, 4.0, 0.1
 """Damping of the first step, its factor after a step that fails, and after a good one."""
 LEAST_DAMPING = 2.5e-6
-"""A step that fails with less is damped as if it had failed with this."""
+"""If a step fails with less damping, the next damping is computed from this value."""
 MAX_TRIALS = 12
 """Maximum number of trials of a step."""
 PROBE = 0.1
 """Share of a step after which its curvature is measured."""
 MAX_BEND = 0.5
-"""A step fails if its curvature changes it by more than this share: it is too long for its model."""
+"""A step fails if the model's curvature changes it by more than this share: then it is too long."""
 SHORTER = 0.3
 """Factor for a step of initial pressures that increases χ² on its own stretch."""
 NO_EFFECT = 1e-6
-"""If a number's whole range would change χ² by less, by the derivative, it has no effect at a point."""
+"""A number has no effect at a point if, by the derivative, its whole range changes χ² by less than this."""
 CORRECTIONS = 2
 """Maximum number of corrections of the initial pressures after a step of the shared numbers."""
 _DEVIATION = 1e-5
@@ -125,7 +125,7 @@ class Fit:
 
 
 class Tangents:
-    """The directions in which a fit can step its residuals, and the residuals orthogonal to them.
+    """The directions in which a fit can change its residuals, and the residuals orthogonal to them.
 
     Args:
         free: (numbers,) False where a number is on its bound.
@@ -234,7 +234,7 @@ class FitProblem:
         return {key: number(rig, key) * (1.0 + deviation) for key, deviation in point.deviation.items()}
 
     def tangents(self, fit: Fit) -> Tangents:
-        """The directions in which this fit can step its residuals."""
+        """The directions in which this fit can change its residuals."""
         space = _Space(self, fit.point)
         place = space.to_search(fit.point)
         return Tangents(space.jacobian(place, fit.residuals), fit.residuals, space.inside(place))

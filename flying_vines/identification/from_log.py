@@ -41,7 +41,7 @@ LEAD_MS = 1000
 TAIL_MS = 5000
 """Rest at the end of a run, in which the gas returns to ambient temperature."""
 MAX_MS = 180_000
-"""Maximum total length of the runs. Of a longer flight only every n-th run is used."""
+"""Maximum total length of the runs. Of a longer flight only every n-th run is used; a longer run is cut."""
 MAX_LOST = 0.01
 """A larger share of lost telemetry gives a remark."""
 _WRAP_MS = 1 << 32

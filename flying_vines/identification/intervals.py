@@ -26,7 +26,7 @@ NEAR_ENOUGH = 0.25
 MAX_FITS = 8
 STEPS = 6
 FLAT = 0.01
-"""From a rise below this share of the limit, the crossing cannot be extrapolated."""
+"""Below this share of the limit a rise says little: the next step may be 30 times as long, not only 3."""
 WALL = 5.0
 """If √rise is more than this many times √limit, the search bisects."""
 OF_A_RUN = 10

@@ -131,7 +131,10 @@ class Jacobian:
         return Jacobian(runs)
 
     def bend(self, straight: Array, curved: Array) -> float:
-        """The difference of two steps of the shared numbers, as a share of the first, by their effect."""
+        """The difference of two steps of the shared numbers, as a share of the first.
+
+        Each number counts by its effect on the residuals.
+        """
         scale = np.linalg.norm(self.reduced, axis=1)
         one, other = (scale * step[: len(scale)] for step in (straight, curved))
         length = float(np.linalg.norm(one))

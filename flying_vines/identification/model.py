@@ -3,9 +3,9 @@
 It uses the plant's right-hand side and its step (`physics.plant.tick.runge_kutta`). Differences from a tick
 of the firmware: samples may be at any time. Steps are as long as the gas allows; with a hose they may be
 longer than its time constant. While no valve moves and the outlet is shut, a step may cover several samples.
-Pressures are cubic within a step, for these samples and for the lag of a sensor. A step that crosses an edge
-(the Venturi stalls, the control volume begins to stretch) is divided there. numba compiles this file. EVP is
-the inflation valve, DVP the valve that supplies the Venturi.
+Within a step the pressures are cubic in time, for these samples and for the lag of a sensor. A step over an
+edge (the Venturi stalls, the control volume begins to stretch) is divided there. numba compiles this file.
+EVP is the inflation valve, DVP the valve that supplies the Venturi.
 """
 
 from __future__ import annotations
@@ -270,7 +270,7 @@ def run(
                 numbers, air, state, initial[started, 0], initial[started, 1], reservoir_K, cv_K
             )
             found = conditions(numbers, air, state)
-            # The lag of a sensor stays as it was.
+            # A sensor keeps its difference from the true pressure.
             cv_late = cv_seen.lagged_kPa - cv_seen.true_kPa
             reservoir_late = reservoir_seen.lagged_kPa - reservoir_seen.true_kPa
             cv_seen = SensorMemory(found.line_kPa, found.line_kPa + cv_late, 0.0)

@@ -116,7 +116,7 @@ def _known(base: Candidate, index: int) -> tuple[Cause, Values]:
 
 
 def _read(case: Case) -> tuple[bool, bool]:
-    """True if the sensor of control volume, of reservoir, was read."""
+    """For control volume and reservoir: True if its sensor was read."""
     return (
         any(np.isfinite(run.cv_kPa).any() for run in case.runs),
         any(np.isfinite(run.reservoir_kPa).any() for run in case.runs),

@@ -19,7 +19,7 @@ from flying_vines.physics.rig import Rig
 MIN_KPA = 1e-3
 """Noise of a sensor whose stated noise is 0: recorded values are rounded."""
 SURE = 6.0
-"""The stated noise is used if the estimate differs from it by a share of less than SURE / √(differences)."""
+"""The stated noise is used if the estimate differs by less than the share SURE / √(number of differences)."""
 _KEPT = 0.8
 """Only this share of the differences is used, the smallest ones: the largest occur when a valve moves."""
 _KEPT_VARIANCE = 0.4377
@@ -28,10 +28,10 @@ _MIN_DIFFERENCES = 100
 _NEIGHBOURS = 17
 _ITERATIONS = 30
 _JUMP = 4.0
-"""A difference farther from the median is a jump, in median absolute deviations."""
+"""A difference is a jump if it is more than this many median absolute deviations away from the median."""
 _MAX_CORRELATION = 0.97
 MAX_OVER_RESIDUALS = 1.2
-"""Maximum standard deviation of noise over the size of the residuals, which also hold the model's errors."""
+"""Maximum standard deviation of noise over the rms of the residuals, which include the model's errors."""
 _STEP_QUANTILE = 0.1
 _MANY_EQUAL = 0.5
 """Readings are rounded if they have fewer levels than this share of their number."""
@@ -48,7 +48,7 @@ class SensorNoise(NamedTuple):
 
     @property
     def slow_std_kPa(self) -> float:
-        """Standard deviation of independent noise with as much error in a mean over many readings."""
+        """Standard deviation of independent noise that gives the same error of a mean of many readings."""
         return self.std_kPa / sqrt(self.variance_over_slow)
 
     @property
@@ -94,9 +94,9 @@ def resolution(readings: Array) -> float:
 def rounding_step(readings: Array) -> float:
     """The step to which readings were rounded; 0 if too few are equal to tell. NaN is ignored.
 
-    A tenth of the neighbouring levels are nearer than this to each other: the others may have no reading in
-    between, as where the pressure falls fast. Readings in other units may have
-    been rounded twice, so the smallest difference may be less than the step of the converter.
+    It is the 10 % quantile of the differences between neighbouring levels. Many differences are several
+    steps, because no reading is at the levels between, for example where the pressure falls fast. The
+    smallest difference may be less than a step: readings in other units may have been rounded twice.
     """
     read = readings[np.isfinite(readings)]
     levels = np.unique(read)
@@ -111,9 +111,9 @@ def measured_noise(
     """The noise of a sensor, from the residuals of a fit.
 
     Errors of the model hardly change the differences of successive readings, and the few readings at which a
-    valve moves are left out. All other samples are used: a regulator only leaves the valves shut while the
-    noise happens to be small. If most differences are zero, the steps are too coarse, and the stated noise is
-    returned.
+    valve moves are left out. All other samples are used, and not only those with shut valves: a regulator
+    only leaves the valves shut while the noise happens to be small. If most differences are zero, the steps
+    are too coarse, and the stated noise is returned.
 
     Args:
         residuals: for each run (n,) kPa, NaN where nothing was read.

@@ -1,12 +1,12 @@
 """Searches the causes that explain the data: none, then each alone, then several, until no further one pays.
 
-Every candidate is fitted twice: with nominal rig numbers, and with all of them free within their tolerances.
-The data decide between both. The free fit gets a penalty: the logarithm of prior volume over posterior
-volume of these numbers.
+Rig numbers are free within their tolerances. The best candidates that leave only noise are also fitted with
+nominal rig numbers, and the data decide between both. The free fit gets a penalty: the logarithm of prior
+volume over posterior volume of these numbers.
 
 A further cause pays if the score falls by `CLAIM`. If the residuals are more than noise, an effect is still
-missing, and a wrong cause can imitate a part of it. So χ² is then divided by the residuals' excess over noise
-(`residuals.excess`), and the interval of the gain on unseen data must be above zero.
+missing, and a wrong cause can imitate a part of it. Then χ² is divided by the residuals' excess over noise
+(`residuals.excess`), and the interval of the gain on unseen data must be above `MIN_GAIN`.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ CLAIM_LEFT = 10.0
 MIN_GAIN = 0.02
 """If the residuals are more than noise, a cause needs this gain, and this error reduction on unseen data."""
 CLAIM_ON_BOUND = 10.0
-"""A parameter on its bound shows that a cause is missing. One that moves it off the bound needs less gain."""
+"""A parameter on its bound shows that a cause is missing. A cause that moves it off needs only this gain."""
 MAX_CAUSES = 9
 FIRSTS = 5
 """Number of best single causes that are tried with a second one: one may hide another."""
@@ -44,18 +44,18 @@ BEAM = 2
 AHEAD = 2
 """If no further cause pays, this many more are added to the best sets: two effects may only pay together."""
 LEFT_TOGETHER = 0.05
-"""Maximum share of the slow residuals' squares that such causes leave. Any three causes imitate a part of an
-effect that the catalogue lacks, but hardly ever nearly all of it."""
+"""Maximum share of the slow residuals' squares that a set found with `AHEAD` leaves. Any three causes imitate
+a part of an effect that the catalogue lacks, but hardly ever nearly all of it."""
 SURE_OF_TWO = 1 / 3
 """Two causes may leave more, if the interval of their gain on unseen data is above this share."""
 ROUNDS, LOWER = 5, 0.75
 """A set that leaves more than noise is changed this often, while each change lowers χ² to this share."""
 IMPOSSIBLE = 1.1
-"""A fit within the physical ranges is better than one outside whose χ² is lower by less than this factor."""
+"""Factor for the χ² of a fit outside the physical ranges, to compare it with fits inside."""
 BEGUN_STEPS = 5
 """Steps from each start, to choose the best one, if a fit starts again."""
 IDLE = 1.01
-"""Without an idle cause, χ² rises by at most this factor."""
+"""A cause is idle if χ² rises by at most this factor without it."""
 PROMISING = 4
 """Number of further causes that are fitted: those with the largest expected gain."""
 EXCHANGES = 5
@@ -101,7 +101,8 @@ class Search:
     def _finished(self, pairs: Sequence[tuple[Candidate, Cause]], most: int = LEADERS) -> list[Candidate]:
         """Fits of each base with its further cause, the best first; only the `most` leaders are completed.
 
-        Of several causes it may be fewer. If the best fit is adequate, only fits close to it are completed.
+        With several causes that leave more than noise, fewer are completed (`LEADERS_LEFT`). If the best fit
+        is adequate, only fits close to it are completed.
         """
         if not pairs:
             return []
@@ -184,7 +185,7 @@ class Search:
     def _may_gain(self, candidate: Candidate) -> bool:
         """True if a further cause may pay: something is left, or a parameter is on its bound.
 
-        An expected gain says little on a bound, which the further cause may move the parameter off.
+        With a parameter on its bound the expected gain says little: the further cause may move it off.
         """
         if not candidate.adequate or candidate.on_bound:
             return True
@@ -405,5 +406,5 @@ class SearchResult:
     """The chosen candidate without each of its causes in turn; empty if it has none or one."""
 
     def score(self, candidate: Candidate) -> float:
-        """The score, with χ² over what the chosen candidate leaves."""
+        """The score, with χ² divided by the chosen candidate's excess over noise."""
         return candidate.score_at(self.chosen.excess)

@@ -38,7 +38,7 @@ def show(verdict: Verdict, console: Console) -> None:
         facts.add_row("Next", verdict.next_experiment)
     for cause in catalogue():
         if cause.name == verdict.cause:
-            facts.add_row("See it", cause.experiment)
+            facts.add_row("Shown by", cause.experiment)
     for remark in verdict.remarks:
         facts.add_row("Remark", remark)
     console.print(facts)

@@ -36,8 +36,8 @@ QUICK_S = 0.002
 _STEP = 0.25
 """Step over the fastest time constant. Fourth-order Runge-Kutta then errs by 1e-5 of the remaining change."""
 _STEEP = 6.0
-"""Steps resolve this many times the conductance of a valve by ISO 6358, whose flow is steep near equal
-pressures. At the linear end of `compressible_flow` it is about 50 times: steps are still stable there."""
+"""The flow through a valve by ISO 6358 is steep near equal pressures: steps resolve this many times its
+conductance. At the linear end of `compressible_flow` the slope is about 50 times: steps are still stable."""
 
 GAP = 8.0
 """A longer time between samples, in median sampling intervals, is a gap."""
@@ -175,7 +175,7 @@ class Simulation:
         to_atmosphere: bool,
     ) -> Made:
         rig = with_numbers(self.rig, dict(moved))
-        # A discharge has no control volume: causes that need one get a default, which has no effect.
+        # A discharge has no control volume. Causes that need one are applied to a default, without effect.
         setup = perfect(rig if rig.cv is not None else replace(rig, cv=ControlVolume()))
         for cause, values in causes:
             names = [parameter.name for parameter in cause.parameters]
@@ -225,9 +225,8 @@ def _prepared(run: RecordedRun) -> Prepared:
 def _starts(run: RecordedRun) -> NDArray[np.intp]:
     """Indices at which the pressures are unknown: the first sample, and those after a gap or a missing row.
 
-    The recording may say where: see `RecordedRun.after_gap`.
-
     A missing row only counts if a valve may have moved in it: the valves were busy, or a regulator was on.
+    The recording may name further samples: see `RecordedRun.after_gap`.
     """
     between = np.diff(run.time_s)
     usual = np.median(between)

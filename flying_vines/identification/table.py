@@ -126,7 +126,7 @@ def _rows(path: Path, lines: Sequence[str], kept: Sequence[int], separator: str)
 
 
 def _is_cut_off(rows: Sequence[Sequence[str]]) -> bool:
-    """True if the last number has fewer decimals than all others: the power failed while it was written."""
+    """True if the last number has fewer decimals than all others: it was not written to its end."""
     *others, last = (len(row[-1].strip().partition(".")[2]) for row in rows)
     return len(set(others)) == 1 and len(rows[-1][-1].strip()) > 0 and last < others[0]
 

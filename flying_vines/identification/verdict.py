@@ -34,7 +34,7 @@ class Named:
 
 @dataclass(frozen=True)
 class Remainder:
-    """What the named causes leave unexplained."""
+    """The misfit that the named causes leave."""
 
     share: float
     """Share of the null model's squared misfit above noise, 0…1."""
@@ -79,12 +79,13 @@ class Verdict:
     also: tuple[Named, ...]
     """Further causes, the largest share first."""
     numbers: dict[str, float]
-    """Fitted rig numbers within their tolerances, by key; empty if nominal numbers explain the data."""
+    """Fitted rig numbers within their tolerances, by key. Empty if nominal numbers explain the data, or if
+    the verdict is `unexplained`."""
     held_out: HeldOut
     ranking: tuple[Tried, ...]
     """All candidates, the best evidence first."""
     next_experiment: str
-    """What to record to answer the open question; empty if there is none."""
+    """The recording that answers the open question; empty if there is none."""
     remainder: Remainder | None
     """None if the residuals are noise."""
     remarks: tuple[str, ...]

@@ -9,7 +9,8 @@
     dP_r/dt  = −α (Q_e + Q_m) / V_r
     dP_cv/dt =  α (Q_e − Q_o) / V_cv
 
-Pressures in kPa gauge, flows in standard litres per second. Plain floats, for 1000 steps a second.
+Pressures in kPa gauge, flows in standard litres per second. The numbers are plain floats: arrays would be too
+slow for 1000 steps a second.
 """
 
 from __future__ import annotations

@@ -64,8 +64,8 @@ class Parameter:
 
     def __post_init__(self) -> None:
         if not self.low <= self.high or (self.logarithmic and not self.low > 0.0):
-            raise ValueError(f"{self.name}: low must be below high, and above 0 if logarithmic")
-        # Bounds pinned to one value leave the seeds unchanged.
+            raise ValueError(f"{self.name}: low must not be above high, and must be above 0 if logarithmic")
+        # A fit with a fixed parameter sets both bounds to its value and leaves the seeds unchanged.
         within = self.low == self.high or all(self.low <= seed <= self.high for seed in self.seeds)
         if not self.seeds or not within:
             raise ValueError(f"{self.name}: needs seeds between low and high")
@@ -136,7 +136,8 @@ class Cause:
     readings: Callable[[ModelReadings, Values], ModelReadings] | None = None
     """A further change of the readings; only used in fits."""
     law_of: str = ""
-    """What this law describes, e.g. a leak. A set has at most one law of it. Empty: there is no other law."""
+    """Set if several causes describe the same thing, such as a leak: the name of this thing; otherwise empty.
+    A set of causes contains at most one of them."""
     defined_in: str = ""
     """File or package of a cause from outside this project."""
 

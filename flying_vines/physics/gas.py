@@ -76,8 +76,8 @@ def nozzle_critical_ratio(gamma: float) -> float:
 def sonic_conductance_ratio(gas: GasProperties) -> float:
     """Sonic conductance with this gas over that with air, of the same opening.
 
-    The choked mass flow of an ideal nozzle is A p √(γ M/(R T)) (2/(γ+1))^((γ+1)/(2(γ−1))). Divided by the
-    density, which is proportional to M, the standard volume flow is proportional to 1/√M.
+    The choked mass flow of an ideal nozzle is A p √(γ M/(R T)) (2/(γ+1))^((γ+1)/(2(γ−1))). The standard
+    volume flow is the mass flow over the density. The density is proportional to M, so √M becomes 1/√M.
     """
     return _choked(gas) / _choked(AIR)
 

@@ -61,7 +61,7 @@ def _loaded(point: EntryPoint) -> Cause:
 
 
 def _checked(cause: Cause, where: str) -> Cause:
-    """The cause, after one application to a rig that has everything."""
+    """The cause. It is applied once to a default rig, so that errors appear now."""
     if cause.apply is None:
         raise CauseError(f"{where}: cause {cause.name} needs apply=: a function that changes a rig")
     values = dict(zip([p.name for p in cause.parameters], cause.seeds()[0], strict=True))

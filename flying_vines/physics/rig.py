@@ -62,7 +62,7 @@ class Solenoid:
 
 @dataclass(frozen=True)
 class Venturi:
-    """The vacuum pump: `full_vacuum_kPa` below ambient, from a supply of `rated_supply_kPa` (gauge) on."""
+    """The vacuum pump. From a supply of `rated_supply_kPa` (gauge) on its vacuum is `full_vacuum_kPa`."""
 
     full_vacuum_kPa: Annotated[float, msgspec.Meta(ge=0, le=STANDARD_PRESSURE_KPA)] = 55.0
     rated_supply_kPa: Positive = 600.0
@@ -106,8 +106,8 @@ class Rig:
     """A rig. `cv` is None if the reservoir discharges to atmosphere. With a `pump` the rig has no reservoir,
     EVP, DVP and Venturi: their numbers have no meaning.
 
-    `tolerance_percent` has the tolerances of some keys such as `reservoir.volume_L`; `tolerance` gives that
-    of any key.
+    `tolerance_percent` has the tolerances in the file, by keys such as `reservoir.volume_L`. `tolerance` also
+    gives the default for the other keys.
     """
 
     reservoir: Reservoir = Reservoir()
@@ -176,11 +176,11 @@ def rig_from(content: Mapping[str, Any]) -> Rig:
     for key, value in _flat(content):
         _check_name(key)
         if isinstance(value, float) and not math.isfinite(value):
-            raise RigError(f"{key} is {value}, which is not a number.")
+            raise RigError(f"{key} is {value}, which is not a finite number.")
     replaced = [table for table in WITHOUT_PUMP if table in content] if "pump" in content else []
     if replaced:
         raise RigError(
-            f"a rig with a [pump] has no [{replaced[0]}], the pump takes its place: remove one of them."
+            f"a rig with a [pump] has no [{replaced[0]}], because the pump takes its place: remove one."
         )
     if "cv" not in content and ("pump" in content or "hose" in content):
         raise RigError("a pump or a hose needs a control volume: add [cv] with its volume_L.")
@@ -217,7 +217,7 @@ def _explained(reason: str, key: str, value: object) -> str:
 
 
 def _instead(wrong: str, choices: Sequence[str]) -> str:
-    """The probable choice, or all of them if there are few or none is probable."""
+    """End of an error text: the most similar choice; all choices if none is similar or there are few."""
     near = difflib.get_close_matches(wrong, choices, n=1)
     if near and len(choices) > 2:
         return f": did you mean {near[0]}?"

@@ -23,8 +23,8 @@ from flying_vines.identification.importing.answers_file import (
     ImportSetup,
     answers_path,
     read_answers,
+    set_answer,
     volume_L,
-    with_answer,
 )
 from flying_vines.identification.importing.columns import ImportedColumn
 from flying_vines.identification.importing.layout import read_foreign
@@ -245,7 +245,7 @@ def test_psi_under_a_heading_of_kPa_is_called_out(start_kPa: float, tmp_path: Pa
     proposal = proposed(tmp_path / "a.csv", f"Time (s),Tank pressure (kPa)\n{rows}")
     (question,) = proposal.missing
     assert question.key == "columns.2.unit" and "psi or kPa?" in question.text
-    with_answer(proposal.answers, question.key, "psi")
+    set_answer(proposal.answers, question.key, "psi")
     assert one_run(propose(tmp_path / "a.csv", proposal.answers, BOTH))["reservoir_pressure"][
         0
     ] == pytest.approx(690, 1e-3)
@@ -442,7 +442,7 @@ def test_a_valve_needs_the_volume_of_its_reservoir(tmp_path: Path) -> None:
     rig = read_case(tmp_path / "case").rig
     assert rig.pump is not None and 20.0 < rig.pump.stall_pressure_kPa < 120.0
     assert rig.tolerance("pump.free_flow_SL_per_s") == 80.0
-    with_answer(pump.answers, "setup.source", "reservoir")
+    set_answer(pump.answers, "setup.source", "reservoir")
     assert [question.key for question in propose(path, pump.answers).missing] == ["rig.reservoir.volume_L"]
 
 
@@ -450,7 +450,7 @@ def test_the_gas_is_that_of_the_rig_file(tmp_path: Path) -> None:
     proposal = proposed(
         tmp_path / "a.csv", "t (s),tank kPa\n" + "\n".join(f"{i},{600 - i}" for i in range(40))
     )
-    with_answer(proposal.answers, "setup.gas", "CO2")
+    set_answer(proposal.answers, "setup.gas", "CO2")
     write_case([propose(tmp_path / "a.csv", proposal.answers, BOTH)], tmp_path / "case")
     assert read_case(tmp_path / "case").rig.gas.properties == GASES["CO2"]
     (tmp_path / "b.import.toml").write_text('[setup]\ngas = "laughing"\n')
@@ -502,7 +502,7 @@ def test_voltage_needs_a_calibration(tmp_path: Path) -> None:
     text = "t,tank (V)\n" + "\n".join(f"{i / 10},{4.5 - i / 50}" for i in range(60))
     proposal = proposed(tmp_path / "a.csv", text)
     (question,) = proposal.missing
-    with_answer(proposal.answers, question.key, "V (0.5=0, 4.5=1000)")
+    set_answer(proposal.answers, question.key, "V (0.5=0, 4.5=1000)")
     write_case([propose(tmp_path / "a.csv", proposal.answers, BOTH)], tmp_path / "case")
     assert read_case(tmp_path / "case").runs[0].reservoir_kPa[0] == pytest.approx(1000.0)
 

@@ -108,7 +108,7 @@ def test_tolerances_may_be_written_as_dotted_keys(path: Path) -> None:
         ),
         (
             "[cv]\n[pump]\n[reservoir]",
-            "a rig with a [pump] has no [reservoir], the pump takes its place",
+            "a rig with a [pump] has no [reservoir], because the pump takes its place",
         ),
         ("[pump]", "a pump or a hose needs a control volume: add [cv] with its volume_L."),
         ("[hose]", "a pump or a hose needs a control volume"),

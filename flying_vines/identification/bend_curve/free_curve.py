@@ -40,15 +40,15 @@ def fit_free_curve(pairs: Pairs) -> Explanation:
         rises, rest = nnls(np.column_stack([np.ones(len(kPa)), passed]), deg)
         return rises, rest**2
 
-    def power(width_kPa: float) -> float:
+    def squares(width_kPa: float) -> float:
         return solve(width_kPa)[1]
 
     width_kPa, widest_kPa = 0.0, 0.9 * float(np.ptp(kPa))
     if pairs.unloads:
         tried = np.linspace(0.0, widest_kPa, TRIED)
-        near = int(np.argmin([power(width) for width in tried]))
+        near = int(np.argmin([squares(width) for width in tried]))
         bounds = tried[max(0, near - 1)], tried[min(TRIED - 1, near + 1)]
-        width_kPa = float(minimize_scalar(power, bounds=bounds, method="bounded").x)
+        width_kPa = float(minimize_scalar(squares, bounds=bounds, method="bounded").x)
     rises, lowest = solve(width_kPa)
     angles = np.cumsum(rises)
     residual = deg - np.interp(bent_kPa(kPa, width_kPa), knots, angles)
@@ -60,7 +60,7 @@ def fit_free_curve(pairs: Pairs) -> Explanation:
         allowed = lowest * (1.0 + float(fdtri(1, free, 0.95)) / free)
 
         def beyond(width: float) -> float:
-            return power(width) - allowed
+            return squares(width) - allowed
 
         low = brentq(beyond, 0.0, width_kPa, xtol=1e-4) if beyond(0.0) > 0.0 else 0.0
         high = brentq(beyond, width_kPa, widest_kPa, xtol=1e-4) if beyond(widest_kPa) > 0.0 else widest_kPa

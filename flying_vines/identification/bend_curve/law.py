@@ -60,14 +60,14 @@ def fit_law(pairs: Pairs) -> tuple[Law, list[CurveEstimate], Explanation]:
     lower = np.array([0.0, 0.0, 1e-3 * span, 0.0])
     upper = np.array([1e4, float(np.max(kPa)), 30.0 * span, widest + 1e-12])
 
-    def off(numbers: Array) -> Array:
+    def errors_deg(numbers: Array) -> Array:
         return Law(*numbers).angles_deg(kPa) - deg
 
     best: OptimizeResult | None = None
     for dead, scale, width in itertools.product((0.0, 0.3), (0.3, 1.0), (0.05, 0.3)):
         start = np.array([1.2 * top, dead * np.max(kPa), scale * span, min(width * span, 0.9 * widest)])
         found = least_squares(
-            off, np.clip(start, lower, upper), bounds=(lower, upper), x_scale=[top, span, span, span]
+            errors_deg, np.clip(start, lower, upper), bounds=(lower, upper), x_scale=[top, span, span, span]
         )
         if best is None or found.cost < best.cost:
             best = found

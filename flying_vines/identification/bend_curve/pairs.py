@@ -24,7 +24,7 @@ MAX_KPA = 300.0
 
 
 class PairsError(ValueError):
-    """A file cannot be used for calibration; the text is one line, `file:line: reason`."""
+    """A file of pairs cannot be used; the text is one line, `file:line: reason`."""
 
     def __init__(self, text: str) -> None:
         super().__init__(one_line(text))

@@ -20,7 +20,7 @@ def show(found: BendCurveFit, console: Console) -> None:
     up = int(np.sum(pairs.rising))
     console.print(f"{len(pairs.rising)} pairs, {up} on the way up, {len(pairs.rising) - up} on the way down")
     table = Table(box=None, padding=(0, 1), pad_edge=False)
-    for heading in ("what", "unit", "value", "95 % interval"):
+    for heading in ("quantity", "unit", "value", "95 % interval"):
         table.add_column(heading, justify="right" if heading in ("value", "95 % interval") else "left")
     for what, unit, estimate in _rows(found):
         if estimate is None:

@@ -99,14 +99,14 @@ def read_answers(path: Path) -> Answers:
 
 
 def check_column(column: ImportedColumn) -> None:
-    """CaseError if there is no such meaning or unit."""
+    """CaseError if there is no such meaning or unit. The unit gets its usual spelling."""
     if column.meaning and column.meaning not in MEANINGS:
         raise CaseError(f"{column.meaning!r} is not a meaning of a column; use one of {', '.join(MEANINGS)}")
     if column.unit:
         column.unit = parse_unit(column.unit).name
 
 
-def column_said(text: str) -> ImportedColumn:
+def column_from_option(text: str) -> ImportedColumn:
     """The column in `3=cv_pressure:psi`."""
     number, _, rest = text.partition("=")
     meaning, _, unit = rest.partition(":")
@@ -115,7 +115,7 @@ def column_said(text: str) -> ImportedColumn:
     return ImportedColumn(int(number), meaning.strip(), unit.strip())
 
 
-def volume_said(text: str) -> tuple[str, float]:
+def volume_from_option(text: str) -> tuple[str, float]:
     """The vessel and the litres in `cv=0.5`, or in `0.5` without a vessel."""
     vessel, _, litres = text.rpartition("=")
     if vessel not in ("", "cv", "reservoir"):
@@ -123,18 +123,18 @@ def volume_said(text: str) -> tuple[str, float]:
     return vessel, volume_L(litres)
 
 
-def with_column(answers: Answers, column: ImportedColumn) -> None:
-    """Replace or add one column."""
+def set_column(answers: Answers, column: ImportedColumn) -> None:
+    """Replace or add one column in the answers."""
     check_column(column)
     answers.columns = [kept for kept in answers.columns if kept.number != column.number] + [column]
 
 
-def with_answer(answers: Answers, key: str, said: str) -> None:
+def set_answer(answers: Answers, key: str, said: str) -> None:
     """Set the answer to a question, as a person wrote it. CaseError if it cannot be used."""
     first, _, last = key.partition(".")
     if first == "columns":
         (column,) = (c for c in answers.columns if c.number == int(last.partition(".")[0]))
-        with_column(answers, msgspec.structs.replace(column, unit=parse_unit(said).name))
+        set_column(answers, msgspec.structs.replace(column, unit=parse_unit(said).name))
     elif first == "rig":
         vessel = last.partition(".")[0]
         answers.rig.setdefault(vessel, {})["volume_L"] = volume_L(said)

@@ -202,7 +202,7 @@ _UNIT_FITS, _UNIT_CONTRADICTS = 3.0, -9.0
 _NAMED_ONLY = ("command_kPa", "ambient_pressure")
 """A unit alone does not make a column one of these."""
 _UNNAMED = {"cv_pressure": 1.0, "reservoir_pressure": 1.0}
-"""Points of a column without a name and a unit."""
+"""Points of a column that has neither a name nor a unit."""
 
 
 def guess_columns(table: ForeignTable, given: Sequence[ImportedColumn] = ()) -> list[ImportedColumn]:
@@ -326,9 +326,10 @@ def _best_meanings(signals: Sequence[_Signal], scores: Mapping[tuple[int, str], 
 def _compare_pressures(
     signals: Sequence[_Signal], scores: dict[tuple[int, str], float], taken: Set[str]
 ) -> None:
-    """The higher of two pressures is the reservoir's; a single one is the chamber's if it is driven.
+    """The higher of two pressures is the reservoir's. A single one is the chamber's if it is driven.
 
-    If there is only one pressure, it is a reading, not a target.
+    It is driven if there is a target or an inflation signal, and the pressure does not end far below its
+    start. If there is only one pressure, it is a reading, not a target.
     """
     pairs = ("cv_pressure", "reservoir_pressure")
     best = _best_meanings(signals, scores)

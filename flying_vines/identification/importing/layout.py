@@ -161,7 +161,7 @@ def _marks(path: Path, lines: Sequence[str]) -> tuple[Separator, Decimal]:
 
 
 def _score(lines: Sequence[str], separator: Separator, decimal: Decimal) -> float:
-    """Number of cells that are values; other cells and numbers with grouped digits count against."""
+    """Number of cells that are values; other cells, and numbers with grouped digits, are subtracted."""
     rows = [row for line in lines if _share(row := _split(line, separator), decimal) >= 0.5]
     width = _width(rows)
     score = 0.0
@@ -234,7 +234,10 @@ def _plain(cell: str, decimal: Decimal) -> str:
 
 
 def _clock(cell: str) -> float | None:
-    """Seconds of `14:38:23.5`, `2019-11-29T14:38:23` or `29.11.2019 2:38:23 PM`; dates from a fixed day."""
+    """Seconds of `14:38:23.5`, `2019-11-29T14:38:23` or `29.11.2019 2:38:23 PM`.
+
+    They count from midnight; with a date, from a fixed day.
+    """
     if ":" not in cell:
         return None
     day, rest = 0.0, cell

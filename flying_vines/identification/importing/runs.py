@@ -469,7 +469,7 @@ def _fall_s(run: Run) -> float | None:
 
 
 def _csv(run: Run) -> str:
-    # A constant ambient pressure excludes the cause `ambient_drop`: a laboratory does not climb.
+    # A constant ambient pressure excludes the cause `ambient_drop`: a laboratory stays at one altitude.
     run = {"ambient_pressure": np.full(len(run["time"]), STANDARD_PRESSURE_KPA), **run}
     names = [meaning for meaning in _CASE_COLUMNS if meaning in run]
     cells = [[_cell(meaning, value) for value in run[meaning].tolist()] for meaning in names]

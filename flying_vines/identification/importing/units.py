@@ -24,7 +24,7 @@ class Unit(NamedTuple):
     quantity: Quantity
     factor: float
     words: tuple[str, ...] = ()
-    """Other spellings, in small letters."""
+    """Other spellings, in lower case."""
     offset: float = 0.0
     absolute: bool = False
     cost: float = inf
@@ -67,7 +67,7 @@ UNITS = (
 )
 _BY_WORD = {word: unit for unit in UNITS for word in (unit.name.casefold(), *unit.words)}
 _LETTERS = frozenset({"s", "v", "h", "c", "k", "f", "l", "min", "atm", "raw", "adc", "count", "counts"})
-"""Units that are also letters or words in names: they count in brackets or at the end of a name only."""
+"""Units that are also letters or words of names: they only count in brackets or at the end of a name."""
 _GAUGE = re.compile(r"[ (]*(gauge|gage|rel|g)\)?$")
 _ABSOLUTE = re.compile(r"[ (]*(absolute|abs|a)\)?$")
 _POINTS = re.compile(
@@ -83,7 +83,7 @@ _TYPICAL_KPA = (50.0, 1.5)
 AMBIENT_KPA = 85.0, 106.0
 """Range of ambient pressure in laboratories, absolute."""
 _RESTS = 1.5
-"""Subtracted from the cost of a unit in which the readings rest at ambient pressure: an absolute sensor.
+"""Subtracted from the cost of a unit in which the readings rest at ambient pressure, as absolute sensors do.
 
 It is so small that a chamber that rests at 14 kPa is not read as 14 psi.
 """
@@ -134,7 +134,7 @@ def as_absolute(unit: Unit) -> Unit:
 
 
 def words_of(name: str) -> list[str]:
-    """The words of a column's name in small letters: `PWM_Main` and `pwmMain` are pwm, main."""
+    """The words of a column's name in lower case: `PWM_Main` and `pwmMain` are pwm, main."""
     apart = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[a-z]{2})(?=\d)", " ", name)
     return [word for word in re.split(r"[^\w%°µμ²³]+|_", apart.casefold()) if word]
 
@@ -172,7 +172,7 @@ def guess_pressure(
         values: the readings.
         meaning: of the column.
         beside: readings and meanings of other columns in the same unit.
-        labelled: units that the file names for other pressures; probably it is one of them.
+        labelled: units that the file names for other pressures; this column probably has one of them.
     """
     said = {unit.name.removesuffix(" abs") for unit in labelled}
     costs = {
@@ -192,7 +192,7 @@ def guess_pressure(
 
 
 def rest_kPa(kPa: Array) -> float | None:
-    """The pressure at which an absolute sensor rests, if these sorted readings are of one; else None."""
+    """The resting pressure if these sorted readings are from an absolute sensor; else None."""
     if not len(kPa):
         return None
     low = float(kPa[len(kPa) // 100])
@@ -245,7 +245,8 @@ def psi_instead(time_s: Array, values: Array) -> str:
         in_kPa, in_psi, ohm = fit
         if in_psi < 0.012 and in_psi < 0.5 * min(in_kPa, ohm):
             return (
-                f"the pressure falls as gas does in psi: misfit {in_psi:.1%} of the time, in kPa {in_kPa:.1%}"
+                f"the fall of the pressure fits a gas flow in psi (misfit {in_psi:.1%} of its duration), "
+                f"not in kPa ({in_kPa:.1%})"
             )
         if in_kPa < 0.5 * in_psi:
             return ""
@@ -289,7 +290,7 @@ def _discharge(time_s: Array, values: Array) -> tuple[float, float, float] | Non
 
 
 def _iso_6358_time(share: Array, start_kPa: float, critical_ratio: float, polytropic: float) -> Array:
-    """When the gauge pressure has fallen to a share of its start, in any unit of time."""
+    """Times at which the gauge pressure has fallen to these shares of its start, in an arbitrary unit."""
     grid = np.linspace(1.0, float(share.min()), 400)
     p_kPa = grid * start_kPa + STANDARD_PRESSURE_KPA
     over = np.maximum(STANDARD_PRESSURE_KPA / p_kPa - critical_ratio, 0.0) / (1.0 - critical_ratio)

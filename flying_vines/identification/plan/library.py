@@ -32,11 +32,11 @@ MAX_KPA = 20.7
 FULL_KPA, HALF_KPA, LOW_KPA = 690.0, 400.0, 180.0
 """Reservoir pressures at the start of a run, gauge. A Venturi has its rated vacuum from about 600 kPa on."""
 GUARD = 1.6
-"""A valve closes early at this multiple of its target pressure, because the rig is not nominal."""
+"""A valve closes early at this multiple of its target pressure, because the real rig is not nominal."""
 LOW_SHARE = 0.5
 """Maximum pressure of the control volume, over that of the reservoir, in runs from a part-full reservoir."""
 MOST_SHARE = 0.8
-"""The same in all runs: near the supply pressure a filling takes very long."""
+"""The same for all runs: near the supply pressure, filling takes very long."""
 OUTLETS = ("evp", "dvp")
 """Inflation valve and the valve of the Venturi."""
 REST_S, MAX_REST_S = 40.0, 1800.0

@@ -40,11 +40,9 @@ def _matrix(plan: RecordingPlan) -> Any:
     )
     for (row, column), value in np.ndenumerate(sigmas):
         if np.isfinite(value):
-            light = value > _DARK or value < lowest
+            colour = "white" if value > _DARK or value < lowest else "black"
             text = f"{value:.0f}" if value < 999.5 else f"{value / 1000.0:.0f}k"
-            axis.text(
-                column, row, text, ha="center", va="center", fontsize=7, color="white" if light else "black"
-            )
+            axis.text(column, row, text, ha="center", va="center", fontsize=7, color=colour)
     fitted = [*plan.names, NONE]
     axis.set_xticks(range(len(fitted)), fitted, rotation=55, ha="right", rotation_mode="anchor", fontsize=8)
     axis.set_yticks(range(len(plan.names)), plan.names, fontsize=8)

@@ -65,7 +65,7 @@ class PairSeparation(NamedTuple):
 
     pair: CausePair
     without: float
-    having: float
+    with_all: float
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class PlannedRun:
             "air_SL": round(self.air_SL, 4),
             "commanded": self.commanded,
             "told": [
-                {"pair": [*found.pair], "sigmas_without": found.without, "sigmas_with": found.having}
+                {"pair": [*found.pair], "sigmas_without": found.without, "sigmas_with": found.with_all}
                 for found in self.separations
             ],
         }
@@ -138,7 +138,7 @@ class RecordingPlan:
     by_commands: Recording
     """The best plan that the service can do; it is `best` if no other plan leaves fewer pairs open."""
     names: tuple[str, ...]
-    """The causes of the matrix's rows and columns; its last column is for no cause."""
+    """The causes of the matrix's rows and columns; the last column of the matrix is the baseline, `none`."""
     matrix: Array
     """(causes, causes + 1) Δχ² in `best`: the row is in the rig at typical strength, the column is fitted."""
     never: tuple[CausePair, ...]
@@ -180,7 +180,7 @@ class Recommendation:
 
     @property
     def any_separated(self) -> bool:
-        """True if the runs separate at least one pair, surely or not."""
+        """True if the runs separate at least one pair by one standard deviation or more."""
         return any(sigmas >= 1.0 for _, sigmas in self.pairs)
 
     def in_words(self) -> str:
@@ -392,20 +392,21 @@ def _open_in_all(
     )
 
 
-def _recording(layout: Layout, budget: RecordingBudget, look: _Evaluation) -> Recording:
+def _recording(layout: Layout, budget: RecordingBudget, evaluation: _Evaluation) -> Recording:
     runs = []
-    for index, part in enumerate(look.parts):
-        without = cause_distances(layout, gram_of(layout, [*look.parts[:index], *look.parts[index + 1 :]]))
-        opened = [pair for pair in _open(layout, without) if pair not in look.open]
-        pairs = opened or [_sharpened(layout, look.matrix, without)]
+    for index, part in enumerate(evaluation.parts):
+        others = [*evaluation.parts[:index], *evaluation.parts[index + 1 :]]
+        without = cause_distances(layout, gram_of(layout, others))
+        opened = [pair for pair in _open(layout, without) if pair not in evaluation.open]
+        pairs = opened or [_sharpened(layout, evaluation.matrix, without)]
         found = [
             PairSeparation(
-                pair, *(round(_sigmas(layout, matrix, pair), 2) for matrix in (without, look.matrix))
+                pair, *(round(_sigmas(layout, matrix, pair), 2) for matrix in (without, evaluation.matrix))
             )
             for pair in pairs
         ]
         runs.append(_planned(part, sorted(found, key=lambda one: one.without)))
-    return Recording(tuple(runs), budget.air_SL(look.parts), look.open)
+    return Recording(tuple(runs), budget.air_SL(evaluation.parts), evaluation.open)
 
 
 def _sigmas(layout: Layout, matrix: Array, pair: CausePair) -> float:

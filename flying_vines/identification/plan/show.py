@@ -65,7 +65,7 @@ def _runs(recording: Recording) -> Table:
 
 def _why(run: PlannedRun) -> str:
     found = run.separations
-    texts = [f"{s.pair.first} / {s.pair.second} {s.without:.0f} → {s.having:.0f} σ" for s in found[:_NAMED]]
+    texts = [f"{s.pair.first} / {s.pair.second} {s.without:.0f} → {s.with_all:.0f} σ" for s in found[:_NAMED]]
     if len(found) > _NAMED:
         texts.append(f"{len(found) - _NAMED} more")
     return ", ".join(texts)
@@ -91,7 +91,7 @@ def _worst(plan: RecordingPlan) -> Table:
 
 def _left(plan: RecordingPlan) -> list[str]:
     if not plan.best.open:
-        lines = ["Every cause is separated from every other, and from no cause."]
+        lines = ["Every cause is separated from every other cause, and from the baseline."]
     else:
         sooner = [pair for pair in plan.best.open if pair not in plan.never]
         lines = [f"Not separated; more time or air would help: {in_words(sooner)}."] if sooner else []

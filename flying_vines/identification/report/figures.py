@@ -30,7 +30,7 @@ from flying_vines.identification.report.residual_figures import (
     draw_residuals,
     strongest,
 )
-from flying_vines.identification.report.runs import draw_run, parting
+from flying_vines.identification.report.runs import draw_run, model_difference
 from flying_vines.identification.report.words import label_and_unit, labelled, numbers, share
 from flying_vines.identification.similarity import Similarity
 from flying_vines.identification.verdict import ParameterEstimate, Tried, Verdict
@@ -86,8 +86,9 @@ def figures(verdict: Verdict) -> dict[str, Figure]:
 def shown_runs(verdict: Verdict) -> list[int]:
     """Indices of the runs to draw; of many runs, those in which the simulations differ most."""
     evidence = verdict.evidence
-    parts = [float(np.mean(parting(run, evidence.noise_kPa, models(verdict)) ** 2)) for run in evidence.runs]
-    return sorted(sorted(range(len(parts)), key=lambda i: -parts[i])[:MAX_RUNS])
+    model = models(verdict)
+    squares = [float(np.mean(model_difference(run, evidence.noise_kPa, model) ** 2)) for run in evidence.runs]
+    return sorted(sorted(range(len(squares)), key=lambda i: -squares[i])[:MAX_RUNS])
 
 
 def draw_unseen(verdict: Verdict) -> Figure:

@@ -30,12 +30,12 @@ _MIN_SAMPLES = 25
 _MARKED = "#f1f2f4"
 
 
-def parting(run: Compared, noise_kPa: tuple[float, float], model: str) -> Array:
+def model_difference(run: Compared, noise_kPa: tuple[float, float], model: str) -> Array:
     """(n,) difference of the simulations in units of noise; without a model, the error of the baseline."""
     other_kPa = run.extended_kPa if model else run.measured_kPa
     apart = (other_kPa - run.baseline_kPa) / np.array(noise_kPa)[:, None]
-    parted: Array = np.linalg.norm(np.where(np.isfinite(run.measured_kPa), apart, 0.0), axis=0)
-    return parted
+    difference: Array = np.linalg.norm(np.where(np.isfinite(run.measured_kPa), apart, 0.0), axis=0)
+    return difference
 
 
 def draw_run(run: Compared, noise_kPa: tuple[float, float], model: str) -> Figure:
@@ -114,7 +114,7 @@ def _zoom(run: Compared, noise_kPa: tuple[float, float], model: str) -> Bools:
     span_s = time_s[-1] - time_s[0]
     usual_s = float(np.median(np.diff(time_s)))
     width_s = min(span_s, max(_MIN_ZOOM_S, _ZOOM * span_s, _MIN_SAMPLES * usual_s))
-    total = np.concatenate(([0.0], np.cumsum(parting(run, noise_kPa, model) ** 2)))
+    total = np.concatenate(([0.0], np.cumsum(model_difference(run, noise_kPa, model) ** 2)))
     ends = np.searchsorted(time_s, time_s + width_s, side="right")
     gained = np.where(time_s <= time_s[-1] - width_s + 1e-9, total[ends] - total[:-1], -1.0)
     start = int(np.argmax(gained))

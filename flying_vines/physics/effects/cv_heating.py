@@ -1,6 +1,8 @@
 """Gas in the control volume warms as it is compressed, and cools again at the wall:
 
-dP/dt = γ α (Q_in − θ Q_out)/V − (P_a/θ)(θ − 1)/τ      air enters at ambient temperature
+dP/dt = γ α (Q_in − θ Q_out)/V − (p/θ)(θ − 1)/τ      air enters at ambient temperature
+
+p is the absolute pressure, θ the temperature of the gas over that of ambient air.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""The inflation valve (EVP) loses flow as its coil warms up: it loses the share w times `share`.
+"""The inflation valve (EVP) opens less as its coil warms up: its opening is multiplied by 1 − `share` · w.
 
-dw/dt = (u − w) / τ, w = 0 at the start of a recording
+w is the warmth of the coil, 0…1: dw/dt = (u − w) / τ, and w = 0 at the start of a recording.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A hose between the valves and the control volume: a volume of its own, and Q = (P_line − P_cv) / R.
 
-The sensor of the control volume is at the valves. A hose of the rig file is replaced.
+The sensor of the control volume is at the valves. This hose replaces a hose of the rig file.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ CAUSE = Cause(
             seeds=(0.02,),
             neutral=0.0,
             logarithmic=True,
-            # A volume on its lower bound is no evidence against a hose: its resistance may be all that shows.
+            # A volume on its lower bound is no evidence against a hose: perhaps only its resistance matters.
             typical=(log(0.0126), log(3.0)),
             source="8 cm of 4 mm bore, which hardly shows, to a second vessel of 10 L; typical: 1 m, ×÷ 3",
         ),

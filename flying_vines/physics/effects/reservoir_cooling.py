@@ -1,6 +1,8 @@
 """Gas in the reservoir cools as it expands, and the wall warms it again:
 
-dθ/dt = −(γ−1) θ² α ΣQ/(V P_a) + (1 − θ)/τ      dP/dt = −γ θ α ΣQ/V + (P_a/θ)(1 − θ)/τ
+dθ/dt = −(γ−1) θ² α ΣQ/(V p) + (1 − θ)/τ      dP/dt = −γ θ α ΣQ/V + (p/θ)(1 − θ)/τ
+
+p is the absolute pressure, θ the temperature of the gas over that of ambient air.
 """
 
 from __future__ import annotations

@@ -49,7 +49,7 @@ def replay(
     """Run the plant from `state` (default: `at_rest`) with the commands `openings`.
 
     `openings` has a row for every tick of `TICK_S`: EVP 0…1, DVP 0…1, solenoid 0 or 1. Sensors are perfect by
-    default, and have no noise without a `seed`. `initial` and the results are as in the Simulator. The table
+    default, and have no noise without a `seed`. `initial` and the results are those of `Simulator`. The table
     has a row for the start of every `record_every`-th tick.
     """
     commands = np.ascontiguousarray(openings, np.float64)

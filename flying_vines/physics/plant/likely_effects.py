@@ -1,4 +1,4 @@
-"""A probable phloSAR: every effect is on, with numbers of real parts if they are known."""
+"""The probable effects of a real phloSAR, with numbers of real parts if they are known."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SOLENOID = Iso6358(3.65e-3)
 
 
 def likely_effects(*, pouch: bool = True) -> Effects:
-    """All effects. A pouch needs a control volume above its flat 0.01 L.
+    """The probable effects. With a pouch the control volume must be larger than 0.01 L, its flat volume.
 
     The 2 L reservoir leaks 6 % of its gauge pressure in two minutes.
     """

@@ -50,13 +50,14 @@ def run_openings(
     every: int,
     table: Table,
 ) -> Floats:
-    """The state after one tick for each row of `commands` (EVP, DVP, solenoid).
+    """The final state. Each row of `commands` (EVP, DVP, solenoid) is one tick.
 
     Valves and sensors are settled at the start.
 
-    `start` are the commands before the run, for valves with a delay. A row of `table` is filled every
-    `every` ticks. `weather` (kPa absolute, temperature ratio) has a row for the start of each tick and one
-    for the end, `noise` (CV, reservoir) one for each tick; if they are constant, they have a single row.
+    `start` are the commands before the run, for the solenoid and for valves with a delay. A row of `table` is
+    filled every `every` ticks. `weather` (kPa absolute, temperature ratio) has a row for the start of each
+    tick and one for the end, `noise` (CV, reservoir) one for each tick; if they are constant, they have a
+    single row.
     """
     s0, s1, s2, s3, s4, s5, s6, s7, s8, s9 = state
     now: Floats = (s0, s1, s2, s3, s4, s5, s6, s7, s8, s9)

@@ -122,7 +122,7 @@ _SHORT = 0.02
 
 
 class SensorMemory(NamedTuple):
-    """State of a sensor: true and lagged pressure at the last reading, kPa, and its time since the first."""
+    """State of a sensor: true and lagged pressure at the last reading, kPa, and its time since the start."""
 
     true_kPa: float
     lagged_kPa: float

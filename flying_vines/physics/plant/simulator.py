@@ -19,9 +19,9 @@ SHUT = Inputs(0.0, 0.0, False)
 class Simulator:
     """`advance` runs one tick with the firmware's commands; `conditions` are the true values.
 
-    `initial` are the commands before the start, for valves with a delay. Lags start from the state, backlash
-    from a shut valve, coils from ambient temperature. The same plant, state and commands give the same
-    floats. `numbers` and `state` may be replaced between ticks.
+    `initial` are the commands before the start, for the solenoid and for valves with a delay. Lags start from
+    the state, backlash from a shut valve, coils from ambient temperature. The same plant, state and commands
+    give the same floats. `numbers` and `state` may be replaced between ticks.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class Simulator:
         return self._memory.evp.coil_K
 
     def advance(self, command: Inputs) -> bool:
-        """Run one tick with this command. True if anything changed."""
+        """Run one tick with this command. False if the last tick had the same inputs and changed nothing."""
         evp, dvp, solenoid = command
         if self._evp_line:
             self._evp_line.append(evp)

@@ -214,7 +214,7 @@ def _effect(name: str, value: Any) -> Any:
     for key, found in table.items():
         for number in found if isinstance(found, list) else [found]:
             if isinstance(number, float) and not math.isfinite(number):
-                raise RigError(f"{where}.{key} is {number}, which is not a number.")
+                raise RigError(f"{where}.{key} is {number}, which is not a finite number.")
     try:
         return msgspec.convert(table, described)
     except msgspec.ValidationError as error:

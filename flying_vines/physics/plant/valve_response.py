@@ -71,7 +71,7 @@ def dead_zone(command: float, dead_opening: float) -> float:
 
 
 def warmth_after(motion: ValveMotion, warmth: float, command: float, dt_s: float) -> float:
-    """How warm the coil is `dt_s` later, with a constant command; full command ends at 1."""
+    """The coil's warmth `dt_s` later, with a constant command; at full command it approaches 1."""
     return command + (warmth - command) * exp(-dt_s / motion.heating_time_s)
 
 

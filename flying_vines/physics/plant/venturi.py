@@ -32,7 +32,7 @@ class Suction(NamedTuple):
 
 @dataclass(frozen=True)
 class Ejector:
-    """Effects of a Venturi. With the defaults it is the baseline's.
+    """Effects of a Venturi. With the defaults it is the Venturi of the baseline.
 
     `stall_supply_kPa`: below this supply (gauge) P_vac = 0.
     `nozzle_conductance_SL_per_s_kPa`: the nozzle in series with the supply valve, which then follows ISO
@@ -123,7 +123,7 @@ def supply(
         )
         motive /= sqrt(ratio)
         vacuum = min(1.0, (before - ambient_kPa) / venturi.rated_supply_kPa)
-    # The lowest pressure ratio does not depend on ambient pressure.
+    # The Venturi reaches the same ratio of lowest to ambient pressure at any altitude.
     if venturi.scales_with_ambient:
         vacuum *= ambient_kPa / STANDARD_PRESSURE_KPA
     return motive, venturi.full_vacuum_kPa * vacuum

@@ -3,7 +3,7 @@
     m c_v dT/dt |heat = hA (T_w − T)         C_w dT_w/dt = hA (T − T_w) + h_o A_o (T_a − T_w)
 
 The exchange is either a constant conductance hA in W/K, or a constant time constant τ = m c_v / hA (hA is
-then proportional to the mass of the gas). If both are given, they add.
+then proportional to the mass of the gas). If both are given, their conductances add.
 """
 
 from __future__ import annotations
@@ -31,7 +31,10 @@ def heat_capacity_J_per_K(kPa_abs: Number, volume_L: float) -> Number:
 
 
 class HeatRates(NamedTuple):
-    """dg/dt = −gas (g − w), dw/dt = wall (g − w) − outer w: gas and wall are g and w below ambient."""
+    """dg/dt = −gas_per_s (g − w), dw/dt = wall_per_s (g − w) − outer_per_s w.
+
+    The gas is g K colder than ambient air, the wall w K.
+    """
 
     gas_per_s: float
     wall_per_s: float
@@ -90,11 +93,11 @@ class Wall:
             raise ValueError("a wall's conductances must not be negative")
 
     def inner_W_per_K(self, gas_J_per_K: float, scale: float = 1.0) -> float:
-        """Conductance between the wall and gas of this heat capacity. `scale` multiplies hA."""
+        """Conductance between the wall and gas of this heat capacity. `scale` multiplies the constant hA."""
         return scale * self.conductance_W_per_K + gas_J_per_K / self.time_constant_s
 
     def rates(self, gas_J_per_K: float, scale: float = 1.0) -> HeatRates:
-        """How quickly gas of this heat capacity and the wall exchange heat."""
+        """Rate constants of gas of this heat capacity and the wall. `scale` multiplies both conductances."""
         inner_W_per_K = self.inner_W_per_K(gas_J_per_K, scale)
         return HeatRates(
             inner_W_per_K / gas_J_per_K,
