@@ -84,7 +84,7 @@ from flying_vines.vine.intent import (
 from flying_vines.vine.motion import Motion
 
 TICK_S = 0.02
-"""Period of `Tick`. Each setpoint is the one at the end of its period."""
+"""Period of `Tick`. Each tick sends the setpoint for the end of its period."""
 
 LISTEN_FIRST_S = 1.5
 """We wait this long for an autopilot before we send anything."""
@@ -128,7 +128,7 @@ _RESPONSE_TEXTS = {
     "venting": "outlet commanded open",
     "regulates": "vent commanded",
 }
-"""For these faults the core cannot see whether the vine is vented. The text says what the core did."""
+"""For these faults the core cannot see whether the vine is vented. So the text says what is done."""
 
 _BOARD_FAULTS = ("serial", "telemetry", "firmware_fault", "refused_by_firmware")
 """A board restart causes these too. So a series of restarts shows each of their texts only once."""
@@ -161,14 +161,14 @@ class Core:
         self._firmware_problem = "not connected"
         self._safety = Safety(config, stored.latched)
         self._kept_latched = set(stored.latched)
-        """The latched faults at the last storage."""
+        """The latched faults that were stored last."""
         self._prior = prior or nominal(config.pneumatics)
         self._reader = TelemetryReader(self._prior)
         self._features: Features | None = None
         known, self._learned_problem = learned_from(stored.learned, self._prior)
         self._reservoir = ReservoirEstimate(self._prior, known)
         self._kept_cycles = self._reservoir.measured_cycles
-        """The number of measured cycles at the last storage; NaN if an event has changed what was learned."""
+        """The number of measured cycles that was stored last; NaN after an event: then it is stored again."""
         self._kept_at = -math.inf
         self._has_reservoir = config.firmware.is_phlosar
         self._actuator = config.firmware.name
@@ -680,7 +680,7 @@ class Core:
             self._notice(t, Severity.NOTICE, f"waiting for: {waiting.awaited}")
 
     def _note_rc_use(self, t: float) -> None:
-        """Note if RC is in use. A loss of RC counts only while it is."""
+        """Note if RC is in use. A loss of RC counts only while RC is in use."""
         armed = self._vehicle.state.armed
         if self._vehicle.rc.problem(t) is None:
             self._rc_in_use |= armed or self._on_bench or self.config.interlocks.bench_mode

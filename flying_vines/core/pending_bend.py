@@ -1,4 +1,4 @@
-"""Which bend is still requested while nothing moves, because only a fresh request may move the vine.
+"""The bend that is requested but not carried out, because only a fresh request may move the vine.
 
 The switch requests a bend as long as it is in a bending position. A command, a mission item, the page or MQTT
 requests a bend once. If the vine was then vented without a request (a failsafe, the end of bench mode), this

@@ -1,4 +1,4 @@
-"""Finds in telemetry what used air, when the reservoir's pressure can be read, and each inflation.
+"""Finds in telemetry the uses of air, the times when the reservoir can be read, and each inflation.
 
 Pouch: the bending pouch of the actuator.
 """
@@ -45,7 +45,7 @@ def tolerance_kPa(swing_kPa: float) -> float:
 
 
 def driving_kPa(law: Opening, supply_kPa_abs: float, downstream_kPa_abs: float) -> float:
-    """Effective driving pressure: inward flow at ambient temperature = conductance × this."""
+    """The driving pressure of a valve: its flow at ambient temperature, divided by its conductance."""
     if downstream_kPa_abs >= supply_kPa_abs:
         return 0.0
     if law.ohmic:
@@ -169,7 +169,10 @@ class AirUse:
         self._all_calm = True
 
     def _judge_calm(self, dt: float, telemetry: Telemetry) -> None:
-        """Calm: valves at rest and no rise commanded, so reservoir reading and counted air agree."""
+        """Calm: Venturi off, inflation valve open by at most `WORKING_OPENING`, and no rise commanded.
+
+        Then the reservoir's reading and the counted air agree.
+        """
         setpoint = telemetry.setpoint_kPa
         busy = (
             telemetry.dvp_opening > 0.0

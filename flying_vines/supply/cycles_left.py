@@ -223,9 +223,9 @@ class ReservoirEstimate:
         self.measured_cycles = 0.0
         """The number of flown cycles from which the cost was learned."""
         self.basis: Basis | None = None
-        """That of the latest prediction."""
+        """The basis of the latest prediction."""
         self._cycle_kPa = math.nan
-        """The cost of one cycle after the last block; NaN before. It is ready when a decision needs it."""
+        """The cost of one cycle after the last block, computed before a decision needs it; NaN at first."""
         if learned:
             self._demand.ln, self._demand.variance = learned.demand_ln, learned.demand_variance
             self._mix.sums = learned.mix

@@ -32,7 +32,7 @@ RESTART_S = 120.0
 
 
 class ReservoirLoss:
-    """Finds air that leaves the reservoir although no valve is commanded open."""
+    """Finds an outflow from the reservoir that is larger than the commanded openings of the valves allow."""
 
     def __init__(self, rig: Expected) -> None:
         self._rig = rig
