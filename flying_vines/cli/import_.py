@@ -23,7 +23,7 @@ def add(commands: Any) -> None:
     again = {"action": "append", "default": []}
     what = "what column N is, as 3=cv_pressure:psi; may be given again"
     command.add_argument("--column", metavar="N=MEANING[:UNIT]", help=what, **again)
-    what = "volume of the measured vessel, or of cv= or reservoir=; may be given again"
+    what = "volume of the measured vessel, or cv=L or reservoir=L; may be given again"
     command.add_argument("--volume-L", dest="volume_L", metavar="[VESSEL=]L", help=what, **again)
     command.set_defaults(run=_import)
 

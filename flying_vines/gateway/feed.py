@@ -24,7 +24,7 @@ STORED_EVENTS = 500
 MAX_UNREAD = 200
 """Maximum unread events of one reader. Above this it loses the oldest."""
 ANSWERED_WITHIN_S = ACTS_WITHIN_S + 0.2
-"""After this time the service no longer executes the command."""
+"""After this time the service carries out only a request that deflates the vine."""
 
 
 class NoAnswerError(Exception):

@@ -239,7 +239,7 @@ _REFUSAL = """\
 _FORM = """\
 <form><p><label>Token <input name="token" autocomplete="off" autocapitalize="none" autofocus></label>
 <button>Open</button></form>
-<p>The drone's terminal shows the token. It is also in the file [page] token_file of its configuration."""
+<p>The service on the drone prints the token at its start, or the name of the file that contains it."""
 
 
 def _refusal(refused: Refused) -> Response:
