@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def add(commands: Any) -> None:
     """Add `import` to the parsers of the command line."""
-    command = commands.add_parser("import", help="recordings of any layout as a case for diagnose")
+    command = commands.add_parser("import", help="make a case for diagnose from recordings of any layout")
     command.add_argument("files", type=Path, nargs="+", metavar="FILE", help="a text file of numbers")
     command.add_argument("--to", type=Path, metavar="FOLDER", help="the case folder (default: NAME-case)")
     again = {"action": "append", "default": []}

@@ -25,7 +25,7 @@ def find(group: Group, name: str, key: str, *needs: str) -> Callable[..., Any]:
 
     The object that it makes must have the attributes `needs`. Raises `PluginError`, which names the `key` of
     the configuration, if no package or several have this name, or if it cannot be imported. The returned
-    function raises the same error if the call fails.
+    function raises the same error if the call fails, or if an attribute is missing.
     """
     from importlib.metadata import entry_points
 

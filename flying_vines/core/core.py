@@ -93,7 +93,7 @@ CYCLES_EVERY_S = 2.0
 """Interval of the predictions of cycles left. A prediction takes milliseconds of the loop's time."""
 
 KEEP_EVERY_S = 10.0
-"""Minimum interval between two writes to disk of what was learned about the air."""
+"""Minimum interval between two writes of the learned air to disk."""
 
 NO_AIR_NEEDED = AirNeeded(0.0, 0.0)
 """For an actuator without a reservoir."""
@@ -113,7 +113,8 @@ _BY_PILOT_OR_SAFETY = {"switch", "failsafe", "link"}
 """Triggers of the pilot's own switch and of safety. All others come from another person or the mission."""
 
 PAGE_COMMANDS = ("clear_faults", "arm", "start_bench")
-"""The page may send these without bench mode, besides vents. Bench mode itself needs a disarmed vehicle."""
+"""Commands that the page may send without bench mode, besides all that only deflate the vine. `start_bench`
+itself needs a disarmed vehicle."""
 
 _SENSOR_TEXTS = {
     "cv_kPa": "vine sensor reads",
@@ -131,7 +132,7 @@ _RESPONSE_TEXTS = {
 """For these faults the core cannot see whether the vine is vented. So the text says what is done."""
 
 _BOARD_FAULTS = ("serial", "telemetry", "firmware_fault", "refused_by_firmware")
-"""A board restart causes these too. So a series of restarts shows each of their texts only once."""
+"""A board restart also causes these faults. So each of their texts is shown once in a series of restarts."""
 
 
 class Core:
@@ -195,7 +196,7 @@ class Core:
         self._stopped = False
         self._parts = IsolatedParts(self._on_failed)
         self.internal_error = False
-        """A part that the vine needs has failed: it stays vented until a person restarts the service."""
+        """A needed part has failed: the vine stays vented until a person restarts the service."""
         self._actions: list[Action] = []
 
     @property
@@ -805,7 +806,7 @@ class Core:
                 self._notice(t, Severity.NOTICE, event)
 
     def _keep_learned(self, t: float) -> None:
-        """Store what was learned after new cycles or an event, but not more often than `KEEP_EVERY_S`."""
+        """Store the learned air after new cycles or an event, but not more often than `KEEP_EVERY_S`."""
         if self._learned_problem:
             self._notice(t, Severity.NOTICE, self._learned_problem)
             self._learned_problem = ""

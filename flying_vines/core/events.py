@@ -125,7 +125,7 @@ class Decision:
     safety: Literal["accepted", "limited", "refused"]
     reason: str
     setpoint_kPa: float
-    """First target of the new motion (gauge). After a refusal: that of the running motion; 0 without one."""
+    """First target (gauge) of the motion that runs after this decision; 0 if none runs."""
 
 
 @dataclass(frozen=True, slots=True)

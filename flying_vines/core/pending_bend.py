@@ -35,7 +35,7 @@ class PendingBendTracker:
         """The switch position whose profile ran to its end, so that the switch requests nothing more."""
 
     def began(self, kind: str) -> None:
-        """A motion began by a trigger of this kind."""
+        """A trigger of this kind began a motion."""
         self._asker, self._stopped_by, self._done_at = kind, "", None
 
     def ended(self, name: str, position: int | None) -> None:

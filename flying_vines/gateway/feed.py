@@ -28,7 +28,7 @@ ANSWERED_WITHIN_S = ACTS_WITHIN_S + 0.2
 
 
 class NoAnswerError(Exception):
-    """The service does not answer. It is unknown whether it executed the command."""
+    """The service does not answer. It is unknown whether the command was carried out."""
 
 
 class FeedReader:

@@ -127,7 +127,7 @@ class PersistentState:
         return page_token.read_or_make(self.page_token) if config.page.needs_token else ""
 
     def read_signing(self, config: Config) -> tuple[Signing | None, str]:
-        """The configured signing, and a sentence if its clock was not stored. Raises `SigningKeyError`."""
+        """The configured signing, and a sentence if its stored clock is damaged. Raises `SigningKeyError`."""
         if not config.vehicle.signing_key:
             return None, ""
         key = read_key(self.config_file.parent / config.vehicle.signing_key)

@@ -1,6 +1,6 @@
 """Finds in telemetry the uses of air, the times when the reservoir can be read, and each inflation.
 
-Pouch: the bending pouch of the actuator.
+CV: control volume, the vine. Pouch: the bending pouch of the actuator.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ CV_TURN_KPA = 1.5
 RESTED_S = 0.5
 """A control volume that was vented for this time is at ambient. Its reading is the sensor's zero."""
 FLAT_KPA = 0.8
-"""A pouch may be flat if its reading is nearer to its zero than this."""
+"""A pouch may be flat if the reading is nearer to the sensor's zero than this."""
 NEAR_KPA = 1.0
 WORKING_OPENING = 0.6
 CALM_S = 0.1
@@ -40,7 +40,7 @@ MAX_TRACE = 20_000
 
 
 def tolerance_kPa(swing_kPa: float) -> float:
-    """An inflation has reached its top if it is nearer than this."""
+    """An inflation has reached its top if the CV is nearer to the top than this."""
     return max(1.5, 0.1 * swing_kPa)
 
 

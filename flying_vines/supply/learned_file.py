@@ -1,4 +1,4 @@
-"""The file of what was learned about a rig, for the next run.
+"""The file with the learned air and leaks of a rig, for the next run.
 
 It is used only with exactly the same prior. With another rig, a changed rig file, or a version of the program
 that computes another prior, everything is learned again.

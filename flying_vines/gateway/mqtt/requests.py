@@ -90,7 +90,7 @@ class RequestQueue:
         return [refused(now, earlier, "overtaken by a vent") for earlier in overtaken]
 
     def _read(self, now: Now, payload: bytes, retained: bool) -> tuple[RequestPayload | None, str]:
-        """The request, or None if it cannot be read, and why it is refused, or an empty text."""
+        """The request (None if it cannot be read), and why it is refused (empty if it is not)."""
         if len(payload) > MAX_REQUEST_LENGTH:
             return None, f"longer than {MAX_REQUEST_LENGTH} bytes"
         try:

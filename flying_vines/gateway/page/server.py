@@ -39,7 +39,7 @@ MAX_BACKLOG = 1024
 ACCEPT_RETRY_S = 1.0
 """Wait if the process has no free file descriptor."""
 SEND_BUFFER = 32 * 1024
-"""Bytes, in the system and again in this process. Small, because buffered data reaches a slow viewer late."""
+"""Size of the system's buffer and of ours, bytes. Small: buffered data reaches a slow viewer late."""
 A_YEAR_S = 365 * 24 * 3600
 
 FILES = {

@@ -40,10 +40,10 @@ class Filling:
         """The vine had pressure and has not been vented since. So the bending pouch is not flat."""
         self._begin(0.0, 0.0)
 
-    def _begin(self, cv_kPa: float, bottle_kPa: float) -> None:
+    def _begin(self, cv_kPa: float, reservoir_kPa: float) -> None:
         self._low_kPa = cv_kPa
         self._air_SL = 0.0
-        self._bottle_kPa = bottle_kPa
+        self._reservoir_kPa = reservoir_kPa
 
     def look(self, now: Features) -> str | None:
         if now.cv_median_kPa > self._flat_kPa:
@@ -63,10 +63,10 @@ class Filling:
         return self._sentence(now) if self._air_SL > enough_SL else None
 
     def _sentence(self, now: Features) -> str:
-        fall_kPa = self._rig.bottle_fall_kPa(self._air_SL)
+        fall_kPa = self._rig.reservoir_fall_kPa(self._air_SL)
         if fall_kPa < MIN_FALL_KPA:
             return "not filling: valve, hose or actuator"
-        if self._bottle_kPa - now.telemetry.reservoir_kPa < 0.3 * fall_kPa:
+        if self._reservoir_kPa - now.telemetry.reservoir_kPa < 0.3 * fall_kPa:
             return "not filling, bottle loses no air: valve"
         return "not filling, air is lost: hose or actuator"
 
