@@ -10,7 +10,7 @@ from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.supply.physics_checks.expected import Expected
 from flying_vines.supply.telemetry_features import Features
 
-# Time in which the gas in the filled vine cools, and the gas in the reservoir warms. A larger vine needs more.
+# Time in which the gas in the filled vine cools, and the reservoir's gas warms. A larger vine takes longer.
 SETTLED_S = 2.0
 SETTLED_S_PER_L = 2.0
 WATCHED_S = 4.0
