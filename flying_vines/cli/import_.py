@@ -52,7 +52,7 @@ def _import(arguments: argparse.Namespace) -> int:
 
 
 def _proposal(path: Path, first: Proposal | None, options: argparse.Namespace, folder: Path) -> Proposal:
-    """How a file is imported: by its saved answers, the options, and the user's answers on the terminal."""
+    """Decide how a file is imported: from saved answers, options, and the user's answers on the terminal."""
     from rich.console import Console
 
     from flying_vines.identification.importing import answers_file

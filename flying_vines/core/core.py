@@ -113,8 +113,8 @@ _BY_PILOT_OR_SAFETY = {"switch", "failsafe", "link"}
 """Triggers of the pilot's own switch and of safety. All others come from another person or the mission."""
 
 PAGE_COMMANDS = ("clear_faults", "arm", "start_bench")
-"""Commands that the page may send without bench mode, besides all that only deflate the vine. `start_bench`
-itself needs a disarmed vehicle."""
+"""The page may send these commands without bench mode, and always all commands that only deflate the vine.
+While the vehicle is armed, `start_bench` is refused."""
 
 _SENSOR_TEXTS = {
     "cv_kPa": "vine sensor reads",
@@ -322,7 +322,7 @@ class Core:
 
     def _restarted(self, t: float, reason: str) -> None:
         if self._restart_noted:
-            return  # telemetry's clock has already shown this restart; this is its new boot id
+            return  # the board's clock in telemetry has already shown this restart; now comes its new boot id
         self._restart_noted = True
         self._firmware_problem = "restarted"
         self._mode_mismatch = None

@@ -1,4 +1,4 @@
-"""The service's state and events for page and MQTT client, and their way to send commands. No socket."""
+"""Gives page and MQTT client the service's state and events, and sends their commands. It uses no socket."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from flying_vines.vehicle.mavlink.signing_key import TimestampFile, read_key
 
 DISARMED = """\
 The pneumatics were disarmed: the vine does not bend while this file exists.
-Arm them from a ground station (command USER_4, 3), or delete the file and restart the service.
+Arm them from a ground station (command USER_4 with param1 = 3), or delete the file and restart the service.
 """
 
 

@@ -1,4 +1,4 @@
-"""State of the broker connection: reports for the crew, and the wait before the next try. No clock."""
+"""State of the broker connection: reports for the crew, and the wait before a new try. It reads no clock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checks requests from the broker: permitted by the configuration, recent, and not repeated. No clock."""
+"""Checks that requests from the broker are permitted, recent and not repeated. It reads no clock."""
 
 from __future__ import annotations
 

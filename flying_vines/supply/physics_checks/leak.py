@@ -62,7 +62,7 @@ class VineLeak:
         self._finding: str | None = None
 
     def look(self, now: Features) -> str | None:
-        """The finding, until a hold without a leak."""
+        """The finding. It stays until a hold shows no leak."""
         self._rest.take(now.resting_s, now.device_dt_s, now.telemetry.reservoir_kPa)
         complete = self._hold.take(now.holding_s, now.device_dt_s, now.telemetry.reservoir_kPa)
         held, rested = self._hold.falls_kPa_per_s, self._rest.falls_kPa_per_s
