@@ -1,4 +1,4 @@
-"""`flying-vines demo`: a scripted flight on embedded fakes."""
+"""`flying-vines demo`: a scripted flight with a fake vehicle and a simulated rig."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from flying_vines.cli.common import FLIGHTS, add_cause_option, file_errors
 
 def add(commands: Any) -> None:
     """Add `demo` to the parsers of the command line."""
-    demo = commands.add_parser("demo", help="fly a scripted flight on embedded fakes")
+    demo = commands.add_parser("demo", help="fly a scripted flight, with a fake vehicle and rig")
     demo.add_argument(
         "--out", type=Path, default=FLIGHTS, metavar="DIR", help="the folder for the flight (flights)"
     )

@@ -40,7 +40,9 @@ def add(commands: Any) -> None:
     diagnose.add_argument(
         "--rig", type=Path, metavar="RIG.toml", help="the nominal rig (default: the case's own)"
     )
-    diagnose.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler whose workers diagnose")
+    diagnose.add_argument(
+        "--scheduler", metavar="ADDRESS", help="a Dask scheduler: its workers do the diagnosis"
+    )
     diagnose.add_argument("--write-rig", type=Path, metavar="FILE", help="write the rig with its causes")
     diagnose.add_argument("--plan", action="store_true", help="CASE is a rig.toml: plan which runs to record")
     diagnose.add_argument("--minutes", type=float, metavar="M", help="with --plan: recording time (3)")

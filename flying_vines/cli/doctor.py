@@ -24,7 +24,11 @@ def add(commands: Any) -> None:
         "--config", type=Path, metavar="FILE", help="the configuration (default: the built-in one)"
     )
     doctor.add_argument(
-        "--seconds", type=_seconds, default=SECONDS, metavar="N", help=f"listening time ({SECONDS:g})"
+        "--seconds",
+        type=number_of_seconds,
+        default=SECONDS,
+        metavar="N",
+        help=f"listening time ({SECONDS:g})",
     )
     doctor.add_argument(
         "--out", type=Path, default=FLIGHTS, metavar="DIR", help=f"the folder for flight logs ({FLIGHTS})"
@@ -42,7 +46,7 @@ def add(commands: Any) -> None:
     doctor.set_defaults(run=run)
 
 
-def _seconds(text: str) -> float:
+def number_of_seconds(text: str) -> float:
     seconds = float(text)
     if not MIN_SECONDS <= seconds <= 3600.0:
         raise argparse.ArgumentTypeError(f"from {MIN_SECONDS:g} to 3600")

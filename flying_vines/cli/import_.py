@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 def add(commands: Any) -> None:
     """Add `import` to the parsers of the command line."""
-    command = commands.add_parser("import", help="recordings of any layout as a case for diagnose")
+    command = commands.add_parser("import", help="make a case for diagnose from recordings of any layout")
     command.add_argument("files", type=Path, nargs="+", metavar="FILE", help="a text file of numbers")
     command.add_argument("--to", type=Path, metavar="FOLDER", help="the case folder (default: NAME-case)")
     again = {"action": "append", "default": []}
     what = "what column N is, as 3=cv_pressure:psi; may be given again"
     command.add_argument("--column", metavar="N=MEANING[:UNIT]", help=what, **again)
-    what = "volume of the measured vessel, or of cv= or reservoir=; may be given again"
+    what = "volume of the measured vessel, or cv=L or reservoir=L; may be given again"
     command.add_argument("--volume-L", dest="volume_L", metavar="[VESSEL=]L", help=what, **again)
     command.set_defaults(run=_import)
 
@@ -52,7 +52,7 @@ def _import(arguments: argparse.Namespace) -> int:
 
 
 def _proposal(path: Path, first: Proposal | None, options: argparse.Namespace, folder: Path) -> Proposal:
-    """How a file is imported: by its saved answers, the options, and the user's answers on the terminal."""
+    """Decide how a file is imported: from saved answers, options, and the user's answers on the terminal."""
     from rich.console import Console
 
     from flying_vines.identification.importing import answers_file

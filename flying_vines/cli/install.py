@@ -135,7 +135,7 @@ def _installation(arguments: argparse.Namespace) -> InstallPlan:
     ]
     if changes[-1].how is How.CHANGED:
         remarks.append("A running service keeps its old settings until it is restarted.")
-    remarks.append("To see what it does: systemctl status flying-vines; journalctl -fu flying-vines")
+    remarks.append("State and log of the service: systemctl status flying-vines; journalctl -fu flying-vines")
     return InstallPlan(
         "Write these files and run these commands?",
         changes,

@@ -31,7 +31,9 @@ def add(commands: Any) -> None:
     link.add_argument(
         "--config", type=Path, metavar="FILE", help="the configuration (default: the built-in one)"
     )
-    link.add_argument("--seconds", type=float, metavar="N", help="then stop; exit status 1 without an answer")
+    link.add_argument(
+        "--seconds", type=float, metavar="N", help="stop after this time; exit status 1 without an answer"
+    )
     link.add_argument("--json", action="store_true", help="print one JSON object per line")
     link.add_argument("--raw", action="store_true", help="print the bytes, too")
     link.add_argument("--settings", action="store_true", help="print the firmware's settings")

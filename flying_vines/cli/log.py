@@ -123,7 +123,7 @@ def _plot(log: FlightLog, arguments: argparse.Namespace) -> int:
 
     path: Path = arguments.out or log.folder / "flight.png"
     if path.suffix not in PICTURES:
-        return bad_input(f"{path}: the name of a picture must end with {', '.join(PICTURES)}")
+        return bad_input(f"{path}: the name of a picture must end with one of {', '.join(PICTURES)}")
     draw_flight(log, path, arguments.title)
     print(f"Picture  {path}")
     return 0

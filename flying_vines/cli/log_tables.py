@@ -33,7 +33,7 @@ MAX_DIFFERENCES = 10
 _DECISION, _NOTICE, _LINK = topic_of(Decision), topic_of(Notice), topic_of(LinkChanged)
 _PARAMETERS, _DISARMED = topic_of(KeepParameters), topic_of(KeepDisarmed)
 _ERROR = topic_of(InternalError)
-EVENT_TOPICS = (_DECISION, _NOTICE, _LINK, _PARAMETERS, _DISARMED, _ERROR)
+SHOWN_TOPICS = (_DECISION, _NOTICE, _LINK, _PARAMETERS, _DISARMED, _ERROR)
 
 
 def summary_table(summaries: Sequence[Summary]) -> Table:
@@ -79,7 +79,7 @@ def show_events(log: FlightLog, console: Console) -> None:
             console.print(f"It continues the flight log {about['continues']}.", highlight=False)
     console.print()
     first: float | None = None
-    for entry in log.entries(EVENT_TOPICS):
+    for entry in log.entries(SHOWN_TOPICS):
         t = entry.fields["t"]
         first = t if first is None else first
         for line in _lines(entry, first):
@@ -89,7 +89,7 @@ def show_events(log: FlightLog, console: Console) -> None:
 
 
 def events_as_json(log: FlightLog) -> dict[str, object]:
-    events = [{"topic": entry.topic, **entry.fields} for entry in log.entries(EVENT_TOPICS)]
+    events = [{"topic": entry.topic, **entry.fields} for entry in log.entries(SHOWN_TOPICS)]
     return {**summary_as_json(summarise(log)), "about": _about(log), "story": events}
 
 

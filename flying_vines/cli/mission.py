@@ -72,7 +72,7 @@ def add(commands: Any) -> None:
 
 
 def _common(parser: argparse.ArgumentParser) -> None:
-    # Before Python 3.14 a place in the south or west ("-35.36,149.16,584") was taken for an option.
+    # Before Python 3.14, argparse takes a place in the south or west ("-35.36,149.16,584") for an option.
     parser._negative_number_matcher = _NEGATIVE
     parser.add_argument(
         "--config", type=Path, metavar="FILE", help="the configuration (default: the built-in one)"
@@ -125,7 +125,7 @@ def _download(arguments: argparse.Namespace) -> int:
 
 def _example(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out or Path(f"{arguments.name}.toml")
-    # A pilot edits the mission: a second call must not undo that.
+    # A pilot edits the file: a second call must not overwrite it.
     if not _write_shipped("examples", f"{arguments.name}.toml", out, "xb"):
         return BAD_INPUT
     print(f"{out}: build it with `flying-vines mission build {out}`")

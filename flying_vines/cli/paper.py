@@ -13,7 +13,9 @@ def add(commands: Any) -> None:
     """Add `paper` to the parsers of the command line."""
     paper = commands.add_parser("paper", help="reproduce the phloSAR paper: all its numbers beside ours")
     paper.add_argument("--out", type=Path, metavar="DIR", help="draw the figures there")
-    paper.add_argument("--diagnose", action="store_true", help="why its measurements differ from its model")
+    paper.add_argument(
+        "--diagnose", action="store_true", help="why the paper's measurements differ from its model"
+    )
     paper.add_argument("--json", action="store_true", help="print one JSON object instead")
     paper.set_defaults(run=_paper)
 

@@ -68,7 +68,7 @@ def _replay(arguments: argparse.Namespace) -> int:
         reader = TlogReader(recording)
         prior = known.prior if known else None
         actions = replay(reader.frames(), config, mission, arguments.pace, prior=prior, parameters=parameters)
-        show = _shower(live=arguments.pace > 0.0 and not arguments.json)
+        show = _action_printer(live=arguments.pace > 0.0 and not arguments.json)
         decisions: list[Decision] = []
         for action in actions:
             show(action)
@@ -111,7 +111,7 @@ def _replay_flight(recording: Path, config: Path | None, as_json: bool) -> int:
     return DIFFERENT if again.differences else 0
 
 
-def _shower(live: bool) -> Callable[[Action], None]:
+def _action_printer(live: bool) -> Callable[[Action], None]:
     """Prints each action at once if `live`; otherwise prints nothing."""
     if not live:
         return lambda action: None

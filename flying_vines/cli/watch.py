@@ -19,7 +19,9 @@ def add(commands: Any) -> None:
     watch = commands.add_parser("watch", help="show a running service on this terminal")
     watch.add_argument("--url", default=URL_HERE, help=f"the service's page ({URL_HERE})")
     watch.add_argument("--token-file", type=Path, metavar="FILE", help="the page's token, if it needs one")
-    watch.add_argument("--seconds", type=float, metavar="N", help="then stop; exit status 1 without data")
+    watch.add_argument(
+        "--seconds", type=float, metavar="N", help="stop after this time; exit status 1 without data"
+    )
     watch.add_argument("--plain", action="store_true", help="print lines instead of the live view")
     watch.add_argument("--json", action="store_true", help="print each message of the page as a JSON object")
     watch.set_defaults(run=run)

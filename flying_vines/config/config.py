@@ -380,7 +380,7 @@ def _profiles_of(raw: dict[str, Any]) -> list[tuple[str, Any]]:
 
 
 def _contradictions(config: Config) -> list[tuple[Key, str]]:
-    """Keys that contradict other keys, with the reason."""
+    """The keys whose values are invalid, alone or together with other values, and the reasons."""
     found: list[tuple[Key, str]] = []
     for table, link in (("vehicle", config.vehicle.link), ("firmware", config.firmware.link)):
         try:

@@ -10,7 +10,7 @@ from tempfile import mkstemp
 def put(path: Path, text: str) -> None:
     """Write to a temporary file, sync it to the disk, and then replace `path` with it.
 
-    Creates a missing folder. Raises `OSError` if any step fails; then the old file is unchanged.
+    Creates a missing folder. Raises `OSError` if a step fails. Before the last step `path` is unchanged.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     number, temporary = mkstemp(dir=path.parent, prefix=f".{path.name}.")

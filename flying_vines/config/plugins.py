@@ -23,9 +23,9 @@ class PluginError(ValueError):
 def find(group: Group, name: str, key: str, *needs: str) -> Callable[..., Any]:
     """The entry point `name` of the group `flying_vines.GROUP`: a class or function, to call with settings.
 
-    The object that it makes must have the attributes `needs`. Raises `PluginError` with the `key` of
-    the configuration: now if no package or several have this name, or if it cannot be imported; later if the
-    call fails.
+    The object that it makes must have the attributes `needs`. Raises `PluginError`, which names the `key` of
+    the configuration, if no package or several have this name, or if it cannot be imported. The returned
+    function raises the same error if the call fails, or if an attribute is missing.
     """
     from importlib.metadata import entry_points
 
@@ -63,7 +63,7 @@ def installed(group: Group) -> list[str]:
 
 
 def with_own_segments(profile: Any, built_in: Collection[str]) -> tuple[Any, dict[int, list[Any]]]:
-    """A raw profile with a placeholder for each segment of an installed package, and what replaces them.
+    """A raw profile with placeholders for segments of installed packages, and the segments for each of them.
 
     Such a segment is a function from its settings to built-in segments. It runs here, once. A kind that is
     not installed is left as it is. Raises `PluginError`.

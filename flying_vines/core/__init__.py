@@ -1,1 +1,1 @@
-"""The core decides: time-stamped events in, actions out. No clock, port or await."""
+"""The core decides: time-stamped events in, actions out. It reads no clock, opens no port, awaits nothing."""

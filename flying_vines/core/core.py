@@ -84,7 +84,7 @@ from flying_vines.vine.intent import (
 from flying_vines.vine.motion import Motion
 
 TICK_S = 0.02
-"""Period of `Tick`. Each setpoint is the one at the end of its period."""
+"""Period of `Tick`. Each tick sends the setpoint for the end of its period."""
 
 LISTEN_FIRST_S = 1.5
 """We wait this long for an autopilot before we send anything."""
@@ -93,7 +93,7 @@ CYCLES_EVERY_S = 2.0
 """Interval of the predictions of cycles left. A prediction takes milliseconds of the loop's time."""
 
 KEEP_EVERY_S = 10.0
-"""Minimum interval between two writes to disk of what was learned about the air."""
+"""Minimum interval between two writes of the learned air to disk."""
 
 NO_AIR_NEEDED = AirNeeded(0.0, 0.0)
 """For an actuator without a reservoir."""
@@ -113,7 +113,8 @@ _BY_PILOT_OR_SAFETY = {"switch", "failsafe", "link"}
 """Triggers of the pilot's own switch and of safety. All others come from another person or the mission."""
 
 PAGE_COMMANDS = ("clear_faults", "arm", "start_bench")
-"""The page may send these without bench mode, besides vents. Bench mode itself needs a disarmed vehicle."""
+"""The page may send these commands without bench mode, and always all commands that only deflate the vine.
+While the vehicle is armed, `start_bench` is refused."""
 
 _SENSOR_TEXTS = {
     "cv_kPa": "vine sensor reads",
@@ -128,10 +129,10 @@ _RESPONSE_TEXTS = {
     "venting": "outlet commanded open",
     "regulates": "vent commanded",
 }
-"""For these faults the core cannot see whether the vine is vented. The text says what the core did."""
+"""For these faults the core cannot see whether the vine is vented. So the text says what is done."""
 
 _BOARD_FAULTS = ("serial", "telemetry", "firmware_fault", "refused_by_firmware")
-"""A board restart causes these too. So a series of restarts shows each of their texts only once."""
+"""A board restart also causes these faults. So each of their texts is shown once in a series of restarts."""
 
 
 class Core:
@@ -161,14 +162,14 @@ class Core:
         self._firmware_problem = "not connected"
         self._safety = Safety(config, stored.latched)
         self._kept_latched = set(stored.latched)
-        """The latched faults at the last storage."""
+        """The latched faults that were stored last."""
         self._prior = prior or nominal(config.pneumatics)
         self._reader = TelemetryReader(self._prior)
         self._features: Features | None = None
         known, self._learned_problem = learned_from(stored.learned, self._prior)
         self._reservoir = ReservoirEstimate(self._prior, known)
         self._kept_cycles = self._reservoir.measured_cycles
-        """The number of measured cycles at the last storage; NaN if an event has changed what was learned."""
+        """The number of measured cycles that was stored last; NaN after an event: then it is stored again."""
         self._kept_at = -math.inf
         self._has_reservoir = config.firmware.is_phlosar
         self._actuator = config.firmware.name
@@ -195,7 +196,7 @@ class Core:
         self._stopped = False
         self._parts = IsolatedParts(self._on_failed)
         self.internal_error = False
-        """A part that the vine needs has failed: it stays vented until a person restarts the service."""
+        """A needed part has failed: the vine stays vented until a person restarts the service."""
         self._actions: list[Action] = []
 
     @property
@@ -321,7 +322,7 @@ class Core:
 
     def _restarted(self, t: float, reason: str) -> None:
         if self._restart_noted:
-            return  # telemetry's clock has already shown this restart; this is its new boot id
+            return  # the board's clock in telemetry has already shown this restart; now comes its new boot id
         self._restart_noted = True
         self._firmware_problem = "restarted"
         self._mode_mismatch = None
@@ -680,7 +681,7 @@ class Core:
             self._notice(t, Severity.NOTICE, f"waiting for: {waiting.awaited}")
 
     def _note_rc_use(self, t: float) -> None:
-        """Note if RC is in use. A loss of RC counts only while it is."""
+        """Note if RC is in use. A loss of RC counts only while RC is in use."""
         armed = self._vehicle.state.armed
         if self._vehicle.rc.problem(t) is None:
             self._rc_in_use |= armed or self._on_bench or self.config.interlocks.bench_mode
@@ -805,7 +806,7 @@ class Core:
                 self._notice(t, Severity.NOTICE, event)
 
     def _keep_learned(self, t: float) -> None:
-        """Store what was learned after new cycles or an event, but not more often than `KEEP_EVERY_S`."""
+        """Store the learned air after new cycles or an event, but not more often than `KEEP_EVERY_S`."""
         if self._learned_problem:
             self._notice(t, Severity.NOTICE, self._learned_problem)
             self._learned_problem = ""

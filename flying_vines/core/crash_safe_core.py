@@ -35,7 +35,7 @@ from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vine.intent import VentVine as VentIntent
 
 SHUTDOWN_TEXT = f"Vine: {INTERNAL_ERROR}, vented"
-"""The pilot gets it once."""
+"""The text to the pilot. It is sent once, and again when the vehicle's link comes back."""
 SENT_WITHIN_S = 0.5
 """If the core has not sent the text within this time, this class sends it."""
 HEARTBEAT_WITHIN_S = 1.2

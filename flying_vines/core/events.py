@@ -125,7 +125,7 @@ class Decision:
     safety: Literal["accepted", "limited", "refused"]
     reason: str
     setpoint_kPa: float
-    """First target of the new motion (gauge). After a refusal: that of the running motion; 0 without one."""
+    """First target (gauge) of the motion that runs after this decision; 0 if none runs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,11 +163,11 @@ class KeepLearned:
 
 @dataclass(frozen=True, slots=True)
 class KeepLatched:
-    """A fault has latched, or a person has cleared one: store those that are latched now."""
+    """A fault has latched, or a person has cleared one: store the faults that are latched now."""
 
     t: float
     faults: dict[str, str]
-    """A sentence for each, by name."""
+    """A sentence for each fault, by the fault's name."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ class IsolatedParts:
         self._off: set[str] = set()
 
     def run(self, t: float, name: str, part: Callable[[], _T], otherwise: _T, needed: bool = False) -> _T:
-        """Returns the result of `part`, or `otherwise` if the part is off.
+        """Returns the result of `part`, or `otherwise` if the part fails or is off.
 
         `needed`: without this part the vine must not bend.
         """

@@ -1,4 +1,4 @@
-"""Which bend is still requested while nothing moves, because only a fresh request may move the vine.
+"""The bend that is requested but not carried out, because only a fresh request may move the vine.
 
 The switch requests a bend as long as it is in a bending position. A command, a mission item, the page or MQTT
 requests a bend once. If the vine was then vented without a request (a failsafe, the end of bench mode), this
@@ -35,7 +35,7 @@ class PendingBendTracker:
         """The switch position whose profile ran to its end, so that the switch requests nothing more."""
 
     def began(self, kind: str) -> None:
-        """A motion began by a trigger of this kind."""
+        """A trigger of this kind began a motion."""
         self._asker, self._stopped_by, self._done_at = kind, "", None
 
     def ended(self, name: str, position: int | None) -> None:

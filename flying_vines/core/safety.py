@@ -89,7 +89,7 @@ class Ruling:
 
 @dataclass(frozen=True, slots=True)
 class ResponseNeeded:
-    """A loss, fault or limit began, and the vine's response."""
+    """A loss or fault began, or a limit was crossed: vent or hold the vine."""
 
     name: str
     reason: str
@@ -319,7 +319,7 @@ class Safety:
     def _deaf(self, now: SafetyInputs) -> str | None:
         """The board stays in VENT after a setpoint, because the wire to the board is broken.
 
-        A vented board has no running dead-man timer and still sends telemetry. Only its mode shows the break.
+        A board in VENT runs no dead-man timer and still sends telemetry. Only its mode shows the break.
         """
         mismatch = now.mode_mismatch_s > MODE_FOLLOWS_WITHIN_S
         return f"{self._actuator} gets no commands" if mismatch else None

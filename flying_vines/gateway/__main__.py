@@ -61,7 +61,7 @@ async def serve(service: socket.socket) -> None:
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-# Imported only if the configuration needs it. If one import fails, the other part still runs.
+# Each part is imported only if the configuration needs it. If one import fails, the other part still runs.
 
 
 async def _page(feed: Feed) -> str:
@@ -79,7 +79,7 @@ async def _mqtt(feed: Feed) -> str:
 
 
 async def _beat(send: Callable[[FromGateway], None]) -> None:
-    # Let the imports finish first: they block the loop, and the service waits longer for the first Alive.
+    # Imports block the loop: let them finish first. The service waits longer for the first `Alive`.
     await asyncio.sleep(0.0)
     await asyncio.sleep(0.0)
     while True:

@@ -1,4 +1,4 @@
-"""The service's state and events for page and MQTT client, and their way to send commands. No socket."""
+"""Gives page and MQTT client the service's state and events, and sends their commands. It uses no socket."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ STORED_EVENTS = 500
 MAX_UNREAD = 200
 """Maximum unread events of one reader. Above this it loses the oldest."""
 ANSWERED_WITHIN_S = ACTS_WITHIN_S + 0.2
-"""After this time the service no longer executes the command."""
+"""After this time the service carries out only a request that deflates the vine."""
 
 
 class NoAnswerError(Exception):
-    """The service does not answer. It is unknown whether it executed the command."""
+    """The service does not answer. It is unknown whether the command was carried out."""
 
 
 class FeedReader:

@@ -154,7 +154,10 @@ class Gateway(Watcher):
         return "it closed its socket"
 
     async def _listen(self, ours: socket.socket) -> str:
-        """Reads until the gateway closes its end, or until an invalid message, whose error it returns."""
+        """Reads until the gateway closes its end or sends an invalid message.
+
+        Returns the error of an invalid message; otherwise an empty text.
+        """
         loop = asyncio.get_running_loop()
         try:
             while data := await loop.sock_recv(ours, MAX_PACKET):

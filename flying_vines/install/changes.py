@@ -85,7 +85,7 @@ def remove_empty(folder: Path) -> None:
 def _installed(file: File, path: Path) -> FileChange:
     if not path.exists():
         return FileChange(path, How.NEW, after=file.text)
-    if file.of_people:
+    if file.keep_existing:
         return FileChange(path, How.UNCHANGED, why="an existing configuration stays")
     before = _read(path)
     if before == file.text:

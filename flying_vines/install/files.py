@@ -35,11 +35,11 @@ _PLAIN_SERIAL_NUMBER = re.compile(r"[\w.-]+", re.ASCII)
 
 @dataclass(frozen=True, slots=True)
 class File:
-    """A file to install. `of_people`: an existing file is not changed."""
+    """A file to install. `keep_existing`: an existing file is not changed."""
 
     path: Path
     text: str
-    of_people: bool = False
+    keep_existing: bool = False
 
 
 def unit(command: Iterable[str], user: str, config_file: Path, read: Iterable[Path], write: Path) -> File:
@@ -75,7 +75,9 @@ def users() -> File:
 def built_in_configuration() -> File:
     """The built-in configuration, with the port that the udev rule names."""
     text = with_value(configuration.default_text(), "firmware", "link", value_text(PORT))
-    return File(CONFIGURATION, with_value(text, "state", "folder", value_text(str(STATE))), of_people=True)
+    return File(
+        CONFIGURATION, with_value(text, "state", "folder", value_text(str(STATE))), keep_existing=True
+    )
 
 
 def _filled(path: Path, **values: str) -> File:

@@ -76,7 +76,7 @@ class Folders:
     """Writes one folder after another, in the recorder's thread."""
 
     def __init__(self, parent: Path, began: FlightStart, least_free_MB: float, t: float) -> None:
-        """`t` is now. Writes the first folder and the start of its log to the disk."""
+        """Writes the first folder and the start of its log to the disk. `t`: the present time."""
         self._parent = parent
         self._began = began
         self._least_free_MB = least_free_MB

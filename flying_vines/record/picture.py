@@ -29,7 +29,7 @@ DPI = 200
 MAX_POINTS = 20_000
 """Points of a curve: more than a picture shows, and few enough for a vector file."""
 DRAWN_LENGTH_M, DRAWN_DIAMETER_M = 0.315, 0.05
-"""A log does not have the vine's length. It is drawn as the example `pouch` of `flying-vines vine`."""
+"""A log does not have the vine's size. So the size of the example `pouch` of `flying-vines vine` is drawn."""
 DRAWN_WIDTH = 0.085
 """Width of a drawn vine, as a share of the picture."""
 MIN_CHANGE_DEG = 3.0

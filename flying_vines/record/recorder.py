@@ -32,7 +32,7 @@ class Recorder(Watcher):
     def __init__(
         self, parent: Path, began: FlightStart, least_free_MB: float = 0.0, t: float | None = None
     ) -> None:
-        """`t` is now by the service's clock; default: asyncio's clock.
+        """`t`: the present time by the service's clock; default: the monotonic clock.
 
         Raises `OSError` if `parent` cannot be written.
         """

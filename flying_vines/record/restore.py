@@ -68,7 +68,7 @@ def event_of(entry: LogEntry) -> Event:
 
 
 def restored(kind: type[T], values: Mapping[str, Any]) -> T:
-    """A dataclass from its fields; a missing field is unknown."""
+    """A dataclass from its fields; a missing field becomes NaN (float) or None."""
     return kind(**{
         name: hint(values[name]) if name in values and _is_enum(hint) else values.get(name, unknown)
         for name, (hint, unknown) in _hints(kind).items()  # type: ignore[arg-type]  # mypy: a type is hashable

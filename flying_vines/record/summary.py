@@ -30,7 +30,7 @@ class Summary:
     size_MB: float
     """Total size of the files in the folder."""
     lost: int
-    """The number of damaged messages."""
+    """The number of missing messages."""
     damage: str
     """A sentence; empty for a complete log. A log that is still being written is incomplete."""
 

@@ -142,7 +142,7 @@ _STATES: dict[type, str] = {
     KeepLearned: "learned",
     KeepLatched: "latched",
 }
-"""Neither inputs of the core nor compared in a replay."""
+"""Neither inputs of the core, nor outputs that a replay compares."""
 MAVLINK_IN, MAVLINK_OUT = "mavlink/in", "mavlink/out"
 
 
@@ -177,7 +177,7 @@ ANSWER_TOPICS = frozenset({
     MAVLINK_OUT, *_ANSWERS.values(),
     *(_SERIAL[kind] for kind in get_args(protocol.HostMessage)),
 })  # fmt: skip
-"""Outputs of the core."""
+"""Outputs of the core that a replay compares."""
 START, SNAPSHOT = _STATES[Start], _STATES[Snapshot]
 DECISION, NOTICE = _ANSWERS[Decision], _ANSWERS[Notice]
 TELEMETRY = _SERIAL[protocol.Telemetry]

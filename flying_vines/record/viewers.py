@@ -1,4 +1,4 @@
-"""A flight for Foxglove and PlotJuggler: what their layouts plot, the texts and the position.
+"""A flight for Foxglove and PlotJuggler: the values that their layouts plot, the texts and the position.
 
 Schemas: https://docs.foxglove.dev/docs/sdk/schemas/log and .../location-fix. A layout names topics and
 fields, so the export and its layouts belong together.

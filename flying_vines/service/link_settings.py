@@ -12,7 +12,7 @@ from flying_vines.config.address import Address
 from flying_vines.service.link_watch import LinkWatch
 
 ANSWERS_WITHIN_S = 5.0
-"""Time for a board to start or return, for two Hellos, and for the text about a silent port."""
+"""Time for a board to start or restart, for two Hellos, and for the text about a silent port."""
 
 
 class SettingsError(Exception):

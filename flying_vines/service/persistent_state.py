@@ -21,12 +21,12 @@ from flying_vines.vehicle.mavlink.signing_key import TimestampFile, read_key
 
 DISARMED = """\
 The pneumatics were disarmed: the vine does not bend while this file exists.
-Arm them from a ground station (command USER_4, 3), or delete the file and restart the service.
+Arm them from a ground station (command USER_4 with param1 = 3), or delete the file and restart the service.
 """
 
 
 UNREADABLE = {"last_run": "the latched faults of the last run cannot be read"}
-"""Latched if the stored faults cannot be read. A person who clears it clears them all."""
+"""Latched if the stored faults cannot be read. Clearing this fault clears all stored faults."""
 
 
 class PersistentStateError(Exception):
@@ -50,7 +50,7 @@ class PersistentState:
 
     @classmethod
     def of(cls, config_file: Path, config: Config) -> PersistentState:
-        """The files in `state.folder`, which is relative to the file's folder; default: that folder."""
+        """The files in `state.folder`, relative to the configuration file's folder, which is the default."""
         folder = config_file.parent / config.state.folder
         token_file = config.page.token_file
         stem = config_file.name.removesuffix(".toml")
@@ -90,7 +90,7 @@ class PersistentState:
             raise PersistentStateError(f"{self.disarming}: cannot be {change}: {error.strerror}") from None
 
     def read_learned(self) -> str:
-        """The text; empty if there is none, or if it cannot be read: then it is learned again."""
+        """The stored text. Empty if there is none or it cannot be read: then the air is learned again."""
         try:
             return self.learned.read_text(encoding="utf-8", errors="replace")
         except OSError:
@@ -127,7 +127,7 @@ class PersistentState:
         return page_token.read_or_make(self.page_token) if config.page.needs_token else ""
 
     def read_signing(self, config: Config) -> tuple[Signing | None, str]:
-        """The configured signing, and a sentence if its clock was not stored. Raises `SigningKeyError`."""
+        """The configured signing, and a sentence if its stored clock is damaged. Raises `SigningKeyError`."""
         if not config.vehicle.signing_key:
             return None, ""
         key = read_key(self.config_file.parent / config.vehicle.signing_key)

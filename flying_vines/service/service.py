@@ -126,7 +126,10 @@ class Service:
         self._feed(Said(self.now, severity, text))
 
     def failed(self, part: str, error: BaseException, needed: bool = False) -> None:
-        """Report a part's failure once, because it may fail at every tick. `needed`: to move the vine."""
+        """Report a part's failure once, because it may fail at every tick.
+
+        `needed`: the vine must not bend without this part.
+        """
         if part not in self._failed:
             self._failed.add(part)
             self._feed(Failed.by(self.now, part, error, needed))
@@ -303,7 +306,7 @@ class Service:
         sender = unread_from(self._vehicle)
         if sender and not self._unread_reported:
             self._unread_reported = True
-            self.say(Severity.WARNING, f"not read: {sender} is not vehicle.link's peer")
+            self.say(Severity.WARNING, f"ignored {sender}: it is not vehicle.link's peer")
 
     def _report_silence(self, t: float) -> None:
         """Report an open port without answer: it may belong to another device, or the board does not run."""
@@ -367,7 +370,7 @@ class Service:
             case KeepDisarmed(_, disarmed) if self._persistent is not None:
                 self._store("disarming", partial(self._persistent.store_disarmed, disarmed))
             case KeepLearned(_, text) if self._persistent is not None:
-                self._store("learned", partial(self._persistent.store_learned, text))
+                self._store("learned air", partial(self._persistent.store_learned, text))
             case KeepLatched(_, faults) if self._persistent is not None:
                 self._store("latched faults", partial(self._persistent.store_latched, faults))
 

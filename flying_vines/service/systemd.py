@@ -1,4 +1,4 @@
-"""Notifies systemd: the service is ready, its loop runs, its status, it stops.
+"""Sends systemd's notifications: the service is ready, its loop runs, its status, and that it stops.
 
 The service's loop sends the notifications at its ticks. If it hangs, systemd's watchdog restarts the service.
 Nothing is sent if systemd did not start the service.

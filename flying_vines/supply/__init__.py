@@ -1,6 +1,6 @@
 """The air left and the cycles that it is enough for: learned from telemetry, with an interval.
 
-`rig_prior` has the prior of a rig, `rig_file_prior` that from a rig file. `telemetry_features` reads
+`rig_prior` has the prior of a rig, `rig_file_prior` the prior from a rig file. `telemetry_features` reads
 telemetry once. `reservoir_filter` models air and heat. `air_use` detects inflations. `min_supply` computes
 the pressure that they need. `cycles_left` combines these. `reported_cycles` makes the numbers that people
 see.

@@ -1,6 +1,6 @@
-"""Finds in telemetry what used air, when the reservoir's pressure can be read, and each inflation.
+"""Finds in telemetry the uses of air, the times when the reservoir can be read, and each inflation.
 
-Pouch: the bending pouch of the actuator.
+CV: control volume, the vine. Pouch: the bending pouch of the actuator.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ CV_TURN_KPA = 1.5
 RESTED_S = 0.5
 """A control volume that was vented for this time is at ambient. Its reading is the sensor's zero."""
 FLAT_KPA = 0.8
-"""A pouch may be flat if its reading is nearer to its zero than this."""
+"""A pouch may be flat if the reading is nearer to the sensor's zero than this."""
 NEAR_KPA = 1.0
 WORKING_OPENING = 0.6
 CALM_S = 0.1
@@ -40,12 +40,12 @@ MAX_TRACE = 20_000
 
 
 def tolerance_kPa(swing_kPa: float) -> float:
-    """An inflation has reached its top if it is nearer than this."""
+    """An inflation has reached its top if the CV is nearer to the top than this."""
     return max(1.5, 0.1 * swing_kPa)
 
 
 def driving_kPa(law: Opening, supply_kPa_abs: float, downstream_kPa_abs: float) -> float:
-    """Effective driving pressure: inward flow at ambient temperature = conductance × this."""
+    """The driving pressure of a valve: its flow at ambient temperature, divided by its conductance."""
     if downstream_kPa_abs >= supply_kPa_abs:
         return 0.0
     if law.ohmic:
@@ -169,7 +169,10 @@ class AirUse:
         self._all_calm = True
 
     def _judge_calm(self, dt: float, telemetry: Telemetry) -> None:
-        """Calm: valves at rest and no rise commanded, so reservoir reading and counted air agree."""
+        """Calm: Venturi off, inflation valve open by at most `WORKING_OPENING`, and no rise commanded.
+
+        Then the reservoir's reading and the counted air agree.
+        """
         setpoint = telemetry.setpoint_kPa
         busy = (
             telemetry.dvp_opening > 0.0

@@ -59,7 +59,7 @@ VENTURI_TREND = 0.3
 """Growth of the Venturi's time as its supply falls. 0: constant time. 1: constant air per cycle."""
 VENTURI_TREND_SD = 0.35
 RHYTHM_SD = 0.25
-"""Relative standard deviation of the time of a cycle: with a leak, it matters."""
+"""Relative standard deviation of the time of a cycle. It matters if there is a leak."""
 MEMORY_CYCLES = 15.0
 """Averaging length over flown cycles."""
 PRIOR_CYCLES = 0.05
@@ -89,7 +89,7 @@ class CyclesLeft:
     floor_kPa: float
     """The expected gauge pressure of the reservoir below which cycles are not completed in time."""
     bend_kPa: float
-    """The swing of the last bend; before the first bend, that of a cycle of `[pneumatics]`."""
+    """The swing of the last bend; before the first bend, the swing of a cycle of `[pneumatics]`."""
     per_cycle: float
     """The number of bends like the last one, in the present rhythm, that take the air of one cycle."""
     minutes: float
@@ -223,9 +223,9 @@ class ReservoirEstimate:
         self.measured_cycles = 0.0
         """The number of flown cycles from which the cost was learned."""
         self.basis: Basis | None = None
-        """That of the latest prediction."""
+        """The basis of the latest prediction."""
         self._cycle_kPa = math.nan
-        """The cost of one cycle after the last block; NaN before. It is ready when a decision needs it."""
+        """The cost of one cycle after the last block, computed before a decision needs it; NaN at first."""
         if learned:
             self._demand.ln, self._demand.variance = learned.demand_ln, learned.demand_variance
             self._mix.sums = learned.mix

@@ -1,7 +1,7 @@
-"""The file of what was learned about a rig, for the next run.
+"""The file with the learned air and leaks of a rig, for the next run.
 
-It is used only with exactly the same prior. With another rig, a changed rig file or another version of the
-program, everything is learned again.
+It is used only with exactly the same prior. With another rig, a changed rig file, or a version of the program
+that computes another prior, everything is learned again.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """The minimum supply pressure with which an inflation is completed in its profile's time.
 
 A fully open, choked valve passes C p, with the absolute supply p; an unchoked one C p φ (ISO 6358). So an
-inflation needs a product of pressure and time, D = ∫ p φ u dt, which is the same at every supply. For a valve
-by Ohm's law, p φ is the pressure drop. D is proportional to the air, D = κ · air. The prior of κ comes from
-the valve's rating. κ is learned from the openings of the valve over time. At the minimum supply the control
-volume just gets near the top before the setpoint falls; the regulator opens the valve in proportion to the
-error.
+inflation needs a product of pressure and time, D = ∫ p φ u dt, with the effective opening u. D is the same at
+every supply. For a valve by Ohm's law, p φ is the pressure drop. D is proportional to the air, D = κ · air.
+The prior of κ comes from the valve's rating. κ is learned from the openings of the valve over time. At the
+minimum supply the control volume just gets near the top before the setpoint falls; the regulator opens the
+valve in proportion to the error.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def min_supply_kPa(
 
 
 def fillable(prior: RigPrior, inflation: ObservedInflation, demand_kPa_s: float) -> bool:
-    """True if there was time for this inflation with some supply."""
+    """True if a supply of at most `MAX_KPA` completes this inflation in its time."""
     return _filled(prior, inflation, demand_kPa_s, MAX_KPA)
 
 

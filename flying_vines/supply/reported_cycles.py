@@ -92,7 +92,7 @@ class ReportedCycles:
         self._x_kPa = math.nan
 
     def _is_reported(self, t: float, new: CyclesLeft) -> bool:
-        """True for the first of several jumps, and for one that moved the number out of its interval."""
+        """True for the first of several jumps, and for a jump that moved the number out of its interval."""
         settled = t - self._jump_at > SETTLED_S
         self._jump_at = t
         before = self.left

@@ -40,7 +40,7 @@ NO_LEAK_PER_S = 1e-4
 ZERO_SD_KPA = 3.0
 """Standard deviation of the reservoir sensor's zero and of the ambient pressure."""
 MIN_KPA = 1.0
-"""Minimum top pressure of a cycle, with any error of the control volume's sensor."""
+"""Lower bound of the pressures that are computed with the error of the control volume's sensor."""
 PARTLY_OPEN_SD = 0.2
 VENTURI_STARTS_KPA = 3.0
 """The firmware starts the Venturi if the control volume is this far above its setpoint."""
@@ -171,7 +171,8 @@ def _air_SL_per_kPa(p: PneumaticsConfig, plant: Plant, top_kPa: float) -> float:
     """Air per kPa that fills the control volume and its tube; for a pouch, once it is not flat.
 
     A volume V at p_a becomes V (1 + k P) at P + p_a. It takes less air if the gas is still warm at the end of
-    the inflation: with p_a (θ − 1) = e and a rise of P over T, γ de/dt = (γ − 1) P/T − e/τ.
+    the inflation. For a rise of P in the time T, with e = p_a (θ − 1) and the gas temperature θ relative to
+    ambient: γ de/dt = (γ − 1) P/T − e/τ.
     """
     volume_L = p.cv_volume_L * (1.0 + plant.shape.per_kPa * (AMBIENT_KPA + top_kPa))
     rise_s = p.cycle_swing_kPa / p.cycle_rate_kPa_per_s

@@ -95,7 +95,7 @@ class RigPrior:
 
 
 def conductance_SL_per_s_kPa(flow_resistance_kPa_s_per_SL: float, at_kPa: float) -> float:
-    """Conductance (per absolute kPa) of a choked valve whose flow at gauge `at_kPa` is that of Ohm's law."""
+    """Conductance (per absolute kPa) of a choked valve that has the flow of Ohm's law at gauge `at_kPa`."""
     return at_kPa / flow_resistance_kPa_s_per_SL / (at_kPa + AMBIENT_KPA)
 
 

@@ -32,7 +32,7 @@ Continuity = Literal["none", "broken", "gap", "follows"]
 
 
 class Features(NamedTuple):
-    """One telemetry message, and features of it and the messages before. Gauge kPa.
+    """One telemetry message, and features of this message and those before it. Gauge kPa.
 
     The checks use the board's clock, because messages may arrive in bursts.
     """

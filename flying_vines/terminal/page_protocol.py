@@ -15,7 +15,7 @@ from flying_vines.vehicle.notice import Notice
 
 VENT_AGAIN_S = 0.5
 LATE_S = 2.0
-"""Messages come every second. After this time without one, the link counts as lost."""
+"""A message comes at least once a second. After this time without one, the link counts as lost."""
 
 _ACTIONS: dict[str, type[Decision] | type[Notice]] = {"decision": Decision, "notice": Notice}
 _NUMBERS = [field.name for field in fields(Snapshot) if field.type == "float"]

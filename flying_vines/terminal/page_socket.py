@@ -99,7 +99,7 @@ def _why(status: int) -> str:
     """The problem for an HTTP status. Raises `NotAdmittedError` if a retry cannot help."""
     if status == 401:
         raise NotAdmittedError(
-            "it needs its token: --token-file FILE ([page] token_file of its configuration)"
+            "the page needs a token: give --token-file FILE (`run` shows the token, or its file)"
         )
     if status in (403, 404, 421):
         raise NotAdmittedError("not a Flying Vines page, or a host name that it refuses: give its IP address")

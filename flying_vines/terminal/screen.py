@@ -29,7 +29,7 @@ from flying_vines.vehicle.notice import Notice, Severity
 VERDICT_STYLE = {"accepted": "green", "limited": "yellow", "refused": "red"}
 SEVERITY_STYLE = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.NOTICE: "cyan"}
 UNASKED = ("failsafe", "link")
-"""Triggers that nobody asked for: their decisions are not green, which is the colour of accepted requests."""
+"""Triggers that nobody requested: their decisions are not green, the colour of accepted requests."""
 BAR_WIDTH = 24
 FRAME = 2
 """Lines of the panel's frame."""

@@ -20,8 +20,8 @@ class BendCurve:
     (a dead zone), the angle maps to the lowest of them. The pairs are those of an inflation; during a
     deflation each angle has a pressure lower by `hysteresis_kPa`.
 
-    Raises `ValueError` with a sentence if there are fewer than two pairs, if they do not rise, or if
-    the hysteresis is not narrower than the curve.
+    Raises `ValueError` with a sentence if there are fewer than two pairs, if the pressures do not rise, if
+    an angle falls, or if the hysteresis is not narrower than the curve.
     """
 
     def __init__(self, pairs: Sequence[tuple[float, float]], hysteresis_kPa: float = 0.0) -> None:

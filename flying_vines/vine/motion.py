@@ -78,7 +78,7 @@ def plan(
 
     A sine that is too fast for the rate limit is slowed down. A value above `max_kPa` is clipped to it.
     With hysteresis an angle has one pressure for inflation and one for deflation. The present bend `bent_kPa`
-    selects which (see `BendCurve.bent_kPa`). Its default is the bend of `start_kPa` during inflation.
+    selects one of them (see `BendCurve.bent_kPa`). Its default is the bend of `start_kPa` during inflation.
     """
     bent = start_kPa if bent_kPa is None else bent_kPa
 

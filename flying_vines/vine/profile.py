@@ -11,7 +11,7 @@ from flying_vines.vine.curve import BendCurve
 MAX_NESTING = 8
 MAX_PIECES = 10_000
 MAX_VALUE = 1e6
-"""Upper limit of every duration and count. Above it the arithmetic over time loses precision."""
+"""Upper limit of durations, counts, frequencies and rates. Above it arithmetic over time loses precision."""
 
 
 class _Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):

@@ -158,7 +158,7 @@ class Connection:
         )
 
     async def _greet(self, client: _Client) -> None:
-        # Subscribe first: a reader of the permitted requests may send one at once.
+        # Subscribe first: a client that reads `about` may send a request at once.
         if self._mqtt.commands:
             await client.subscribe(self._topics.ask, qos=1)
         for publication in self._publisher.greeting(self._now):

@@ -1,4 +1,4 @@
-"""State of the broker connection: reports for the crew, and the wait before the next try. No clock."""
+"""State of the broker connection: reports for the crew, and the wait before a new try. It reads no clock."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ FIRST_WAIT_S, MAX_WAIT_S = 1.0, 60.0
 FIRST_WAIT_REFUSED_S, MAX_WAIT_REFUSED_S = 15.0, 300.0
 """Longer waits, because a person must change something first."""
 REPORT_AFTER_S = 5.0
-"""Shorter interruptions are not reported; they lose no data."""
+"""Shorter interruptions are not reported; they lose no events."""
 STABLE_S = 3.0
 """A connection that has lasted this long is stable."""
 SHORT_LIVED = 3

@@ -51,7 +51,7 @@ class AboutPayload(_Payload, frozen=True, kw_only=True):
     flying_vines: str
     """The version of the software."""
     run: str
-    """Id of this start of the sender; each starts a new numbering of events."""
+    """Id of this start of the sender. Each start begins a new numbering of events."""
     profiles: tuple[str, ...]
     limits: LimitsPayload
     commands: tuple[CommandName, ...]

@@ -1,4 +1,4 @@
-"""Decides what is published, and when. Events are stored until the broker has them. No clock."""
+"""Decides what is published, and when. Events are stored until the broker has them. It reads no clock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checks requests from the broker: permitted by the configuration, recent, and not repeated. No clock."""
+"""Checks that requests from the broker are permitted, recent and not repeated. It reads no clock."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class RequestQueue:
         return [refused(now, earlier, "overtaken by a vent") for earlier in overtaken]
 
     def _read(self, now: Now, payload: bytes, retained: bool) -> tuple[RequestPayload | None, str]:
-        """The request, or None if it cannot be read, and why it is refused, or an empty text."""
+        """The request (None if it cannot be read), and why it is refused (empty if it is not)."""
         if len(payload) > MAX_REQUEST_LENGTH:
             return None, f"longer than {MAX_REQUEST_LENGTH} bytes"
         try:

@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 K = TypeVar("K")
 
 MAX_NEW = 128
-"""Connections that have not opened the page's socket."""
+"""Maximum number of connections that have not opened the page's socket."""
 MAX_VIEWERS = 64
 MAX_PILOTS = 16
 """Maximum number of holders of the full token. Viewers do not take these places."""

@@ -11,7 +11,7 @@ from flying_vines.gateway.messages import SnapshotMessage
 
 HISTORY_S = 120.0
 EVERY_S = 0.19
-"""Takes every second one of ten snapshots per second."""
+"""Takes every other snapshot: there are ten a second."""
 
 
 class Sample(NamedTuple):

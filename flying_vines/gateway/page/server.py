@@ -35,11 +35,11 @@ KEEP_ALIVE_S = 5.0
 CLOSING_S = 0.2
 HEARTBEAT_S = 10.0
 MAX_BACKLOG = 1024
-"""Connections that the system has accepted and we have not."""
+"""Maximum number of connections that the system has accepted and we have not."""
 ACCEPT_RETRY_S = 1.0
 """Wait if the process has no free file descriptor."""
 SEND_BUFFER = 32 * 1024
-"""Bytes, in the system and again in this process. Small, because buffered data reaches a slow viewer late."""
+"""Size of the system's buffer and of ours, bytes. Small: buffered data reaches a slow viewer late."""
 A_YEAR_S = 365 * 24 * 3600
 
 FILES = {
@@ -239,7 +239,7 @@ _REFUSAL = """\
 _FORM = """\
 <form><p><label>Token <input name="token" autocomplete="off" autocapitalize="none" autofocus></label>
 <button>Open</button></form>
-<p>The drone's terminal shows the token. It is also in the file [page] token_file of its configuration."""
+<p>The service on the drone prints the token at its start, or the name of the file that contains it."""
 
 
 def _refusal(refused: Refused) -> Response:

@@ -1,4 +1,4 @@
-"""Serves one browser or terminal: sends all news and reads its requests. It may be slow or hostile."""
+"""Serves one browser or terminal, which may be slow or hostile: sends all news and reads its requests."""
 
 from __future__ import annotations
 

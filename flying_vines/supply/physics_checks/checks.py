@@ -114,7 +114,7 @@ class PhysicsChecks:
 
 
 def own_checks(prior: RigPrior, config: ChecksConfig) -> dict[str, PhysicsChecks]:
-    """Each check of an installed package in the configuration, alone, so that its errors stop no other.
+    """The configured checks of installed packages, each by itself: an error in one stops no other.
 
     Raises `PluginError`.
     """

@@ -33,7 +33,7 @@ class Expected:
 
     vine_min_L: float
     vine_max_L: float
-    bottle_L: float
+    reservoir_L: float
     full_kPa: float
     evp_law: Opening
     """As rated."""
@@ -57,13 +57,13 @@ class Expected:
         venturi = self.dvp_SL_per_s_kPa * _max_effective(now.max_dvp)
         return now.device_dt_s * (MAX_FLOW * supply_kPa * (inflation + venturi))
 
-    def open_evp_SL_per_s(self, bottle_kPa: float) -> float:
+    def open_evp_SL_per_s(self, reservoir_kPa: float) -> float:
         """Rated flow through the fully open inflation valve."""
-        return self.evp_law.conductance_SL_per_s_kPa * (AMBIENT_KPA + bottle_kPa)
+        return self.evp_law.conductance_SL_per_s_kPa * (AMBIENT_KPA + reservoir_kPa)
 
-    def bottle_fall_kPa(self, air_SL: float) -> float:
+    def reservoir_fall_kPa(self, air_SL: float) -> float:
         """The fall of the reservoir's pressure after this air has left and the gas is warm again."""
-        return air_SL * ALPHA_KPA / self.bottle_L
+        return air_SL * ALPHA_KPA / self.reservoir_L
 
     def max_air_SL(self, rise_kPa: float) -> float:
         """Maximum air of a vine for a rise, once it is not flat."""
@@ -89,7 +89,7 @@ def expected(prior: RigPrior, checks: ChecksConfig) -> Expected:
     return Expected(
         vine_min_L=p.cv_volume_L / checks.volume_factor,
         vine_max_L=p.cv_volume_L * checks.volume_factor,
-        bottle_L=p.reservoir_volume_L,
+        reservoir_L=p.reservoir_volume_L,
         full_kPa=p.full_kPa,
         evp_law=prior.evp_law.numbers(),
         dvp_SL_per_s_kPa=conductance_SL_per_s_kPa(p.dvp_flow_resistance_kPa_s_per_SL, p.full_kPa),

@@ -13,7 +13,7 @@ GAIN_KPA = 2.0
 BEHIND_KPA = 1.5
 """A vine that is nearer to its setpoint need not rise."""
 LINE_KPA = 4.0
-"""The flow in the tube raises the reading at its near end by this much."""
+"""The sensor is at the tube's near end. The flow in the tube raises its reading by up to this much."""
 OUTLET_SHARE = 0.1
 """Share of the volume that a short opening of the outlet may have let out."""
 MIN_FALL_KPA = 4.0
@@ -40,10 +40,10 @@ class Filling:
         """The vine had pressure and has not been vented since. So the bending pouch is not flat."""
         self._begin(0.0, 0.0)
 
-    def _begin(self, cv_kPa: float, bottle_kPa: float) -> None:
+    def _begin(self, cv_kPa: float, reservoir_kPa: float) -> None:
         self._low_kPa = cv_kPa
         self._air_SL = 0.0
-        self._bottle_kPa = bottle_kPa
+        self._reservoir_kPa = reservoir_kPa
 
     def look(self, now: Features) -> str | None:
         if now.cv_median_kPa > self._flat_kPa:
@@ -63,10 +63,10 @@ class Filling:
         return self._sentence(now) if self._air_SL > enough_SL else None
 
     def _sentence(self, now: Features) -> str:
-        fall_kPa = self._rig.bottle_fall_kPa(self._air_SL)
+        fall_kPa = self._rig.reservoir_fall_kPa(self._air_SL)
         if fall_kPa < MIN_FALL_KPA:
             return "not filling: valve, hose or actuator"
-        if self._bottle_kPa - now.telemetry.reservoir_kPa < 0.3 * fall_kPa:
+        if self._reservoir_kPa - now.telemetry.reservoir_kPa < 0.3 * fall_kPa:
             return "not filling, bottle loses no air: valve"
         return "not filling, air is lost: hose or actuator"
 
@@ -74,8 +74,9 @@ class Filling:
 class StuckVineSensor:
     """Finds a reading that does not change at all while air goes in.
 
-    If a pouch unfolds without pressure, the flow in the tube still changes the reading. Every converter has
-    some noise. Near the setpoint the regulator opens the valve a little, and further while nothing changes.
+    The reading of a good sensor changes. If a pouch unfolds without pressure, the flow in the tube still
+    changes it, and every converter has some noise. Near the setpoint the regulator opens the valve a little,
+    and further while the reading does not change.
     """
 
     def __init__(self, rig: Expected) -> None:

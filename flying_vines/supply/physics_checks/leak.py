@@ -10,7 +10,7 @@ from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.supply.physics_checks.expected import Expected
 from flying_vines.supply.telemetry_features import Features
 
-# Time in which the gas in the filled vine cools, and that in the reservoir warms. It grows with the vine.
+# Time in which the gas in the filled vine cools, and the reservoir's gas warms. A larger vine takes longer.
 SETTLED_S = 2.0
 SETTLED_S_PER_L = 2.0
 WATCHED_S = 4.0
@@ -62,12 +62,12 @@ class VineLeak:
         self._finding: str | None = None
 
     def look(self, now: Features) -> str | None:
-        """The finding, until a hold without a leak."""
+        """The finding. It stays until a hold shows no leak."""
         self._rest.take(now.resting_s, now.device_dt_s, now.telemetry.reservoir_kPa)
         complete = self._hold.take(now.holding_s, now.device_dt_s, now.telemetry.reservoir_kPa)
         held, rested = self._hold.falls_kPa_per_s, self._rest.falls_kPa_per_s
         if complete and held is not None and rested is not None:
-            leak_SL_per_s = (held - rested) * self._rig.bottle_L / ALPHA_KPA
+            leak_SL_per_s = (held - rested) * self._rig.reservoir_L / ALPHA_KPA
             leaks = leak_SL_per_s > MAX_SL_PER_S
             self._finding = f"vine leaks {60.0 * leak_SL_per_s:.1f} SL/min while held" if leaks else None
         return self._finding

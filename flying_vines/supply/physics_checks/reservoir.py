@@ -32,7 +32,7 @@ RESTART_S = 120.0
 
 
 class ReservoirLoss:
-    """Finds air that leaves the reservoir although no valve is commanded open."""
+    """Finds an outflow from the reservoir that is larger than the commanded openings of the valves allow."""
 
     def __init__(self, rig: Expected) -> None:
         self._rig = rig
@@ -64,14 +64,14 @@ class ReservoirLoss:
 
     def _judge(self) -> str | None:
         kPa, outflow_SL = self._blocks[-1]
-        open_kPa_per_s = self._rig.bottle_fall_kPa(self._rig.open_evp_SL_per_s(kPa))
+        open_kPa_per_s = self._rig.reservoir_fall_kPa(self._rig.open_evp_SL_per_s(kPa))
         for blocks in SPANS_BLOCKS:
             if len(self._blocks) <= blocks:
                 continue
             before_kPa, before_SL = self._blocks[-1 - blocks]
             seconds = blocks * BLOCK_S
             # A quick (adiabatic) fall is γ times the isothermal one.
-            expected_kPa = GAMMA * self._rig.bottle_fall_kPa(outflow_SL - before_SL)
+            expected_kPa = GAMMA * self._rig.reservoir_fall_kPa(outflow_SL - before_SL)
             lost_kPa = before_kPa - kPa - expected_kPa
             if lost_kPa > MARGIN_KPA + self._noise_kPa + SHARE_OF_EVP * open_kPa_per_s * seconds:
                 return f"bottle loses {lost_kPa / seconds:.0f} kPa/s too much"
@@ -89,24 +89,26 @@ class ReservoirSensor:
         """Expected fall since the reading last changed."""
         self._begin(0.0)
 
-    def _begin(self, bottle_kPa: float) -> None:
+    def _begin(self, reservoir_kPa: float) -> None:
         self._since_s = 0.0
         self._expected_kPa = 0.0
-        self._first_kPa = self._smooth_kPa = bottle_kPa
+        self._first_kPa = self._smooth_kPa = reservoir_kPa
 
     def look(self, now: Features) -> str | None:
-        bottle_kPa = now.telemetry.reservoir_kPa
+        reservoir_kPa = now.telemetry.reservoir_kPa
         if self._reading_kPa is None:
-            self._begin(bottle_kPa)
+            self._begin(reservoir_kPa)
             self._cv_kPa = self._top_kPa = now.cv_median_kPa
         self._since_s += now.device_dt_s
-        self._smooth_kPa += (bottle_kPa - self._smooth_kPa) * min(1.0, now.device_dt_s / BLOCK_S)
-        expected_kPa = self._rig.bottle_fall_kPa(self._rig.min_air_SL(self._follow_vine(now)))
+        self._smooth_kPa += (reservoir_kPa - self._smooth_kPa) * min(1.0, now.device_dt_s / BLOCK_S)
+        expected_kPa = self._rig.reservoir_fall_kPa(self._rig.min_air_SL(self._follow_vine(now)))
         self._expected_kPa += expected_kPa
-        self._unchanged_kPa = self._unchanged_kPa + expected_kPa if bottle_kPa == self._reading_kPa else 0.0
-        self._reading_kPa = bottle_kPa
+        self._unchanged_kPa = (
+            self._unchanged_kPa + expected_kPa if reservoir_kPa == self._reading_kPa else 0.0
+        )
+        self._reading_kPa = reservoir_kPa
         if self._unchanged_kPa > STUCK_KPA:
-            return f"bottle sensor stuck at {bottle_kPa:.0f} kPa"
+            return f"bottle sensor stuck at {reservoir_kPa:.0f} kPa"
         if self._expected_kPa > BLIND_KPA and self._first_kPa - self._smooth_kPa < 0.2 * self._expected_kPa:
             return "bottle reading stays as vine fills: sensor or kink"
         if self._expected_kPa > BLIND_KPA or self._since_s > RESTART_S:
@@ -122,7 +124,7 @@ class ReservoirSensor:
 
 
 class Hot:
-    """Finds more pressure than in a full reservoir: it is hot, or overfilled."""
+    """Finds a pressure above that of a full reservoir: the reservoir is hot or overfilled."""
 
     def __init__(self, rig: Expected) -> None:
         self._max_kPa = HOT * rig.full_kPa

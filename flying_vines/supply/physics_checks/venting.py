@@ -29,7 +29,7 @@ class VentingCheck:
         self._above_kPa: float | None = None
         self._waited_s = 0.0
         self._venturi = False
-        self._bottle_kPa = 0.0
+        self._reservoir_kPa = 0.0
 
     def look(self, now: Features) -> str | None:
         above_kPa = now.cv_median_kPa - self._rig.zero_kPa
@@ -40,7 +40,7 @@ class VentingCheck:
             self._above_kPa = above_kPa
             self._waited_s = 0.0
             self._venturi = False
-            self._bottle_kPa = now.telemetry.reservoir_kPa
+            self._reservoir_kPa = now.telemetry.reservoir_kPa
         self._waited_s += now.device_dt_s
         # The valves need some time to follow their commands.
         if now.venting_s > 2.0 * VALVE_LAG_S and self._rig.max_outflow_SL(now) > 0.0:
@@ -51,7 +51,7 @@ class VentingCheck:
         if self._venturi:
             return "not venting: outlet, line, valve or sensor"
         open_valve_SL = self._waited_s * self._rig.open_evp_SL_per_s(now.telemetry.reservoir_kPa)
-        fall_kPa = self._rig.bottle_fall_kPa(open_valve_SL)
-        if self._bottle_kPa - now.telemetry.reservoir_kPa > fall_kPa / 3.0:
+        fall_kPa = self._rig.reservoir_fall_kPa(open_valve_SL)
+        if self._reservoir_kPa - now.telemetry.reservoir_kPa > fall_kPa / 3.0:
             return "not venting, valve stuck open: close the bottle"
         return "not venting: outlet, line or sensor"

@@ -25,7 +25,7 @@ UNSTEADY_S = 1.0
 
 # Limits of the mean difference between successive readings: four times that of a good sensor.
 VINE_UNSTEADY_KPA = 1.2
-BOTTLE_UNSTEADY_KPA = 9.0
+RESERVOIR_UNSTEADY_KPA = 9.0
 
 
 class Zero:
@@ -100,21 +100,23 @@ class Unsteady:
 
     def __init__(self) -> None:
         self._before: tuple[float, float] | None = None
-        self._vine_kPa = self._bottle_kPa = 0.0
+        self._vine_kPa = self._reservoir_kPa = 0.0
 
     def look(self, now: Features) -> str | None:
         if max(now.resting_s, now.sealed_s) < SEALED_S or now.device_dt_s > NEIGHBOURS_S:
             self._before = None
             return self._sentence()
         if self._before is not None:
-            vine_kPa, bottle_kPa = self._before
+            vine_kPa, reservoir_kPa = self._before
             share = min(1.0, now.device_dt_s / UNSTEADY_S)
             self._vine_kPa += share * (abs(now.telemetry.cv_kPa - vine_kPa) - self._vine_kPa)
-            self._bottle_kPa += share * (abs(now.telemetry.reservoir_kPa - bottle_kPa) - self._bottle_kPa)
+            self._reservoir_kPa += share * (
+                abs(now.telemetry.reservoir_kPa - reservoir_kPa) - self._reservoir_kPa
+            )
         self._before = now.telemetry.cv_kPa, now.telemetry.reservoir_kPa
         return self._sentence()
 
     def _sentence(self) -> str | None:
         if self._vine_kPa > VINE_UNSTEADY_KPA:
             return "vine sensor unsteady"
-        return "bottle sensor unsteady" if self._bottle_kPa > BOTTLE_UNSTEADY_KPA else None
+        return "bottle sensor unsteady" if self._reservoir_kPa > RESERVOIR_UNSTEADY_KPA else None

@@ -1,6 +1,6 @@
 // The link to the drone: one WebSocket, which reconnects. It knows the age of the received data.
 
-const SILENT_S = 2.0; // a message comes every second, so the link is lost after this time
+const SILENT_S = 2.0; // a message comes at least once a second, so the link is lost after this time
 const OPENS_WITHIN_S = 3.0;
 const FIRST_BACKOFF_S = 0.25;
 const MAX_BACKOFF_S = 4.0;

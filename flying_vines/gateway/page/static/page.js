@@ -1,4 +1,4 @@
-// Shows the drone's data and sends requests. It shows only data from the drone.
+// Shows the drone's data and sends requests. Only the drone's data change the shown state.
 
 import { angleAt, drawChart, drawVine, SHOWN_S } from "./drawing.js";
 import { Link, Vent } from "./link.js";
@@ -37,7 +37,7 @@ function welcome(hello) {
   vine = hello.vine;
   page.toggle("watching", !hello.may_ask);
   $("flights").hidden = !hello.flights;
-  // After a restart of the gateway process, earlier events are still valid.
+  // After a restart of the gateway process, earlier samples are still valid.
   const first = hello.history.length ? hello.history[0][0] : hello.t;
   samples = [...samples.filter(([t]) => t < first), ...hello.history];
   $("events").replaceChildren();
@@ -90,7 +90,7 @@ function write(id, text) {
   if ($(id).textContent !== text) $(id).textContent = text;
 }
 
-// Faults in red; in amber what vented the vine and the request that it waits for; else that nothing is wrong.
+// Red: faults. Amber: what vented the vine, and the request that it waits for. Green: nothing is wrong.
 function writeReasons(reasons, waiting) {
   const lines = reasons.map((reason) => ["bad", sentence(reason)]);
   if (waiting) {
@@ -156,7 +156,7 @@ function look() {
   $("link").title = words;
   if (state !== told) {
     told = state;
-    write("announce", state === "Live" ? "The link is live" : `${state}: what is shown is old`);
+    write("announce", state === "Live" ? "The link is live" : `${state}: the shown data are old`);
     showControls();
   }
   showVent();
@@ -176,7 +176,7 @@ const vent = new Vent(link);
 async function request(title, command, value = null, name = null) {
   say("", `${title}: asking…`);
   const { safety, reason } = await link.ask(command, value, name);
-  const words = safety === "unanswered" ? `${reason}: if it was not done by now, it will not be` : safety;
+  const words = safety === "unanswered" ? `${reason}: it is done already, or it will not be done` : safety;
   say(safety === "accepted" || safety === "limited" ? "good" : "bad",
     `${title}: ${words}${reason && safety !== "unanswered" ? `, ${reason}` : ""}`);
 }
@@ -201,7 +201,7 @@ function showAngle() {
 }
 
 // Two presses within a few seconds, for buttons that must not be pressed by mistake.
-function surely(pressed, question, act) {
+function pressTwice(pressed, question, act) {
   let sure = null;
   const calm = () => {
     clearTimeout(sure);
@@ -222,8 +222,8 @@ function surely(pressed, question, act) {
   };
 }
 
-surely($("clear"), () => "Sure?", () => request("clear faults", "clear_faults"));
-surely(
+pressTwice($("clear"), () => "Sure?", () => request("clear faults", "clear_faults"));
+pressTwice(
   $("armed"),
   () => (latest.pneumatics_armed ? "" : "Sure?"),
   () => (latest.pneumatics_armed ? request("disarm", "disarm") : request("arm", "arm")),

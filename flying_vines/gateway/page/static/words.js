@@ -30,7 +30,7 @@ export function eventWords({ what, fields }) {
   if (what === "decision") {
     const request = [plain(fields.trigger), source(fields.what)].filter(Boolean).join(" ");
     const reason = fields.reason ? ` (${fields.reason})` : "";
-    // A failsafe that vents is not the green of an accepted request.
+    // A vent by a failsafe is not shown in green, the colour of accepted requests.
     const style = UNASKED.includes(fields.trigger) && fields.safety === "accepted" ? "warning" : fields.safety;
     return { text: `${request} → ${fields.intent ?? "?"}: `, verdict: fields.safety, style, reason };
   }
@@ -68,7 +68,7 @@ export function airWords(cycles) {
   if (!cycles) return "Bends left: not known";
   if (cycles.lost) return "0 bends left: air is lost, until you clear the fault";
   const bends = (value) => number(value * cycles.per_cycle, 0);
-  const like = cycles.measured_cycles > 0 ? "like the last, at this pace" : "a guess until you have bent";
+  const like = cycles.measured_cycles > 0 ? "like the last, at this pace" : "a guess until the first bend";
   const least = cycles.minutes_low < LONGEST_MINUTES ? `, at least ${minutes(cycles.minutes_low)}` : "";
   return (
     `${bends(cycles.expected)} bends to ${number(cycles.bend_kPa, 0)} kPa left ` +
