@@ -102,7 +102,8 @@ SUSPECTS = (
 )
 FLOOR = "gain_floor"
 FLOORS = (0.1, 0.15, 0.2, 0.25)
-"""Error of the evaluation, not of the rig: drift and offset in an FFT of few cycles. Squares are added."""
+"""Minimum gains, as an error of the evaluation, not of the rig: drift and offset in an FFT over few cycles.
+Their squares are added to those of the gains."""
 WITH_TUBE = ("compressible_flow", "cv_heating")
 AGAIN = ("evp_restriction", "cv_heating", "tube")
 """Also tested with the other supply pressure of TC5."""

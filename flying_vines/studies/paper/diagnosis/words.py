@@ -33,7 +33,7 @@ def _named(found: Discharges) -> str:
         f"for {stated()['evp.flow'].value:g}. The series alone give {alone[0]:.2f} to {alone[-1]:.2f}, which "
         "is wider than this interval. With each series predicted from the others, the error falls from "
         f"{errors.nrmse_before:.1%} to {errors.nrmse_after:.1%} of the range (by {errors.gain[0]:.0%} to "
-        f"{errors.gain[1]:.0%}). A smaller reservoir does the same: weigh it full of water."
+        f"{errors.gain[1]:.0%}). A smaller reservoir has the same effect: weigh it full of water."
     )
 
 
@@ -44,8 +44,8 @@ def _further(found: Discharges) -> str:
     ]
     left = found.verdict.remainder.share if found.verdict.remainder else 0.0
     return (
-        f"A second cause is open; {left:.0%} of the error remains. All series are steeper at first and "
-        "flatter later than with the best R_v. Errors with a second cause, each series predicted from the "
+        f"Whether there is a second cause stays open; {left:.0%} of the error remains. All series are steeper "
+        "at first and flatter later than with the best R_v. Errors with a second cause, each series predicted from the "
         f"others, and their changes: {'; '.join(second)}. No improvement is sure."
     )
 
