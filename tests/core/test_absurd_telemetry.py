@@ -111,7 +111,7 @@ def test_with_any_other_value_in_a_frame_the_flight_continues_or_the_vine_is_ven
         assert_vented(flight)
 
 
-def test_readings_within_reach_of_a_sensor_never_spoil_an_estimate() -> None:
+def test_possible_readings_never_damage_an_estimate() -> None:
     prior = nominal(config.default().pneumatics)
     for seed in range(8):
         reader, reservoir = TelemetryReader(prior), ReservoirEstimate(prior)

@@ -172,7 +172,7 @@ def test_setpoints_never_jump_beyond_the_rate_limit() -> None:
     assert all(0.0 <= s.target_kPa <= 20.7 and s.rate_kPa_per_s <= 60.0 for s in sent)
 
 
-def test_a_switch_left_up_does_not_fire_at_the_start() -> None:
+def test_a_switch_left_up_bends_nothing_at_the_start() -> None:
     autopilot = FakeAutopilot("ardupilot")
     autopilot.set_rc(9, HIGH)
     flight = SimulatedFlight(config.default(), autopilot)
@@ -310,7 +310,7 @@ def test_an_empty_bottle_vents_refuses_and_is_reported() -> None:
     assert "bottle at" in refused.reason
 
 
-def test_a_valve_that_stays_shut_vents_latches_and_is_cleared_by_a_person() -> None:
+def test_a_valve_that_stays_shut_is_a_latched_fault_that_a_person_clears() -> None:
     flight = airborne()
     flight.phlosar.mishaps.evp = StuckAt(0.0)
     flight.autopilot.set_rc(9, HIGH)

@@ -72,7 +72,7 @@ def test_disarmed_pneumatics_vent_and_do_not_bend_until_a_person_arms_them() -> 
     assert bench.command(BEND, 30.0).safety == "accepted"
 
 
-def test_a_configuration_may_want_a_person_to_arm_first() -> None:
+def test_a_configuration_may_require_that_a_person_arms_first() -> None:
     bench = Bench(armed_at_start=False)
     assert bench.flight.core.snapshot(3.0).doing == "pneumatics disarmed"
     assert bench.command(BEND, 30.0).safety == "refused"
@@ -95,7 +95,7 @@ def test_pneumatics_that_were_disarmed_before_a_restart_still_are(armed_at_start
     assert bench.kept == [False, True]
 
 
-def test_latched_faults_are_no_companions_to_clear() -> None:
+def test_another_companion_cannot_clear_latched_faults() -> None:
     bench = Bench()
     assert bench.command(MORE, 1, sender=(1, 195)).safety == "refused"
     assert bench.command(MORE, 1, sender=SCRIPT).safety == "refused"

@@ -73,7 +73,7 @@ def bent_for(flight: SimulatedFlight, history: Sequence[tuple[bool, float]]) -> 
     return flight.world.now - began, held_s
 
 
-def test_losses_that_are_held_do_not_stretch_how_long_the_vine_stays_bent() -> None:
+def test_losses_that_hold_the_vine_do_not_prolong_a_bend() -> None:
     flight = bent(conf=holding(60.0, 20.0))
     lasted_s, _ = bent_for(flight, [(False, 4.0), (True, 4.0)] * 5)
     # A trigger bent it within the last two seconds.
@@ -82,7 +82,7 @@ def test_losses_that_are_held_do_not_stretch_how_long_the_vine_stays_bent() -> N
     assert_vented(flight)
 
 
-def test_losses_that_come_and_go_are_held_no_longer_than_one() -> None:
+def test_repeated_losses_are_held_no_longer_than_one_loss() -> None:
     flight = bent(conf=holding(5.0, 110.0))
     _, held_s = bent_for(flight, [(False, 4.0), (True, 4.0)] * 5)
     assert 4.8 < held_s < 5.1
@@ -90,7 +90,7 @@ def test_losses_that_come_and_go_are_held_no_longer_than_one() -> None:
     assert_vented(flight)
 
 
-def test_a_fresh_move_is_held_anew() -> None:
+def test_after_a_new_move_a_loss_is_held_for_the_whole_time_again() -> None:
     flight = bent(conf=holding(5.0, 110.0))
     for _ in range(3):
         _, held_s = bent_for(flight, [(False, 5.0), (True, 3.0)])
@@ -114,7 +114,7 @@ def test_a_hold_command_is_a_new_request() -> None:
 @pytest.mark.long
 @settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.lists(st.tuples(st.booleans(), st.floats(0.1, 6.0)), min_size=1, max_size=8))
-def test_no_losses_and_returns_stretch_a_bend(history: list[tuple[bool, float]]) -> None:
+def test_no_sequence_of_losses_prolongs_a_bend(history: list[tuple[bool, float]]) -> None:
     flight = bent(conf=holding(4.0, 15.0))
     lasted_s, held_s = bent_for(flight, [*history, (False, 15.0)])
     assert held_s <= 4.0 + 0.1
@@ -150,7 +150,7 @@ def test_a_straightening_that_is_taken_for_a_copy_straightens() -> None:
     assert_vented(flight)
 
 
-def test_a_bend_that_is_a_repeat_is_not_done_again() -> None:
+def test_a_repeated_bend_is_not_executed_again() -> None:
     flight = airborne()
     order(flight, USER_2, 45.0)
     order(flight, USER_4, VENT)
@@ -159,7 +159,7 @@ def test_a_bend_that_is_a_repeat_is_not_done_again() -> None:
     assert_vented(flight)
 
 
-def test_a_vent_that_is_a_repeat_clears_no_fault() -> None:
+def test_a_repeated_vent_clears_no_fault() -> None:
     flight = bent()
     order(flight, USER_4, VENT)
     flight.phlosar.reset_firmware()

@@ -250,7 +250,7 @@ COMPANION = (
         Cleared.RESTART,
         300,
         32,
-        proof="test_an_error_on_the_flying_way_is_a_commanded_shutdown",
+        proof="test_an_error_that_could_affect_a_setpoint_is_a_commanded_shutdown",
     ),
     Row(
         "display_error",

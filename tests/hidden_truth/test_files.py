@@ -101,7 +101,7 @@ def test_noise_may_be_stated_wrongly(tmp_path: Path) -> None:
     )
 
 
-def test_holes_are_empty_cells_or_rows_that_are_not_there(tmp_path: Path) -> None:
+def test_holes_are_empty_cells_or_missing_rows(tmp_path: Path) -> None:
     write(tmp_path / "cells", example("cv_leak", "cells"))
     _, cells = table(tmp_path / "cells" / "run_3_bends.csv")
     assert len(cells) == 750

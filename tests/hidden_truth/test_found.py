@@ -59,7 +59,7 @@ def test_several_effects_are_found_with_their_shares(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_effects_are_found_that_only_pay_together(tmp_path: Path) -> None:
+def test_effects_that_explain_the_data_only_together_are_found(tmp_path: Path) -> None:
     """With fewer than four of the five causes, no set explains more than a wrong one."""
     truth, verdict = verdict_on("several", 690_004, tmp_path)
     assert {named.cause for named in verdict.named} == {one.name for one in truth.hidden}

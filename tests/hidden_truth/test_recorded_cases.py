@@ -74,7 +74,7 @@ def test_only_noise_is_left(case: str) -> None:
 
 
 @pytest.mark.parametrize("case", IN_TABLE)
-def test_the_effect_is_needed_for_that(case: str) -> None:
+def test_without_the_effect_the_fit_is_worse(case: str) -> None:
     """A fit of the baseline's numbers is worse than the truth, but not worse than the nominal baseline."""
     with (CASES / case / "rig.toml").open("rb") as file:
         toml = tomllib.load(file)

@@ -75,7 +75,7 @@ def set_rate(bench: Bench, kPa_per_s: float) -> None:
     bench.ground.send(mavlink.MAVLink_param_set_message(1, 191, b"VINE_MAX_RATE", kPa_per_s, real32))
 
 
-async def test_a_parameter_that_was_set_is_there_again_after_a_restart(bench: Bench, tmp_path: Path) -> None:
+async def test_a_parameter_survives_a_restart(bench: Bench, tmp_path: Path) -> None:
     async with serving(bench, tmp_path) as served:
         await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
         for rate in (50.0, 40.0, 30.0):
@@ -106,7 +106,7 @@ def doing(served: Served) -> str:
 
 
 @pytest.mark.long
-async def test_disarmed_pneumatics_stay_so_over_restarts_until_a_person_arms_them(
+async def test_pneumatics_stay_disarmed_over_restarts_until_a_person_arms_them(
     bench: Bench, tmp_path: Path
 ) -> None:
     async with serving(bench, tmp_path) as served:
@@ -159,7 +159,7 @@ def test_disarmed_is_a_file_that_explains_itself_and_may_be_removed(tmp_path: Pa
     assert not kept.disarmed and list(file.parent.iterdir()) == []
 
 
-async def test_a_latched_fault_stays_so_over_a_restart_until_a_person_clears_it(
+async def test_a_latched_fault_survives_a_restart_until_a_person_clears_it(
     bench: Bench, tmp_path: Path
 ) -> None:
     async with serving(bench, tmp_path) as served:
@@ -175,7 +175,7 @@ async def test_a_latched_fault_stays_so_over_a_restart_until_a_person_clears_it(
         assert served.service.core.snapshot(0.0).safe_state == {}
 
 
-def test_latched_faults_that_cannot_be_read_are_one(tmp_path: Path) -> None:
+def test_a_damaged_file_of_latched_faults_is_a_latched_fault(tmp_path: Path) -> None:
     config_file = tmp_path / "vine.toml"
     config_file.write_text(config.default_text())
     kept = PersistentState.of(config_file, config.load(config_file))
@@ -196,7 +196,7 @@ def private_key(folder: Path, key: bytes) -> str:
     return path.name
 
 
-async def test_a_signed_vehicle_bends_the_vine_and_the_clock_is_kept(tmp_path: Path) -> None:
+async def test_a_signed_vehicle_bends_the_vine_and_the_timestamp_is_saved(tmp_path: Path) -> None:
     autopilot = FakeAutopilot("ardupilot", signing_key=KEY, unix_s=time.time())
     async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
         await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
@@ -219,7 +219,7 @@ async def test_senders_without_the_key_are_refused_and_reported(tmp_path: Path, 
         assert bench.vented()
 
 
-async def test_a_kept_timestamp_of_2040_is_set_right_and_reported(tmp_path: Path) -> None:
+async def test_a_saved_timestamp_of_2040_is_corrected_and_reported(tmp_path: Path) -> None:
     autopilot = FakeAutopilot("ardupilot", signing_key=KEY, unix_s=time.time())
     (tmp_path / "vine.signing-timestamp").write_text("078890880000000 191\n255 001 001 078890880000000\n")
     async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:

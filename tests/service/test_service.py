@@ -55,7 +55,7 @@ async def test_a_switch_bends_the_vine_and_the_ground_station_sees_it(bench: Ben
     assert not bench.phlosar.firmware.faults
 
 
-async def test_what_moves_the_vine_is_sent_before_any_text(
+async def test_messages_to_the_board_are_sent_before_the_watchers_get_a_text(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done: list[str] = []
@@ -114,7 +114,7 @@ class Clumsy(Watcher):
         raise RuntimeError("I cannot draw that")
 
 
-async def test_a_watcher_that_fails_sees_no_more_and_the_others_do(bench: Bench) -> None:
+async def test_a_failing_watcher_is_switched_off_and_the_others_continue(bench: Bench) -> None:
     clumsy, seen = Clumsy(), list[Action]()
     service = Service(config.parse(bench.configuration, "test"), (clumsy, EachAction(seen.append)))
 
@@ -205,7 +205,7 @@ async def test_a_service_knows_that_the_pneumatics_were_disarmed_before_its_star
     assert "pneumatics disarmed" in {entry.fields["doing"] for entry in log.entries(("snapshot",))}
 
 
-async def test_a_killed_service_is_vented_by_the_dead_man(bench: Bench, tmp_path: Path) -> None:
+async def test_after_the_service_is_killed_the_dead_man_vents(bench: Bench, tmp_path: Path) -> None:
     process = await start(bench, tmp_path)
     process.kill()
     await process.wait()

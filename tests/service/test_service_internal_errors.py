@@ -99,7 +99,7 @@ BREAKS: dict[str, Callable[[Service, pytest.MonkeyPatch], None]] = {
         *(pytest.param(name, marks=pytest.mark.long) for name in list(BREAKS)[1:]),
     ],
 )
-async def test_an_error_on_the_flying_way_is_a_commanded_shutdown(
+async def test_an_error_that_could_affect_a_setpoint_is_a_commanded_shutdown(
     serving: Serving, monkeypatch: pytest.MonkeyPatch, broken: str
 ) -> None:
     began_s = serving.bench.phlosar.now_s
@@ -136,7 +136,7 @@ async def test_values_that_cannot_be_sent_are_only_reported(
 
 
 @pytest.mark.long
-async def test_a_task_that_fails_behind_the_flight_is_reported_and_starts_again(
+async def test_a_background_task_that_fails_is_reported_and_starts_again(
     serving: Serving, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     service = serving.service
@@ -151,7 +151,7 @@ async def test_a_task_that_fails_behind_the_flight_is_reported_and_starts_again(
 
 
 @pytest.mark.long
-async def test_absurd_telemetry_vents_and_the_service_lives(serving: Serving) -> None:
+async def test_absurd_telemetry_vents_and_the_service_continues(serving: Serving) -> None:
     latest = serving.service.core._core._firmware.telemetry
     assert latest is not None
     made_ms = latest.device_time_ms

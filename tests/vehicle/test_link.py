@@ -308,7 +308,7 @@ async def test_only_a_named_peer_is_read() -> None:
             transport.close()
 
 
-async def test_on_an_open_port_only_a_signature_opens() -> None:
+async def test_on_an_open_port_only_a_signed_sender_is_answered() -> None:
     signing, theirs = Signing(bytes(32)), Signing(bytes(32))
     signing.advance(1_790_000_000.0)
     theirs.advance(1_790_000_000.0)

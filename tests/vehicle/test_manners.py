@@ -191,7 +191,7 @@ def test_a_clash_is_seen_on_the_link_and_only_there() -> None:
 
 
 @pytest.mark.parametrize("sender", [(1, 1), (1, 191)])
-def test_our_values_sent_back_mean_nothing(sender: tuple[int, int]) -> None:
+def test_echoes_of_our_values_are_ignored(sender: tuple[int, int]) -> None:
     """PX4 repeats each NAMED_VALUE_FLOAT as its own, with a name of nine characters."""
     vehicle = Vehicle(config.default())
     vehicle.handle(0.0, from_sender(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3), (1, 1)))
@@ -205,7 +205,7 @@ def test_our_values_sent_back_mean_nothing(sender: tuple[int, int]) -> None:
             assert sender == (1, 191) or outputs == []
 
 
-def test_a_stream_request_of_the_old_kind_is_passed_over_quietly() -> None:
+def test_a_request_data_stream_is_ignored_without_a_text() -> None:
     """Mission Planner sends it to every component."""
     vehicle = Vehicle(config.default())
     vehicle.handle(0.0, from_sender(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3), (1, 1)))

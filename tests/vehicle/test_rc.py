@@ -104,7 +104,7 @@ def test_the_text_alone_and_its_return() -> None:
 
 
 @pytest.mark.parametrize("begin_s", [0.0, 5.0])
-def test_a_lost_cleared_is_made_up_for_by_good_health_that_lasts(begin_s: float) -> None:
+def test_lasting_good_health_replaces_a_lost_cleared_text(begin_s: float) -> None:
     link = good(begin_s)
     link.handle(begin_s, text("Radio Failsafe"))
     # ArduPilot's health still looks good for over a second after the text.

@@ -122,7 +122,7 @@ def test_frames_signed_by_hand_and_by_pymavlink_are_accepted() -> None:
 
 
 @pytest.mark.parametrize("name", ["px4_mission.tlog", "px4_vine_mission.tlog"])
-def test_frames_that_a_real_px4_signed(name: str) -> None:
+def test_frames_that_a_real_px4_signed_are_accepted(name: str) -> None:
     # It signs with a key of zeros until it gets one, and counts timestamps from its start.
     signing = Signing(bytes(32))
     codec = MavlinkCodec(0, 191, signing)
@@ -183,7 +183,7 @@ def test_with_any_clock_no_timestamp_is_used_twice_on_one_link_id(
         assert 0 <= signing.timestamp <= 2**47 + len(steps)
 
 
-def test_without_a_clock_what_was_saved_goes_on() -> None:
+def test_without_a_clock_the_saved_timestamp_continues() -> None:
     # A Raspberry Pi starts with an old time; a minute later its clock is right.
     ours = Ours(timestamp=NOW, clock_s=0.0)
     assert ours.signing.next_timestamp() == NOW + 1
@@ -253,7 +253,7 @@ def test_another_key_is_refused() -> None:
     assert ours.refused == RefusedFrames(forged=1)
 
 
-def test_a_forged_frame_of_the_far_future_does_not_lock_the_real_one_out() -> None:
+def test_a_forged_frame_of_the_far_future_does_not_lock_out_the_real_sender() -> None:
     ours, attacker, peer = Ours(), Peer(NOW + 1000 * MINUTE), Peer()
     assert ours.receive(attacker.say("obey", key=b"x" * 32)) == []
     assert ours.signing.timestamp == NOW
@@ -331,7 +331,7 @@ def test_streams_without_end_do_not_fill_the_memory_nor_take_the_autopilots_plac
     assert ours.receive(autopilot.say("still here")) == ["still here"]
 
 
-def test_streams_that_fell_silent_make_room_and_stay_refused() -> None:
+def test_silent_streams_make_room_and_their_old_frames_stay_refused() -> None:
     ours = Ours()
     said = [Peer(NOW, system=2 + number).say("hello") for number in range(MAX_STREAMS)]
     assert len(ours.receive(b"".join(said))) == MAX_STREAMS
@@ -409,7 +409,7 @@ def test_a_clock_that_jumps_back_far_does_not_shut_the_autopilot_out() -> None:
     assert ours.receive(Peer(NOW + MINUTE).say("hello")) == ["hello"]
 
 
-def test_the_first_synchronisation_is_followed_and_sets_right_what_was_ahead() -> None:
+def test_the_first_synchronisation_is_followed_and_corrects_a_timestamp_that_was_ahead() -> None:
     # An unsynchronised clock may be a year behind. Only a synchronised clock shows a wrong date.
     ours = Ours(clock_s=None)
     ours.signing.advance(NOW_S - 3 * 86400, 0.0)

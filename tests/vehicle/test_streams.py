@@ -59,7 +59,7 @@ class Autopilot:
             self.granted.add(message_id)
 
 
-def test_each_is_asked_for_once_and_apart_from_the_others() -> None:
+def test_each_stream_is_requested_once_and_not_together_with_others() -> None:
     autopilot = Autopilot()
     asked = autopilot.run(60.0)
     assert sorted(message_id for _, message_id in asked) == sorted(WANTED_HZ)
@@ -98,7 +98,7 @@ def test_a_missing_stream_is_reported_in_time_and_withdrawn() -> None:
     assert autopilot.streams.missing(autopilot.now_s) == []
 
 
-def test_a_stream_that_stops_is_asked_for_again() -> None:
+def test_a_stream_that_stops_is_requested_again() -> None:
     autopilot = Autopilot()
     autopilot.run(10.0)
     autopilot.granted.remove(33)
@@ -114,7 +114,7 @@ def test_a_slow_stream_is_not_silent_between_its_messages() -> None:
     assert [message_id for _, message_id in autopilot.asked].count(2) == 1
 
 
-def test_after_a_reboot_everything_is_asked_for_at_once() -> None:
+def test_after_a_reboot_everything_is_requested_at_once() -> None:
     autopilot = Autopilot()
     autopilot.run(10.0)
     autopilot.granted.clear()
@@ -124,7 +124,7 @@ def test_after_a_reboot_everything_is_asked_for_at_once() -> None:
     assert autopilot.streams.missing(autopilot.now_s) == []
 
 
-def test_nothing_is_missing_before_it_was_asked_for() -> None:
+def test_no_stream_is_missing_before_it_was_requested() -> None:
     assert Streams(20.0).missing(1000.0) == []
 
 
@@ -147,7 +147,7 @@ def test_an_unsupported_stream_is_not_soon_requested_again(result: int, pause_s:
         assert gaps_s and all(expected_s - 1e-6 <= gap <= expected_s + 0.7 for gap in gaps_s)
 
 
-def test_a_late_refusal_is_of_no_request() -> None:
+def test_a_late_refusal_belongs_to_no_request() -> None:
     streams = Streams(20.0)
     for tick in range(200):
         streams.requests(tick * TICK_S, 1)

@@ -124,7 +124,7 @@ def test_a_move_while_the_radio_is_lost_is_only_reported() -> None:
     assert told.count("Vine: switch ch9 moved while RC was lost, move it again") == 1
 
 
-def test_after_a_loss_of_rc_a_fresh_move_is_needed() -> None:
+def test_after_a_loss_of_rc_a_new_move_is_needed() -> None:
     link = Link()
     link.run(2.0, 1000)
     link.wait(2.0)
@@ -169,7 +169,7 @@ def test_messages_of_a_second_vehicle_move_nothing() -> None:
     assert link.triggers == []
 
 
-def test_a_reboot_vents_and_everything_is_asked_anew() -> None:
+def test_a_reboot_vents_and_everything_is_requested_again() -> None:
     link = Link()
     link.run(5.0, 1000, boot_ms=100_000)
     assert {m.param1 for _, m in link.sent if m.get_type() == "COMMAND_LONG"} == {65, 1, 33, 42, 2, 29}
@@ -234,7 +234,7 @@ def replayed(name: str, drop: set[int] | None = None, twice: bool = False) -> Li
 
 @pytest.mark.parametrize("name", EXECUTIONS)
 @pytest.mark.parametrize("twice", [False, True])
-def test_the_items_of_a_real_flight_each_once(name: str, twice: bool) -> None:
+def test_each_item_of_a_real_flight_is_found_once(name: str, twice: bool) -> None:
     link = replayed(name, twice=twice)
     found = [(trigger.t, trigger.what["seq"], trigger.what["command"]) for trigger in link.triggers]
     assert [(seq, number) for _, seq, number in found] == [(s, n) for _, s, n in EXECUTIONS[name]]
@@ -242,7 +242,7 @@ def test_the_items_of_a_real_flight_each_once(name: str, twice: bool) -> None:
         assert t == pytest.approx(at_s, abs=0.02)
 
 
-def test_the_items_of_a_real_flight_whose_texts_were_all_lost() -> None:
+def test_the_items_of_a_real_flight_are_found_without_any_text() -> None:
     frames = [frame for _, frame in TlogReader(RECORDINGS / "ardupilot_vine_mission.tlog").frames()]
     drop = {i for i, frame in enumerate(frames) if b"Mission: " in frame}
     assert len(drop) >= 12
@@ -262,7 +262,7 @@ def test_two_reboots_of_a_real_autopilot_are_each_seen_once() -> None:
     assert [t for t, _ in moves] == pytest.approx([12.25, 45.3], abs=0.15)
 
 
-def test_another_mission_of_the_same_length_is_reported_with_what_was_carried_out() -> None:
+def test_another_mission_of_the_same_length_is_reported_with_the_executed_item() -> None:
     link = Link()
     link.run(1.0, 1000)
     read = [mission_item(0, 16), mission_item(1, 22), mission_item(2, 217, 1.0, 11.0)]
@@ -293,7 +293,7 @@ def mission_item(seq: int, command: int, param1: float = 0.0, param2: float = 0.
     )
 
 
-def test_a_button_pressed_before_a_stall_comes_as_late_as_it_is() -> None:
+def test_a_button_pressed_before_a_stall_has_its_true_age() -> None:
     link = Link()
     link.run(5.0, 1000, boot_ms=100_000)
     stopped_at = link.now_s

@@ -44,9 +44,9 @@ def _further(found: Discharges) -> str:
     ]
     left = found.verdict.remainder.share if found.verdict.remainder else 0.0
     return (
-        f"Whether there is a second cause stays open; {left:.0%} of the error remains. All series are steeper "
-        "at first and flatter later than with the best R_v. Errors with a second cause, each series predicted from the "
-        f"others, and their changes: {'; '.join(second)}. No improvement is sure."
+        f"Whether there is a second cause stays open; {left:.0%} of the error remains. All series are "
+        "steeper at first and flatter later than with the best R_v. Errors with a second cause, each series "
+        f"predicted from the others, and their changes: {'; '.join(second)}. No improvement is sure."
     )
 
 
