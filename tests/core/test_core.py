@@ -604,18 +604,18 @@ def test_a_missing_stream_is_reported() -> None:
 @pytest.mark.long
 def test_the_learned_air_is_used_in_the_next_run_of_the_same_rig() -> None:
     flight = airborne()
-    kept: list[KeepLearned] = []
+    stored: list[KeepLearned] = []
     for _ in range(6):
         flight.autopilot.set_rc(9, HIGH)
-        kept += [action for action in run_for(flight, 3.0) if isinstance(action, KeepLearned)]
+        stored += [action for action in run_for(flight, 3.0) if isinstance(action, KeepLearned)]
         flight.autopilot.set_rc(9, LOW)
-        kept += [action for action in run_for(flight, 3.0) if isinstance(action, KeepLearned)]
-    assert 1 <= len(kept) <= 4, "after new cycles, and not too often"
+        stored += [action for action in run_for(flight, 3.0) if isinstance(action, KeepLearned)]
+    assert 1 <= len(stored) <= 4, "after new cycles, and not too often"
     for numbers, same in (
         (configured(), True),
         (configured(pneumatics=config.PneumaticsConfig(reservoir_volume_L=3.0)), False),
     ):
-        again = SimulatedWorld(numbers, stored=StoredState(learned=kept[-1].text))
+        again = SimulatedWorld(numbers, stored=StoredState(learned=stored[-1].text))
         actions = list(again.advance(3.0))
         left = again.core.snapshot(3.0).cycles
         assert left is not None
@@ -636,5 +636,5 @@ def test_a_new_leak_is_stored_even_without_a_bend() -> None:
     flight.phlosar.inject("bottle", Hole(0.1))
     actions = run_for(flight, 60.0)
     assert any("the leak has changed" in text for text in notices(actions))
-    kept = [action for action in actions if isinstance(action, KeepLearned)]
-    assert 1 <= len(kept) <= 6, "after the text, and not too often"
+    stored = [action for action in actions if isinstance(action, KeepLearned)]
+    assert 1 <= len(stored) <= 6, "after the text, and not too often"

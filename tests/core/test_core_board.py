@@ -140,7 +140,7 @@ def test_a_board_that_regulates_on_after_a_vent_is_reported_and_is_a_fault() -> 
     flight.autopilot.set_rc(9, LOW)
     actions = run_for(flight, 0.5)
     began = next(a.t for a in decisions(actions) if a.intent == "straight")
-    # The motion down must end first: until then the board is told to regulate.
+    # The motion down must end first: until then the board gets setpoints.
     actions += run_for(flight, 3.0)
     ended = max(
         i for i, a in enumerate(actions) if isinstance(a, ToFirmware) and isinstance(a.message, Setpoint)
@@ -148,7 +148,7 @@ def test_a_board_that_regulates_on_after_a_vent_is_reported_and_is_a_fault() -> 
     (fault,) = [a for a in notices(actions) if "still regulates" in a.text]
     assert fault.text == "Vine: phloSAR still regulates, vent commanded"
     assert fault.t - began < 1.5
-    assert sent(actions[ended + 1 :], Vent) > 50, "it is told again and again"
+    assert sent(actions[ended + 1 :], Vent) > 50, "the vent is repeated"
     flight.autopilot.set_rc(9, HIGH)
     (refused,) = decisions(run_for(flight, 1.0))
     assert (refused.safety, refused.reason) == ("refused", "phloSAR still regulates")
@@ -227,7 +227,7 @@ def test_a_loop_of_restarts_is_reported_at_once_and_then_counted(every_s: float)
         f"Vine: phloSAR restarted {count} times in {30.0 - every_s:.0f} s"
     )
     logged = [n for n in notices(actions) if "restarted" in n.text and n.severity is Severity.DEBUG]
-    assert len(logged) >= count - 1, "the log has each"
+    assert len(logged) >= count - 1, "the log has each restart"
     assert all(event_line(notice, 0.0) is None for notice in logged)
     gateway = Gateway(config.default(), ask=lambda *_: pytest.fail("nobody asks"), say=pytest.fail)
     for notice in logged:

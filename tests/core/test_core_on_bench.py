@@ -85,7 +85,7 @@ def test_rc_that_is_switched_off_vents_and_is_not_reported_as_back(how: str) -> 
     assert "Vine: RC is off and not in use" in texts
     assert not any("RC is back" in text for text in texts)
     assert vented(flight)
-    assert ask(flight, BendTo(30.0)).safety == "accepted", "who has no RC on the bench may bend by the page"
+    assert ask(flight, BendTo(30.0)).safety == "accepted", "without RC the page may bend on the bench"
 
 
 def test_only_a_request_of_a_person_prolongs_bench_mode(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -57,8 +57,8 @@ def test_a_slower_rate_is_used_for_the_next_bend_and_is_saved() -> None:
     began_kPa = field.flight.phlosar.cv_kPa
     field.flight.run(field.flight.world.now + 2.0)
     assert field.flight.phlosar.cv_kPa - began_kPa == pytest.approx(10.0, abs=1.0)
-    (kept,) = (action for action in field.actions if isinstance(action, KeepParameters))
-    assert kept.values == {"VINE_MAX_RATE": 5.0}
+    (stored,) = (action for action in field.actions if isinstance(action, KeepParameters))
+    assert stored.values == {"VINE_MAX_RATE": 5.0}
 
 
 def test_settings_of_the_vine_do_not_change_while_it_is_bent() -> None:

@@ -1,4 +1,6 @@
-"""A monitor finds no violation in random flights, and finds those of services and firmware that break a rule.
+"""A monitor finds no violation in random flights, and finds each violation of a mutant.
+
+A mutant is a service or a firmware that breaks one rule.
 
 In each flight of a mutant, the real service and firmware have no violation.
 """
@@ -40,7 +42,7 @@ sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 from faults_flight import PULSES_US, SWITCH, MonitoredFlight, Setup
 from faults_script import draw, fly
 
-# Cheats, and the flights that expose them.
+# Mutants, and the flights that expose them.
 
 
 class ResumesAfterRcLoss(Core):
@@ -207,7 +209,7 @@ class IgnoresVents(Firmware):
 
 
 class OpensAtPowerUp(Firmware):
-    """Lets in a puff of air when it is greeted."""
+    """Inflates for one step after each Hello."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -338,7 +340,7 @@ def straighten(flight: MonitoredFlight) -> None:
 class Mutant:
     flown: Callable[[MonitoredFlight], None]
     rules: set[str]
-    """At least one of these must be called."""
+    """The monitor must report a violation of at least one of these rules."""
     core: Callable[[Config], Core] = Core
     board: type[Firmware] = Firmware
     setup: Setup = field(default_factory=Setup)
@@ -384,7 +386,7 @@ def test_the_real_core_has_no_violation(mutant: Mutant) -> None:
 
 
 def test_a_limit_that_is_too_high_is_seen_at_the_vine() -> None:
-    """The true pressure is above the firmware's limit. Repairing an intact part excuses nothing."""
+    """The true pressure is above the firmware's limit. The repair of an intact part does not excuse this."""
     flight = MonitoredFlight(Setup(), board=Firmware({"cv_limit_kPa": 60.0}))
     bent(flight)
     flight.heal("bottle")
@@ -398,7 +400,7 @@ def test_a_limit_that_is_too_high_is_seen_at_the_vine() -> None:
 
 
 class AnyFlight(RuleBasedStateMachine):
-    """Any requests and any faults, in any order. The monitor is asked after each of them."""
+    """Any requests and any faults, in any order. The monitor checks after each of them."""
 
     @initialize(receiver=st.sampled_from(sorted(LOSSES)), holds=st.booleans())
     def take_off(self, receiver: RcSource, holds: bool) -> None:

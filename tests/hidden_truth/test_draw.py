@@ -38,12 +38,12 @@ def test_the_truth_leaves_only_noise_and_hidden_effects_are_visible(tier: str) -
         runs = make(truth)
         n = readings(truth)
         assert truth.hidden == () or truth.gap >= FAINT[0]
-        told = truth.independent_share
+        information = truth.independent_share
         if not truth.hidden:
-            assert -80.0 / told < truth.gap < 30.0 / told
+            assert -80.0 / information < truth.gap < 30.0 / information
         if "x_ceiling" not in [one.name for one in truth.hidden]:
             rounding = truth.converter_step**2 / 12.0
-            spread = 5.0 * np.sqrt(2.0 / (n * told))
+            spread = 5.0 * np.sqrt(2.0 / (n * information))
             assert chi_square(truth, runs) / n == pytest.approx(1.0 + rounding, abs=spread)
 
 
@@ -51,10 +51,10 @@ def test_the_truth_leaves_only_noise_and_hidden_effects_are_visible(tier: str) -
 def test_equal_seeds_give_equal_cases_and_other_seeds_give_others(tier: str) -> None:
     first, second, *_ = drawn(tier)
     again = draw(tier, 0)
-    assert (again.hidden, again.rig, again.believed, again.gap) == (
+    assert (again.hidden, again.rig, again.assumed, again.gap) == (
         first.hidden,
         first.rig,
-        first.believed,
+        first.assumed,
         first.gap,
     )
     for one, other in zip(make(first), make(again), strict=True):
@@ -94,15 +94,15 @@ def test_both_effects_of_a_pair_are_visible_and_the_first_explains_more() -> Non
 def test_nominal_numbers_are_wrong_only_in_worn_rigs_and_within_the_stated_tolerance() -> None:
     for tier in TIERS:
         for truth in drawn(tier):
-            off = [getattr(truth.believed, name) != getattr(truth.rig, name) for name in NUMBERS]
+            off = [getattr(truth.assumed, name) != getattr(truth.rig, name) for name in NUMBERS]
             if tier == "worn" or truth.variant == "worn":
                 assert truth.tolerance_percent == 2.5
                 assert off == [name in WORN for name in NUMBERS]
                 for name in WORN:
-                    ratio = getattr(truth.believed, name) / getattr(truth.rig, name)
+                    ratio = getattr(truth.assumed, name) / getattr(truth.rig, name)
                     assert abs(ratio - 1.0) <= 0.02501
             else:
-                assert truth.believed == truth.rig
+                assert truth.assumed == truth.rig
 
 
 def test_runs_are_of_the_public_kinds() -> None:
@@ -152,8 +152,8 @@ def test_the_gap_is_that_of_an_exact_fit() -> None:
     limit = truth.tolerance_percent / 100.0
 
     def residuals(x: Array) -> Array:
-        moved = {name: getattr(truth.believed, name) * (1.0 + x[i]) for i, name in enumerate(NUMBERS)}
-        p = physics(replace(truth.believed, **moved))
+        moved = {name: getattr(truth.assumed, name) * (1.0 + x[i]) for i, name in enumerate(NUMBERS)}
+        p = physics(replace(truth.assumed, **moved))
         models = []
         for i, run in enumerate(runs):
             start = (run.start_kPa[0] + float(x[n + 2 * i]), run.start_kPa[1] + float(x[n + 2 * i + 1]))
@@ -191,11 +191,11 @@ def test_holes(variant: str) -> None:
         assert run.kept[0]
         assert not empty.any()
         assert 100 <= longest(~run.kept) < 110
-        as_told = run.inputs[run.kept][np.cumsum(run.kept) - 1]
+        repeated = run.inputs[run.kept][np.cumsum(run.kept) - 1]
         if variant == "held" or run.name == "hold":
-            assert np.array_equal(as_told, run.inputs)
+            assert np.array_equal(repeated, run.inputs)
         else:
-            assert not np.array_equal(as_told, run.inputs)
+            assert not np.array_equal(repeated, run.inputs)
 
 
 @pytest.mark.parametrize(
@@ -229,7 +229,7 @@ def test_an_unknown_tier_is_refused() -> None:
 
 
 def test_effects_that_cannot_be_weakened() -> None:
-    with pytest.raises(ValueError, match="nothing in between"):
+    with pytest.raises(ValueError, match="cannot be weaker"):
         Hidden("compressible_flow", 0.3).weaker(0.5)
 
 

@@ -73,10 +73,10 @@ def test_the_nominal_rig_and_its_tolerance_are_stated(tmp_path: Path) -> None:
     truth = draw("worn", 0)
     write(tmp_path / "case", truth)
     rig = tomllib.loads((tmp_path / "case" / "rig.toml").read_text(encoding="utf-8"))
-    assert rig["reservoir"]["volume_L"] == truth.believed.reservoir_L != truth.rig.reservoir_L
+    assert rig["reservoir"]["volume_L"] == truth.assumed.reservoir_L != truth.rig.reservoir_L
     assert rig["venturi"] == {
-        "full_vacuum_kPa": truth.believed.full_vacuum_kPa,
-        "rated_supply_kPa": truth.believed.rated_supply_kPa,
+        "full_vacuum_kPa": truth.assumed.full_vacuum_kPa,
+        "rated_supply_kPa": truth.assumed.rated_supply_kPa,
     }
     assert rig["sensors"]["cv_noise_std_kPa"] == truth.noise.cv_kPa
     assert set(rig["tolerance_percent"].values()) == {2.5}

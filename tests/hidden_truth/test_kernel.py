@@ -86,19 +86,19 @@ def random_inputs(seed: int = 3) -> Array:
 
 def schedule(p: Physics, inputs: Array) -> list[tuple[float, float, float, bool]]:
     """The inputs with their start times: opening after delay, play and dead zone; supply; solenoid open."""
-    told = [(float(t), *map(float, row)) for t, row in zip(TIME, inputs, strict=True)]
-    edges = {t for t, *_ in told} | {t + p.evp_delay_s for t, *_ in told}
-    closes = [b[0] for a, b in pairwise(told) if a[3] > b[3]]
-    opens = [b[0] for a, b in pairwise([(0.0, 0.0, 0.0, 0.0), *told]) if a[3] < b[3]]
+    commands = [(float(t), *map(float, row)) for t, row in zip(TIME, inputs, strict=True)]
+    edges = {t for t, *_ in commands} | {t + p.evp_delay_s for t, *_ in commands}
+    closes = [b[0] for a, b in pairwise(commands) if a[3] > b[3]]
+    opens = [b[0] for a, b in pairwise([(0.0, 0.0, 0.0, 0.0), *commands]) if a[3] < b[3]]
     edges |= {t + p.closing_s for t in closes} | {t + p.opening_s for t in opens}
     held, arrived, found = 0.0, 0, []
     for t in sorted(edges):
-        while arrived < len(told) and told[arrived][0] + p.evp_delay_s <= t + 1e-12:
-            u = told[arrived][1]
+        while arrived < len(commands) and commands[arrived][0] + p.evp_delay_s <= t + 1e-12:
+            u = commands[arrived][1]
             held = 0.0 if u == 0.0 else min(max(held, u - p.play / 2.0), u + p.play / 2.0)
             arrived += 1
         opening = max(0.0, (held - p.dead_zone) / (1.0 - p.dead_zone))
-        now = next(row for row in reversed(told) if row[0] <= t + 1e-12)
+        now = next(row for row in reversed(commands) if row[0] <= t + 1e-12)
         late = any(c <= t + 1e-12 and t < c + p.closing_s - 1e-12 for c in closes)
         waits = any(o <= t + 1e-12 and t < o + p.opening_s - 1e-12 for o in opens)
         found.append((t, opening, now[2], (now[3] > 0.5 and not waits) or late))

@@ -96,8 +96,8 @@ async def test_an_unknown_sender_on_the_network_bends_nothing(bench: Bench) -> N
         await asyncio.sleep(0.02)
     assert bench.vented()
     assert not [action for action in seen if isinstance(action, Decision)]
-    told = [action.text for action in seen if isinstance(action, Notice) and "not read" in action.text]
-    assert told == ["Vine: not read: 127.0.0.9 is not vehicle.link's peer"]
+    texts = [action.text for action in seen if isinstance(action, Notice) and "not read" in action.text]
+    assert texts == ["Vine: not read: 127.0.0.9 is not vehicle.link's peer"]
     bench.autopilot.set_rc(9, 2000)
     await until(bench.bent, "the real pilot bends")
     transport.close()
@@ -105,7 +105,7 @@ async def test_an_unknown_sender_on_the_network_bends_nothing(bench: Bench) -> N
     await serving
 
 
-class Clumsy(Watcher):
+class FailingWatcher(Watcher):
     def __init__(self) -> None:
         self.seen = 0
 
@@ -115,7 +115,7 @@ class Clumsy(Watcher):
 
 
 async def test_a_failing_watcher_is_switched_off_and_the_others_continue(bench: Bench) -> None:
-    clumsy, seen = Clumsy(), list[Action]()
+    clumsy, seen = FailingWatcher(), list[Action]()
     service = Service(config.parse(bench.configuration, "test"), (clumsy, EachAction(seen.append)))
 
     def texts() -> list[str]:
@@ -127,7 +127,7 @@ async def test_a_failing_watcher_is_switched_off_and_the_others_continue(bench: 
         await asyncio.sleep(0)
     service.notify_watchers()
     assert clumsy.seen == 1
-    assert texts() == ["Vine: one", "Vine: Clumsy failed, flight goes on", "Vine: two"]
+    assert texts() == ["Vine: one", "Vine: FailingWatcher failed, flight goes on", "Vine: two"]
 
 
 async def test_a_silent_port_is_reported_to_the_pilot_once_and_on_the_screen(
@@ -140,7 +140,7 @@ async def test_a_silent_port_is_reported_to_the_pilot_once_and_on_the_screen(
     text = bench.configuration.replace(bench.port.path, os.ttyname(hosts))
     service = Service(config.parse(text, "test"), (EachAction(seen.append),))
     serving = asyncio.create_task(service.run())
-    await until(lambda: "silent" in service.link_problems.get("firmware", ""), "the screen says it")
+    await until(lambda: "silent" in service.link_problems.get("firmware", ""), "the screen shows it")
     service.stop()
     await serving
     assert len([a for a in seen if isinstance(a, Notice) and "open but silent" in a.text]) == 1

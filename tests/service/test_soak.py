@@ -1,4 +1,4 @@
-"""One flight of each kind of the soak, and its judge; benchmarks/soak.py flies for a day."""
+"""One flight of each kind of the soak test, and its judgement. benchmarks/soak.py runs it for a day."""
 
 from __future__ import annotations
 

@@ -270,7 +270,7 @@ def test_a_signing_key_that_is_sent_to_us_is_masked() -> None:
     assert (received.secret_key, received.initial_timestamp) == ([0] * 32, 0)
     assert bytes(key[:4]) not in received.get_msgbuf()
     (again,) = MavlinkCodec(1, 191).decode(bytes(received.get_msgbuf()))
-    assert str(again) == str(received), "as a log has it"
+    assert str(again) == str(received), "a log gets the masked message"
     assert texts_of(codec.decode(station.frame(text("next")))) == ["next"]
     assert codec.lost_frames == 0
 

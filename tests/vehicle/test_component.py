@@ -93,11 +93,11 @@ def test_named_values_are_sent_at_the_requested_rate(
 ) -> None:
     """With intervals counted from tick to tick, only 1.84 a second were sent instead of 2."""
     values, random = NamedValues(1.0 / rate_Hz), Random(seed)
-    told = {name: value if i < known else math.nan for i, (name, value) in enumerate(VALUES.items())}
+    sent_values = {name: value if i < known else math.nan for i, (name, value) in enumerate(VALUES.items())}
     sent = Counter(
         message.name
         for i in range(3000)
-        for message in values.due(i * TICK_S + random.uniform(0.0, jitter_s), 0, told)
+        for message in values.due(i * TICK_S + random.uniform(0.0, jitter_s), 0, sent_values)
     )
     assert len(sent) == known
     assert all(abs(count - 60.0 * rate_Hz) <= 0.01 * 60.0 * rate_Hz + 1 for count in sent.values())
@@ -440,8 +440,8 @@ def texts_about_key(conf: config.Config, target_system: int, times: int = 1) -> 
 
 @pytest.mark.parametrize("target_system", [0, 1])
 def test_a_key_for_a_vehicle_without_one_in_its_configuration_is_reported_once(target_system: int) -> None:
-    told = texts_about_key(config.default(), target_system, times=3)
-    assert told == ["Vine: SETUP_SIGNING ignored: no key configured"]
+    texts = texts_about_key(config.default(), target_system, times=3)
+    assert texts == ["Vine: SETUP_SIGNING ignored: no key configured"]
 
 
 def test_a_key_for_another_vehicle_or_beside_our_own_is_not_reported() -> None:

@@ -126,7 +126,7 @@ class Air:
     def current(self, seq: int) -> None:
         self.send(mavlink.MAVLink_mission_current_message(seq, 9))
 
-    def give_book(self, items: list[MissionItem]) -> None:
+    def give_mission(self, items: list[MissionItem]) -> None:
         self.send(mavlink.MAVLink_mission_count_message(1, 191, len(items), 0))
         for one in items:
             self.send(item_message(one))
@@ -169,7 +169,7 @@ class Air:
 def having_read(items: list[MissionItem]) -> Air:
     """The mission was read from the autopilot."""
     air = Air([], given_beforehand=False)
-    air.give_book(items)
+    air.give_mission(items)
     return air
 
 
@@ -352,7 +352,7 @@ def test_a_text_of_an_item_beyond_the_stored_mission_starts_a_new_reading() -> N
     air = having_read(PLAN[:3])
     air.runs(3, "Scripting")
     assert not air.cache.fresh
-    air.give_book(PLAN)
+    air.give_mission(PLAN)
     air.wait(0.1)
     assert [(e.seq, e.params) for e in air.found] == [(3, PLAN[3].params)]
 
@@ -372,7 +372,7 @@ def test_a_mission_cache_that_changes_meanwhile_is_not_used_for_a_guess() -> Non
     air = having_read(PLAN)
     air.tell("at 2, reached 2, runs 3 lost, at 5")
     air.text("Flight plan received")
-    air.give_book(mission(WP, TAKEOFF, WP, WINCH, WINCH, WP, WINCH, WP, LAND))
+    air.give_mission(mission(WP, TAKEOFF, WP, WINCH, WINCH, WP, WINCH, WP, LAND))
     air.wait(10.0)
     assert air.payloads() == []
 
@@ -439,7 +439,7 @@ def test_an_answer_of_another_kind_is_not_the_item_that_ran() -> None:
 def test_a_mission_with_an_id_gives_the_numbers_if_no_answer_comes() -> None:
     air = Air([], given_beforehand=False)
     air.send(identified(9, 77))
-    air.give_book(PLAN)
+    air.give_mission(PLAN)
     air.runs(3)
     air.wait(GIVE_UP_S - 0.1)
     assert air.found == []
@@ -489,7 +489,7 @@ def test_a_name_that_contradicts_the_stored_mission_starts_a_new_reading() -> No
     air.wait(0.6)
     assert air.cache.requests(air.t, 1)
     other = mission(WP, TAKEOFF, WP, WINCH, WP, LAND)
-    air.give_book(other)
+    air.give_mission(other)
     air.wait(0.1)
     assert [(e.command, e.seq, e.params) for e in air.found] == [(WINCH, 3, other[3].params)]
     air.wait(10.0)
@@ -500,7 +500,7 @@ def test_a_waypoints_name_on_a_payload_items_number_runs_no_payload() -> None:
     air = having_read(PLAN)
     air.runs(3, "WP")
     assert not air.cache.fresh
-    air.give_book(mission(WP, TAKEOFF, WP, WP, SCRIPT, LAND))
+    air.give_mission(mission(WP, TAKEOFF, WP, WP, SCRIPT, LAND))
     air.wait(10.0)
     assert air.payloads() == []
 
@@ -509,7 +509,7 @@ def test_a_name_that_still_contradicts_the_mission_after_one_new_reading_has_no_
     air = having_read(PLAN)
     air.runs(3, "Winch")
     air.wait(0.6)
-    air.give_book(PLAN)
+    air.give_mission(PLAN)
     assert air.cache.fresh
     air.wait(5.0)
     assert air.cache.fresh
@@ -773,9 +773,9 @@ def test_a_repeat_of_an_item_from_before_our_start_is_ignored() -> None:
     watch = px4(actuator(3, 0.5), current=3)
     watch.forget(10.0)
     params = actuator(3, 0.5).params
-    # The third frame of a command arrives first: the command was sent a second ago.
+    # The third frame of a command arrives first: the command was sent more than a second ago.
     assert watch.command(10.3, 187, params, confirmation=2) is None
-    # It began after that only if its first repeat came as early as possible.
+    # It began after our start only if its first repeat came as early as possible.
     assert watch.command(10.9, 187, params, confirmation=2) is None
     assert watch.command(12.2, 187, params, confirmation=2) is not None
 

@@ -175,7 +175,7 @@ def test_straightening_on_px4_does_not_wait() -> None:
     assert radio.asked[-1][0] - moved_s <= 0.25
     assert not any(isinstance(output, Straightened) for _, output in radio.outputs)
     radio.run(2.0)
-    assert isinstance(radio.outputs[-1][1], Straightened), "only then it was the pilot for sure"
+    assert isinstance(radio.outputs[-1][1], Straightened), "only then it is certain that the pilot moved it"
 
 
 @pytest.mark.parametrize("failsafe", ["hold", 1000, 1500])
@@ -350,7 +350,7 @@ def test_an_override_that_ends_bends_nothing_again() -> None:
     assert radio.texts[-1] == "Vine: switch ch9 is back where it was, move it again"
     radio.move(0, 1.0)
     radio.move(2, 1.0)
-    assert len(radio.bends) == 2, "a fresh move counts"
+    assert len(radio.bends) == 2, "a new move counts"
 
 
 @pytest.mark.parametrize("parameter", [("RC_OPTIONS", 2.0), ("RC_OVERRIDE_TIME", 0.0)])
@@ -405,7 +405,7 @@ def test_a_switch_that_comes_back_from_a_preset_bends_nothing_again(
     assert len(radio.bends) == 1
     radio.move(0, 2.5)
     radio.move(2, 3.0)
-    assert len(radio.bends) == 2, "a fresh move counts"
+    assert len(radio.bends) == 2, "a new move counts"
 
 
 def test_a_straightening_clears_only_faults_up_to_its_move() -> None:

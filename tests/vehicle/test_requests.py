@@ -192,8 +192,8 @@ def test_the_interval_of_values_is_set_reported_and_kept() -> None:
     for interval_us in (1e5, 2.5e5, 1e6, 1e7):
         assert bench.ask(SET_INTERVAL, 251, interval_us) == (ACCEPTED, [])
         for asked in ((GET_INTERVAL, 251.0), (REQUEST_MESSAGE, 244.0, 251.0)):
-            result, (told,) = bench.ask(int(asked[0]), *asked[1:])
-            assert (result, told.message_id, told.interval_us) == (ACCEPTED, 251, interval_us)
+            result, (answer,) = bench.ask(int(asked[0]), *asked[1:])
+            assert (result, answer.message_id, answer.interval_us) == (ACCEPTED, 251, interval_us)
         bench.wait(interval_us / 1e6)
         sent = bench.wait(4 * interval_us / 1e6)
         assert len(sent) == pytest.approx(4 * len(VALUES), abs=2)
@@ -204,12 +204,12 @@ def test_values_are_switched_off_and_on_again() -> None:
     assert len(bench.wait(2.0)) == pytest.approx(12, abs=1)
     assert bench.ask(SET_INTERVAL, 251, -1) == (ACCEPTED, [])
     assert bench.wait(30.0) == []
-    _, (told,) = bench.ask(GET_INTERVAL, 251)
-    assert told.interval_us == -1
+    _, (answer,) = bench.ask(GET_INTERVAL, 251)
+    assert answer.interval_us == -1
     assert bench.ask(SET_INTERVAL, 251, 0) == (ACCEPTED, [])
     assert len(bench.wait(2.0)) == pytest.approx(12, abs=1)
-    _, (told,) = bench.ask(GET_INTERVAL, 251)
-    assert told.interval_us == 500_000
+    _, (answer,) = bench.ask(GET_INTERVAL, 251)
+    assert answer.interval_us == 500_000
 
 
 @pytest.mark.parametrize("interval_us", [99_000.0, 1.01e7, 1.0, -2.0, math.nan, math.inf])
@@ -226,13 +226,13 @@ def test_a_rate_that_is_too_fast_or_too_slow_is_denied_and_changes_nothing(inter
 def test_nobody_can_change_the_heartbeat(interval_us: float, result: int) -> None:
     bench = Bench()
     assert bench.ask(SET_INTERVAL, 0, interval_us) == (result, [])
-    _, (told,) = bench.ask(GET_INTERVAL, 0)
-    assert told.interval_us == 1_000_000
+    _, (answer,) = bench.ask(GET_INTERVAL, 0)
+    assert answer.interval_us == 1_000_000
 
 
 def test_the_interval_of_what_we_never_send_is_reported_as_such() -> None:
-    result, (told,) = Bench().ask(GET_INTERVAL, 65)
-    assert (result, told.message_id, told.interval_us) == (ACCEPTED, 65, 0)
+    result, (answer,) = Bench().ask(GET_INTERVAL, 65)
+    assert (result, answer.message_id, answer.interval_us) == (ACCEPTED, 65, 0)
     assert Bench().ask(GET_INTERVAL, 70_000) == (DENIED, [])
 
 

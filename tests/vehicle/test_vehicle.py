@@ -120,8 +120,8 @@ def test_a_move_while_the_radio_is_lost_is_only_reported() -> None:
     link.text("Radio Failsafe Cleared")
     link.run(3.0, 2000)
     assert link.triggers == []
-    told = [notice.text for notice in link.notices]
-    assert told.count("Vine: switch ch9 moved while RC was lost, move it again") == 1
+    texts = [notice.text for notice in link.notices]
+    assert texts.count("Vine: switch ch9 moved while RC was lost, move it again") == 1
 
 
 def test_after_a_loss_of_rc_a_new_move_is_needed() -> None:
@@ -185,8 +185,8 @@ def test_a_reboot_vents_and_everything_is_requested_again() -> None:
 def test_missing_streams_are_named_once() -> None:
     link = Link()
     link.run(20.0, 1000)
-    told = [notice.text for notice in link.notices if "does not send" in notice.text]
-    assert told == ["Vine: the autopilot does not send SYS_STATUS, GLOBAL_POSITION_INT"]
+    texts = [notice.text for notice in link.notices if "does not send" in notice.text]
+    assert texts == ["Vine: the autopilot does not send SYS_STATUS, GLOBAL_POSITION_INT"]
 
 
 def test_one_execution_of_an_ardupilot_item_is_one_trigger() -> None:
@@ -283,8 +283,8 @@ def test_another_mission_of_the_same_length_is_reported_with_the_executed_item()
     link.receive(mavlink.MAVLink_mission_count_message(1, 191, 3, 0))
     for message in (*read[:2], mission_item(2, 217, 1.0, 44.0)):
         link.receive(message)
-    told = [notice.text for notice in link.notices if "mission changed" in notice.text]
-    assert told == ["Vine: mission changed, item 2: bend 44°"]
+    texts = [notice.text for notice in link.notices if "mission changed" in notice.text]
+    assert texts == ["Vine: mission changed, item 2: bend 44°"]
 
 
 def mission_item(seq: int, command: int, param1: float = 0.0, param2: float = 0.0) -> MavlinkMessage:
