@@ -384,7 +384,7 @@ def test_a_router_that_restarts_with_another_port_is_answered_again_soon() -> No
     assert peers.present(19.0 + PEER_FORGOTTEN_S + 1.0) == []
 
 
-async def test_udp_that_sends_begins_and_gets_the_answer() -> None:
+async def test_udp_out_sends_first_and_gets_the_answer() -> None:
     async with (
         udp_peer() as (peer, transport, port),
         running(NetworkAddress("udpout", HOST, port)) as watched,

@@ -1,4 +1,4 @@
-"""Which mission items ran: by ArduPilot's texts, by its progress if texts are lost, and by PX4."""
+"""Which mission items ran: by ArduPilot's texts, by its progress if texts are lost, and by PX4's commands."""
 
 from __future__ import annotations
 
@@ -254,9 +254,10 @@ TOO_LATE = f"{WAIT_FOR_TEXT_S + 0.1} s"
         (PLAN, "at 2, reached 2, gap, at 5, 0.9 s, runs 3, runs 4, 10 s", [3, 4]),
         # Without a lost frame, an item without text did not run.
         (PLAN, "at 2, reached 2, at 5, 10 s", []),
-        # A jump runs nothing between; right after a waypoint only its own items ran; later nothing.
+        # The items that a jump skips did not run.
         (PLAN, "at 2, 5 s, gap, runs 7, at 7, 10 s", []),
         (PLAN, "at 2, 5 s, reached 2, runs 3, runs 4, 0.1 s, runs 7 lost, at 7, 10 s", [3, 4]),
+        # A gap long after the end of a waypoint adds none of its items.
         (PLAN, "at 2, reached 2, 3.5 s, gap, at 5, 10 s", []),
         # An item that is found after a later vine item is too old; other items do not matter.
         (PLAN, "at 2, reached 2, runs 3 lost, runs 4, at 5, 10 s", [4]),
