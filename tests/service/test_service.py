@@ -96,8 +96,8 @@ async def test_an_unknown_sender_on_the_network_bends_nothing(bench: Bench) -> N
         await asyncio.sleep(0.02)
     assert bench.vented()
     assert not [action for action in seen if isinstance(action, Decision)]
-    texts = [action.text for action in seen if isinstance(action, Notice) and "not read" in action.text]
-    assert texts == ["Vine: not read: 127.0.0.9 is not vehicle.link's peer"]
+    told = [action.text for action in seen if isinstance(action, Notice) and "not read" in action.text]
+    assert told == ["Vine: not read: 127.0.0.9 is not vehicle.link's peer"]
     bench.autopilot.set_rc(9, 2000)
     await until(bench.bent, "the real pilot bends")
     transport.close()

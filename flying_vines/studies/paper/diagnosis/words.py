@@ -89,8 +89,8 @@ def _responses(responses: Responses) -> tuple[str, ...]:
         f"{_dB(other_tube.unseen_dB)}.",
         f"With a floor, no further cause is sure: {better} of {len(responses.explanations)} explanations "
         f"predict better, by at most {floor.unseen - responses.explanations[0].unseen:.1f} dB. The paper "
-        "does not print the regulator's PID, the valve drivers, the tubes, the outlet, or any phase. A record "
-        "of one test over many whole cycles would separate a floor from a tube.",
+        "does not print the regulator's PID, the valve drivers, the tubes, the outlet, or any phase. A "
+        "record of one test over many whole cycles would separate a floor from a tube.",
     )
 
 
