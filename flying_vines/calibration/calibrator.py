@@ -31,7 +31,7 @@ VENTED_KPA = 1.0
 PERSON_TIMEOUT_S = 900.0
 """Maximum time for a person to change a hose or to fill a reservoir."""
 PRECISION = {"levels": ("cv_volume_L", 0.04), "valve": ("evp_flow_resistance_kPa_s_per_SL", 0.05)}
-"""A stage repeats its movements until half the 95 % interval of this quantity is this share of it."""
+"""A stage repeats until half the 95 % interval of this quantity is at most this share of its value."""
 _VENTED_STAGES = ("empty", "zero")
 
 _ZERO_FAULT = "vine_zero"

@@ -66,7 +66,7 @@ class CalibrationContext:
     rig_text: str = ""
     """Content of the rig file."""
     stored: StoredState = field(default_factory=StoredState)
-    """Has only whether the pneumatics are disarmed: the parameters are in the flown configuration."""
+    """Contains only whether the pneumatics are disarmed. The parameters are already in the configuration."""
     signing: Signing | None = None
     state: PersistentState | None = None
 
@@ -74,7 +74,7 @@ class CalibrationContext:
 def load_context(user: UserConfiguration) -> tuple[Config, CalibrationContext]:
     """The configuration as `run` would fly it, with the saved parameters and the rig file.
 
-    Raises `ParameterFileError`, `SigningKeyError` or `RigError`: one line.
+    Raises `ParameterFileError`, `SigningKeyError` or `RigError`, each with a text of one line.
     """
     path, config = user.path, user.config
     if path is None:
@@ -131,7 +131,7 @@ class CalibrationRun:
 class CalibrationDriver:
     """Passes actions of the core to a calibrator, and carries out its outputs.
 
-    `actions` are those of the core, in order, that the calibrator has not taken yet.
+    `actions`: the core's actions that the calibrator has not taken yet, in order.
     """
 
     calibrator: Calibrator

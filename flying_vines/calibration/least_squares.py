@@ -22,20 +22,20 @@ def least_squares(
     Method of Levenberg and Marquardt; `difference`: step of each parameter for its derivative.
     """
     place, damping = start, 1e-2
-    left = residual(place)
+    residuals = residual(place)
 
     def jacobian() -> Array:
-        return np.array([(residual(place + d) - left) / d.sum() for d in np.diag(difference)]).T
+        return np.array([(residual(place + d) - residuals) / d.sum() for d in np.diag(difference)]).T
 
     derivatives = jacobian()
     for _ in range(MAX_STEPS):
         normal = derivatives.T @ derivatives
-        move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), derivatives.T @ left)
+        move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), derivatives.T @ residuals)
         tried = np.clip(place - move, low, high)
-        tried_left = residual(tried)
-        gained = float(left @ left - tried_left @ tried_left)
+        tried_residuals = residual(tried)
+        gained = float(residuals @ residuals - tried_residuals @ tried_residuals)
         if gained > 0.0:
-            place, left, damping = tried, tried_left, 0.1 * damping
+            place, residuals, damping = tried, tried_residuals, 0.1 * damping
             derivatives = jacobian()
         else:
             damping *= 10.0

@@ -2,7 +2,7 @@
 
     R = ∫ P dt / n        n = V_cv P_0 / α: the air in the vine above ambient pressure
 
-over a vent from P_0 to zero without the Venturi: a mean over the whole fall. The time that the outlet takes
+over a vent from P_0 to zero without the Venturi: a mean over the whole fall. The time that the outlet needs
 to open does not count.
 """
 
@@ -19,12 +19,12 @@ from flying_vines.physics.arrays import Array
 
 MIN_KPA = 8.0
 EMPTY = 0.01
-"""Share of the pressure at the start below which the rest is noise."""
+"""Below this share of the start pressure the vine counts as empty: the readings are only noise."""
 MAX_S = 10.0
 QUICK_S = 0.005
 COLD = 0.15
-"""A fast vent cools the air. So up to twice this share of it leaves late, at almost no pressure, as it warms.
-This share is added to the result, and the interval contains 0 and twice this share."""
+"""A fast vent cools the air. Up to twice this share of the air leaves later, while it warms, at almost no
+pressure. So this share is added to the result, and the interval contains 0 and twice this share."""
 DETECTED = (0.95, 0.85)
 """Shares of the pressure at the start. A line through both points gives the time when the fall begins."""
 

@@ -20,21 +20,21 @@ if TYPE_CHECKING:
     from flying_vines.identification.bend_curve import Pairs
 
 STAGES = ("empty", "zero", "bottle_leak", "vessel", "levels", "vine_leak", "valve", "angle")
-"""In this order."""
+"""In the order in which they run."""
 SETTLE_S = 1.0
 ZERO_S = 5.0
 EMPTY_S = 3.0
 BOTTLE_LEAK_S = 30.0
 VINE_LEAK_S = 30.0
 LEVELS = 3
-# The staircase is climbed ROUNDS times. A stage repeats its movements until its result is precise enough, at
-# most LEVELS_AGAIN or VALVE_AGAIN times.
+# The pressure rises in steps ROUNDS times. A stage repeats its movements until its result is precise enough,
+# at most LEVELS_AGAIN or VALVE_AGAIN times.
 ROUNDS, ROUNDS_AGAIN = 3, 2
 LEVELS_AGAIN, VALVE_AGAIN = 3, 1
 STEP_S = 0.5
 """From one level to the next."""
 RATES_KPA_PER_S = (4.0, 60.0, 15.0, 60.0, 30.0)
-"""Rates of inflation. Slow ones show where the valve starts, fast ones how much it passes."""
+"""Rates of inflation. Slow inflations measure where the valve starts to open, fast ones its gain."""
 LOW_SHARE = 0.25
 """Share of the top pressure at which a pouch (the bending chamber of the vine) is full."""
 ANGLES = 6
@@ -49,7 +49,7 @@ MAX_HOLD_S = 10.0
 SETTLED_SHARE = 0.65
 """Share of a hold after which compressed gas has cooled; the hold grows with the vine's volume."""
 VOLUME_FACTOR = 4.0
-"""How much larger or smaller than assumed the vine may be."""
+"""The vine's volume may be larger or smaller than assumed by this factor."""
 MAX_VOLUME_FACTOR = 10.0
 BENT_MARGIN_S = 30.0
 """Added to the longest movement for `max_bent_s`."""

@@ -42,7 +42,7 @@ _START_SD = np.array([0.03, 0.02])
 ISOTHERMAL_CHI2 = 10.0
 """Maximum increase of χ² for which the model without heat is preferred: three parameters fit some noise."""
 _ROUNDS = 3
-"""Iterations of the gas temperature, on which the mass and so the cooling depends."""
+"""Iterations of the gas temperature: the mass depends on it, and the cooling on the mass."""
 _STEP = 1e-4
 
 
@@ -113,7 +113,8 @@ def fit_balance(
     ambient_kPa: float = STANDARD_PRESSURE_KPA,
 ) -> Balance:
     """Fit all parameters; ambient pressure is absolute."""
-    # Smoothed, because a factor with the noise of the readings would explain that noise.
+    # Smoothed: this pressure is a factor of the model. With its noise, the model would fit the same noise in
+    # the readings.
     read_kPa = np.maximum(smooth(bins.reservoir_kPa, BLOCK), 0.0) + ambient_kPa
     wall = bottle_wall(reservoir_L)
     usual = heat = np.log([wall.conductance_W_per_K, wall.capacity_J_per_K, wall.outer_conductance_W_per_K])
@@ -172,7 +173,7 @@ class _BalanceFit:
         return best, np.concatenate([self._target - design @ best, unusual])
 
     def chi2(self, heat: Array | None) -> float:
-        """With the priors."""
+        """χ² with that of the priors."""
         residual = self.solved(heat)[1]
         return float(residual @ residual)
 

@@ -178,8 +178,8 @@ def _refined(
 
     low, high = np.array([0.0, 0.0, -np.inf]), np.array([PLAYS[-1], STARTS[-1], np.inf])
     q, jacobian = least_squares(residual, best, low, high, np.array([0.005, 0.0005, 1e-4]))
-    left = residual(q)[:-1]
-    spread = max(1.0, float(left @ left) / max(1, len(air) - 3))
+    residuals = residual(q)[:-1]
+    spread = max(1.0, float(residuals @ residuals) / max(1, len(air) - 3))
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * spread
     play_sd, start_sd, gain_sd = np.sqrt(np.diag(covariance))
     if start_sd > MAX_START_SD:
@@ -236,7 +236,8 @@ def _chart(readings: Readings, vine: VineAir, fit: ValveFit, at_kPa: float) -> C
         command = readings.evp[each.rows]
         above = command[command > fit.start.value]
         if len(above) and expected > 0.0:
-            # At the opening where the fitted line has the expected flow: the distance to it is the residual.
+            # x: the opening at which the fitted line has the expected flow. So the vertical distance of the
+            # point from the line is the residual.
             mean = expected / (fit.gain.value * len(above) * readings.step_s)
             supply = float(np.mean(readings.reservoir_kPa[each.rows])) + vine.known.ambient_kPa
             x.append(fit.start.value + mean / supply)

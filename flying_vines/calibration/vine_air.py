@@ -45,13 +45,14 @@ GAIN_SD = 0.01
 RESERVOIR_ZERO_SD_KPA = 8.0
 """Standard deviation of the zero of the reservoir's sensor, if it was not measured."""
 VINE_LEAK_SD = 0.03
-"""Relative standard deviation: leak and valves are at different pressures, and the regulator has an error."""
+"""Relative standard deviation of the vine's leak: the regulator has an error, and the pressure at the valves
+differs from that at the leak."""
 MIN_LEAK_SDS = 3.0
 """A leak is reported if it is this many standard deviations above zero."""
 TOO_LITTLE = "too few inflations to measure the vine's volume"
 RESERVOIR_KEY = "pneumatics.reservoir_volume_L"
 GIVEN_VOLUME_SD = 0.005
-"""Relative standard deviation of a reservoir's volume that was weighed with water."""
+"""Relative standard deviation of a reservoir's volume that a person measured by weighing its water."""
 VESSEL_SD = 0.01
 """Relative standard deviation of the vessel's volume."""
 
@@ -128,7 +129,7 @@ def fit_vine_air(readings: Readings, known: AirInputs) -> VineAir:
     settled = readings.t_s - last_s > known.settling_s
     bins = binned(readings, columns, settled, noise)
     balance = fit_balance(bins, priors, known.reservoir_L.value, known.ambient_kPa)
-    # Without evidence these are set to zero: they would make the volume uncertain for no reason.
+    # A parameter without evidence is set to zero: it would only make the volume less certain.
     unseen = [name for name in ("growth", "refill") if balance.values[name].low <= 0.0]
     if unseen:
         priors |= {name: Prior(0.0, NO_EFFECT_SD) for name in unseen}
@@ -145,7 +146,7 @@ def _columns(readings: Readings, top_kPa: float) -> dict[str, Array]:
     for shut in readings.stretches(~readings.solenoid & readings.regulating):
         opened = np.flatnonzero(readings.evp[shut] > 0.0)
         if not len(opened):
-            # After a short vent the gas warms and its pressure rises without any air.
+            # After a short vent the gas warms, so the pressure rises although no air flows in.
             continue
         before_kPa = float(np.mean(readings.cv_kPa[max(0, shut.start - rows) : shut.start + 1]))
         vented = before_kPa < FLAT_KPA
@@ -181,7 +182,7 @@ def _reservoir_volume(assumed_L: float) -> MeasuredQuantity:
 
 
 def given_volume(reservoir_L: float, assumed_L: float) -> MeasuredQuantity:
-    """The reservoir's volume that a person weighed."""
+    """The reservoir's volume as the person gave it."""
     estimate = Estimate(reservoir_L, GIVEN_VOLUME_SD * reservoir_L)
     return _reservoir_volume(assumed_L).measured(estimate, "as you gave it")
 

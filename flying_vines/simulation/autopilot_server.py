@@ -24,9 +24,9 @@ _COMPANION, _GCS = "companion", "gcs"
 class AutopilotServer:
     """Connects an autopilot with a companion and a ground station on UDP, and with TCP clients.
 
-    Each has its own port of the autopilot, like the serial ports of a real one. UDP peers answer to the
-    sender's address. They need not listen yet: frames to a closed port are lost. The next TCP client gets the
-    port of one that has left. The autopilot must be new; call `run` only once.
+    Each peer has its own port of the autopilot, like the serial ports of a real one. UDP peers answer to the
+    sender's address. They need not listen yet: frames to a closed port are lost. A new TCP client gets the
+    port of a client that has left. The autopilot must be new; call `run` only once.
     """
 
     def __init__(
@@ -140,7 +140,7 @@ class _UdpPeer(asyncio.DatagramProtocol):
         self._server.receive(self._link, data)
 
     def error_received(self, exc: Exception) -> None:
-        """Nobody listens yet: the frame is lost, as on an open serial line."""
+        """Nobody listens yet: the frame is lost, as on a serial line without a receiver."""
 
     def send(self, frame: bytes) -> bool:
         if self._transport is None or self._transport.is_closing():
@@ -212,7 +212,7 @@ def _listening(at: str | SocketAddress) -> SocketAddress:
 
 
 def free_udp_port() -> int:
-    """A port of this computer that nobody uses."""
+    """An unused UDP port of this computer."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]

@@ -174,7 +174,7 @@ def _lost(loss: str, within_s: float) -> Expectation:
     )
 
 
-def _told(text: str, within_s: float) -> Expectation:
+def _pilot_reads(text: str, within_s: float) -> Expectation:
     return Expectation(f"pilot reads: “{text}”", within_s, lambda w, since: w.noticed(since, text))
 
 
@@ -223,25 +223,25 @@ SCRIPT = (
         ),
     ),
     DemoStep(14.5, "RC is lost", lambda w: w.autopilot.lose_rc("frozen"), (_lost("rc", 2.0), _vented(3.0))),
-    DemoStep(16.0, "The pilot moves the switch, unseen", _switch(HIGH), ()),
+    DemoStep(16.0, "The pilot moves the switch, but RC is lost", _switch(HIGH), ()),
     DemoStep(
         16.5,
         "RC returns",
         lambda w: w.autopilot.return_rc(),
-        (_told("RC is back", 1.0), _told("move it again", 2.5), _stays_vented(2.9)),
+        (_pilot_reads("RC is back", 1.0), _pilot_reads("move it again", 2.5), _stays_vented(2.9)),
     ),
-    DemoStep(19.5, "A fresh move of the switch", _switch(MIDDLE), (_switched(1), _bends_to(30.0))),
+    DemoStep(19.5, "A new move of the switch", _switch(MIDDLE), (_switched(1), _bends_to(30.0))),
     DemoStep(
         21.0,
         "The bottle gets a hole",
         _open_leak,
-        (_lost("bottle_loss", 2.0), _vented(2.5), _told("bottle loses", 2.0)),
+        (_lost("bottle_loss", 2.0), _vented(2.5), _pilot_reads("bottle loses", 2.0)),
     ),
     DemoStep(
         24.5,
         "Switch up with an empty bottle",
         _switch(HIGH),
-        (_switched(2, "refused", "bottle loses"), _told("refused bend-full", 1.0), _stays_vented(3.0)),
+        (_switched(2, "refused", "bottle loses"), _pilot_reads("refused bend-full", 1.0), _stays_vented(3.0)),
     ),
     DemoStep(
         25.0,
@@ -269,6 +269,7 @@ class DemoFlight:
 
     outcomes: list[DemoOutcome]
     unasked: list[str]
+    """A text for each kind of trigger with an unexpected number."""
     folder: Path
     picture: Path | None
     values: dict[str, float]

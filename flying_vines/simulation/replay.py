@@ -41,7 +41,7 @@ from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 from flying_vines.vehicle.mission.item import MissionItem
 
 GAP_S = 0.5
-"""A log continues in the next folder within this time, unless the disk failed between them."""
+"""Maximum time from the last event of a log to the start of its continuation. More: some input is missing."""
 
 
 def replay(
@@ -57,7 +57,7 @@ def replay(
 
     Times of actions count from the first frame. `pace`: 1 is the recorded speed, 2 twice as fast, 0 as fast
     as possible. A frame with an earlier time than its predecessor gets the predecessor's time. If the core
-    requests a mission item, it gets the last one in the recording.
+    requests a mission item, it gets the last recorded item with this number.
     """
     world = SimulatedWorld(config, mission=mission, prior=prior, stored=StoredState(dict(parameters or {})))
     codec = MavlinkCodec(config.vehicle.system_id, config.vehicle.component_id)
@@ -102,7 +102,7 @@ class Again:
     differences: list[str] = field(default_factory=list)
     """The differences, one sentence each."""
     damage: str = ""
-    """Why the log ends before the flight; else empty."""
+    """Why the log ends before the end of the flight; else empty."""
 
 
 def replay_flight(log: FlightLog, config: Config | None = None) -> Again:

@@ -78,7 +78,7 @@ def inject_typed(phlosar: SimulatedPhlosar, line: str) -> str:
 
 
 async def type_to(obeyed: Callable[[str], str]) -> None:
-    """Pass typed lines to `obeyed` until the end. Returns at once if nobody can type (a service)."""
+    """Pass typed lines to `obeyed` until the input ends. Returns at once without an input (as a service)."""
     kind = os.fstat(sys.stdin.fileno()).st_mode
     if not (sys.stdin.isatty() or stat.S_ISFIFO(kind) or stat.S_ISSOCK(kind)):
         return

@@ -64,7 +64,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _board(fields: dict[str, Any]) -> Firmware:
-    """The core has no pointer into its own memory, so it continues in a copy of it."""
+    """The firmware's core has no pointer into its own memory, so it also runs in a copy of this memory."""
     board = Firmware.__new__(Firmware)
     vars(board).update(fields, _firmware=ctypes.addressof(fields["_memory"]))
     return board

@@ -21,7 +21,7 @@ from flying_vines.supply.physics_checks import PhysicsChecks
 from .flights import HIGH, LOW, MIDDLE, airborne, assert_vented, bent, decisions, notices, run_for
 
 ABSURD = [1e30, 1e20, 1e12, 1e9, 5e3, -1e3, -1e9, -1e30, math.nan, math.inf, -math.inf]
-SAID = {
+TEXTS = {
     "cv_kPa": "Vine: vine sensor reads ",
     "reservoir_kPa": "Vine: bottle sensor reads ",
     "setpoint_kPa": "Vine: phloSAR setpoint is ",
@@ -76,7 +76,7 @@ def test_an_impossible_reading_is_a_fault_that_a_person_clears(field: str, value
     (lost,) = decisions(actions)
     assert lost.what == {"loss": "sensor"} and lost.t - 10.0 < 0.05
     texts = [text for text in notices(actions) if "waiting for" not in text]
-    assert [text for text in texts if text.startswith(SAID[field])] == texts
+    assert [text for text in texts if text.startswith(TEXTS[field])] == texts
     assert_vented(flight)
     flight.autopilot.set_rc(9, MIDDLE)
     assert [d.safety for d in decisions(run_for(flight, 1.0))] == ["refused"]
@@ -111,7 +111,7 @@ def test_with_any_other_value_in_a_frame_the_flight_continues_or_the_vine_is_ven
         assert_vented(flight)
 
 
-def test_readings_within_reach_of_a_sensor_never_spoil_an_estimate() -> None:
+def test_possible_readings_never_damage_an_estimate() -> None:
     prior = nominal(config.default().pneumatics)
     for seed in range(8):
         reader, reservoir = TelemetryReader(prior), ReservoirEstimate(prior)

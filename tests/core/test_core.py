@@ -172,7 +172,7 @@ def test_setpoints_never_jump_beyond_the_rate_limit() -> None:
     assert all(0.0 <= s.target_kPa <= 20.7 and s.rate_kPa_per_s <= 60.0 for s in sent)
 
 
-def test_a_switch_left_up_does_not_fire_at_the_start() -> None:
+def test_a_switch_left_up_bends_nothing_at_the_start() -> None:
     autopilot = FakeAutopilot("ardupilot")
     autopilot.set_rc(9, HIGH)
     flight = SimulatedFlight(config.default(), autopilot)
@@ -310,7 +310,7 @@ def test_an_empty_bottle_vents_refuses_and_is_reported() -> None:
     assert "bottle at" in refused.reason
 
 
-def test_a_valve_that_stays_shut_vents_latches_and_is_cleared_by_a_person() -> None:
+def test_a_valve_that_stays_shut_is_a_latched_fault_that_a_person_clears() -> None:
     flight = airborne()
     flight.phlosar.mishaps.evp = StuckAt(0.0)
     flight.autopilot.set_rc(9, HIGH)
@@ -604,18 +604,18 @@ def test_a_missing_stream_is_reported() -> None:
 @pytest.mark.long
 def test_the_learned_air_is_used_in_the_next_run_of_the_same_rig() -> None:
     flight = airborne()
-    kept: list[KeepLearned] = []
+    stored: list[KeepLearned] = []
     for _ in range(6):
         flight.autopilot.set_rc(9, HIGH)
-        kept += [action for action in run_for(flight, 3.0) if isinstance(action, KeepLearned)]
+        stored += [action for action in run_for(flight, 3.0) if isinstance(action, KeepLearned)]
         flight.autopilot.set_rc(9, LOW)
-        kept += [action for action in run_for(flight, 3.0) if isinstance(action, KeepLearned)]
-    assert 1 <= len(kept) <= 4, "after new cycles, and not too often"
+        stored += [action for action in run_for(flight, 3.0) if isinstance(action, KeepLearned)]
+    assert 1 <= len(stored) <= 4, "after new cycles, and not too often"
     for numbers, same in (
         (configured(), True),
         (configured(pneumatics=config.PneumaticsConfig(reservoir_volume_L=3.0)), False),
     ):
-        again = SimulatedWorld(numbers, stored=StoredState(learned=kept[-1].text))
+        again = SimulatedWorld(numbers, stored=StoredState(learned=stored[-1].text))
         actions = list(again.advance(3.0))
         left = again.core.snapshot(3.0).cycles
         assert left is not None
@@ -636,5 +636,5 @@ def test_a_new_leak_is_stored_even_without_a_bend() -> None:
     flight.phlosar.inject("bottle", Hole(0.1))
     actions = run_for(flight, 60.0)
     assert any("the leak has changed" in text for text in notices(actions))
-    kept = [action for action in actions if isinstance(action, KeepLearned)]
-    assert 1 <= len(kept) <= 6, "after the text, and not too often"
+    stored = [action for action in actions if isinstance(action, KeepLearned)]
+    assert 1 <= len(stored) <= 6, "after the text, and not too often"

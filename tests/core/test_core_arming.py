@@ -21,7 +21,7 @@ GROUND, SCRIPT = (255, 190), (1, 1)
 
 
 class Bench:
-    """A vine on the bench: everything is there, but nothing flies."""
+    """A vine on the bench: all links work, and the vehicle is disarmed on the ground."""
 
     def __init__(self, *, disarmed: bool = False, **interlocks: object) -> None:
         conf = msgspec.structs.replace(
@@ -49,8 +49,8 @@ class Bench:
         return actions
 
     @property
-    def kept(self) -> list[bool]:
-        """The disarmed state, each time that it was to be saved."""
+    def stored(self) -> list[bool]:
+        """The states of disarming that the core asked to store, in order."""
         return [action.disarmed for action in self.actions if isinstance(action, KeepDisarmed)]
 
 
@@ -72,7 +72,7 @@ def test_disarmed_pneumatics_vent_and_do_not_bend_until_a_person_arms_them() -> 
     assert bench.command(BEND, 30.0).safety == "accepted"
 
 
-def test_a_configuration_may_want_a_person_to_arm_first() -> None:
+def test_a_configuration_may_require_that_a_person_arms_first() -> None:
     bench = Bench(armed_at_start=False)
     assert bench.flight.core.snapshot(3.0).doing == "pneumatics disarmed"
     assert bench.command(BEND, 30.0).safety == "refused"
@@ -87,15 +87,15 @@ def test_pneumatics_that_were_disarmed_before_a_restart_still_are(armed_at_start
     assert bench.flight.core.snapshot(3.0).doing == "pneumatics disarmed"
     assert bench.command(BEND, 30.0).reason == "the pneumatics are disarmed"
     assert bench.command(STOP, ARM, sender=SCRIPT).safety == "refused"
-    assert bench.kept == []
+    assert bench.stored == []
     assert bench.command(STOP, ARM).safety == "accepted"
-    assert bench.kept == [False]
+    assert bench.stored == [False]
     assert bench.command(BEND, 30.0).safety == "accepted"
     bench.command(STOP, DISARM)
-    assert bench.kept == [False, True]
+    assert bench.stored == [False, True]
 
 
-def test_latched_faults_are_no_companions_to_clear() -> None:
+def test_another_companion_cannot_clear_latched_faults() -> None:
     bench = Bench()
     assert bench.command(MORE, 1, sender=(1, 195)).safety == "refused"
     assert bench.command(MORE, 1, sender=SCRIPT).safety == "refused"

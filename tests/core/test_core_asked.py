@@ -86,7 +86,7 @@ def test_a_late_request_is_refused_and_its_age_is_reported(by: Asker) -> None:
     [*TAKES_AIR, ArmPneumatics(), ClearLatchedFaults(), StartBench()],
     ids=lambda intent: str(intent),
 )
-def test_nothing_but_letting_air_out_is_done_late(intent: Intent) -> None:
+def test_a_late_request_may_only_let_air_out(intent: Intent) -> None:
     flight = on_the_bench()
     late = ask(flight, "page", intent, age_s=1.1)
     assert (late.safety, late.reason) == ("refused", "too late: requested 1.1 s ago")
@@ -94,7 +94,7 @@ def test_nothing_but_letting_air_out_is_done_late(intent: Intent) -> None:
     assert_vented(flight)
 
 
-def test_of_two_reasons_the_age_is_reported() -> None:
+def test_if_there_are_two_reasons_the_age_is_reported() -> None:
     late = ask(on_the_bench(), "page", ClearLatchedFaults(), age_s=1.1, seen_s=None)
     assert (late.safety, late.reason) == ("refused", "too late: requested 1.1 s ago")
 
@@ -142,7 +142,7 @@ def test_the_page_takes_no_air_in_flight(intent: Intent) -> None:
     assert_vented(flight)
 
 
-def test_not_even_where_the_configuration_is_for_the_bench() -> None:
+def test_the_page_takes_no_air_in_flight_with_a_bench_configuration() -> None:
     flight = airborne(configured(interlocks=config.InterlocksConfig(bench_mode=True)))
     assert ask(flight, "page", BendTo(30.0)).safety == "refused"
 
@@ -152,7 +152,7 @@ def test_a_configuration_for_the_bench_is_bench_mode() -> None:
     assert ask(flight, "page", BendTo(30.0)).safety == "accepted"
 
 
-def test_the_page_takes_no_air_on_the_ground_but_in_bench_mode() -> None:
+def test_the_page_takes_air_on_the_ground_only_in_bench_mode() -> None:
     flight = on_the_ground()
     for intent in TAKES_AIR:
         assert ask(flight, "page", intent).reason == "the page can bend the vine only in bench mode"
@@ -221,7 +221,7 @@ def test_a_fault_that_was_not_seen_stays(by: Asker, intent: Intent, seen_s: floa
         assert decision.safety == "accepted"
 
 
-def test_a_firmwares_fault_that_was_not_seen_stays() -> None:
+def test_a_fault_of_the_firmware_that_was_not_seen_stays() -> None:
     flight = bent(conf=open_to("vent"))
     before = flight.world.now
     # The firmware's dead-man runs out.
@@ -242,7 +242,7 @@ def test_an_item_of_the_mission_clears_no_fault() -> None:
     assert faults(flight) == {"firmware_reset"}
 
 
-def test_the_pilots_switch_and_the_calibration_on_the_terminal_clear_what_there_is() -> None:
+def test_the_pilots_switch_and_the_calibration_on_the_terminal_clear_every_fault() -> None:
     flight = with_latched_fault()
     flight.autopilot.set_rc(9, LOW)
     run_for(flight, 1.0)

@@ -99,7 +99,7 @@ def test_telemetry_whose_clock_does_not_go_on_is_lost(change: Change) -> None:
     assert (refused.safety, refused.reason) == ("refused", "phloSAR telemetry stale")
 
 
-def test_a_counter_that_stands_while_the_clock_continues_is_no_loss() -> None:
+def test_a_counter_that_stops_while_the_clock_continues_is_no_loss() -> None:
     """The board's clock says if a frame is new. The counter only counts losses."""
     flight = bent()
     decoder = protocol.Codec()
@@ -108,7 +108,7 @@ def test_a_counter_that_stands_while_the_clock_continues_is_no_loss() -> None:
     assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
 
 
-def test_every_frame_twice_and_adjacent_ones_swapped_is_no_loss() -> None:
+def test_repeated_frames_and_swapped_frames_are_no_loss() -> None:
     flight = bent()
     decoder, encoder = protocol.Codec(), protocol.Codec()
     waiting: list[protocol.Message] = []
@@ -140,7 +140,7 @@ def test_a_board_that_regulates_on_after_a_vent_is_reported_and_is_a_fault() -> 
     flight.autopilot.set_rc(9, LOW)
     actions = run_for(flight, 0.5)
     began = next(a.t for a in decisions(actions) if a.intent == "straight")
-    # The motion down must end first: until then the board is told to regulate.
+    # The motion down must end first: until then the board gets setpoints.
     actions += run_for(flight, 3.0)
     ended = max(
         i for i, a in enumerate(actions) if isinstance(a, ToFirmware) and isinstance(a.message, Setpoint)
@@ -148,7 +148,7 @@ def test_a_board_that_regulates_on_after_a_vent_is_reported_and_is_a_fault() -> 
     (fault,) = [a for a in notices(actions) if "still regulates" in a.text]
     assert fault.text == "Vine: phloSAR still regulates, vent commanded"
     assert fault.t - began < 1.5
-    assert sent(actions[ended + 1 :], Vent) > 50, "it is told again and again"
+    assert sent(actions[ended + 1 :], Vent) > 50, "the vent is repeated"
     flight.autopilot.set_rc(9, HIGH)
     (refused,) = decisions(run_for(flight, 1.0))
     assert (refused.safety, refused.reason) == ("refused", "phloSAR still regulates")
@@ -159,7 +159,7 @@ def test_a_board_that_regulates_on_after_a_vent_is_reported_and_is_a_fault() -> 
     assert "Vine: cleared regulates" in texts_of(run_for(flight, 1.0))
 
 
-def test_it_is_found_within_0p35_s_of_a_vent() -> None:
+def test_a_board_that_regulates_on_is_found_within_0p35_s_of_a_vent() -> None:
     flight = bent()
     change_telemetry(flight, regulating)
     flight.autopilot.lose_rc("jump")
@@ -169,7 +169,7 @@ def test_it_is_found_within_0p35_s_of_a_vent() -> None:
     assert 0.29 < fault_at - vented_at < 0.36
 
 
-def test_two_answers_that_are_late_one_after_the_other_are_no_fault() -> None:
+def test_two_late_answers_in_a_row_are_no_fault() -> None:
     """Each answer is late by less than the limit. Only both times together exceed it."""
     flight = bent()
     change_telemetry(flight, lambda telemetry: dataclasses.replace(telemetry, mode=Mode.VENT))
@@ -227,7 +227,7 @@ def test_a_loop_of_restarts_is_reported_at_once_and_then_counted(every_s: float)
         f"Vine: phloSAR restarted {count} times in {30.0 - every_s:.0f} s"
     )
     logged = [n for n in notices(actions) if "restarted" in n.text and n.severity is Severity.DEBUG]
-    assert len(logged) >= count - 1, "the log has each"
+    assert len(logged) >= count - 1, "the log has each restart"
     assert all(event_line(notice, 0.0) is None for notice in logged)
     gateway = Gateway(config.default(), ask=lambda *_: pytest.fail("nobody asks"), say=pytest.fail)
     for notice in logged:
@@ -238,7 +238,7 @@ def test_a_loop_of_restarts_is_reported_at_once_and_then_counted(every_s: float)
     assert sum(message.get_type() == "STATUSTEXT" for message in radioed) <= 10
 
 
-def test_while_it_loops_no_person_clears_it_and_nothing_bends() -> None:
+def test_while_the_board_restarts_again_and_again_no_person_clears_it_and_nothing_bends() -> None:
     flight = airborne()
     positions = itertools.cycle((HIGH, LOW))
     actions: list[Action] = []
@@ -261,7 +261,7 @@ def test_while_it_loops_no_person_clears_it_and_nothing_bends() -> None:
     assert bends_again.safety == "accepted"
 
 
-def test_one_restart_is_cleared_as_ever() -> None:
+def test_a_person_clears_a_single_restart() -> None:
     flight = bent()
     flight.phlosar.reset_firmware()
     run_for(flight, 0.5)

@@ -92,7 +92,7 @@ def test_while_the_vehicle_is_disarmed_no_message_moves_anything() -> None:
     assert world.core.snapshot(1.0).vehicle.endswith(" 1")
 
 
-def test_whatever_moves_stays_within_the_limits() -> None:
+def test_every_movement_stays_within_the_limits() -> None:
     frames, world, codec = RandomFrames(22), SimulatedWorld(serving_vehicle_1()), MavlinkCodec(0, 191)
     autopilot = MavlinkCodec(1, 1)
     limits = config.default().limits
@@ -137,7 +137,7 @@ def test_a_flood_of_requests_gets_few_answers_and_stores_few(sender: tuple[int, 
     assert largest_tables(core)[0][0] <= LARGEST_TABLE
 
 
-def test_telemetry_that_makes_no_sense_moves_nothing() -> None:
+def test_absurd_telemetry_moves_nothing() -> None:
     dice = random.Random(3)
     core = Core(serving_vehicle_1())
     core.handle(LinkChanged(0.0, "firmware", True))

@@ -82,7 +82,7 @@ def test_an_item_is_carried_out_at_once_with_its_numbers() -> None:
     assert decision.t - ran_at < 0.03
 
 
-def test_a_mission_replaced_a_moment_ago_gives_its_own_numbers() -> None:
+def test_a_mission_that_was_just_replaced_gives_its_new_numbers() -> None:
     flight = flying(2.0)
     flight.run(flight.world.now + 1.5)
     flight.autopilot.set_mission(mission(11.0))
@@ -158,13 +158,13 @@ def test_a_request_older_than_the_latest_is_not_executed() -> None:
     assert decide(flight, BendTo(20.0), 0.1).safety == "accepted"
 
 
-def test_a_trigger_of_which_nothing_can_be_made_is_refused() -> None:
+def test_a_trigger_without_an_intent_is_refused() -> None:
     flight = flying(2.0)
     t = flight.world.now
     assert flight.core._decide(t, Trigger(t, "command", {}, None)).safety == "refused"
 
 
-def test_clearing_no_fault_does_not_overtake_a_move_that_waits_for_its_confirmation() -> None:
+def test_clearing_without_a_fault_does_not_cancel_a_move_that_waits_for_its_confirmation() -> None:
     flight = airborne(autopilot=FakeAutopilot("px4", receiver="sbus"))
     flight.autopilot.set_rc(9, HIGH)
     actions = run_for(flight, 0.5)
@@ -175,7 +175,7 @@ def test_clearing_no_fault_does_not_overtake_a_move_that_waits_for_its_confirmat
     assert flight.phlosar.cv_kPa > 15.0
 
 
-def test_clearing_a_fault_overtakes_it() -> None:
+def test_clearing_a_fault_cancels_a_move_that_waits_for_its_confirmation() -> None:
     flight = airborne(autopilot=FakeAutopilot("px4", receiver="sbus"))
     flight.phlosar.inject("board", Reset())
     run_for(flight, 2.0)

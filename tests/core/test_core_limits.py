@@ -27,7 +27,7 @@ def holding(hold_s: float, bent_s: float) -> config.Config:
     return configured(losses=losses, limits=config.LimitsConfig(max_bent_s=bent_s))
 
 
-def say(
+def send(
     flight: SimulatedFlight, message: MavlinkMessage, sender: tuple[int, int], sequence: int = 0
 ) -> list[Action]:
     codec = MavlinkCodec(*sender)
@@ -36,22 +36,22 @@ def say(
     return flight.feed(VehicleMessage(flight.world.now, received))
 
 
-def order(
+def command(
     flight: SimulatedFlight,
-    command: int,
+    number: int,
     *params: float,
     sender: tuple[int, int] = STATION,
     confirmation: int = 0,
     sequence: int = 0,
 ) -> list[Action]:
-    numbers = [*params, *[0.0] * (7 - len(params))]
-    message = mavlink.MAVLink_command_long_message(1, 191, command, confirmation, *numbers)
+    padded = [*params, *[0.0] * (7 - len(params))]
+    message = mavlink.MAVLink_command_long_message(1, 191, number, confirmation, *padded)
     # Texts wait in a queue.
-    return say(flight, message, sender, sequence) + run_for(flight, 0.1)
+    return send(flight, message, sender, sequence) + run_for(flight, 0.1)
 
 
-def beat(flight: SimulatedFlight, sender: tuple[int, int], kind: int) -> None:
-    say(flight, mavlink.MAVLink_heartbeat_message(kind, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3), sender)
+def heartbeat(flight: SimulatedFlight, sender: tuple[int, int], kind: int) -> None:
+    send(flight, mavlink.MAVLink_heartbeat_message(kind, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3), sender)
 
 
 def is_bent(flight: SimulatedFlight) -> bool:
@@ -59,8 +59,8 @@ def is_bent(flight: SimulatedFlight) -> bool:
 
 
 def bent_for(flight: SimulatedFlight, history: Sequence[tuple[bool, float]]) -> tuple[float, float]:
-    """How long the vine stays bent while RC is lost (False) and returns (True), and for how much of that RC
-    was lost."""
+    """The time for which the vine stays bent while RC is lost (False) and returns (True), and the part of it
+    without RC."""
     began, held_s = flight.world.now, 0.0
     for good, lasts_s in history:
         flight.autopilot.return_rc() if good else flight.autopilot.lose_rc("frozen")
@@ -73,7 +73,7 @@ def bent_for(flight: SimulatedFlight, history: Sequence[tuple[bool, float]]) -> 
     return flight.world.now - began, held_s
 
 
-def test_losses_that_are_held_do_not_stretch_how_long_the_vine_stays_bent() -> None:
+def test_losses_that_hold_the_vine_do_not_prolong_a_bend() -> None:
     flight = bent(conf=holding(60.0, 20.0))
     lasted_s, _ = bent_for(flight, [(False, 4.0), (True, 4.0)] * 5)
     # A trigger bent it within the last two seconds.
@@ -82,7 +82,7 @@ def test_losses_that_are_held_do_not_stretch_how_long_the_vine_stays_bent() -> N
     assert_vented(flight)
 
 
-def test_losses_that_come_and_go_are_held_no_longer_than_one() -> None:
+def test_repeated_losses_are_held_no_longer_than_one_loss() -> None:
     flight = bent(conf=holding(5.0, 110.0))
     _, held_s = bent_for(flight, [(False, 4.0), (True, 4.0)] * 5)
     assert 4.8 < held_s < 5.1
@@ -90,7 +90,7 @@ def test_losses_that_come_and_go_are_held_no_longer_than_one() -> None:
     assert_vented(flight)
 
 
-def test_a_fresh_move_is_held_anew() -> None:
+def test_after_a_new_move_a_loss_is_held_for_the_whole_time_again() -> None:
     flight = bent(conf=holding(5.0, 110.0))
     for _ in range(3):
         _, held_s = bent_for(flight, [(False, 5.0), (True, 3.0)])
@@ -104,7 +104,7 @@ def test_a_fresh_move_is_held_anew() -> None:
 def test_a_hold_command_is_a_new_request() -> None:
     flight = bent(conf=holding(5.0, 10.0))
     run_for(flight, 6.0)
-    assert answers(order(flight, USER_4, HOLD)) == [(USER_4, ACCEPTED)]
+    assert answers(command(flight, USER_4, HOLD)) == [(USER_4, ACCEPTED)]
     run_for(flight, 9.8)
     assert is_bent(flight)
     run_for(flight, 0.5)
@@ -114,7 +114,7 @@ def test_a_hold_command_is_a_new_request() -> None:
 @pytest.mark.long
 @settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.lists(st.tuples(st.booleans(), st.floats(0.1, 6.0)), min_size=1, max_size=8))
-def test_no_losses_and_returns_stretch_a_bend(history: list[tuple[bool, float]]) -> None:
+def test_no_sequence_of_losses_prolongs_a_bend(history: list[tuple[bool, float]]) -> None:
     flight = bent(conf=holding(4.0, 15.0))
     lasted_s, held_s = bent_for(flight, [*history, (False, 15.0)])
     assert held_s <= 4.0 + 0.1
@@ -129,44 +129,44 @@ def test_no_losses_and_returns_stretch_a_bend(history: list[tuple[bool, float]])
 @pytest.mark.parametrize("what", [VENT, DISARM])
 def test_a_vent_that_is_taken_for_a_repeat_vents(what: float) -> None:
     flight = airborne()
-    order(flight, USER_4, what)
-    order(flight, USER_4, ARM)
+    command(flight, USER_4, what)
+    command(flight, USER_4, ARM)
     run_for(flight, 0.2)
-    order(flight, USER_2, 45.0)
+    command(flight, USER_2, 45.0)
     run_for(flight, 1.0)
     assert flight.phlosar.cv_kPa > 10.0
-    assert answers(order(flight, USER_4, what, confirmation=1)) == [(USER_4, ACCEPTED)]
+    assert answers(command(flight, USER_4, what, confirmation=1)) == [(USER_4, ACCEPTED)]
     run_for(flight, 1.0)
     assert_vented(flight)
 
 
 def test_a_straightening_that_is_taken_for_a_copy_straightens() -> None:
     flight = airborne()
-    order(flight, mavlink.MAV_CMD_USER_1, 0.0, sequence=7)
-    order(flight, USER_2, 45.0)
+    command(flight, mavlink.MAV_CMD_USER_1, 0.0, sequence=7)
+    command(flight, USER_2, 45.0)
     run_for(flight, 1.0)
-    order(flight, mavlink.MAV_CMD_USER_1, 0.0, sequence=7)
+    command(flight, mavlink.MAV_CMD_USER_1, 0.0, sequence=7)
     run_for(flight, 1.0)
     assert_vented(flight)
 
 
-def test_a_bend_that_is_a_repeat_is_not_done_again() -> None:
+def test_a_repeated_bend_is_not_executed_again() -> None:
     flight = airborne()
-    order(flight, USER_2, 45.0)
-    order(flight, USER_4, VENT)
-    assert answers(order(flight, USER_2, 45.0, confirmation=1)) == [(USER_2, ACCEPTED)]
+    command(flight, USER_2, 45.0)
+    command(flight, USER_4, VENT)
+    assert answers(command(flight, USER_2, 45.0, confirmation=1)) == [(USER_2, ACCEPTED)]
     run_for(flight, 1.0)
     assert_vented(flight)
 
 
-def test_a_vent_that_is_a_repeat_clears_no_fault() -> None:
+def test_a_repeated_vent_clears_no_fault() -> None:
     flight = bent()
-    order(flight, USER_4, VENT)
+    command(flight, USER_4, VENT)
     flight.phlosar.reset_firmware()
     run_for(flight, 1.0)
-    order(flight, USER_4, VENT, confirmation=1)
+    command(flight, USER_4, VENT, confirmation=1)
     assert "firmware_reset" in flight.core.snapshot(flight.world.now).safe_state
-    order(flight, USER_4, VENT)
+    command(flight, USER_4, VENT)
     assert "firmware_reset" not in flight.core.snapshot(flight.world.now).safe_state
 
 
@@ -175,14 +175,14 @@ def test_a_vent_that_is_a_repeat_clears_no_fault() -> None:
 
 def test_a_gimbal_may_vent_and_nothing_else() -> None:
     flight = bent()
-    beat(flight, GIMBAL, mavlink.MAV_TYPE_GIMBAL)
-    for command, param in ((USER_2, 30.0), (USER_4, HOLD), (USER_4, ARM), (USER_5, 1.0)):
-        actions = order(flight, command, param, sender=GIMBAL)
-        assert answers(actions) == [(command, DENIED)]
+    heartbeat(flight, GIMBAL, mavlink.MAV_TYPE_GIMBAL)
+    for number, param in ((USER_2, 30.0), (USER_4, HOLD), (USER_4, ARM), (USER_5, 1.0)):
+        actions = command(flight, number, param, sender=GIMBAL)
+        assert answers(actions) == [(number, DENIED)]
         assert any(text.endswith("1/154 is not a ground station") for text in notices(actions))
     run_for(flight, 0.5)
     assert is_bent(flight)
-    assert answers(order(flight, USER_4, VENT, sender=GIMBAL)) == [(USER_4, ACCEPTED)]
+    assert answers(command(flight, USER_4, VENT, sender=GIMBAL)) == [(USER_4, ACCEPTED)]
     run_for(flight, 0.7)
     assert_vented(flight)
 
@@ -191,24 +191,24 @@ def test_a_vent_by_an_unknown_sender_clears_no_fault() -> None:
     flight = bent()
     flight.phlosar.reset_firmware()
     run_for(flight, 1.0)
-    order(flight, USER_4, VENT, sender=GIMBAL)
+    command(flight, USER_4, VENT, sender=GIMBAL)
     assert "firmware_reset" in flight.core.snapshot(flight.world.now).safe_state
 
 
 STATIONS = [(255, 190), (255, 0), (255, 230), (254, 190), (245, 190)]
-"""QGroundControl and Mission Planner, pymavlink, MAVProxy, a second one, mavsdk."""
+"""QGroundControl and Mission Planner, pymavlink, MAVProxy, a second ground station, mavsdk."""
 STRANGERS = [(0, 190), (0, 0), (1, 190), (1, 195), (1, 0), (2, 1), (7, 190), (239, 190), (255, 1), (255, 154)]
 
 
 @pytest.mark.parametrize("sender", STATIONS)
 def test_a_station_without_a_heartbeat_may_bend(sender: tuple[int, int]) -> None:
-    assert answers(order(airborne(), USER_2, 30.0, sender=sender)) == [(USER_2, ACCEPTED)]
+    assert answers(command(airborne(), USER_2, 30.0, sender=sender)) == [(USER_2, ACCEPTED)]
 
 
 @pytest.mark.parametrize("sender", STRANGERS)
 def test_an_unknown_sender_may_not_bend(sender: tuple[int, int]) -> None:
     flight = airborne()
-    assert answers(order(flight, USER_2, 30.0, sender=sender)) == [(USER_2, DENIED)]
+    assert answers(command(flight, USER_2, 30.0, sender=sender)) == [(USER_2, DENIED)]
     run_for(flight, 0.5)
     assert_vented(flight)
 
@@ -225,23 +225,23 @@ def test_an_unknown_sender_may_not_bend(sender: tuple[int, int]) -> None:
 )
 def test_a_heartbeat_counts_more_than_ids(kind: int) -> None:
     flight = airborne()
-    beat(flight, STATION, kind)
-    assert answers(order(flight, USER_2, 30.0)) == [(USER_2, DENIED)]
-    beat(flight, (7, 25), mavlink.MAV_TYPE_GCS)
-    assert answers(order(flight, USER_2, 30.0, sender=(7, 25))) == [(USER_2, ACCEPTED)]
+    heartbeat(flight, STATION, kind)
+    assert answers(command(flight, USER_2, 30.0)) == [(USER_2, DENIED)]
+    heartbeat(flight, (7, 25), mavlink.MAV_TYPE_GCS)
+    assert answers(command(flight, USER_2, 30.0, sender=(7, 25))) == [(USER_2, ACCEPTED)]
 
 
 @pytest.mark.parametrize("sender", [(0, 190), (1, 190)])
 def test_no_heartbeat_of_id_0_or_of_our_own_vehicle_makes_a_station(sender: tuple[int, int]) -> None:
     flight = airborne()
-    beat(flight, sender, mavlink.MAV_TYPE_GCS)
-    assert answers(order(flight, USER_2, 30.0, sender=sender)) == [(USER_2, DENIED)]
+    heartbeat(flight, sender, mavlink.MAV_TYPE_GCS)
+    assert answers(command(flight, USER_2, 30.0, sender=sender)) == [(USER_2, DENIED)]
 
 
 def test_a_script_on_the_autopilot_may_bend_and_not_arm() -> None:
     flight = airborne()
-    assert answers(order(flight, USER_2, 30.0, sender=(1, 1))) == [(USER_2, ACCEPTED)]
-    assert answers(order(flight, USER_4, ARM, sender=(1, 1))) == [(USER_4, DENIED)]
+    assert answers(command(flight, USER_2, 30.0, sender=(1, 1))) == [(USER_2, ACCEPTED)]
+    assert answers(command(flight, USER_4, ARM, sender=(1, 1))) == [(USER_4, DENIED)]
 
 
 def test_a_hold_of_a_lost_rc_cannot_be_prolonged() -> None:
@@ -249,7 +249,7 @@ def test_a_hold_of_a_lost_rc_cannot_be_prolonged() -> None:
     flight.autopilot.lose_rc("frozen")
     run_for(flight, 2.0)
     assert is_bent(flight)
-    actions = order(flight, USER_4, HOLD)
+    actions = command(flight, USER_4, HOLD)
     assert (USER_4, DENIED) in answers(actions)
     assert any("RC lost" in text for text in notices(actions))
     run_for(flight, 2.0)

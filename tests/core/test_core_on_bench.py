@@ -33,13 +33,13 @@ def vented(flight: SimulatedFlight) -> bool:
     return flight.phlosar.cv_kPa < 1.0 and flight.core.snapshot(flight.world.now).doing == "vented"
 
 
-def test_on_the_ground_nothing_bends_without_it() -> None:
+def test_on_the_ground_nothing_bends_without_bench_mode() -> None:
     flight = on_the_ground()
     refused = ask(flight, SetPressure(5.0))
     assert (refused.safety, refused.reason) == ("refused", "the page can bend the vine only in bench mode")
 
 
-def test_an_armed_vehicle_is_on_no_bench() -> None:
+def test_bench_mode_is_refused_while_the_vehicle_is_armed() -> None:
     flight = on_the_ground()
     flight.autopilot.takeoff(5.0)
     run_for(flight, 1.0)
@@ -47,7 +47,7 @@ def test_an_armed_vehicle_is_on_no_bench() -> None:
     assert (refused.safety, refused.reason) == ("refused", "the vehicle is armed")
 
 
-def test_arming_ends_it_and_vents() -> None:
+def test_arming_ends_bench_mode_and_vents() -> None:
     flight = bent_on_the_bench()
     flight.autopilot.takeoff(5.0)
     texts = notices(run_for(flight, 2.0))
@@ -55,7 +55,7 @@ def test_arming_ends_it_and_vents() -> None:
     assert vented(flight)
 
 
-def test_it_ends_when_it_is_left() -> None:
+def test_bench_mode_ends_on_request() -> None:
     flight = bent_on_the_bench()
     assert ask(flight, StopBench()).safety == "accepted"
     run_for(flight, 1.0)
@@ -63,7 +63,7 @@ def test_it_ends_when_it_is_left() -> None:
     assert ask(flight, BendTo(30.0)).safety == "refused"
 
 
-def test_it_ends_without_further_requests(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bench_mode_ends_without_further_requests(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(core, "BENCH_S", 4.0)
     flight = on_the_ground()
     ask(flight, StartBench())
@@ -85,10 +85,10 @@ def test_rc_that_is_switched_off_vents_and_is_not_reported_as_back(how: str) -> 
     assert "Vine: RC is off and not in use" in texts
     assert not any("RC is back" in text for text in texts)
     assert vented(flight)
-    assert ask(flight, BendTo(30.0)).safety == "accepted", "who has no RC on the bench may bend by the page"
+    assert ask(flight, BendTo(30.0)).safety == "accepted", "without RC the page may bend on the bench"
 
 
-def test_only_a_request_of_a_person_prolongs_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_a_request_of_a_person_prolongs_bench_mode(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(core, "BENCH_S", 4.0)
     flight = on_the_ground()
     ask(flight, StartBench())
@@ -99,7 +99,7 @@ def test_only_a_request_of_a_person_prolongs_it(monkeypatch: pytest.MonkeyPatch)
     assert "Vine: bench mode over, no more requests: vented" in notices(run_for(flight, 1.5))
 
 
-def test_rc_that_goes_off_vents_where_the_configuration_is_for_the_bench() -> None:
+def test_rc_that_is_switched_off_vents_with_a_bench_configuration() -> None:
     interlocks = config.InterlocksConfig(bench_mode=True)
     flight = on_the_ground(msgspec.structs.replace(config.default(), interlocks=interlocks))
     assert ask(flight, BendTo(30.0)).safety == "accepted"

@@ -49,7 +49,7 @@ def sent(actions: list[Action]) -> list[MavlinkMessage]:
     return [action.message for action in actions if isinstance(action, ToVehicle)]
 
 
-def test_a_slower_rate_is_in_force_for_the_next_bend_and_is_kept() -> None:
+def test_a_slower_rate_is_used_for_the_next_bend_and_is_saved() -> None:
     field = Field()
     assert field.set("VINE_MAX_RATE", 5.0) == 5.0
     assert field.flight.core.config.limits.max_rate_kPa_per_s == 5.0
@@ -57,8 +57,8 @@ def test_a_slower_rate_is_in_force_for_the_next_bend_and_is_kept() -> None:
     began_kPa = field.flight.phlosar.cv_kPa
     field.flight.run(field.flight.world.now + 2.0)
     assert field.flight.phlosar.cv_kPa - began_kPa == pytest.approx(10.0, abs=1.0)
-    (kept,) = (action for action in field.actions if isinstance(action, KeepParameters))
-    assert kept.values == {"VINE_MAX_RATE": 5.0}
+    (stored,) = (action for action in field.actions if isinstance(action, KeepParameters))
+    assert stored.values == {"VINE_MAX_RATE": 5.0}
 
 
 def test_settings_of_the_vine_do_not_change_while_it_is_bent() -> None:
@@ -87,7 +87,7 @@ def test_a_profile_that_a_parameter_makes_too_strong_is_clipped_and_reported() -
     assert field.flight.phlosar.cv_kPa == pytest.approx(10.0, abs=0.5)
 
 
-def test_another_switch_channel_waits_for_a_fresh_move() -> None:
+def test_another_switch_channel_waits_for_a_new_move() -> None:
     field = Field()
     field.flight.autopilot.set_rc(9, 2000)
     field.flight.autopilot.set_rc(7, 2000)

@@ -129,7 +129,7 @@ def fly(method: Method, after_s: float, seldom: int = 1) -> Broken:
     after_s=st.floats(0.0, 4.0),
     seldom=st.sampled_from([1, 1, 3]),
 )
-def test_whatever_raises_in_the_core_the_vine_is_vented_and_the_pilot_reads_it_once(
+def test_after_any_error_in_the_core_the_vine_is_vented_and_the_pilot_reads_it_once(
     method: Method, after_s: float, seldom: int
 ) -> None:
     fly(method, after_s, seldom)
@@ -151,7 +151,7 @@ def test_whatever_raises_in_the_core_the_vine_is_vented_and_the_pilot_reads_it_o
         ((Vehicle, "rc"), 0.5),
     ],
 )
-def test_the_vent_does_not_need_what_failed(method: Method, after_s: float) -> None:
+def test_the_vent_does_not_need_the_part_that_failed(method: Method, after_s: float) -> None:
     assert fly(method, after_s).failed_at is not None
 
 

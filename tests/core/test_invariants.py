@@ -1,4 +1,6 @@
-"""A monitor finds no violation in random flights, and finds those of services and firmware that break a rule.
+"""A monitor finds no violation in random flights, and finds each violation of a mutant.
+
+A mutant is a service or a firmware that breaks one rule.
 
 In each flight of a mutant, the real service and firmware have no violation.
 """
@@ -40,10 +42,10 @@ sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 from faults_flight import PULSES_US, SWITCH, MonitoredFlight, Setup
 from faults_script import draw, fly
 
-# Cheats, and the flights that expose them.
+# Mutants, and the flights that expose them.
 
 
-class RcBackAndOn(Core):
+class ResumesAfterRcLoss(Core):
     """Resumes its motion after an RC loss."""
 
     def _enter(self, t: float, change: ResponseNeeded) -> None:
@@ -56,7 +58,7 @@ class RcBackAndOn(Core):
         self._motion = self._before
 
 
-class NothingWasSaid(Core):
+class MovesWithoutRequest(Core):
     """Moves without a request."""
 
     def handle(self, event: Event) -> list[Action]:
@@ -66,14 +68,14 @@ class NothingWasSaid(Core):
         return actions
 
 
-class BlindToSafety(Core):
+class IgnoresSafety(Core):
     """Continues although safety vents."""
 
     def _enter(self, t: float, change: ResponseNeeded) -> None:
         pass
 
 
-class SwitchRemembers(Core):
+class AcceptsUnseenMoves(Core):
     """Accepts a move of the switch that nobody saw."""
 
     def __init__(self, conf: Config) -> None:
@@ -81,7 +83,7 @@ class SwitchRemembers(Core):
         self._vehicle.switch.lose = lambda: None  # type: ignore[method-assign]
 
 
-class ResetAndOn(Core):
+class ResumesAfterReset(Core):
     """Gives a restarted board its former command."""
 
     def _on_firmware(self, t: float, message: protocol.Message) -> None:
@@ -94,14 +96,14 @@ class ResetAndOn(Core):
             self._motion = self._again
 
 
-class HoldsByGoingOn(Core):
+class FinishesItsMotion(Core):
     """On RC loss it does not hold the vine, but finishes its motion."""
 
     def _freeze(self, t: float) -> None:
         pass
 
 
-class TooFar(Core):
+class HasNoLimits(Core):
     """Has no limits."""
 
     def __init__(self, conf: Config) -> None:
@@ -110,7 +112,7 @@ class TooFar(Core):
         super().__init__(msgspec.structs.replace(conf, limits=limits, vine=vine))
 
 
-class NeedsNobody(Core):
+class ClearsFaultsItself(Core):
     """Clears latched faults as soon as possible."""
 
     def _on_tick(self, t: float) -> None:
@@ -118,7 +120,7 @@ class NeedsNobody(Core):
         super()._on_tick(t)
 
 
-class NeverStraight(Core):
+class NeverStraightens(Core):
     """Ignores requests to straighten."""
 
     def _decide(self, t: float, trigger: Trigger) -> Decision:
@@ -127,7 +129,7 @@ class NeverStraight(Core):
         return super()._decide(t, trigger)
 
 
-class DeafToTheSwitch(Core):
+class ReportsButDoesNotBend(Core):
     """Reports a bend, but does not bend the vine."""
 
     def _decide(self, t: float, trigger: Trigger) -> Decision:
@@ -136,7 +138,7 @@ class DeafToTheSwitch(Core):
         return super()._decide(t, trigger)
 
 
-class OtherNumbers(Core):
+class BendsByHalf(Core):
     """Bends the vine by half of the requested angle."""
 
     def _decide(self, t: float, trigger: Trigger) -> Decision:
@@ -178,7 +180,7 @@ class LateDeadMan(RemembersTheSetpoint):
             Firmware.receive(self, protocol.encode(last, 0))
 
 
-class ForgetsItsDeadMan(RemembersTheSetpoint):
+class DoesNotLatchItsDeadMan(RemembersTheSetpoint):
     """Vents when its dead-man runs out, but does not latch this, so the next setpoint continues."""
 
     def _remember(self, last: Setpoint, for_ms: int) -> None:
@@ -186,14 +188,14 @@ class ForgetsItsDeadMan(RemembersTheSetpoint):
             Firmware.receive(self, protocol.encode(Vent(last.number), 0))
 
 
-class NoLimit(Firmware):
+class IgnoresOverPressure(Firmware):
     """Ignores over-pressure of vine and reservoir."""
 
     def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Inputs:
         return super().step(now_us, min(cv_kPa, 25.0), min(reservoir_kPa, 700.0))
 
 
-class StuckInRegulation(Firmware):
+class IgnoresVents(Firmware):
     """Ignores vents."""
 
     def __init__(self) -> None:
@@ -207,7 +209,7 @@ class StuckInRegulation(Firmware):
 
 
 class OpensAtPowerUp(Firmware):
-    """Lets in a puff of air when it is greeted."""
+    """Inflates for one step after each Hello."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -338,30 +340,30 @@ def straighten(flight: MonitoredFlight) -> None:
 class Mutant:
     flown: Callable[[MonitoredFlight], None]
     rules: set[str]
-    """At least one of these must be called."""
+    """The monitor must report a violation of at least one of these rules."""
     core: Callable[[Config], Core] = Core
     board: type[Firmware] = Firmware
     setup: Setup = field(default_factory=Setup)
 
 
 MUTANTS = [
-    Mutant(lose_rc_for_a_while, {"trigger"}, core=RcBackAndOn),
-    Mutant(do_nothing, {"trigger"}, core=NothingWasSaid),
-    Mutant(disarm, {"safe state"}, core=BlindToSafety),
-    Mutant(lose_rc_for_a_while, {"safe state"}, core=BlindToSafety),
-    Mutant(move_unseen, {"trigger"}, core=SwitchRemembers),
-    Mutant(reset_board, {"resumed"}, core=ResetAndOn),
-    Mutant(cut_and_ask_again, {"resumed"}, core=NeedsNobody),
-    Mutant(straighten, {"safe state"}, core=NeverStraight),
-    Mutant(stay_bent, {"missed"}, core=DeafToTheSwitch),
-    Mutant(bend_by_a_number, {"numbers"}, core=OtherNumbers),
-    Mutant(stay_bent, {"trigger"}, core=BlindToSafety, setup=Setup(max_bent_s=2.0)),
-    Mutant(lose_rc_while_bending, {"resumed"}, HoldsByGoingOn, setup=Setup(holds=True)),
-    Mutant(bent, {"limits"}, core=TooFar),
+    Mutant(lose_rc_for_a_while, {"trigger"}, core=ResumesAfterRcLoss),
+    Mutant(do_nothing, {"trigger"}, core=MovesWithoutRequest),
+    Mutant(disarm, {"safe state"}, core=IgnoresSafety),
+    Mutant(lose_rc_for_a_while, {"safe state"}, core=IgnoresSafety),
+    Mutant(move_unseen, {"trigger"}, core=AcceptsUnseenMoves),
+    Mutant(reset_board, {"resumed"}, core=ResumesAfterReset),
+    Mutant(cut_and_ask_again, {"resumed"}, core=ClearsFaultsItself),
+    Mutant(straighten, {"safe state"}, core=NeverStraightens),
+    Mutant(stay_bent, {"missed"}, core=ReportsButDoesNotBend),
+    Mutant(bend_by_a_number, {"numbers"}, core=BendsByHalf),
+    Mutant(stay_bent, {"trigger"}, core=IgnoresSafety, setup=Setup(max_bent_s=2.0)),
+    Mutant(lose_rc_while_bending, {"resumed"}, FinishesItsMotion, setup=Setup(holds=True)),
+    Mutant(bent, {"limits"}, core=HasNoLimits),
     Mutant(cut, {"dead-man"}, board=LateDeadMan),
-    Mutant(overfill, {"firmware's limits"}, board=NoLimit),
-    Mutant(lose_rc_for_a_while, {"trigger"}, board=StuckInRegulation),
-    Mutant(cut_while_bending, {"resumed"}, board=ForgetsItsDeadMan),
+    Mutant(overfill, {"firmware's limits"}, board=IgnoresOverPressure),
+    Mutant(lose_rc_for_a_while, {"trigger"}, board=IgnoresVents),
+    Mutant(cut_while_bending, {"resumed"}, board=DoesNotLatchItsDeadMan),
     Mutant(do_nothing, {"trigger"}, board=OpensAtPowerUp),
 ]
 
@@ -384,7 +386,7 @@ def test_the_real_core_has_no_violation(mutant: Mutant) -> None:
 
 
 def test_a_limit_that_is_too_high_is_seen_at_the_vine() -> None:
-    """The true pressure is above the firmware's limit. Repairing an intact part excuses nothing."""
+    """The true pressure is above the firmware's limit. The repair of an intact part does not excuse this."""
     flight = MonitoredFlight(Setup(), board=Firmware({"cv_limit_kPa": 60.0}))
     bent(flight)
     flight.heal("bottle")
@@ -398,7 +400,7 @@ def test_a_limit_that_is_too_high_is_seen_at_the_vine() -> None:
 
 
 class AnyFlight(RuleBasedStateMachine):
-    """Any requests and any faults, in any order. The monitor is asked after each of them."""
+    """Any requests and any faults, in any order. The monitor checks after each of them."""
 
     @initialize(receiver=st.sampled_from(sorted(LOSSES)), holds=st.booleans())
     def take_off(self, receiver: RcSource, holds: bool) -> None:

@@ -185,7 +185,7 @@ def test_hold_ends_in_venting() -> None:
     assert machine.watch(40.0, lost) == []
 
 
-def test_losses_that_come_and_go_are_not_held_longer_than_one() -> None:
+def test_repeated_losses_are_not_held_longer_than_one_loss() -> None:
     machine = safety(losses=config.LossesConfig(on_rc_loss="hold", hold_at_most_s=5.0))
     lost = but(BENT, rc_problem="silent")
     for second in range(0, 8, 2):
@@ -214,7 +214,7 @@ def test_a_lost_autopilot_is_never_held() -> None:
     assert isinstance(entered, ResponseNeeded) and entered.response == "vent"
 
 
-def test_faults_that_came_after_what_was_seen_stay() -> None:
+def test_faults_that_are_newer_than_the_state_that_was_seen_stay() -> None:
     machine = safety()
     machine.watch(1.0, but(FLYING, cv_kPa=25.5))
     machine.watch(1.1, FLYING)
@@ -225,7 +225,7 @@ def test_faults_that_came_after_what_was_seen_stay() -> None:
     assert machine.clear(FLYING, seen_at=2.0) == ["venting"]
 
 
-def test_a_fault_that_comes_again_was_not_seen() -> None:
+def test_a_fault_that_returns_counts_as_not_seen() -> None:
     machine = safety()
     for t in (1.0, 3.0):
         machine.watch(t, but(FLYING, cv_kPa=25.5))
@@ -234,7 +234,7 @@ def test_a_fault_that_comes_again_was_not_seen() -> None:
     assert machine.clear(FLYING, seen_at=3.0) == ["overpressure"]
 
 
-def test_the_firmwares_faults_are_seen_from_the_last_new_one_on() -> None:
+def test_faults_of_the_firmware_count_as_seen_only_after_the_last_new_one() -> None:
     machine = safety()
     machine.watch(1.0, but(FLYING, faults=Fault.DEAD_MAN))
     machine.watch(2.0, but(FLYING, faults=Fault.DEAD_MAN | Fault.SUPPLY))
@@ -253,12 +253,12 @@ def test_a_fault_of_the_firmware_is_reported_by_its_name_or_number(faults: Fault
 
 
 @pytest.mark.parametrize("altitude_m", [None, -3.0])
-def test_where_a_bend_needs_no_altitude_none_ends_it(altitude_m: float | None) -> None:
+def test_no_altitude_ends_a_bend_that_needs_no_altitude(altitude_m: float | None) -> None:
     machine = safety(interlocks=config.InterlocksConfig(min_altitude_m=0.5))
     assert machine.watch(0.0, but(BENT, altitude_m=altitude_m)) == []
 
 
-def test_a_board_that_is_gone_is_one_loss() -> None:
+def test_an_absent_board_is_one_loss() -> None:
     (entered,) = safety().watch(0.0, but(BENT, firmware_ready=False, telemetry_age_s=1.0))
     assert isinstance(entered, ResponseNeeded)
     assert entered.name == "serial"
@@ -279,7 +279,7 @@ def test_a_board_that_ignores_a_setpoint_vents_and_one_that_does_not_vent_latche
         st.tuples(st.sampled_from(["rc", "no rc", "trigger"]), st.floats(0.02, 8.0)), min_size=1, max_size=40
     )
 )
-def test_no_losses_stretch_what_may_be_held_or_bent(history: list[tuple[str, float]]) -> None:
+def test_no_sequence_of_losses_prolongs_a_hold_or_a_bend(history: list[tuple[str, float]]) -> None:
     """A model of the core: a loss holds or vents the vine, and a trigger bends it if nothing is lost."""
     held_at_most_s, bent_at_most_s, tick_s = 3.0, 12.0, 0.02
     machine = safety(
@@ -328,7 +328,9 @@ CONDITIONS = st.builds(
 
 
 @given(st.lists(CONDITIONS, min_size=1, max_size=30), st.data())
-def test_never_a_bend_while_anything_is_wrong(history: list[SafetyInputs], data: st.DataObject) -> None:
+def test_a_bend_is_accepted_exactly_while_all_conditions_are_good(
+    history: list[SafetyInputs], data: st.DataObject
+) -> None:
     machine = safety()
     latched = False
     for i, now in enumerate(history):

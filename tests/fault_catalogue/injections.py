@@ -36,11 +36,11 @@ from flying_vines.vehicle.mission.storage import AutopilotKind as AutopilotKind
 from .watched import Watched
 
 Act = Callable[[Watched], None]
-Live = Callable[[Watched, float], None]
+During = Callable[[Watched, float], None]
 
 
 def nothing(flight: Watched) -> None:
-    """The fault ends by itself."""
+    """No action: nothing begins the fault, or nothing ends it."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,12 @@ class Injection:
     end: Act = nothing
     lasts_s: float = 3.0
     phase: Literal["inflating", "held", "vented"] = "inflating"
-    live: Live = Watched.run
+    during: During = Watched.run
     kind: AutopilotKind = "ardupilot"
     rc: bool = True
     reservoir_kPa: float = 690.0
     rested_s: float = 3.2
-    """Time in the air before the bend, for checks that compare the leak with the rest."""
+    """Time in the air before the bend, for checks that compare a leak with the pressure at rest."""
     tables: Mapping[str, object] = field(default_factory=dict)
 
 
@@ -78,18 +78,18 @@ def lose_altitude(flight: Watched) -> None:
     flight.flight.from_autopilot = without(mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT)
 
 
-def heal_vehicle_link(flight: Watched) -> None:
+def restore_vehicle_link(flight: Watched) -> None:
     flight.flight.from_autopilot = perfect
 
 
 def disarm(flight: Watched) -> None:
-    """Disarm, as in a crash: the last altitude does not show it."""
+    """Disarm, as in a crash. The altitude stops before, so only HEARTBEAT shows it."""
     lose_altitude(flight)
     flight.autopilot.disarm()
 
 
 def arm_again(flight: Watched) -> None:
-    heal_vehicle_link(flight)
+    restore_vehicle_link(flight)
     fly_on(flight)
 
 
@@ -99,12 +99,12 @@ def close_vehicle_link(flight: Watched) -> None:
 
 
 def open_vehicle_link(flight: Watched) -> None:
-    heal_vehicle_link(flight)
+    restore_vehicle_link(flight)
     flight.feed(LinkChanged(flight.now_s, "vehicle", True))
 
 
-def live_with_a_second_autopilot(flight: Watched, seconds: float) -> None:
-    """A second autopilot, disarmed on the ground, whose switch moves: all this would end or begin a bend."""
+def run_with_a_second_autopilot(flight: Watched, seconds: float) -> None:
+    """A second autopilot, disarmed on the ground, moves its switch. It must not begin or end a bend."""
     other = MavlinkCodec(2, mavlink.MAV_COMP_ID_AUTOPILOT1)
     ours = MavlinkCodec(1, 191)
     for i in range(round(seconds / 0.1)):
@@ -147,7 +147,7 @@ def corrupt(share: float) -> Act:
     return begin
 
 
-def heal_serial(flight: Watched) -> None:
+def restore_serial(flight: Watched) -> None:
     flight.flight.world.to_phlosar = flight.flight.world.from_phlosar = perfect
 
 
@@ -157,7 +157,7 @@ def unplug(flight: Watched) -> None:
 
 
 def plug_in(flight: Watched) -> None:
-    heal_serial(flight)
+    restore_serial(flight)
     flight.feed(LinkChanged(flight.now_s, "firmware", True))
 
 
@@ -223,7 +223,7 @@ def regulate_on(flight: Watched) -> None:
     flight.flight.world.from_phlosar = rewriting(regulating)
 
 
-def say_what_no_sensor_can(flight: Watched) -> None:
+def send_impossible_pressure(flight: Watched) -> None:
     def absurd(message: protocol.Message) -> protocol.Message:
         if isinstance(message, protocol.Telemetry):
             return dataclasses.replace(message, cv_kPa=1e30)
@@ -251,17 +251,17 @@ def hardware(
     kind: MishapKind,
     phase: Literal["inflating", "held", "vented"] = "inflating",
     lasts_s: float = 3.0,
-    live: Live = Watched.run,
+    during: During = Watched.run,
     rested_s: float = 3.2,
-    mend: Act | None = None,
+    repair: Act | None = None,
 ) -> Injection:
     """An injection of a mishap, and its repair."""
     return Injection(
         lambda flight: flight.phlosar.inject(place, kind),
-        mend or (lambda flight: flight.phlosar.inject(place, None)),
+        repair or (lambda flight: flight.phlosar.inject(place, None)),
         lasts_s,
         phase,
-        live,
+        during,
         rested_s=rested_s,
     )
 
@@ -303,31 +303,31 @@ INJECTIONS: dict[str, Injection] = {
     "autopilot_silent_without_rc": Injection(lambda f: f.autopilot.mute(5.0), lasts_s=5.0, rc=False),
     "autopilot_rebooted": Injection(lambda f: f.autopilot.reboot(), fly_on, lasts_s=8.0),
     "vehicle_link_closed": Injection(close_vehicle_link, open_vehicle_link),
-    "second_autopilot": Injection(nothing, live=live_with_a_second_autopilot),
+    "second_autopilot": Injection(nothing, during=run_with_a_second_autopilot),
     "disarmed": Injection(disarm, arm_again, lasts_s=1.5),
-    "altitude_unknown": Injection(lose_altitude, heal_vehicle_link),
+    "altitude_unknown": Injection(lose_altitude, restore_vehicle_link),
     "serial_unplugged": Injection(unplug, plug_in),
-    "commands_lost": Injection(lose_commands, heal_serial),
-    "commands_lost_at_rest": Injection(lose_commands, heal_serial, phase="vented", live=bend),
-    "telemetry_lost": Injection(lose_telemetry, heal_serial),
-    "frames_corrupted": Injection(corrupt(0.2), heal_serial),
-    "line_all_noise": Injection(corrupt(1.0), heal_serial),
+    "commands_lost": Injection(lose_commands, restore_serial),
+    "commands_lost_at_rest": Injection(lose_commands, restore_serial, phase="vented", during=bend),
+    "telemetry_lost": Injection(lose_telemetry, restore_serial),
+    "frames_corrupted": Injection(corrupt(0.2), restore_serial),
+    "line_all_noise": Injection(corrupt(1.0), restore_serial),
     "board_reset": Injection(lambda f: f.phlosar.reset_firmware()),
     "board_watchdog": Injection(lambda f: f.phlosar.reset_firmware(watchdog=True)),
-    "board_of_another_version": Injection(reflash, heal_serial),
-    "board_clock_back": Injection(jump_board_clock(-3000), heal_serial),
-    "board_repeats": Injection(repeat_one_frame, heal_serial),
-    "board_regulates_on": Injection(regulate_on, heal_serial, phase="held", live=straighten),
-    "board_restarts_often": Injection(nothing, lambda f: f.run(8.0), lasts_s=5.0, live=restart_often),
+    "board_of_another_version": Injection(reflash, restore_serial),
+    "board_clock_back": Injection(jump_board_clock(-3000), restore_serial),
+    "board_repeats": Injection(repeat_one_frame, restore_serial),
+    "board_regulates_on": Injection(regulate_on, restore_serial, phase="held", during=straighten),
+    "board_restarts_often": Injection(nothing, lambda f: f.run(8.0), lasts_s=5.0, during=restart_often),
     "board_clock_ahead": Injection(jump_board_clock(3_600_000)),
-    "telemetry_absurd": Injection(say_what_no_sensor_can, heal_serial),
-    "companion_stutters": Injection(nothing, live=stall, lasts_s=0.2),
-    "companion_stalled": Injection(nothing, live=stall, lasts_s=2.0),
+    "telemetry_absurd": Injection(send_impossible_pressure, restore_serial),
+    "companion_stutters": Injection(nothing, during=stall, lasts_s=0.2),
+    "companion_stalled": Injection(nothing, during=stall, lasts_s=2.0),
     "board_hangs": hardware("board", Hanging()),
     "board_unpowered": hardware("board", Unpowered()),
     "vine_over_pressure": hardware("cv_sensor", Gain(2.0), "held"),
     "vine_sensor_stuck": hardware("cv_sensor", Stuck()),
-    "vine_sensor_stuck_held": hardware("cv_sensor", Stuck(), "held", live=straighten),
+    "vine_sensor_stuck_held": hardware("cv_sensor", Stuck(), "held", during=straighten),
     "vine_sensor_drifts_up": hardware("cv_sensor", Drifting(4.0), "held", 10.0),
     "vine_sensor_drifts_down": hardware("cv_sensor", Drifting(-4.0), "held", 10.0),
     "vine_sensor_off_at_rest": hardware("cv_sensor", Drifting(2.0), "vented", 6.0),
@@ -335,7 +335,7 @@ INJECTIONS: dict[str, Injection] = {
     "vine_sensor_shorted": hardware("cv_sensor", Shorted()),
     "vine_sensor_noisy": hardware("cv_sensor", Noisy(5.0)),
     "vine_sensor_glitches": hardware("cv_sensor", Glitching(200.0, 100.0)),
-    "bottle_sensor_stuck": hardware("reservoir_sensor", Stuck(), lasts_s=12.0, live=wave, mend=nothing),
+    "bottle_sensor_stuck": hardware("reservoir_sensor", Stuck(), lasts_s=12.0, during=wave, repair=nothing),
     "bottle_sensor_drifts": hardware("reservoir_sensor", Drifting(-20.0), "held"),
     "bottle_sensor_open": hardware("reservoir_sensor", Open()),
     "bottle_sensor_shorted": hardware("reservoir_sensor", Shorted()),
@@ -344,20 +344,20 @@ INJECTIONS: dict[str, Injection] = {
     "evp_stuck_ajar": hardware("evp", StuckAt(0.3), "held", 10.0),
     "evp_stuck_closed": hardware("evp", StuckAt(0.0)),
     "dvp_stuck_open": hardware("dvp", StuckAt(1.0), "held"),
-    "dvp_stuck_closed": hardware("dvp", StuckAt(0.0), "held", live=straighten),
-    "solenoid_stuck_closed": hardware("solenoid", StuckAt(0.0), "held", live=straighten),
+    "dvp_stuck_closed": hardware("dvp", StuckAt(0.0), "held", during=straighten),
+    "solenoid_stuck_closed": hardware("solenoid", StuckAt(0.0), "held", during=straighten),
     "solenoid_stuck_open": hardware("solenoid", StuckAt(1.0), "held", 10.0),
     "hose_off": hardware("hose", HoseOff()),
     "hose_off_held": hardware("hose", HoseOff(), "held"),
     "hose_kinked": hardware("hose", Kinked()),
-    "hose_kinked_held": hardware("hose", Kinked(), "held", live=straighten),
+    "hose_kinked_held": hardware("hose", Kinked(), "held", during=straighten),
     "actuator_burst": hardware("actuator", Hole(5.0)),
     "actuator_burst_held": hardware("actuator", Hole(5.0), "held"),
     "actuator_leaks": hardware("actuator", Hole(0.5), "held", 12.0, rested_s=12.0),
     "bottle_leaks": hardware("bottle", Hole(0.5), "held", 10.0),
-    "bottle_bursts": hardware("bottle", Hole(5.0), "held", mend=new_bottle),
+    "bottle_bursts": hardware("bottle", Hole(5.0), "held", repair=new_bottle),
     "bottle_low": Injection(
-        nothing, lambda f: f.phlosar.fill(690.0), phase="vented", live=bend, reservoir_kPa=58.0
+        nothing, lambda f: f.phlosar.fill(690.0), phase="vented", during=bend, reservoir_kPa=58.0
     ),
     "bottle_emptied": Injection(lambda f: f.phlosar.fill(30.0), lambda f: f.phlosar.fill(690.0)),
     "bottle_over_pressure": Injection(lambda f: f.phlosar.fill(800.0), lambda f: f.phlosar.fill(690.0)),

@@ -44,7 +44,7 @@ class Served:
         self.environment = {**os.environ}
         self.process: asyncio.subprocess.Process | None = None
         self._port: PtyPhlosar | None = None
-        self._living: asyncio.Task[None] | None = None
+        self._port_task: asyncio.Task[None] | None = None
 
     @property
     def command(self) -> list[str]:
@@ -53,15 +53,15 @@ class Served:
 
     def plug_in(self) -> None:
         self._port = PtyPhlosar(self.phlosar, self.device)
-        self._living = asyncio.create_task(self._port.run())
+        self._port_task = asyncio.create_task(self._port.run())
 
     async def unplug(self) -> None:
-        """Unplug the line. The board's time stops until a test lets it pass."""
+        """Unplug the line. The board's time stops until a test advances it."""
         assert self._port is not None
-        assert self._living is not None
+        assert self._port_task is not None
         self._port.close()
-        self._living.cancel()
-        await asyncio.wait([self._living])
+        self._port_task.cancel()
+        await asyncio.wait([self._port_task])
 
     async def serve(self, terminal: int | None = None) -> None:
         """Start the service, on a terminal with its live view, and wait until the switch is accepted."""

@@ -26,7 +26,7 @@ SEEN_WITHIN_S = 1.2
 """libfaketime looks at its file once a second."""
 LONGER_THAN_RC_LOSS_S = SEEN_WITHIN_S + 1.3
 TRIES = 8
-"""A busy machine may hold the service up some times; a clock would each time."""
+"""A busy machine may delay the service in some tries; the clock would vent the vine in every try."""
 BENDS_WITHIN_S = 10.0
 """If the service was delayed during the move of the switch, it vented and waits for the next move."""
 
@@ -56,7 +56,7 @@ async def served(tmp_path: Path) -> AsyncIterator[Served]:
 
 
 async def stays_bent(served: Served, jumps: Callable[[str], object], jump: str) -> bool:
-    """True if the vine bends and stays bent while the clock jumps and returns. Then it is straight again."""
+    """True if the vine bends and stays bent while the clock jumps and returns. Afterwards it is straight."""
     served.bend_full()
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(BENDS_WITHIN_S):
@@ -74,17 +74,16 @@ async def stays_bent(served: Served, jumps: Callable[[str], object], jump: str) 
 async def test_clock_jumps(served: Served, tmp_path: Path) -> None:
     jumps = (tmp_path / "jump").write_text
     await served.serve()
-    held_up = False
+    was_delayed = False
     for jump in JUMPS:
-        # A busy machine may delay the service once; a clock would do it each time.
         tries = [await stays_bent(served, jumps, jump)]
         while not tries[-1] and len(tries) < TRIES:
             tries.append(await stays_bent(served, jumps, jump))
         assert tries[-1], jump
-        held_up |= len(tries) > 1
+        was_delayed |= len(tries) > 1
     assert served.process is not None
     served.process.terminate()
-    said = await served.output()
-    assert "own clock jumped" in said, "by years, which signing does not follow"
-    losses = () if held_up else ("RC lost", "silent")
-    assert not [word for word in (*losses, "refused messages") if word in said], said
+    output = await served.output()
+    assert "own clock jumped" in output, "by years, which signing does not follow"
+    losses = () if was_delayed else ("RC lost", "silent")
+    assert not [word for word in (*losses, "refused messages") if word in output], output

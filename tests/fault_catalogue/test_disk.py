@@ -45,7 +45,7 @@ async def test_disk_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
         bench.ground.send(
             mavlink.MAVLink_param_set_message(1, 191, b"VINE_RATE_HZ", 3.0, mavlink.MAV_PARAM_TYPE_REAL32)
         )
-        await until(lambda: ROWS["disk_gone"].pilot_text in "".join(bench.ground.texts), "the pilot is told")
+        await until(lambda: ROWS["disk_gone"].pilot_text in "".join(bench.ground.texts), "the pilot reads it")
         assert bench.bent()
         bench.autopilot.set_rc(9, 1000)
         await until(bench.vented, "the switch still acts")

@@ -30,7 +30,7 @@ def test_a_fault_in_flight(name: str) -> None:
     box.watch(FIRMWARE_LIMIT_KPA)
     began_s = flight.phlosar.now_s
     injection.begin(flight)
-    injection.live(flight, injection.lasts_s)
+    injection.during(flight, injection.lasts_s)
     left_kPa = flight.phlosar.cv_kPa
     injection.end(flight)
     # The switch does not move, and there is no request.

@@ -201,11 +201,11 @@ async def test_a_service_does_not_start_with_bad_files(served: Served) -> None:
         ("log_unwritable", served.block_flights),
         ("parameters_damaged", served.damage_state),
     ):
-        mend = fail()
+        repair = fail()
         process = await asyncio.create_subprocess_exec(*served.command, stderr=asyncio.subprocess.PIPE)
-        _, said = await process.communicate()
+        _, output = await process.communicate()
         assert process.returncode == 2
-        assert ROWS[fault].pilot_text in said.decode()
-        assert len(said.decode().splitlines()) == 1
-        mend()
+        assert ROWS[fault].pilot_text in output.decode()
+        assert len(output.decode().splitlines()) == 1
+        repair()
     assert served.box.unsafe_s is None

@@ -47,9 +47,9 @@ class Texts:
 
 
 class Watched:
-    """A flight with a straight vine. It advances by milliseconds, so that nothing is missed.
+    """A flight with a straight vine. It advances by milliseconds, so that no valve command is missed.
 
-    The switch bends and straightens the vine; on a flight without RC a button of the ground station.
+    The switch bends and straightens the vine. On a flight without RC, a button of the ground station does.
     """
 
     def __init__(

@@ -72,12 +72,12 @@ NOT_REPLAYED = "x_repeats"
 """Its effect is not in the inputs, so nothing can be fitted together with it."""
 _VISCOUS = {"cv_leak": "viscous_leak", "reservoir_leak": "reservoir_viscous_leak"}
 _DRAWN = tuple(name for name in CAUSES if name not in _VISCOUS.values())
-"""Then half of the leaks become viscous."""
+"""The causes that are drawn. Afterwards half of the leaks become viscous leaks."""
 _GAINS = {"cv_sensor_gain", "reservoir_sensor_gain"}
 _ATTEMPTS = 60
 _FADINGS = 16
 _LEAKS = 90
-"""Seed of separate random numbers; those of the runs count from 1."""
+"""Seed of separate random numbers for the leaks; the seeds of the runs count from 1."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def _candidate(tier: str, seed: int, stream: tuple[int, ...], rng: Generator) ->
         variant=variant,
         hidden=tuple(hidden),
         rig=rig,
-        believed=worn(rng, rig, WORN_PERCENT) if is_worn else rig,
+        assumed=worn(rng, rig, WORN_PERCENT) if is_worn else rig,
         tolerance_percent=WORN_PERCENT if is_worn else TOLERANCE_PERCENT,
         noise=noise,
         stated=stated,

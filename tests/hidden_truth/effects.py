@@ -16,7 +16,7 @@ A clear strength is drawn log-uniformly from the range of real rigs, as far as t
 
 A weaker effect has a share of the departure from the baseline. For a critical ratio this is not defined,
 because no ratio gives Ohm's law, so `compressible_flow` is clear or absent. For `venturi_stall` the departure
-is the distance above 250 kPa, because such rigs hardly fly below.
+is the distance above 250 kPa, because rigs hardly fly with less.
 """
 
 from __future__ import annotations
@@ -265,7 +265,7 @@ _ALL = (
     Effect("x_vibration", "amplitude_kPa", 0.3, 1.5, lambda p, value: p._replace(hum_kPa=value, hum_Hz=43.7)),
     # The converter ends below what the CV reaches.
     Effect("x_ceiling", "ceiling_kPa", 15.0, 40.0, _set("cv_ceiling_kPa"), _later_ceiling),
-    # A share of the samples repeats the one before, of both sensors.
+    # A share of the samples repeats the previous readings of both sensors.
     Effect("x_repeats", "share", 0.03, 0.3, _set("repeat_share")),
 )
 EFFECTS = {effect.name: effect for effect in _ALL}
@@ -288,7 +288,7 @@ class Hidden:
         """This effect at a share of its strength."""
         weaken = self.effect.weaken
         if weaken is None:
-            raise ValueError(f"{self.name} is there or not: nothing in between")
+            raise ValueError(f"{self.name} is present or absent: it cannot be weaker")
         return Hidden(self.name, weaken(self.value, share))
 
 

@@ -21,7 +21,7 @@ def answer(truth: Truth) -> dict[str, Any]:
     """The answer with which a verdict is compared; names and parameters as in the table of causes.
 
     `effect` is the largest one, `also` has the others; `share` is the part of the baseline's misfit that
-    comes back without it; `nominal` has the rig's true numbers.
+    comes back without this effect; `nominal` has the rig's true numbers.
     """
     first, *others = truth.hidden or (None,)
     rig, shares = truth.rig, truth.shares
@@ -57,7 +57,7 @@ def _parameters(hidden: Hidden) -> dict[str, float]:
 def write(folder: Path, truth: Truth) -> dict[str, Any]:
     """Write the case into a new `folder`, and the answer beside it. Returns the answer."""
     folder.mkdir(parents=True)
-    text = rig_toml(truth.believed, truth.stated, truth.tolerance_percent)
+    text = rig_toml(truth.assumed, truth.stated, truth.tolerance_percent)
     (folder / "rig.toml").write_text(text, encoding="utf-8")
     for i, recording in enumerate(make(truth), start=1):
         (folder / f"run_{i}_{recording.name}.csv").write_text(csv_text(recording), encoding="utf-8")

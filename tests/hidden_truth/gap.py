@@ -4,8 +4,8 @@ The fit of the baseline may change every number of the rig within its tolerance,
 every run freely. It uses at most four rounds of Gauss and Newton's method, with exact bounds in the linear
 problem. Derivatives are at the nominal rig; with known effects they are new in each round. The result comes
 from a simulation, so the gap is never below that of an exact fit. For a faint effect the difference is far
-less than the gap's own noise, whose standard deviation is about 2 √gap. For a strong effect the number only
-means "very far".
+less than the gap's own noise, whose standard deviation is about 2 √gap. For a strong effect the
+number only shows that the baseline does not fit.
 
 If rows are lost, the fit gets the true inputs: the gap is due to the effect, not to the loss.
 """
@@ -46,14 +46,14 @@ def gap(
 
     The search ends when the gap is below `below`.
     """
-    numbers = [name for name in NUMBERS if getattr(truth.believed, name) is not None]
+    numbers = [name for name in NUMBERS if getattr(truth.assumed, name) is not None]
     runs = len(recordings)
 
     def residuals(x: Array) -> list[Array]:
-        moved = {name: getattr(truth.believed, name) * (1.0 + x[i]) for i, name in enumerate(numbers)}
+        moved = {name: getattr(truth.assumed, name) * (1.0 + x[i]) for i, name in enumerate(numbers)}
         strengths = x[len(numbers) + 2 * runs :]
         hidden = [Hidden(h.name, h.value * (1.0 + s)) for h, s in zip(known, strengths, strict=True)]
-        p = with_effects(replace(truth.believed, **moved), hidden)
+        p = with_effects(replace(truth.assumed, **moved), hidden)
         found = []
         for i, run in enumerate(recordings):
             d_reservoir, d_cv = x[len(numbers) + 2 * i : len(numbers) + 2 * i + 2]
@@ -65,7 +65,7 @@ def gap(
     bound = np.full(n, np.inf)
     for i, name in enumerate(numbers):
         bound[i] = (truth.tolerance_percent if name in WORN else TOLERANCE_PERCENT) / 100.0
-    if truth.believed.cv_L is None:
+    if truth.assumed.cv_L is None:
         bound[len(numbers) + 1 : len(numbers) + 2 * runs : 2] = 0.0
     low, high = -bound, bound
     if known:
@@ -101,34 +101,36 @@ class _Linear:
     def __init__(
         self, residuals: Callable[[Array], list[Array]], at: Array, parts: list[Array], numbers: int
     ) -> None:
-        self.slopes = _slopes(residuals, at, parts, numbers)
-        self.scale = np.sqrt(np.einsum("ni,ni->i", self.slopes, self.slopes)) + 1e-30
-        scaled = np.einsum("ni,nj->ij", self.slopes, self.slopes) / np.outer(self.scale, self.scale)
+        self.jacobian = _jacobian(residuals, at, parts, numbers)
+        self.scale = np.sqrt(np.einsum("ni,ni->i", self.jacobian, self.jacobian)) + 1e-30
+        scaled = np.einsum("ni,nj->ij", self.jacobian, self.jacobian) / np.outer(self.scale, self.scale)
         values, self.vectors = np.linalg.eigh(scaled)
         self.roots = np.sqrt(np.maximum(values, 1e-12))
 
     def step(self, b: Array, low: Array, high: Array) -> Array:
         """The best step within bounds."""
-        aim = self.vectors.T @ (np.einsum("ni,n->i", self.slopes, -b) / self.scale) / self.roots
+        aim = self.vectors.T @ (np.einsum("ni,n->i", self.jacobian, -b) / self.scale) / self.roots
         bounds = ((low - 1e-12) * self.scale, (high + 1e-12) * self.scale)
         found = lsq_linear(self.roots[:, None] * self.vectors.T, aim, bounds).x / self.scale
         return np.asarray(found, dtype=np.float64)
 
 
-def _slopes(residuals: Callable[[Array], list[Array]], at: Array, parts: list[Array], numbers: int) -> Array:
+def _jacobian(
+    residuals: Callable[[Array], list[Array]], at: Array, parts: list[Array], numbers: int
+) -> Array:
     """Finite differences. An initial pressure acts only on its own run, so all are changed at once."""
     runs = len(parts)
-    slopes = np.zeros((sum(one.size for one in parts), at.size))
+    jacobian = np.zeros((sum(one.size for one in parts), at.size))
     own = np.repeat(np.arange(runs), [one.size for one in parts])
     flat = np.concatenate(parts)
     for i in (*range(numbers), *range(numbers + 2 * runs, at.size)):
         x = at.copy()
         x[i] += _NUDGE
-        slopes[:, i] = (np.concatenate(residuals(x)) - flat) / _NUDGE
+        jacobian[:, i] = (np.concatenate(residuals(x)) - flat) / _NUDGE
     for which in range(2):
         x = at.copy()
         x[numbers + which : numbers + 2 * runs : 2] += _NUDGE_KPA
         change = (np.concatenate(residuals(x)) - flat) / _NUDGE_KPA
         for run in range(runs):
-            slopes[own == run, numbers + 2 * run + which] = change[own == run]
-    return slopes
+            jacobian[own == run, numbers + 2 * run + which] = change[own == run]
+    return jacobian

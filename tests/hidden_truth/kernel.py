@@ -7,22 +7,21 @@ Points that the definitions leave open are interpreted like this:
 - A recorded input holds from its own sample to the next. Before the first sample everything was at rest and
   shut: a delayed opening is 0 until the first command arrives, and the solenoid had not been open.
 - Effects on the inflation valve apply in the order delay, play, dead zone, lag. The play's output is within
-  half its width of the command; command 0 shuts the valve and takes the play up on the closing side (output
-  0, at once).
+  half its width of the command. Command 0 shuts the valve at once: the play's output is then 0.
 - `line_delay` and `evp_lag` act only on the inflation valve; the Venturi's supply and the solenoid have no
   delay.
-- `solenoid_slow_close`: after the command to close it stays open for the delay. If it is told to open in this
-  time, it does not close at all.
+- `solenoid_slow_close`: after the command to close it stays open for the delay. If it is commanded to open in
+  this time, it does not close at all.
 - Readings: lag, then offset, then gain; the lag starts from rest at the initial pressure. A reading is
   taken just before the input of its own sample changes.
 - `compressible_flow`: the conductance is matched at 690 kPa into 0 kPa with standard ambient pressure and
   with the rig's true resistance, so that with `evp_restriction` the restricted valve is matched.
-  The ratio there, 0.128, is subcritical for b below it. Nothing flows back.
+  The pressure ratio there is 0.128; with a smaller b this flow is subcritical. Nothing flows back.
 - `ambient_drop`: gauge pressures are states; both rise by the rate while absolute pressures do not.
   Absolute pressure is gauge pressure plus the ambient of that moment.
 - `cv_compliance` conserves mass: d(P_abs V)/dt = αΣQ. Together with `cv_heating` the wall's work enters the
-  energy: V dP_abs/dt + γ P_abs dV/dt = γα(Q_in − T Q_out) − P_abs V/T (T − 1)/τ, which is either alone when
-  the other is off.
+  energy: V dP_abs/dt + γ P_abs dV/dt = γα(Q_in − T Q_out) − P_abs V/T (T − 1)/τ, which is the equation
+  of one effect if the other is off.
 - A viscous leak goes to the present ambient pressure, and lets air in if the pressure is below it.
 - Leaks count like other flows: out at the gas's temperature, in at ambient temperature.
 - "Never backwards while the Venturi's supply valve is open" depends on the valve's command.
@@ -53,8 +52,8 @@ RATED_KPA = 690.0
 OUTLET_MATCH_KPA = 69.0
 """The same for a solenoid that follows ISO 6358."""
 LAMINAR = 0.999
-"""Beyond this ratio of pressures an outlet's flow goes straight to zero; a square root would be infinitely
-steep."""
+"""Above this pressure ratio an outlet's flow falls linearly to zero, because the square root would be
+infinitely steep."""
 STATES = 8
 """Reservoir pressure, CV pressure, opening with lag, CV pressure with lag, temperatures of reservoir and CV,
 warming of the coil, pressure of the second volume. Only the states up to the last changing one are
@@ -125,12 +124,12 @@ class Control(NamedTuple):
     """True if the loop uses it."""
     guard_kPa: float = math.inf
     """Open loop: above this reading the inflation valve is shut until the plan's next move. If that move
-    inflates, it does not inflate, but vents if its row opens the solenoid. A move that inflates keeps Venturi
-    and solenoid shut."""
+    would inflate, the inflation valve stays shut, and solenoid and Venturi follow the row. During any other
+    inflation they are shut."""
     stall_from: int = -1
-    """From the first sample after this one at which the inflation valve is shut …"""
+    """The host hangs from the first sample after this one at which the inflation valve is shut; -1: never."""
     stall_samples: int = 0
-    """… the inputs are constant for this number of samples, as if the host hung."""
+    """Number of samples for which the host hangs and the inputs are constant."""
 
 
 BAND_KPA = 1.0

@@ -113,5 +113,5 @@ def discharge(rng: Generator) -> Plan:
 
 
 def hanging(plan: Plan, from_sample: int, samples: int) -> Plan:
-    """The plan with a gap, from the next time at which the inflation valve is shut."""
+    """The plan with a host that hangs, from the next time at which the inflation valve is shut."""
     return replace(plan, control=plan.control._replace(stall_from=from_sample, stall_samples=samples))

@@ -85,12 +85,12 @@ def physics(rig: Rig) -> Physics:
     return Physics(**numbers)
 
 
-def rig_toml(believed: Rig, stated: Noise, tolerance_percent: float) -> str:
+def rig_toml(assumed: Rig, stated: Noise, tolerance_percent: float) -> str:
     """The nominal rig for the project's own code."""
-    lines = ["# what the rig is believed to be: the simulation starts from these numbers"]
+    lines = ["# the assumed rig: the simulation starts from these numbers"]
     table = ""
-    for field in fields(believed):
-        value = getattr(believed, field.name)
+    for field in fields(assumed):
+        value = getattr(assumed, field.name)
         if value is None:
             continue
         now, key = KEYS[field.name].split(".")
@@ -99,7 +99,7 @@ def rig_toml(believed: Rig, stated: Noise, tolerance_percent: float) -> str:
             table = now
         lines.append(f"{key} = {value!r}")
     lines.append("[sensors]")
-    if believed.cv_L is not None:
+    if assumed.cv_L is not None:
         lines.append(f"cv_noise_std_kPa = {stated.cv_kPa!r}")
     lines.append(f"reservoir_noise_std_kPa = {stated.reservoir_kPa!r}")
     if tolerance_percent != TOLERANCE_PERCENT:

@@ -33,28 +33,28 @@ def readings(truth: Truth) -> int:
 
 
 @pytest.mark.parametrize("tier", TIERS)
-def test_the_truth_leaves_noise_and_what_is_hidden_shows(tier: str) -> None:
+def test_the_truth_leaves_only_noise_and_hidden_effects_are_visible(tier: str) -> None:
     for truth in drawn(tier):
         runs = make(truth)
         n = readings(truth)
         assert truth.hidden == () or truth.gap >= FAINT[0]
-        told = truth.independent_share
+        information = truth.independent_share
         if not truth.hidden:
-            assert -80.0 / told < truth.gap < 30.0 / told
+            assert -80.0 / information < truth.gap < 30.0 / information
         if "x_ceiling" not in [one.name for one in truth.hidden]:
             rounding = truth.converter_step**2 / 12.0
-            spread = 5.0 * np.sqrt(2.0 / (n * told))
+            spread = 5.0 * np.sqrt(2.0 / (n * information))
             assert chi_square(truth, runs) / n == pytest.approx(1.0 + rounding, abs=spread)
 
 
 @pytest.mark.parametrize("tier", ["faint", "outside", "holes"])
-def test_the_same_seed_is_the_same_case_and_another_is_another(tier: str) -> None:
+def test_equal_seeds_give_equal_cases_and_other_seeds_give_others(tier: str) -> None:
     first, second, *_ = drawn(tier)
     again = draw(tier, 0)
-    assert (again.hidden, again.rig, again.believed, again.gap) == (
+    assert (again.hidden, again.rig, again.assumed, again.gap) == (
         first.hidden,
         first.rig,
-        first.believed,
+        first.assumed,
         first.gap,
     )
     for one, other in zip(make(first), make(again), strict=True):
@@ -64,7 +64,7 @@ def test_the_same_seed_is_the_same_case_and_another_is_another(tier: str) -> Non
 
 
 @pytest.mark.parametrize("tier", ["clear", "subtle", "short", "holes", "worn", "faint"])
-def test_one_cause_of_the_table_or_none_in_the_worn_tier(tier: str) -> None:
+def test_one_cause_of_the_table_is_hidden_or_none_in_the_worn_tier(tier: str) -> None:
     for truth in drawn(tier):
         assert len(truth.hidden) == 1 or (tier == "worn" and not truth.hidden)
         assert {one.name for one in truth.hidden} <= set(CAUSES)
@@ -82,7 +82,7 @@ def test_the_hidden_effects_of_the_other_tiers() -> None:
     assert all((truth.converter_step > 0.0) != (truth.correlation_s > 0.0) for truth in drawn("rounded"))
 
 
-def test_both_of_a_pair_show_and_the_first_explains_more() -> None:
+def test_both_effects_of_a_pair_are_visible_and_the_first_explains_more() -> None:
     truth = drawn("pair")[0]
     runs = make(truth)
     assert truth.gap == gap(truth, runs)
@@ -94,15 +94,15 @@ def test_both_of_a_pair_show_and_the_first_explains_more() -> None:
 def test_nominal_numbers_are_wrong_only_in_worn_rigs_and_within_the_stated_tolerance() -> None:
     for tier in TIERS:
         for truth in drawn(tier):
-            off = [getattr(truth.believed, name) != getattr(truth.rig, name) for name in NUMBERS]
+            off = [getattr(truth.assumed, name) != getattr(truth.rig, name) for name in NUMBERS]
             if tier == "worn" or truth.variant == "worn":
                 assert truth.tolerance_percent == 2.5
                 assert off == [name in WORN for name in NUMBERS]
                 for name in WORN:
-                    ratio = getattr(truth.believed, name) / getattr(truth.rig, name)
+                    ratio = getattr(truth.assumed, name) / getattr(truth.rig, name)
                     assert abs(ratio - 1.0) <= 0.02501
             else:
-                assert truth.believed == truth.rig
+                assert truth.assumed == truth.rig
 
 
 def test_runs_are_of_the_public_kinds() -> None:
@@ -120,7 +120,7 @@ def test_runs_are_of_the_public_kinds() -> None:
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-def test_every_effect_shows_in_the_data(name: str) -> None:
+def test_every_effect_is_visible_in_the_data(name: str) -> None:
     truth = example(name)
     found = gap(truth, make(truth))
     print(f"{name} {truth.hidden[0].value:.4g}: gap {found:.0f}")
@@ -128,13 +128,13 @@ def test_every_effect_shows_in_the_data(name: str) -> None:
 
 
 @pytest.mark.parametrize("variant", ["", "cells", "lost", "held", "uneven", "without_cv_pressure"])
-def test_in_the_same_rig_without_the_effect_nothing_is_amiss(variant: str) -> None:
+def test_without_the_effect_the_gap_is_only_noise(variant: str) -> None:
     truth = replace(example("cv_leak", variant), hidden=())
     assert -80.0 < gap(truth, make(truth)) < 30.0
 
 
 @pytest.mark.parametrize("name", ["cv_leak", "evp_lag", "reservoir_cooling", "cv_sensor_offset"])
-def test_a_third_of_an_effect_is_seen_less_and_next_to_nothing_not_at_all(name: str) -> None:
+def test_a_weaker_effect_has_a_smaller_gap(name: str) -> None:
     truth = example(name)
     gaps = []
     for share in (1.0, 1.0 / 3.0, 0.003):
@@ -152,8 +152,8 @@ def test_the_gap_is_that_of_an_exact_fit() -> None:
     limit = truth.tolerance_percent / 100.0
 
     def residuals(x: Array) -> Array:
-        moved = {name: getattr(truth.believed, name) * (1.0 + x[i]) for i, name in enumerate(NUMBERS)}
-        p = physics(replace(truth.believed, **moved))
+        moved = {name: getattr(truth.assumed, name) * (1.0 + x[i]) for i, name in enumerate(NUMBERS)}
+        p = physics(replace(truth.assumed, **moved))
         models = []
         for i, run in enumerate(runs):
             start = (run.start_kPa[0] + float(x[n + 2 * i]), run.start_kPa[1] + float(x[n + 2 * i + 1]))
@@ -191,11 +191,11 @@ def test_holes(variant: str) -> None:
         assert run.kept[0]
         assert not empty.any()
         assert 100 <= longest(~run.kept) < 110
-        as_told = run.inputs[run.kept][np.cumsum(run.kept) - 1]
+        repeated = run.inputs[run.kept][np.cumsum(run.kept) - 1]
         if variant == "held" or run.name == "hold":
-            assert np.array_equal(as_told, run.inputs)
+            assert np.array_equal(repeated, run.inputs)
         else:
-            assert not np.array_equal(as_told, run.inputs)
+            assert not np.array_equal(repeated, run.inputs)
 
 
 @pytest.mark.parametrize(
@@ -213,7 +213,7 @@ def test_the_variants_of_hard_cases(variant: str, check: Callable[[Truth], bool]
     assert check(example("reservoir_leak", variant))
 
 
-def test_the_hard_tier_has_all_of_these() -> None:
+def test_the_hard_tier_has_all_its_variants() -> None:
     truths = [_candidate("hard", seed, (0, seed, 0), np.random.default_rng(seed)) for seed in range(60)]
     assert {truth.variant for truth in truths} == {"uneven", "discharge", "noise", *WITHOUT}
     for truth in truths:
@@ -223,17 +223,17 @@ def test_the_hard_tier_has_all_of_these() -> None:
     assert 5 <= sum(not truth.hidden for truth in truths) <= 25
 
 
-def test_a_tier_that_is_not_there() -> None:
+def test_an_unknown_tier_is_refused() -> None:
     with pytest.raises(ValueError, match="no tier 'murky': there are clear, subtle"):
         draw("murky", 0)
 
 
 def test_effects_that_cannot_be_weakened() -> None:
-    with pytest.raises(ValueError, match="nothing in between"):
+    with pytest.raises(ValueError, match="cannot be weaker"):
         Hidden("compressible_flow", 0.3).weaker(0.5)
 
 
-def test_several_effects_have_a_share_each_and_the_first_the_largest() -> None:
+def test_each_of_several_effects_has_a_share_and_the_first_has_the_largest() -> None:
     for tier in ("several", "several_outside"):
         for truth in drawn(tier):
             names = [one.name for one in truth.hidden]
@@ -258,7 +258,7 @@ def _element(name: str) -> str:
     return name.removeprefix("cv_").replace("viscous_", "")
 
 
-def test_readings_are_rounded_by_a_converter_and_hold_their_noise_otherwise() -> None:
+def test_a_converter_rounds_the_readings_and_keeps_their_noise() -> None:
     plain = example("cv_leak")
     step = replace(plain, variant="rounded", converter_step=3.0)
     for run in make(step):

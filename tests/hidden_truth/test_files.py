@@ -73,10 +73,10 @@ def test_the_nominal_rig_and_its_tolerance_are_stated(tmp_path: Path) -> None:
     truth = draw("worn", 0)
     write(tmp_path / "case", truth)
     rig = tomllib.loads((tmp_path / "case" / "rig.toml").read_text(encoding="utf-8"))
-    assert rig["reservoir"]["volume_L"] == truth.believed.reservoir_L != truth.rig.reservoir_L
+    assert rig["reservoir"]["volume_L"] == truth.assumed.reservoir_L != truth.rig.reservoir_L
     assert rig["venturi"] == {
-        "full_vacuum_kPa": truth.believed.full_vacuum_kPa,
-        "rated_supply_kPa": truth.believed.rated_supply_kPa,
+        "full_vacuum_kPa": truth.assumed.full_vacuum_kPa,
+        "rated_supply_kPa": truth.assumed.rated_supply_kPa,
     }
     assert rig["sensors"]["cv_noise_std_kPa"] == truth.noise.cv_kPa
     assert set(rig["tolerance_percent"].values()) == {2.5}
@@ -101,7 +101,7 @@ def test_noise_may_be_stated_wrongly(tmp_path: Path) -> None:
     )
 
 
-def test_holes_are_empty_cells_or_rows_that_are_not_there(tmp_path: Path) -> None:
+def test_holes_are_empty_cells_or_missing_rows(tmp_path: Path) -> None:
     write(tmp_path / "cells", example("cv_leak", "cells"))
     _, cells = table(tmp_path / "cells" / "run_3_bends.csv")
     assert len(cells) == 750

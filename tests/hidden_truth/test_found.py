@@ -59,7 +59,7 @@ def test_several_effects_are_found_with_their_shares(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_effects_are_found_that_only_pay_together(tmp_path: Path) -> None:
+def test_effects_that_explain_the_data_only_together_are_found(tmp_path: Path) -> None:
     """With fewer than four of the five causes, no set explains more than a wrong one."""
     truth, verdict = verdict_on("several", 690_004, tmp_path)
     assert {named.cause for named in verdict.named} == {one.name for one in truth.hidden}
@@ -68,8 +68,8 @@ def test_effects_are_found_that_only_pay_together(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_an_effect_of_the_catalogue_is_measured_beside_an_unknown_one(tmp_path: Path) -> None:
-    """The dead zone imitates a valve whose flow is a power of its command. The slow solenoid is really
-    there."""
+    """The dead zone imitates a valve whose flow is a power of its command. The slow solenoid is one of the
+    hidden effects."""
     truth, verdict = verdict_on("several_outside", 7000, tmp_path)
     assert verdict.cause == "solenoid_slow_close"
     (hidden,) = (one for one in truth.hidden if one.name == "solenoid_slow_close")
@@ -117,7 +117,7 @@ def test_an_unknown_effect_gets_no_name(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("case", "within"),
     [
-        # Its sensor has a lag of 2.6 ms, and its steps are not much shorter.
+        # Its sensor has a lag of 2.6 ms, and the simulator's time steps are not much shorter.
         ("case_006", 0.2),
         # The nominal resistance itself is wrong by up to 2.5 %.
         ("case_008", 0.025),

@@ -86,19 +86,19 @@ def random_inputs(seed: int = 3) -> Array:
 
 def schedule(p: Physics, inputs: Array) -> list[tuple[float, float, float, bool]]:
     """The inputs with their start times: opening after delay, play and dead zone; supply; solenoid open."""
-    told = [(float(t), *map(float, row)) for t, row in zip(TIME, inputs, strict=True)]
-    edges = {t for t, *_ in told} | {t + p.evp_delay_s for t, *_ in told}
-    closes = [b[0] for a, b in pairwise(told) if a[3] > b[3]]
-    opens = [b[0] for a, b in pairwise([(0.0, 0.0, 0.0, 0.0), *told]) if a[3] < b[3]]
+    commands = [(float(t), *map(float, row)) for t, row in zip(TIME, inputs, strict=True)]
+    edges = {t for t, *_ in commands} | {t + p.evp_delay_s for t, *_ in commands}
+    closes = [b[0] for a, b in pairwise(commands) if a[3] > b[3]]
+    opens = [b[0] for a, b in pairwise([(0.0, 0.0, 0.0, 0.0), *commands]) if a[3] < b[3]]
     edges |= {t + p.closing_s for t in closes} | {t + p.opening_s for t in opens}
     held, arrived, found = 0.0, 0, []
     for t in sorted(edges):
-        while arrived < len(told) and told[arrived][0] + p.evp_delay_s <= t + 1e-12:
-            u = told[arrived][1]
+        while arrived < len(commands) and commands[arrived][0] + p.evp_delay_s <= t + 1e-12:
+            u = commands[arrived][1]
             held = 0.0 if u == 0.0 else min(max(held, u - p.play / 2.0), u + p.play / 2.0)
             arrived += 1
         opening = max(0.0, (held - p.dead_zone) / (1.0 - p.dead_zone))
-        now = next(row for row in reversed(told) if row[0] <= t + 1e-12)
+        now = next(row for row in reversed(commands) if row[0] <= t + 1e-12)
         late = any(c <= t + 1e-12 and t < c + p.closing_s - 1e-12 for c in closes)
         waits = any(o <= t + 1e-12 and t < o + p.opening_s - 1e-12 for o in opens)
         found.append((t, opening, now[2], (now[3] > 0.5 and not waits) or late))
@@ -140,7 +140,7 @@ def by_scipy(p: Physics, inputs: Array, start: tuple[float, float], method: str)
 @pytest.mark.parametrize(
     "names", [(), *((name,) for name in STRENGTHS if name != "x_repeats"), *TOGETHER], ids="+".join
 )
-def test_it_is_as_accurate_as_scipy(names: tuple[str, ...]) -> None:
+def test_the_kernel_agrees_with_scipy(names: tuple[str, ...]) -> None:
     p, inputs = hiding(*names), random_inputs()
     if "venturi_stall" in names:
         supplied = replay(p, inputs, TIME, START)[inputs[:, 1] > 0.0, 1]
@@ -152,7 +152,7 @@ def test_it_is_as_accurate_as_scipy(names: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize("names", TOGETHER, ids="+".join)
-def test_it_is_as_accurate_as_an_implicit_integrator(names: tuple[str, ...]) -> None:
+def test_the_kernel_agrees_with_an_implicit_integrator(names: tuple[str, ...]) -> None:
     p, inputs = hiding(*names), random_inputs()
     inputs[TIME >= 3.0] = 0.0
     off = np.abs(replay(p, inputs, TIME, START) - by_scipy(p, inputs, START, "Radau"))
@@ -205,14 +205,14 @@ def test_a_choked_discharge_is_exponential_in_absolute_pressure_and_matched_at_6
     assert read[:, 1] == pytest.approx(absolute - AMBIENT, abs=1e-5)
 
 
-def test_a_ratio_below_that_of_the_match_passes_the_same_there() -> None:
+def test_the_matched_flow_is_the_same_for_every_critical_ratio() -> None:
     for b in (0.05, 0.3):
         p = physics(RIG)._replace(critical_pressure_ratio=b)
         q_e, q_m, _ = flows(p, 0.0, np.array([690.0, 0.0, 0, 0, 1, 1, 0, 0.0]), 1.0, 1.0, False)
         assert (q_e, q_m) == pytest.approx((690.0 / 2042.0, 690.0 / 618.0))
 
 
-def test_gas_that_has_no_time_cools_and_warms_adiabatically() -> None:
+def test_gas_without_heat_exchange_is_adiabatic() -> None:
     p = physics(RIG)._replace(reservoir_wall_s=1e9)
     states = fly_states(p, held_inputs(evp=1.0), (600.0, 0.0))
     assert states["reservoir_T"] == pytest.approx(
@@ -240,7 +240,7 @@ def fly_states(p: Physics, inputs: Array, start: tuple[float, float]) -> dict[st
     return {"reservoir": end[0], "cv": end[1], "reservoir_T": end[4], "cv_T": end[5]}
 
 
-def test_a_wall_that_is_quick_is_isothermal() -> None:
+def test_gas_with_fast_heat_exchange_is_isothermal() -> None:
     inputs = random_inputs()
     for quick, none in (
         (physics(RIG)._replace(reservoir_wall_s=1e-4), physics(RIG)),
@@ -261,7 +261,7 @@ def test_a_compliant_vessel_keeps_its_air() -> None:
     assert air == pytest.approx((600.0 - read[:, 1]) * 1.0, abs=1e-4)
 
 
-def test_falling_ambient_pressure_raises_both_gauge_pressures_and_no_flow() -> None:
+def test_falling_ambient_pressure_raises_both_gauge_pressures_without_flow() -> None:
     read = replay(hiding("ambient_drop"), held_inputs(), TIME, (600.0, 20.0))
     assert read == pytest.approx(np.array([20.0, 600.0]) + 0.15 * TIME[:, None], abs=1e-6)
 
@@ -279,7 +279,7 @@ def shifted(column: Array, samples: int) -> Array:
     return np.concatenate([np.zeros(samples), column[:-samples]])
 
 
-def test_a_delay_of_whole_samples_is_the_same_inputs_later_and_shut_before() -> None:
+def test_a_delay_of_whole_samples_shifts_the_inputs() -> None:
     inputs = random_inputs()
     inputs[0, 0] = 1.0
     late = inputs.copy()
@@ -297,7 +297,7 @@ def test_a_solenoid_that_closes_late_opens_on_time() -> None:
     assert slow == pytest.approx(replay(physics(RIG), late, TIME, (600.0, 0.0)), abs=1e-4)
 
 
-def test_dead_zone_and_play_are_other_openings() -> None:
+def test_dead_zone_and_play_change_the_opening() -> None:
     inputs = random_inputs()
     dead = inputs.copy()
     dead[:, 0] = np.maximum(0.0, (inputs[:, 0] - 0.3) / 0.7)
@@ -327,7 +327,7 @@ def test_an_opening_with_lag_and_a_reading_with_lag() -> None:
     assert read[:, 0] == pytest.approx(1.1 * (lagged + 2.0), abs=1e-5)
 
 
-def test_a_stalled_venturi_makes_no_vacuum_but_takes_its_air_and_lets_nothing_back() -> None:
+def test_a_stalled_venturi_makes_no_vacuum_but_uses_air_and_lets_none_flow_back() -> None:
     inputs = held_inputs(dvp=1.0, solenoid=1.0)
     stalled = replay(physics(RIG)._replace(stall_kPa=1e4), inputs, TIME, (600.0, 30.0))
     without = replay(physics(RIG)._replace(full_vacuum_kPa=0.0), inputs, TIME, (600.0, 30.0))
@@ -343,7 +343,7 @@ def test_a_solenoid_at_rest_lets_air_back_in() -> None:
     assert read[:, 0] == pytest.approx(-30.0 * np.exp(-ALPHA * TIME / (70.0 * 0.25)), abs=1e-5)
 
 
-def test_the_loop_follows_and_what_it_did_replays_to_the_same() -> None:
+def test_the_loop_follows_and_its_inputs_replay_to_the_same_readings() -> None:
     n = TIME.size
     rng = np.random.default_rng(1)
     rows = np.zeros((n, 4))
@@ -383,7 +383,7 @@ def test_above_the_guard_random_openings_inflate_no_more_and_vent_at_the_next_mo
     assert np.all(flown[200:, :3] == [0.1, 0.0, 0.0])
 
 
-def test_a_host_that_hangs_leaves_the_inputs_and_begins_while_nothing_inflates() -> None:
+def test_a_hanging_host_keeps_its_inputs_and_hangs_only_while_nothing_inflates() -> None:
     rows = np.column_stack([np.full(TIME.size, np.nan), random_inputs()])
     n = TIME.size
     control = Control(False, stall_from=100, stall_samples=50)
@@ -395,7 +395,7 @@ def test_a_host_that_hangs_leaves_the_inputs_and_begins_while_nothing_inflates()
     assert np.all(flown[hung, 0] == 0.0)
 
 
-def test_repeats_are_of_both_readings_and_in_the_given_number() -> None:
+def test_both_readings_repeat_in_the_given_share_of_samples() -> None:
     n = TIME.size
     rng = np.random.default_rng(5)
     rows = np.column_stack([np.full(n, np.nan), random_inputs()])

@@ -47,8 +47,8 @@ def settled(p: Physics, path: Path) -> Recording:
 
     for _ in range(3):
         now = misfit(start)
-        slopes = np.column_stack([misfit(start + nudge) - now for nudge in 0.1 * np.eye(2)]) / 0.1
-        start -= np.linalg.lstsq(slopes, now, rcond=None)[0]
+        jacobian = np.column_stack([misfit(start + nudge) - now for nudge in 0.1 * np.eye(2)]) / 0.1
+        start -= np.linalg.lstsq(jacobian, now, rcond=None)[0]
     at = (float(start[0]), float(start[1]))
     clean = replay(p, inputs, time_s, at)
     kept = np.ones(time_s.size, dtype=bool)
@@ -74,14 +74,14 @@ def test_only_noise_is_left(case: str) -> None:
 
 
 @pytest.mark.parametrize("case", IN_TABLE)
-def test_the_effect_is_needed_for_that(case: str) -> None:
+def test_without_the_effect_the_fit_is_worse(case: str) -> None:
     """A fit of the baseline's numbers is worse than the truth, but not worse than the nominal baseline."""
     with (CASES / case / "rig.toml").open("rb") as file:
         toml = tomllib.load(file)
     numbers = {name: toml[key.split(".")[0]][key.split(".")[1]] for name, key in KEYS.items()}
-    believed = Rig(**numbers)
+    assumed = Rig(**numbers)
     tolerance = max(toml.get("tolerance_percent", {"": TOLERANCE_PERCENT}).values())
-    truth = Truth("", 0, "", (), believed, believed, tolerance, NOISE, NOISE, (), ())
+    truth = Truth("", 0, "", (), assumed, assumed, tolerance, NOISE, NOISE, (), ())
     found, claimed = gap(truth, recordings(case)), ANSWERS[case]["gap"]
     print(f"{case} {ANSWERS[case]['effect']}: claimed {claimed:.0f}, best fit {found:.0f}")
     if claimed == 0.0:

@@ -31,7 +31,7 @@ class Truth:
     hidden: tuple[Hidden, ...]
     """The effect with the largest share is the first one."""
     rig: Rig
-    believed: Rig
+    assumed: Rig
     tolerance_percent: float
     noise: Noise
     stated: Noise

@@ -45,15 +45,15 @@ class Served:
         self.config_file = folder / "vine.toml"
         self.config_file.write_text(bench.configuration.replace('signing_key = ""', f'signing_key = "{key}"'))
         self.config = config.load(self.config_file)
-        self.kept = PersistentState.of(self.config_file, self.config)
+        self.state = PersistentState.of(self.config_file, self.config)
         self.seen: list[Action] = []
-        signing, _ = self.kept.read_signing(self.config)
+        signing, _ = self.state.read_signing(self.config)
         self.service = Service(
             self.config,
             (EachAction(self.seen.append),),
-            stored=self.kept.read(self.config),
+            stored=self.state.read(self.config),
             signing=signing,
-            persistent=self.kept,
+            persistent=self.state,
         )
 
     @property
@@ -75,26 +75,29 @@ def set_rate(bench: Bench, kPa_per_s: float) -> None:
     bench.ground.send(mavlink.MAVLink_param_set_message(1, 191, b"VINE_MAX_RATE", kPa_per_s, real32))
 
 
-async def test_a_parameter_that_was_set_is_there_again_after_a_restart(bench: Bench, tmp_path: Path) -> None:
+async def test_a_parameter_survives_a_restart(bench: Bench, tmp_path: Path) -> None:
     async with serving(bench, tmp_path) as served:
         await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
         for rate in (50.0, 40.0, 30.0):
             set_rate(bench, rate)
-        await until(served.kept.parameters.exists, "the file is written")
+        await until(served.state.parameters.exists, "the file is written")
         await until(
-            lambda: "VINE_MAX_RATE = 30.0" in served.kept.parameters.read_text(), "the last one counts"
+            lambda: "VINE_MAX_RATE = 30.0" in served.state.parameters.read_text(),
+            "the file has the last value",
         )
     assert Served(bench, tmp_path).service.core.config.limits.max_rate_kPa_per_s == 30.0
 
 
 async def test_state_that_cannot_be_saved_is_reported_and_active(bench: Bench, tmp_path: Path) -> None:
     async with serving(bench, tmp_path) as served:
-        served.kept.parameters.mkdir()
+        served.state.parameters.mkdir()
         await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
         set_rate(bench, 30.0)
-        await until(lambda: any("parameters not saved" in text for text in served.texts), "it is said")
+        await until(lambda: any("parameters not saved" in text for text in served.texts), "the text is shown")
         assert served.service.core.config.limits.max_rate_kPa_per_s == 30.0
-        await until(lambda: any("parameters not saved" in text for text in bench.ground.texts), "to pilot")
+        await until(
+            lambda: any("parameters not saved" in text for text in bench.ground.texts), "the pilot reads it"
+        )
 
 
 def command(bench: Bench, number: int, param1: float) -> None:
@@ -106,16 +109,16 @@ def doing(served: Served) -> str:
 
 
 @pytest.mark.long
-async def test_disarmed_pneumatics_stay_so_over_restarts_until_a_person_arms_them(
+async def test_pneumatics_stay_disarmed_over_restarts_until_a_person_arms_them(
     bench: Bench, tmp_path: Path
 ) -> None:
     async with serving(bench, tmp_path) as served:
         await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
         command(bench, STOP, DISARM)
-        await until(lambda: served.kept.disarmed, "it is kept")
+        await until(lambda: served.state.disarmed, "the file is written")
     for _ in range(2):
         async with serving(bench, tmp_path) as served:
-            await until(lambda: any("disarmed before" in text for text in served.texts), "it is said")
+            await until(lambda: any("disarmed before" in text for text in served.texts), "the text is shown")
             await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
             bench.autopilot.set_rc(9, 2000)
             await until(
@@ -126,7 +129,7 @@ async def test_disarmed_pneumatics_stay_so_over_restarts_until_a_person_arms_the
     async with serving(bench, tmp_path) as served:
         await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
         command(bench, STOP, ARM)
-        await until(lambda: not served.kept.disarmed, "it is forgotten")
+        await until(lambda: not served.state.disarmed, "the file is removed")
         assert doing(served) == "vented"
     async with serving(bench, tmp_path) as served:
         await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
@@ -140,53 +143,55 @@ async def test_a_disarm_that_cannot_be_stored_is_reported_and_takes_effect(
         (tmp_path / "vine.disarmed").mkdir()
         await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
         command(bench, STOP, DISARM)
-        await until(lambda: any("disarming not saved" in text for text in served.texts), "it is said")
+        await until(lambda: any("disarming not saved" in text for text in served.texts), "the text is shown")
         assert doing(served) == "pneumatics disarmed"
 
 
 def test_disarmed_is_a_file_that_explains_itself_and_may_be_removed(tmp_path: Path) -> None:
     config_file = tmp_path / "vine.toml"
     config_file.write_text(config.default_text().replace('folder = ""', 'folder = "state/of"'))
-    kept = PersistentState.of(config_file, config.load(config_file))
-    assert not kept.disarmed
-    kept.store_disarmed(False)  # neither the file nor its folder exists
-    kept.store_disarmed(True)
+    state = PersistentState.of(config_file, config.load(config_file))
+    assert not state.disarmed
+    state.store_disarmed(False)  # neither the file nor its folder exists
+    state.store_disarmed(True)
     (file,) = (tmp_path / "state" / "of").iterdir()
-    assert kept.disarmed and "disarmed" in file.read_text()
+    assert state.disarmed and "disarmed" in file.read_text()
     file.write_bytes(b"")  # a file with any content disarms
-    assert kept.disarmed
-    kept.store_disarmed(False)
-    assert not kept.disarmed and list(file.parent.iterdir()) == []
+    assert state.disarmed
+    state.store_disarmed(False)
+    assert not state.disarmed and list(file.parent.iterdir()) == []
 
 
-async def test_a_latched_fault_stays_so_over_a_restart_until_a_person_clears_it(
+async def test_a_latched_fault_survives_a_restart_until_a_person_clears_it(
     bench: Bench, tmp_path: Path
 ) -> None:
     async with serving(bench, tmp_path) as served:
         await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
         bench.phlosar.reset_firmware()
-        await until(lambda: set(served.kept.read_latched()) == {"firmware_reset"}, "it is kept")
+        await until(lambda: set(served.state.read_latched()) == {"firmware_reset"}, "the file is written")
     async with serving(bench, tmp_path) as served:
-        await until(lambda: any("latched before restart" in text for text in served.texts), "it is said")
+        await until(
+            lambda: any("latched before restart" in text for text in served.texts), "the text is shown"
+        )
         assert "firmware_reset" in served.service.core.snapshot(0.0).safe_state
         await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
         command(bench, MORE, CLEAR)
-        await until(lambda: not served.kept.latched.exists(), "it is forgotten")
+        await until(lambda: not served.state.latched.exists(), "the file is removed")
         assert served.service.core.snapshot(0.0).safe_state == {}
 
 
-def test_latched_faults_that_cannot_be_read_are_one(tmp_path: Path) -> None:
+def test_a_damaged_file_of_latched_faults_is_a_latched_fault(tmp_path: Path) -> None:
     config_file = tmp_path / "vine.toml"
     config_file.write_text(config.default_text())
-    kept = PersistentState.of(config_file, config.load(config_file))
-    assert kept.read_latched() == {}
-    kept.store_latched({"filling": "not filling: …"})
-    assert kept.read_latched() == {"filling": "not filling: …"}
+    state = PersistentState.of(config_file, config.load(config_file))
+    assert state.read_latched() == {}
+    state.store_latched({"filling": "not filling: …"})
+    assert state.read_latched() == {"filling": "not filling: …"}
     for damaged in (b"", b"[1]", b"\xff{"):
-        kept.latched.write_bytes(damaged)
-        assert kept.read_latched() == UNREADABLE
-    kept.store_latched({})
-    assert not kept.latched.exists()
+        state.latched.write_bytes(damaged)
+        assert state.read_latched() == UNREADABLE
+    state.store_latched({})
+    assert not state.latched.exists()
 
 
 def private_key(folder: Path, key: bytes) -> str:
@@ -196,17 +201,17 @@ def private_key(folder: Path, key: bytes) -> str:
     return path.name
 
 
-async def test_a_signed_vehicle_bends_the_vine_and_the_clock_is_kept(tmp_path: Path) -> None:
+async def test_a_signed_vehicle_bends_the_vine_and_the_timestamp_is_saved(tmp_path: Path) -> None:
     autopilot = FakeAutopilot("ardupilot", signing_key=KEY, unix_s=time.time())
     async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
         await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
         bench.autopilot.set_rc(9, 2000)
         await until(bench.bent, "the vine bends")
-        await until(served.kept.signing_timestamp.exists, "the clock is kept")
-        again, problem = served.kept.read_signing(served.config)
+        await until(served.state.signing_timestamp.exists, "the timestamp is saved")
+        again, problem = served.state.read_signing(served.config)
         assert problem == ""
         assert isinstance(again, Signing) and again.timestamp > int(
-            served.kept.signing_timestamp.read_text().split()[0]
+            served.state.signing_timestamp.read_text().split()[0]
         )
 
 
@@ -214,18 +219,18 @@ async def test_a_signed_vehicle_bends_the_vine_and_the_clock_is_kept(tmp_path: P
 async def test_senders_without_the_key_are_refused_and_reported(tmp_path: Path, theirs: bytes | None) -> None:
     autopilot = FakeAutopilot("ardupilot", signing_key=theirs, unix_s=time.time())
     async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
-        await until(lambda: any("refused messages" in text for text in served.texts), "it is said")
+        await until(lambda: any("refused messages" in text for text in served.texts), "the text is shown")
         assert served.service.core.snapshot(0.0).vehicle == "not found"
         assert bench.vented()
 
 
-async def test_a_kept_timestamp_of_2040_is_set_right_and_reported(tmp_path: Path) -> None:
+async def test_a_saved_timestamp_of_2040_is_corrected_and_reported(tmp_path: Path) -> None:
     autopilot = FakeAutopilot("ardupilot", signing_key=KEY, unix_s=time.time())
     (tmp_path / "vine.signing-timestamp").write_text("078890880000000 191\n255 001 001 078890880000000\n")
     async with on_bench(autopilot) as bench, serving(bench, tmp_path, private_key(tmp_path, KEY)) as served:
         await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
-        await until(lambda: any("ahead: corrected" in text for text in served.texts), "it is said")
-    memory, _ = TimestampFile(served.kept.signing_timestamp).load()
+        await until(lambda: any("ahead: corrected" in text for text in served.texts), "the text is shown")
+    memory, _ = TimestampFile(served.state.signing_timestamp).load()
     assert memory.link_id == 192
     assert memory.timestamp < (time.time() + 120 - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S
 
@@ -243,7 +248,9 @@ async def test_frames_from_before_a_stop_are_refused_after_it(tmp_path: Path) ->
                 await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
                 # The recorder sends it to the same port, the second time after the restart.
                 served.service._vehicle_bytes(recorded)
-                await until(bench.bent if expected else bench.vented, "what is due")
+                await until(
+                    bench.bent if expected else bench.vented, "the first run bends, the second does not"
+                )
                 asked = [a for a in served.seen if isinstance(a, Decision) and a.trigger == "command"]
                 assert len(asked) == expected, (asked, served.texts)
             await until(bench.vented, "vented by the stop")

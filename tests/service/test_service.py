@@ -55,7 +55,7 @@ async def test_a_switch_bends_the_vine_and_the_ground_station_sees_it(bench: Ben
     assert not bench.phlosar.firmware.faults
 
 
-async def test_what_moves_the_vine_is_sent_before_any_text(
+async def test_messages_to_the_board_are_sent_before_the_watchers_get_a_text(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done: list[str] = []
@@ -105,7 +105,7 @@ async def test_an_unknown_sender_on_the_network_bends_nothing(bench: Bench) -> N
     await serving
 
 
-class Clumsy(Watcher):
+class FailingWatcher(Watcher):
     def __init__(self) -> None:
         self.seen = 0
 
@@ -114,8 +114,8 @@ class Clumsy(Watcher):
         raise RuntimeError("I cannot draw that")
 
 
-async def test_a_watcher_that_fails_sees_no_more_and_the_others_do(bench: Bench) -> None:
-    clumsy, seen = Clumsy(), list[Action]()
+async def test_a_failing_watcher_is_switched_off_and_the_others_continue(bench: Bench) -> None:
+    clumsy, seen = FailingWatcher(), list[Action]()
     service = Service(config.parse(bench.configuration, "test"), (clumsy, EachAction(seen.append)))
 
     def texts() -> list[str]:
@@ -127,7 +127,7 @@ async def test_a_watcher_that_fails_sees_no_more_and_the_others_do(bench: Bench)
         await asyncio.sleep(0)
     service.notify_watchers()
     assert clumsy.seen == 1
-    assert texts() == ["Vine: one", "Vine: Clumsy failed, flight goes on", "Vine: two"]
+    assert texts() == ["Vine: one", "Vine: FailingWatcher failed, flight goes on", "Vine: two"]
 
 
 async def test_a_silent_port_is_reported_to_the_pilot_once_and_on_the_screen(
@@ -140,7 +140,7 @@ async def test_a_silent_port_is_reported_to_the_pilot_once_and_on_the_screen(
     text = bench.configuration.replace(bench.port.path, os.ttyname(hosts))
     service = Service(config.parse(text, "test"), (EachAction(seen.append),))
     serving = asyncio.create_task(service.run())
-    await until(lambda: "silent" in service.link_problems.get("firmware", ""), "the screen says it")
+    await until(lambda: "silent" in service.link_problems.get("firmware", ""), "the screen shows it")
     service.stop()
     await serving
     assert len([a for a in seen if isinstance(a, Notice) and "open but silent" in a.text]) == 1
@@ -205,7 +205,7 @@ async def test_a_service_knows_that_the_pneumatics_were_disarmed_before_its_star
     assert "pneumatics disarmed" in {entry.fields["doing"] for entry in log.entries(("snapshot",))}
 
 
-async def test_a_killed_service_is_vented_by_the_dead_man(bench: Bench, tmp_path: Path) -> None:
+async def test_after_the_service_is_killed_the_dead_man_vents(bench: Bench, tmp_path: Path) -> None:
     process = await start(bench, tmp_path)
     process.kill()
     await process.wait()

@@ -43,7 +43,7 @@ class Serving:
         return [action.text for action in self.seen if isinstance(action, Notice)]
 
     async def shut_down(self) -> None:
-        """The vine is vented by a command, the ground station reads why, once, and nothing bends."""
+        """The vine is vented by a command, the ground station gets the reason once, and nothing bends."""
         await until(self.bench.vented, "vented")
         await until(lambda: self.bench.ground.texts.count(SHUTDOWN_TEXT) == 1, "the ground station reads it")
         self.bench.ground.values.clear()
@@ -99,7 +99,7 @@ BREAKS: dict[str, Callable[[Service, pytest.MonkeyPatch], None]] = {
         *(pytest.param(name, marks=pytest.mark.long) for name in list(BREAKS)[1:]),
     ],
 )
-async def test_an_error_on_the_flying_way_is_a_commanded_shutdown(
+async def test_an_error_that_could_affect_a_setpoint_is_a_commanded_shutdown(
     serving: Serving, monkeypatch: pytest.MonkeyPatch, broken: str
 ) -> None:
     began_s = serving.bench.phlosar.now_s
@@ -129,29 +129,31 @@ async def test_values_that_cannot_be_sent_are_only_reported(
         return raising() if message.get_type() == "NAMED_VALUE_FLOAT" else encode(message, system_id)
 
     monkeypatch.setattr(serving.service._mavlink, "encode", without_values)
-    await until(lambda: "Vine: named values failed, flight goes on" in serving.bench.ground.texts, "told")
+    await until(
+        lambda: "Vine: named values failed, flight goes on" in serving.bench.ground.texts, "the text arrives"
+    )
     await asyncio.sleep(0.5)
     assert serving.bench.bent()
     assert serving.bench.ground.texts.count("Vine: named values failed, flight goes on") == 1
 
 
 @pytest.mark.long
-async def test_a_task_that_fails_behind_the_flight_is_reported_and_starts_again(
+async def test_a_background_task_that_fails_is_reported_and_starts_again(
     serving: Serving, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     service = serving.service
     monkeypatch.setattr("flying_vines.service.service.RESTART_S", 0.1)
     written = asyncio.Event()
     service._store("whatever", raising)
-    await until(lambda: "Vine: file storage failed, flight goes on" in serving.texts(), "told")
+    await until(lambda: "Vine: file storage failed, flight goes on" in serving.texts(), "the text arrives")
     await asyncio.sleep(0.2)
     service._store("whatever", written.set)
-    await until(written.is_set, "kept by the task that began anew")
+    await until(written.is_set, "written by the restarted task")
     assert serving.bench.bent()
 
 
 @pytest.mark.long
-async def test_absurd_telemetry_vents_and_the_service_lives(serving: Serving) -> None:
+async def test_absurd_telemetry_vents_and_the_service_continues(serving: Serving) -> None:
     latest = serving.service.core._core._firmware.telemetry
     assert latest is not None
     made_ms = latest.device_time_ms
@@ -162,7 +164,9 @@ async def test_absurd_telemetry_vents_and_the_service_lives(serving: Serving) ->
                 absurd = dataclasses.replace(latest, device_time_ms=made_ms, **{field: value})  # type: ignore[arg-type]
                 serving.service._firmware_bytes(protocol.encode(absurd, 0))
     await until(serving.bench.vented, "vented")
-    await until(lambda: any("sensor reads" in text for text in serving.bench.ground.texts), "told")
+    await until(
+        lambda: any("sensor reads" in text for text in serving.bench.ground.texts), "the text arrives"
+    )
     assert SHUTDOWN_TEXT not in serving.texts()
     assert [a for a in serving.seen if isinstance(a, Decision) and a.what == {"loss": "sensor"}]
 

@@ -1,4 +1,4 @@
-"""One flight of each kind of the soak, and its judge; benchmarks/soak.py flies for a day."""
+"""One flight of each kind of the soak test, and its judgement. benchmarks/soak.py runs it for a day."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.long
     ("kind", "seed", "by"),
     [("ardupilot", 10, "mission item"), ("px4", 36, "command"), ("ardupilot", 2, "switch")],
 )
-def test_every_trigger_of_a_flight_is_a_motion(
+def test_every_trigger_of_a_flight_causes_a_motion(
     kind: AutopilotKind, seed: int, by: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     outcome = simulated(kind, seed, 1.0, 1.0)
@@ -49,7 +49,7 @@ def judged(motion_of_the_plant: dict[float, float], until_s: float = 12.0, angle
     return tally
 
 
-def test_a_motion_that_comes_counts() -> None:
+def test_an_expected_motion_is_no_violation() -> None:
     tally = judged({1.4: 11.4})
     assert (tally.motions, tally.violations) == (1, [])
 
@@ -72,7 +72,7 @@ def test_a_missed_motion_or_one_without_a_request_is_a_violation(
     assert tally.violations[0] == violation
 
 
-def test_a_wave_has_to_wave() -> None:
+def test_a_wave_without_oscillation_is_a_violation() -> None:
     tally = Tally()
     tally.trigger(0.0, "command", BUTTONS[3])
     for tenth in range(100):

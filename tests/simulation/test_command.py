@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from flying_vines.physics.baseline import Inputs
 from flying_vines.simulation.scenario.command import (
-    OpeningOverTime,
+    SetpointOverTime,
     ValveCommand,
     chirp_cycles,
     command_of,
@@ -33,7 +33,7 @@ from flying_vines.vine.profile import HoldFor, Ramp
 frequencies = st.floats(0.01, 20.0)
 
 
-def follow(run: RunKind, seed: int = 1) -> OpeningOverTime:
+def follow(run: RunKind, seed: int = 1) -> SetpointOverTime:
     command = command_of(run, random.Random(seed))
     assert command is not None
     return command

@@ -27,7 +27,7 @@ from flying_vines.studies.paper.diagnosis.discharge import (
     paper_case,
 )
 from flying_vines.studies.paper.diagnosis.other_causes import VALVE_SETTLES
-from flying_vines.studies.paper.diagnosis.response import FLOOR, SUSPECTS, Responses, account_for
+from flying_vines.studies.paper.diagnosis.response import FLOOR, SUSPECTS, Responses, explain
 from flying_vines.studies.paper.diagnosis.show import show
 from flying_vines.studies.paper.diagnosis.words import as_json, findings
 
@@ -43,7 +43,7 @@ def found() -> Discharges:
 def responses() -> Responses:
     names = ("tube", "line_delay", "cv_heating")
     suspects = [suspect for suspect in SUSPECTS if suspect.name in names]
-    return account_for(suspects=suspects, with_tube=(), again=("tube",))
+    return explain(suspects=suspects, with_tube=(), again=("tube",))
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +166,7 @@ def test_each_finding_has_its_text_and_numbers(diagnosis: PaperDiagnosis) -> Non
     for text in texts:
         assert "nan" not in text
         assert " ".join(text.split()[:6]) in said
-    assert any("A second cause is open" in text for text in texts)
+    assert any("Whether there is a second cause stays open" in text for text in texts)
     assert any("Whether the valve chokes stays open" in text for text in texts)
 
 

@@ -44,7 +44,7 @@ class Line:
         return age_s
 
 
-def test_on_a_good_link_nothing_waits() -> None:
+def test_on_a_good_link_no_message_is_old() -> None:
     line = Line()
     line.stream(5.0)
     assert line.age_s(line.item(5.05), 5.05) == 0.0
@@ -83,7 +83,7 @@ def test_messages_of_a_stalled_link_have_the_age_of_adjacent_ones(every_s: float
         assert line.age_s(mark, 17.0) == pytest.approx(17.0 - sent_at if sent_at < 16.0 else 0.0, abs=1.01)
 
 
-def test_the_first_of_a_burst_waits_for_the_stamp_behind_it() -> None:
+def test_the_age_of_the_first_message_of_a_burst_waits_for_the_next_time_stamp() -> None:
     line = Line()
     line.stream(10.0)
     mark = line.item(17.0)
@@ -92,7 +92,7 @@ def test_the_first_of_a_burst_waits_for_the_stamp_behind_it() -> None:
     assert line.age_s(mark, 17.02) == pytest.approx(6.82, abs=0.05)
 
 
-def test_of_a_burst_whose_end_was_lost_the_beginning_is_still_old() -> None:
+def test_the_beginning_of_a_burst_is_old_even_if_its_end_was_lost() -> None:
     """A process paused for longer than its buffer can store."""
     line = Line()
     line.stream(10.0)
@@ -143,7 +143,7 @@ def test_a_slow_stream_makes_nothing_late() -> None:
 
 
 @pytest.mark.parametrize("pace", [0.98, 0.986, 0.9999, 1.0001, 1.02])
-def test_a_clock_that_goes_wrong_makes_nothing_late_and_hides_no_stall(pace: float) -> None:
+def test_a_clock_with_a_wrong_rate_makes_nothing_late_and_hides_no_stall(pace: float) -> None:
     clock = AutopilotClock()
     for i in range(6000):
         t = i * 0.1
@@ -180,7 +180,7 @@ def test_a_time_that_stops_is_no_reboot() -> None:
         assert not line.clock.stamp(10.0 + i * 0.1, int((UP_S + 10.0) * 1000), is_measured=True)
 
 
-def test_a_measurement_that_has_stopped_is_no_reboot_beside_a_time_that_goes_on() -> None:
+def test_a_time_stamp_that_stops_is_no_reboot_while_another_continues() -> None:
     line = Line()
     for i in range(600):
         line.stamp(i * 0.1)
@@ -213,13 +213,13 @@ def test_a_message_of_another_sender_may_be_as_old_as_the_silence_before() -> No
     assert line.age_s(mark, 17.02) == pytest.approx(6.82, abs=0.05)
 
 
-def test_between_two_heartbeats_nothing_of_another_waits() -> None:
+def test_between_two_heartbeats_a_message_of_another_sender_is_not_old() -> None:
     line = Line()
     line.stream(10.0)
     assert line.age_s(line.clock.mark(11.15), 11.15) == 0.0
 
 
-def test_a_reboot_leaves_what_was_late_before_it_late() -> None:
+def test_messages_that_were_late_before_a_reboot_stay_late() -> None:
     line = Line()
     line.stream(10.0)
     mark = line.item(17.0)
@@ -230,7 +230,7 @@ def test_a_reboot_leaves_what_was_late_before_it_late() -> None:
 
 @given(seed=st.integers(0, 2**32), every_s=st.floats(0.02, 1.0), stall_s=st.floats(0.0, 12.0))
 @settings(max_examples=examples(150), deadline=None)
-def test_never_a_young_item_and_always_an_old_one(seed: int, every_s: float, stall_s: float) -> None:
+def test_no_new_item_is_late_and_every_old_item_is(seed: int, every_s: float, stall_s: float) -> None:
     """Streams of any spacing up to a second on a link that is late by up to 0.3 s and stalls once."""
     dice = random.Random(seed)
     sent: list[tuple[float, bool]] = []

@@ -140,7 +140,7 @@ def test_reads_that_always_end_within_a_frame_do_not_fill_the_memory() -> None:
     assert read == 60 * len(frames)
 
 
-def test_a_copy_comes_out_once_also_behind_another_frame() -> None:
+def test_a_copy_is_dropped_even_after_another_frame() -> None:
     codec, sender = MavlinkCodec(1, 191), Sender()
     first, second = sender.frame(text("Mission: 3 Scripting")), sender.frame(text("Mission: 4 WP"))
     found = texts_of(codec.decode(first + second + first + second + second))
@@ -163,7 +163,7 @@ def test_equal_frames_of_two_senders_are_no_copies() -> None:
 
 
 @pytest.mark.parametrize("unseen", [0, 15, 20, 31, 63])
-def test_a_sender_that_is_forwarded_in_part_is_not_taken_for_copies(unseen: int) -> None:
+def test_frames_of_a_partly_forwarded_sender_are_no_copies(unseen: int) -> None:
     # A ground station's heartbeats are all equal, and its other frames do not reach us.
     codec, station = MavlinkCodec(1, 191), Sender(255, 190)
     heartbeat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)
@@ -188,7 +188,7 @@ def test_losses_are_counted_over_the_wrap_of_the_sequence() -> None:
     assert codec.lost_frames == 10
 
 
-def test_frames_in_another_order_all_come_out_and_none_counts_as_lost() -> None:
+def test_reordered_frames_are_all_read_and_none_counts_as_lost() -> None:
     codec, sender = MavlinkCodec(1, 191), Sender()
     frames = [sender.frame(text(str(i))) for i in range(500)]
     dice = random.Random(7)
@@ -202,7 +202,7 @@ def test_frames_in_another_order_all_come_out_and_none_counts_as_lost() -> None:
     assert codec.repeated_frames == 0
 
 
-def test_messages_that_the_dialect_lacks_are_neither_given_out_nor_lost() -> None:
+def test_messages_that_the_dialect_lacks_are_neither_returned_nor_counted_as_lost() -> None:
     codec, sender = MavlinkCodec(1, 191), Sender()
     for i in range(50):
         assert len(codec.decode(sender.frame(clock(i)))) == 1
@@ -238,7 +238,7 @@ def test_our_frames_have_our_ids_and_counting_sequence_numbers() -> None:
     assert ours.encode(text("hi"), 42)[0] == 0xFD
 
 
-def test_our_own_frames_that_come_back_do_not_come_out() -> None:
+def test_echoes_of_our_own_frames_are_dropped() -> None:
     ours, router = MavlinkCodec(1, 191), Sender()
     sent = [ours.encode(text(f"Vine: {i}"), 1) for i in range(REMEMBERED_SENT)]
     stream = b"".join(2 * frame + router.frame(clock(i)) for i, frame in enumerate(sent))
@@ -262,7 +262,7 @@ def test_an_old_frame_of_ours_is_no_echo_any_more() -> None:
     assert texts_of(ours.decode(first)) == ["first"]
 
 
-def test_a_key_that_is_sent_to_us_does_not_come_out() -> None:
+def test_a_signing_key_that_is_sent_to_us_is_masked() -> None:
     codec, station = MavlinkCodec(1, 191), Sender(255, 190)
     key = list(range(1, 33))
     (received,) = codec.decode(station.frame(mavlink.MAVLink_setup_signing_message(1, 191, key, 7)))
@@ -270,7 +270,7 @@ def test_a_key_that_is_sent_to_us_does_not_come_out() -> None:
     assert (received.secret_key, received.initial_timestamp) == ([0] * 32, 0)
     assert bytes(key[:4]) not in received.get_msgbuf()
     (again,) = MavlinkCodec(1, 191).decode(bytes(received.get_msgbuf()))
-    assert str(again) == str(received), "as a log has it"
+    assert str(again) == str(received), "a log gets the masked message"
     assert texts_of(codec.decode(station.frame(text("next")))) == ["next"]
     assert codec.lost_frames == 0
 

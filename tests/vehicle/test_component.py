@@ -88,22 +88,22 @@ def test_five_values_each_twice_a_second_never_two_at_once() -> None:
     known=st.integers(1, 5),
     seed=st.integers(0, 1000),
 )
-def test_named_values_come_at_the_rate_that_is_asked(
+def test_named_values_are_sent_at_the_requested_rate(
     rate_Hz: float, jitter_s: float, known: int, seed: int
 ) -> None:
     """With intervals counted from tick to tick, only 1.84 a second were sent instead of 2."""
     values, random = NamedValues(1.0 / rate_Hz), Random(seed)
-    told = {name: value if i < known else math.nan for i, (name, value) in enumerate(VALUES.items())}
+    sent_values = {name: value if i < known else math.nan for i, (name, value) in enumerate(VALUES.items())}
     sent = Counter(
         message.name
         for i in range(3000)
-        for message in values.due(i * TICK_S + random.uniform(0.0, jitter_s), 0, told)
+        for message in values.due(i * TICK_S + random.uniform(0.0, jitter_s), 0, sent_values)
     )
     assert len(sent) == known
     assert all(abs(count - 60.0 * rate_Hz) <= 0.01 * 60.0 * rate_Hz + 1 for count in sent.values())
 
 
-def test_after_a_stall_no_value_is_made_up_for() -> None:
+def test_values_missed_in_a_stall_are_not_sent_later() -> None:
     values = NamedValues(0.5)
     ticks_s = [i * TICK_S for i in range(3000) if not 500 <= i < 1500]
     sent = [(t, message.name) for t in ticks_s for message in values.due(t, 0, VALUES)]
@@ -121,7 +121,7 @@ def test_other_rates_are_kept_too(rate_Hz: float) -> None:
     assert max(Counter(t for t, _ in sent).values()) == 1
 
 
-def test_a_slow_radio_has_room_for_us() -> None:
+def test_our_messages_fit_a_slow_radio() -> None:
     """A 57600 baud radio carries about 5000 B/s in total; we use a few hundred."""
     ours, sender = component(), MavlinkCodec(1, US)
     sent = [
@@ -142,11 +142,11 @@ def test_a_value_that_is_unknown_is_left_out_and_comes_when_it_is_known(unknown:
     assert "CYC_LEFT" in {message.name for _, message in later}
 
 
-def test_without_values_there_are_none() -> None:
+def test_without_values_nothing_is_sent() -> None:
     assert of("NAMED_VALUE_FLOAT", run(component(), 5.0, {})) == []
 
 
-def test_the_bottle_as_a_fuel_tank_only_if_configured() -> None:
+def test_the_bottle_is_sent_as_a_fuel_tank_only_if_configured() -> None:
     def fuel(ours: Component, values: dict[str, float]) -> int:
         sent = [message for i in range(3000) for message in ours.due(i * TICK_S, 0, values, 4)]
         return sum(message.get_type() == "FUEL_STATUS" for message in sent)
@@ -176,7 +176,7 @@ def joined(sent: list[tuple[float, MavlinkMessage]]) -> list[str]:
     return texts
 
 
-def test_texts_keep_their_order_and_their_distance() -> None:
+def test_texts_keep_their_order_and_their_spacing() -> None:
     words = [f"Vine: line {i}" for i in range(12)]
     sent = sent_texts(words)
     assert [message.text for _, message in sent] == words
@@ -340,7 +340,7 @@ def test_parameters_are_shown_once_to_each_ground_station_of_an_ardupilot() -> N
     assert len(of("PARAM_VALUE", link.sent)) == 45
 
 
-def test_a_list_under_way_goes_on_when_a_ground_station_appears() -> None:
+def test_a_list_that_is_being_sent_continues_when_a_ground_station_appears() -> None:
     link = Link()
     link.wait(1.0)
     link.wait(7.0, station=255)
@@ -349,13 +349,13 @@ def test_a_list_under_way_goes_on_when_a_ground_station_appears() -> None:
     assert [message.param_index for _, message in of("PARAM_VALUE", link.sent)] == list(range(15))
 
 
-def test_parameters_are_not_shown_unasked_on_a_px4() -> None:
+def test_on_px4_parameters_are_sent_only_on_request() -> None:
     link = Link(mavlink.MAV_AUTOPILOT_PX4)
     link.wait(60.0, station=255)
     assert of("PARAM_VALUE", link.sent) == []
 
 
-def test_under_load_all_leaves_in_pairs() -> None:
+def test_under_load_at_most_two_messages_are_sent_per_tick() -> None:
     """A parameter list, many commands, a text and the values at the same time."""
     link = Link()
     link.wait(2.0)
@@ -380,7 +380,7 @@ def test_under_load_all_leaves_in_pairs() -> None:
 
 
 @pytest.mark.parametrize("kind", ["ardupilot", "px4"])
-def test_in_flight_all_that_we_send_leaves_in_pairs(
+def test_in_flight_at_most_two_messages_are_sent_per_tick(
     kind: AutopilotKind, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The whole core, from the first heartbeat: requests, mission, parameters, commands and values."""
@@ -440,8 +440,8 @@ def texts_about_key(conf: config.Config, target_system: int, times: int = 1) -> 
 
 @pytest.mark.parametrize("target_system", [0, 1])
 def test_a_key_for_a_vehicle_without_one_in_its_configuration_is_reported_once(target_system: int) -> None:
-    told = texts_about_key(config.default(), target_system, times=3)
-    assert told == ["Vine: SETUP_SIGNING ignored: no key configured"]
+    texts = texts_about_key(config.default(), target_system, times=3)
+    assert texts == ["Vine: SETUP_SIGNING ignored: no key configured"]
 
 
 def test_a_key_for_another_vehicle_or_beside_our_own_is_not_reported() -> None:

@@ -13,7 +13,7 @@ from flying_vines.vehicle.triggers import CHOICES
 PAGE = (Path(__file__).parents[2] / "docs" / "mavlink.md").read_text(encoding="utf-8")
 
 
-def test_every_command_is_there() -> None:
+def test_every_command_is_documented() -> None:
     for command, choices in CHOICES.items():
         assert f"({command})" in PAGE
         block = PAGE[PAGE.index(f"({command})") :]
@@ -21,7 +21,7 @@ def test_every_command_is_there() -> None:
             assert intent is None or f"| {number} | {name.split()[0]}" in block, name
 
 
-def test_every_named_value_is_there() -> None:
+def test_every_named_value_is_documented() -> None:
     sent = (
         action.message
         for action in SimulatedFlight(config.default()).run(5.0)

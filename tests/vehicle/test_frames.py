@@ -94,7 +94,7 @@ def test_the_next_bytes_show_if_an_unknown_message_was_a_frame() -> None:
     assert frames.bad_frames == 1
 
 
-def test_a_frame_that_must_be_understood_in_ways_that_we_do_not_know_is_not_known() -> None:
+def test_a_frame_with_unknown_incompatibility_flags_is_unknown() -> None:
     good = packed(2)
     strange = good[0][:2] + b"\x02" + good[0][3:]
     found = Frames().take(strange + good[1])

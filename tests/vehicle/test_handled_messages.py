@@ -44,7 +44,7 @@ def test_requests_to_us_are_handled() -> None:
     [path if path.stem in QUICK else pytest.param(path, marks=pytest.mark.long) for path in RECORDINGS],
     ids=lambda path: path.stem,
 )
-def test_nothing_comes_of_the_others(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_messages_cause_no_output(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def flown(codec: MavlinkCodec) -> list[str]:
         core, ticked, done = Core(config.default()), 0.0, []
         for t, frame in TlogReader(path).frames():

@@ -194,7 +194,7 @@ async def serving(
     address: NetworkAddress, codec: MavlinkCodec | None = None
 ) -> AsyncIterator[tuple[Watched, list[tuple[int, int]]]]:
     """A vehicle's link as in the service, and the senders whose messages were accepted."""
-    believed: list[tuple[int, int]] = []
+    accepted: list[tuple[int, int]] = []
     codec = codec or MavlinkCodec(0, 191)
 
     def stranger(data: bytes, enter: Callable[[], None]) -> None:
@@ -204,7 +204,7 @@ async def serving(
         take(messages)
 
     def take(messages: list[MavlinkMessage]) -> None:
-        believed.extend((message.get_srcSystem(), message.get_srcComponent()) for message in messages)
+        accepted.extend((message.get_srcSystem(), message.get_srcComponent()) for message in messages)
         watched.data += b"."
 
     watched = Watched(address)
@@ -212,7 +212,7 @@ async def serving(
     task = asyncio.create_task(watched.link.run())
     try:
         await watched.until(lambda: watched.up)
-        yield watched, believed
+        yield watched, accepted
     finally:
         task.cancel()
         with contextlib.suppress(asyncio.CancelledError):
@@ -220,7 +220,7 @@ async def serving(
 
 
 async def settled(watched: Watched, datagrams: int) -> None:
-    """Wait until this number of datagrams was read; each leaves a dot."""
+    """Wait until this number of datagrams was read."""
     async with asyncio.timeout(TIMEOUT_S):
         while len(watched.data) < datagrams:
             await asyncio.sleep(0.001)
@@ -253,13 +253,13 @@ async def test_the_autopilot_gets_its_answers_however_many_others_send() -> None
 async def test_senders_that_are_not_the_autopilot_are_read_and_not_answered() -> None:
     port = free_port()
     async with (
-        serving(NetworkAddress("udpin", HOST, port)) as (watched, believed),
+        serving(NetworkAddress("udpin", HOST, port)) as (watched, accepted),
         udp_peer((HOST, port)) as (script, to_us, _),
     ):
         for data in (frame_of(190, system=255), b"noise", AUTOPILOT[:-1]):
             to_us.sendto(data)
         await settled(watched, 3)
-        assert believed == [(255, 190)]
+        assert accepted == [(255, 190)]
         assert not watched.link.write(b"for nobody")
         assert script.received.empty()
 
@@ -267,7 +267,7 @@ async def test_senders_that_are_not_the_autopilot_are_read_and_not_answered() ->
 async def test_half_a_frame_of_an_unknown_sender_does_not_delay_the_autopilots() -> None:
     port = free_port()
     async with (
-        serving(NetworkAddress("udpin", HOST, port)) as (watched, believed),
+        serving(NetworkAddress("udpin", HOST, port)) as (watched, accepted),
         udp_peer((HOST, port)) as (_, to_us, _),
         udp_peer((HOST, port)) as (_, from_stranger, _),
     ):
@@ -278,13 +278,13 @@ async def test_half_a_frame_of_an_unknown_sender_does_not_delay_the_autopilots()
             sender.seq = i
             to_us.sendto(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3).pack(sender))
             await settled(watched, 2 * i + 2)
-            assert len(believed) == i + 1
+            assert len(accepted) == i + 1
 
 
 async def test_only_a_named_peer_is_read() -> None:
     port = free_port()
     async with (
-        serving(NetworkAddress("udpin", "127.0.0.1", port, peer="127.0.0.2")) as (watched, believed),
+        serving(NetworkAddress("udpin", "127.0.0.1", port, peer="127.0.0.2")) as (watched, accepted),
         udp_peer((HOST, port)) as (_, from_stranger, _),
     ):
         assert isinstance(watched.link, UdpLink)
@@ -292,7 +292,7 @@ async def test_only_a_named_peer_is_read() -> None:
         async with asyncio.timeout(TIMEOUT_S):
             while not watched.link.unread_from:
                 await asyncio.sleep(0.001)
-        assert (believed, watched.link.unread_from) == ([], HOST)
+        assert (accepted, watched.link.unread_from) == ([], HOST)
         assert not watched.link.write(b"for nobody")
         loop = asyncio.get_running_loop()
         transport, peer = await loop.create_datagram_endpoint(
@@ -301,14 +301,14 @@ async def test_only_a_named_peer_is_read() -> None:
         try:
             transport.sendto(AUTOPILOT)
             await settled(watched, 1)
-            assert believed == [(1, 1)]
+            assert accepted == [(1, 1)]
             assert watched.link.write(b"for you")
             assert (await peer.next())[0] == b"for you"
         finally:
             transport.close()
 
 
-async def test_on_an_open_port_only_a_signature_opens() -> None:
+async def test_on_an_open_port_only_a_signed_sender_is_answered() -> None:
     signing, theirs = Signing(bytes(32)), Signing(bytes(32))
     signing.advance(1_790_000_000.0)
     theirs.advance(1_790_000_000.0)
@@ -319,7 +319,7 @@ async def test_on_an_open_port_only_a_signature_opens() -> None:
     async with (
         serving(NetworkAddress("udpin", "0.0.0.0", port), MavlinkCodec(0, 191, signing)) as (
             watched,
-            believed,
+            accepted,
         ),
         udp_peer((HOST, port)) as (_, from_stranger, _),
         udp_peer((HOST, port)) as (autopilot, to_us, _),
@@ -327,7 +327,7 @@ async def test_on_an_open_port_only_a_signature_opens() -> None:
         for data in (AUTOPILOT, status, signed[:-1] + bytes((signed[-1] ^ 1,))):
             from_stranger.sendto(data)
         await settled(watched, 3)
-        assert believed == [(51, 68)]
+        assert accepted == [(51, 68)]
         assert not watched.link.write(b"for nobody")
         to_us.sendto(signed)
         await settled(watched, 4)
@@ -342,13 +342,13 @@ async def test_on_an_open_port_only_a_signature_opens() -> None:
 async def test_a_datagram_too_large_for_mavlink_is_not_read_from_unknown_senders() -> None:
     port = free_port()
     async with (
-        serving(NetworkAddress("udpin", HOST, port)) as (watched, believed),
+        serving(NetworkAddress("udpin", HOST, port)) as (watched, accepted),
         udp_peer((HOST, port)) as (_, to_us, _),
     ):
         to_us.sendto(AUTOPILOT * (MAX_FIRST_DATAGRAM_BYTES // len(AUTOPILOT) + 1))
         to_us.sendto(frame_of(154))
         await settled(watched, 1)
-        assert believed == [(1, 154)]
+        assert accepted == [(1, 154)]
 
 
 moments = st.lists(st.tuples(st.integers(0, 12), st.booleans(), st.floats(0.0, 10.0)), max_size=80)
@@ -384,7 +384,7 @@ def test_a_router_that_restarts_with_another_port_is_answered_again_soon() -> No
     assert peers.present(19.0 + PEER_FORGOTTEN_S + 1.0) == []
 
 
-async def test_udp_that_sends_begins_and_gets_the_answer() -> None:
+async def test_udp_out_sends_first_and_gets_the_answer() -> None:
     async with (
         udp_peer() as (peer, transport, port),
         running(NetworkAddress("udpout", HOST, port)) as watched,

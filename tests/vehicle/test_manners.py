@@ -124,11 +124,11 @@ def sentences() -> list[str]:
 
 
 def test_no_text_in_the_code_breaks_a_rule() -> None:
-    said = sentences()
-    assert len(said) > 50
-    assert any("autopilot rebooted, vented" in text for text in said)
-    assert any("another program has" in text for text in said)
-    broken = {text for text in [*said, *(row.name for row in SETTINGS)] if problems(text)}
+    texts = sentences()
+    assert len(texts) > 50
+    assert any("autopilot rebooted, vented" in text for text in texts)
+    assert any("another program has" in text for text in texts)
+    broken = {text for text in [*texts, *(row.name for row in SETTINGS)] if problems(text)}
     assert broken <= {"radio failsafe"}  # of the RC link, as the pilot knows it
 
 
@@ -163,8 +163,8 @@ def test_a_second_component_with_our_id_is_reported_once_a_minute() -> None:
     detector = DuplicateIdDetector(191)
     assert detector.received(10.0) == []
     assert detector.received(11.0) == [Notice(11.0, Severity.ERROR, TAKEN)]
-    told = [t for t in range(12, 200) for _ in detector.received(float(t))]
-    assert told == [
+    reported_s = [t for t in range(12, 200) for _ in detector.received(float(t))]
+    assert reported_s == [
         11 + round(REPORT_AGAIN_S),
         11 + 2 * round(REPORT_AGAIN_S),
         11 + 3 * round(REPORT_AGAIN_S),
@@ -191,7 +191,7 @@ def test_a_clash_is_seen_on_the_link_and_only_there() -> None:
 
 
 @pytest.mark.parametrize("sender", [(1, 1), (1, 191)])
-def test_our_values_sent_back_mean_nothing(sender: tuple[int, int]) -> None:
+def test_echoes_of_our_values_are_ignored(sender: tuple[int, int]) -> None:
     """PX4 repeats each NAMED_VALUE_FLOAT as its own, with a name of nine characters."""
     vehicle = Vehicle(config.default())
     vehicle.handle(0.0, from_sender(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3), (1, 1)))
@@ -205,7 +205,7 @@ def test_our_values_sent_back_mean_nothing(sender: tuple[int, int]) -> None:
             assert sender == (1, 191) or outputs == []
 
 
-def test_a_stream_request_of_the_old_kind_is_passed_over_quietly() -> None:
+def test_a_request_data_stream_is_ignored_without_a_text() -> None:
     """Mission Planner sends it to every component."""
     vehicle = Vehicle(config.default())
     vehicle.handle(0.0, from_sender(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3), (1, 1)))

@@ -138,7 +138,7 @@ def test_replies_that_come_twice_and_late_change_nothing() -> None:
     assert cache.items[3] == items[3]
 
 
-def test_an_autopilot_that_does_not_answer_is_asked_sparingly() -> None:
+def test_an_autopilot_that_does_not_answer_is_asked_rarely() -> None:
     cache = MissionCache()
     asked = [i * TICK_S for i in range(6000) if cache.requests(i * TICK_S, 1, True)]
     assert len([t for t in asked if t < TRY_AGAIN_S]) == MAX_ATTEMPTS
@@ -147,7 +147,7 @@ def test_an_autopilot_that_does_not_answer_is_asked_sparingly() -> None:
     assert not cache.fresh
 
 
-def test_items_of_fences_and_rally_points_are_no_mission() -> None:
+def test_items_of_fences_and_rally_points_are_ignored() -> None:
     items = mission(3)
     cache = MissionCache()
     cache.handle(0.0, count_message(3))
@@ -161,7 +161,7 @@ def test_items_of_fences_and_rally_points_are_no_mission() -> None:
     assert [cache.items[seq] for seq in range(3)] == items
 
 
-def test_degrees_and_metres_come_out_of_their_integers() -> None:
+def test_integers_become_degrees_and_metres() -> None:
     cache = MissionCache()
     cache.handle(0.0, count_message(2))
     place = mavlink.MAVLink_mission_item_int_message(
@@ -181,7 +181,7 @@ def read(size: int = 12) -> Autopilot:
     return autopilot
 
 
-def test_another_total_in_flight() -> None:
+def test_another_total_in_flight_is_a_change() -> None:
     autopilot = read(12)
     autopilot.items, autopilot.total = mission(15, angle_deg=-20.0), 14
     autopilot.run(0.2)
@@ -189,7 +189,7 @@ def test_another_total_in_flight() -> None:
     autopilot.reads_within(2.0)
 
 
-def test_an_upload_whose_totals_come_bit_by_bit_is_read_when_it_is_over() -> None:
+def test_an_upload_with_growing_totals_is_read_at_its_end() -> None:
     autopilot = read(12)
     before = autopilot.requests
     for total in range(20):
@@ -202,7 +202,7 @@ def test_an_upload_whose_totals_come_bit_by_bit_is_read_when_it_is_over() -> Non
     assert autopilot.requests == before + 21
 
 
-def test_the_same_total_with_another_mission_id() -> None:
+def test_the_same_total_with_another_mission_id_is_a_change() -> None:
     autopilot = Autopilot(mission(9))
     autopilot.mission_id = 419266506
     for angle_deg in (1.0, 2.0, 3.0):
@@ -321,7 +321,7 @@ def test_during_an_upload_the_mission_cache_is_not_used() -> None:
     autopilot.reads_within(3.0)
 
 
-def test_a_change_that_shows_while_the_book_is_read_again_starts_the_reading_anew() -> None:
+def test_a_change_during_a_new_reading_starts_the_reading_again() -> None:
     autopilot = read(12)
     autopilot.cache.refresh(autopilot.now_s)
     autopilot.run(0.54)
@@ -370,13 +370,13 @@ def test_the_end_of_a_reading_is_acknowledged_whichever_item_came_last() -> None
     assert cache.acknowledgement(1) == []
 
 
-def test_a_count_beyond_reason_is_not_asked_for() -> None:
+def test_the_items_of_an_impossible_count_are_not_requested() -> None:
     cache = MissionCache()
     cache.handle(0.0, count_message(65535))
     assert not cache.arriving
 
 
-def test_px4_is_asked_strictly_in_turn_and_again_from_the_start_where_it_breaks_off() -> None:
+def test_px4_items_are_requested_in_order_and_from_the_start_after_an_interruption() -> None:
     """PX4 sends the next item or the last one again; any other request ends the transfer."""
     items = mission(12)
     cache = MissionCache()

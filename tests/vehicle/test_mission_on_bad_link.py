@@ -28,7 +28,7 @@ KINDS: tuple[AutopilotKind, AutopilotKind] = ("ardupilot", "px4")
 @pytest.mark.parametrize("kind", KINDS)
 @given(seed=st.integers(0, 2**32), loss=st.sampled_from([0.0, 0.05, 0.3]), late_s=st.sampled_from([0.0, 0.3]))
 @settings(max_examples=9, deadline=None)
-def test_never_twice_and_never_what_did_not_run(
+def test_no_item_is_seen_twice_and_none_that_did_not_run(
     kind: AutopilotKind, seed: int, loss: float, late_s: float
 ) -> None:
     dice = random.Random(seed)
@@ -54,7 +54,7 @@ def test_on_a_good_link_nothing_is_missed(kind: AutopilotKind, seed: int, late_s
 @pytest.mark.parametrize("kind", KINDS)
 @given(seed=st.integers(0, 2**32))
 @settings(max_examples=5, deadline=None)
-def test_of_frames_lost_one_by_one_none_makes_an_item_miss(kind: AutopilotKind, seed: int) -> None:
+def test_single_lost_frames_make_no_item_missing(kind: AutopilotKind, seed: int) -> None:
     # The bound: one lost frame at a time, in each direction, four seconds apart; an item and then a waypoint.
     dice = random.Random(seed)
     flight = MissionOnBadLink(kind, dice, Link(loss=0.5, spare_s=4.0), mission(kind, dice, wild=False))
@@ -69,9 +69,7 @@ def test_of_frames_lost_one_by_one_none_makes_an_item_miss(kind: AutopilotKind, 
 @pytest.mark.parametrize("kind", KINDS)
 @given(seed=st.integers(0, 2**32))
 @settings(max_examples=4, deadline=None)
-def test_a_service_that_starts_in_mid_mission_sees_what_comes_and_nothing_else(
-    kind: AutopilotKind, seed: int
-) -> None:
+def test_a_service_that_starts_in_mid_mission_sees_only_later_items(kind: AutopilotKind, seed: int) -> None:
     dice = random.Random(seed)
     flight = MissionOnBadLink(kind, dice, Link(late_s=0.05), mission(kind, dice, wild=False))
     flight.run(3.0)
@@ -88,7 +86,7 @@ def test_a_service_that_starts_in_mid_mission_sees_what_comes_and_nothing_else(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_another_mission_of_the_same_length_never_runs_with_the_numbers_of_before(
+def test_another_mission_of_the_same_length_never_runs_with_the_old_numbers(
     kind: AutopilotKind,
 ) -> None:
     ran = 0

@@ -1,4 +1,4 @@
-"""Which mission items ran: by ArduPilot's texts, by its progress if texts are lost, and by PX4."""
+"""Which mission items ran: by ArduPilot's texts, by its progress if texts are lost, and by PX4's commands."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ class Air:
     def current(self, seq: int) -> None:
         self.send(mavlink.MAVLink_mission_current_message(seq, 9))
 
-    def give_book(self, items: list[MissionItem]) -> None:
+    def give_mission(self, items: list[MissionItem]) -> None:
         self.send(mavlink.MAVLink_mission_count_message(1, 191, len(items), 0))
         for one in items:
             self.send(item_message(one))
@@ -169,7 +169,7 @@ class Air:
 def having_read(items: list[MissionItem]) -> Air:
     """The mission was read from the autopilot."""
     air = Air([], given_beforehand=False)
-    air.give_book(items)
+    air.give_mission(items)
     return air
 
 
@@ -213,7 +213,7 @@ def test_more_words_behind_the_name_are_allowed(words: str) -> None:
 
 
 @pytest.mark.parametrize(("reached_lost", "text_lost"), [(False, False), (True, False), (False, True)])
-def test_a_lost_text_is_made_up_for_once(reached_lost: bool, text_lost: bool) -> None:
+def test_the_item_of_a_lost_text_is_added_once(reached_lost: bool, text_lost: bool) -> None:
     air = Air(PLAN)
     air.current(2)
     air.wait(5.0)
@@ -254,9 +254,10 @@ TOO_LATE = f"{WAIT_FOR_TEXT_S + 0.1} s"
         (PLAN, "at 2, reached 2, gap, at 5, 0.9 s, runs 3, runs 4, 10 s", [3, 4]),
         # Without a lost frame, an item without text did not run.
         (PLAN, "at 2, reached 2, at 5, 10 s", []),
-        # A jump runs nothing between; right after a waypoint only its own items ran; later nothing.
+        # The items that a jump skips did not run.
         (PLAN, "at 2, 5 s, gap, runs 7, at 7, 10 s", []),
         (PLAN, "at 2, 5 s, reached 2, runs 3, runs 4, 0.1 s, runs 7 lost, at 7, 10 s", [3, 4]),
+        # A gap long after the end of a waypoint adds none of its items.
         (PLAN, "at 2, reached 2, 3.5 s, gap, at 5, 10 s", []),
         # An item that is found after a later vine item is too old; other items do not matter.
         (PLAN, "at 2, reached 2, runs 3 lost, runs 4, at 5, 10 s", [4]),
@@ -326,7 +327,7 @@ def test_an_item_from_the_script_is_not_added_again() -> None:
     assert air.payloads() == [3, 4]
 
 
-def test_a_script_that_had_to_repeat_is_still_the_same_item() -> None:
+def test_an_item_that_the_script_repeats_is_still_the_same_item() -> None:
     air = Air(PLAN)
     air.runs(3)
     air.wait(2.0)
@@ -348,16 +349,16 @@ def test_nothing_overtakes_an_item_that_waits_for_its_numbers() -> None:
     assert air.payloads() == [3, 4]
 
 
-def test_a_text_beyond_the_book_has_it_read_again() -> None:
+def test_a_text_of_an_item_beyond_the_stored_mission_starts_a_new_reading() -> None:
     air = having_read(PLAN[:3])
     air.runs(3, "Scripting")
     assert not air.cache.fresh
-    air.give_book(PLAN)
+    air.give_mission(PLAN)
     air.wait(0.1)
     assert [(e.seq, e.params) for e in air.found] == [(3, PLAN[3].params)]
 
 
-def test_a_flood_of_texts_is_not_kept() -> None:
+def test_a_flood_of_texts_is_not_stored() -> None:
     air = Air([], given_beforehand=False)
     air.send(mavlink.MAVLink_mission_count_message(1, 191, len(PLAN), 0))
     for number in range(8_000):
@@ -372,12 +373,12 @@ def test_a_mission_cache_that_changes_meanwhile_is_not_used_for_a_guess() -> Non
     air = having_read(PLAN)
     air.tell("at 2, reached 2, runs 3 lost, at 5")
     air.text("Flight plan received")
-    air.give_book(mission(WP, TAKEOFF, WP, WINCH, WINCH, WP, WINCH, WP, LAND))
+    air.give_mission(mission(WP, TAKEOFF, WP, WINCH, WINCH, WP, WINCH, WP, LAND))
     air.wait(10.0)
     assert air.payloads() == []
 
 
-def test_an_item_needs_no_book() -> None:
+def test_an_item_needs_no_stored_mission() -> None:
     air = Air([], given_beforehand=False)
     air.stores(PLAN)
     air.runs(3, "Scripting")
@@ -399,7 +400,7 @@ def test_an_unannounced_mission_of_the_same_length_gives_its_own_numbers() -> No
     assert not air.cache.fresh
 
 
-def test_an_answer_from_before_an_item_ran_is_not_its() -> None:
+def test_an_answer_from_before_an_item_ran_gives_it_no_numbers() -> None:
     air = having_read(PLAN)
     air.send(item_message(PLAN[3]))
     air.runs(3)
@@ -436,10 +437,10 @@ def test_an_answer_of_another_kind_is_not_the_item_that_ran() -> None:
     assert [(e.command, e.seq, e.params) for e in air.found] == [(SCRIPT, 3, None)]
 
 
-def test_a_mission_with_an_identity_lends_its_numbers_where_no_answer_comes() -> None:
+def test_a_mission_with_an_id_gives_the_numbers_if_no_answer_comes() -> None:
     air = Air([], given_beforehand=False)
     air.send(identified(9, 77))
-    air.give_book(PLAN)
+    air.give_mission(PLAN)
     air.runs(3)
     air.wait(GIVE_UP_S - 0.1)
     assert air.found == []
@@ -465,7 +466,7 @@ def test_an_added_item_is_also_confirmed(replaced: bool) -> None:
         assert air.asked == [3, 4]
 
 
-def test_a_text_that_comes_after_its_item_was_made_up_for_is_no_second_execution() -> None:
+def test_a_text_that_comes_after_its_item_was_added_is_no_second_execution() -> None:
     air = Air(PLAN)
     air.tell(f"at 2, reached 2, gap, at 5, {WAIT_FOR_TEXT_S + 0.3} s")
     assert air.payloads() == [3, 4]
@@ -481,7 +482,7 @@ def test_without_an_answer_the_kind_is_reported_and_the_numbers_are_not() -> Non
     assert [(e.command, e.seq, e.item, e.params) for e in air.found] == [(SCRIPT, 3, None, None)]
 
 
-def test_a_name_against_the_book_has_it_read_again() -> None:
+def test_a_name_that_contradicts_the_stored_mission_starts_a_new_reading() -> None:
     air = having_read(PLAN)
     air.runs(3, "Winch")
     assert air.found == []
@@ -489,7 +490,7 @@ def test_a_name_against_the_book_has_it_read_again() -> None:
     air.wait(0.6)
     assert air.cache.requests(air.t, 1)
     other = mission(WP, TAKEOFF, WP, WINCH, WP, LAND)
-    air.give_book(other)
+    air.give_mission(other)
     air.wait(0.1)
     assert [(e.command, e.seq, e.params) for e in air.found] == [(WINCH, 3, other[3].params)]
     air.wait(10.0)
@@ -500,16 +501,16 @@ def test_a_waypoints_name_on_a_payload_items_number_runs_no_payload() -> None:
     air = having_read(PLAN)
     air.runs(3, "WP")
     assert not air.cache.fresh
-    air.give_book(mission(WP, TAKEOFF, WP, WP, SCRIPT, LAND))
+    air.give_mission(mission(WP, TAKEOFF, WP, WP, SCRIPT, LAND))
     air.wait(10.0)
     assert air.payloads() == []
 
 
-def test_a_name_that_stays_against_the_book_is_reported_without_numbers_and_asked_about_once() -> None:
+def test_a_name_that_still_contradicts_the_mission_after_one_new_reading_has_no_numbers() -> None:
     air = having_read(PLAN)
     air.runs(3, "Winch")
     air.wait(0.6)
-    air.give_book(PLAN)
+    air.give_mission(PLAN)
     assert air.cache.fresh
     air.wait(5.0)
     assert air.cache.fresh
@@ -524,7 +525,7 @@ def test_an_unknown_name_is_accepted_when_the_autopilot_confirms_it() -> None:
     assert air.payloads() == [3]
 
 
-def test_a_given_mission_of_another_flight_lends_no_numbers() -> None:
+def test_a_given_mission_of_another_flight_gives_no_numbers() -> None:
     air = Air(PLAN)
     air.runs(3, "Winch")
     air.runs(4)
@@ -690,7 +691,7 @@ def watched(flight: Flight, messages: list[tuple[float, MavlinkMessage]]) -> lis
     late_s=st.sampled_from([0.0, 0.01, 0.1]),
 )
 @settings(max_examples=examples(70), deadline=None)
-def test_never_an_item_that_did_not_run_and_never_twice(
+def test_no_item_is_found_twice_and_none_that_did_not_run(
     seed: int, loss: float, copies: float, late_s: float
 ) -> None:
     dice = random.Random(seed)
@@ -706,7 +707,7 @@ def test_never_an_item_that_did_not_run_and_never_twice(
         assert open_executions == []
 
 
-def test_at_a_common_loss_hardly_an_item_is_missed() -> None:
+def test_at_a_usual_loss_few_items_are_missed() -> None:
     ran, seen = 0, 0
     for seed in range(30):
         dice = random.Random(seed)
@@ -746,7 +747,7 @@ def test_a_command_of_px4_is_the_item_with_its_numbers() -> None:
 
 
 @pytest.mark.parametrize("current", [0, 2, 6, 12])
-def test_of_equal_items_none_is_named(current: int) -> None:
+def test_one_of_several_equal_items_gets_no_number(current: int) -> None:
     """MISSION_CURRENT is stale after a jump: PX4 sent 12 while item 23 ran."""
     nan = float("nan")
     watch = px4(actuator(2, 1.0), actuator(6, 1.0), actuator(11, 0.5), current=current)
@@ -754,7 +755,7 @@ def test_of_equal_items_none_is_named(current: int) -> None:
     assert ran(watch, 187, (0.5, nan, nan, nan, 0.0, 0.0, 0.0)).seq == 11
 
 
-def test_a_command_that_the_book_does_not_have_keeps_its_own_numbers() -> None:
+def test_a_command_that_is_not_in_the_stored_mission_keeps_its_own_numbers() -> None:
     watch = px4(actuator(2, 0.5))
     for command, params in [(187, (0.6, 0.0, 0.0, 0.0)), (211, (0.5, 0.0, 0.0, 0.0))]:
         found = ran(watch, command, params)
@@ -762,25 +763,25 @@ def test_a_command_that_the_book_does_not_have_keeps_its_own_numbers() -> None:
 
 
 @pytest.mark.parametrize(("confirmation", "late"), [(0, False), (1, False), (2, True), (3, True)])
-def test_how_old_the_first_copy_is_that_arrives(confirmation: int, late: bool) -> None:
+def test_the_age_of_the_first_copy_that_arrives(confirmation: int, late: bool) -> None:
     """PX4's repeats are half a second apart, the first one comes after a second."""
     execution = px4(actuator(3, 0.5), current=3).command(10.0, 187, actuator(3, 0.5).params, confirmation)
     assert execution is not None
     assert (execution.age_s > LATE_S) == late
 
 
-def test_a_repeat_of_an_item_that_ran_before_anybody_listened_or_asked_for_another_is_history() -> None:
+def test_a_repeat_of_an_item_from_before_our_start_is_ignored() -> None:
     watch = px4(actuator(3, 0.5), current=3)
     watch.forget(10.0)
     params = actuator(3, 0.5).params
-    # The third frame of a command arrives first: the command was sent a second ago.
+    # The third frame of a command arrives first: the command was sent more than a second ago.
     assert watch.command(10.3, 187, params, confirmation=2) is None
-    # It began after that only if its first repeat came as early as possible.
+    # It began after our start only if its first repeat came as early as possible.
     assert watch.command(10.9, 187, params, confirmation=2) is None
     assert watch.command(12.2, 187, params, confirmation=2) is not None
 
 
-def test_a_repeat_of_an_item_that_a_later_one_of_its_burst_overtook_is_history() -> None:
+def test_a_repeat_of_an_item_is_ignored_after_a_later_item_of_its_burst() -> None:
     nan = float("nan")
     items = actuator(2, 0.5), actuator(3, -0.1), MissionItem(4, WP, (0.0,) * 7), actuator(5, 0.9)
     watch = px4(*items)
@@ -862,7 +863,7 @@ PX4_PLAN = (
 )
 
 
-def test_a_straightening_whose_command_was_lost_comes_after_all_and_once() -> None:
+def test_a_straightening_whose_command_was_lost_is_added_once() -> None:
     air = Px4Air(*PX4_PLAN)
     air.reaches(1)
     air.command(BENT)
@@ -962,7 +963,7 @@ def test_an_item_reached_before_the_mission_was_read_is_not_reported_by_its_repe
     assert len(air.found) == 1
 
 
-def test_a_mission_that_may_be_another_one_lends_no_numbers() -> None:
+def test_a_mission_that_may_be_another_one_gives_no_numbers() -> None:
     air = Px4Air(*PX4_PLAN, mission_id=0)
     air.reaches(4, 4.0)
     assert [(e.seq, e.params) for e in air.found] == [(4, None)]

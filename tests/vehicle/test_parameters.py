@@ -128,7 +128,7 @@ def test_the_list_comes_once_in_order_and_spaced(target: tuple[int, int]) -> Non
     assert all(LIST_SPACING_S - 1e-6 <= gap_s <= LIST_SPACING_S + 1.01 * TICK_S for gap_s in gaps_s)
 
 
-def test_asked_again_while_it_runs_the_list_starts_again_and_does_not_double() -> None:
+def test_a_list_that_is_requested_again_starts_again_and_is_not_sent_twice() -> None:
     bench = Bench()
     bench.take(mavlink.MAVLink_param_request_list_message(*US))
     first = bench.wait(0.55)
@@ -149,7 +149,7 @@ def test_messages_for_others_are_not_answered(target: tuple[int, int]) -> None:
     assert bench.parameters.config == DEFAULT
 
 
-def test_a_parameter_is_only_read_and_set_by_who_names_us() -> None:
+def test_a_parameter_is_read_and_set_only_by_messages_addressed_to_us() -> None:
     bench = Bench()
     for target in ((1, 0), (0, 0)):
         read = mavlink.MAVLink_param_request_read_message(*target, b"", 0)
@@ -184,7 +184,7 @@ def test_unknown_parameters_are_not_answered(name: bytes, index: int) -> None:
 # Setting.
 
 
-def test_a_value_is_set_and_is_in_force() -> None:
+def test_a_value_that_is_set_is_active() -> None:
     bench = Bench()
     answer, texts, (change,) = bench.set("VINE_MAX_KPA", 18.1)
     assert answer == f32(18.1)
@@ -216,7 +216,7 @@ def test_values_become_what_the_configuration_has(name: str, value: float, kept:
     assert type(now) is type(kept)
 
 
-def test_the_value_in_force_again_changes_nothing() -> None:
+def test_setting_the_present_value_changes_nothing() -> None:
     bench = Bench()
     bench.may_change = False
     for row in SETTINGS:
@@ -226,7 +226,7 @@ def test_the_value_in_force_again_changes_nothing() -> None:
         assert not changes
 
 
-def test_back_to_the_configurations_value_is_the_configuration_again() -> None:
+def test_setting_the_configurations_value_removes_the_change() -> None:
     bench = Bench()
     bench.set("VINE_MAX_KPA", 15.0)
     bench.set("VINE_MAX_KPA", 20.7)  # as a 32-bit float it is above 20.7
@@ -275,7 +275,7 @@ def test_another_type_than_float_is_refused(param_type: int) -> None:
     assert texts == ["Vine: VINE_SW_CHAN stays 9: send it as REAL32"]
 
 
-def test_while_the_vine_is_bent_only_what_steers_nothing_may_be_changed() -> None:
+def test_while_the_vine_is_bent_only_parameters_of_the_telemetry_may_change() -> None:
     bench = Bench()
     bench.may_change = False
     for row in SETTINGS:
@@ -309,7 +309,7 @@ def test_a_change_is_an_information_and_a_refusal_a_warning() -> None:
         assert [output.severity for output in outputs if isinstance(output, Notice)] == [severity]
 
 
-def test_kept_values_are_in_force_from_the_start() -> None:
+def test_saved_values_are_active_from_the_start() -> None:
     kept = {"VINE_MAX_KPA": 18.0, "VINE_RC_ACTION": 1.0}
     parameters = Parameters(DEFAULT, kept)
     assert parameters.config.limits.max_kPa == 18.0

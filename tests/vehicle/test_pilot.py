@@ -166,7 +166,7 @@ def test_a_bend_waits_longer_where_px4_has_just_reported_its_health() -> None:
     assert 3.6 <= bent_s - moved_s <= 3.85
 
 
-def test_straightening_on_px4_waits_for_nothing() -> None:
+def test_straightening_on_px4_does_not_wait() -> None:
     radio = Radio()
     radio.move(2, 3.0)
     moved_s = radio.now_s
@@ -175,7 +175,7 @@ def test_straightening_on_px4_waits_for_nothing() -> None:
     assert radio.asked[-1][0] - moved_s <= 0.25
     assert not any(isinstance(output, Straightened) for _, output in radio.outputs)
     radio.run(2.0)
-    assert isinstance(radio.outputs[-1][1], Straightened), "only then it was the pilot for sure"
+    assert isinstance(radio.outputs[-1][1], Straightened), "only then it is certain that the pilot moved it"
 
 
 @pytest.mark.parametrize("failsafe", ["hold", 1000, 1500])
@@ -237,7 +237,7 @@ def test_a_switch_that_moved_while_rc_was_lost_bends_nothing(
 
 
 @given(dwells=st.lists(st.tuples(st.sampled_from([0, 1, 2]), st.floats(0.05, 1.4)), max_size=8))
-def test_no_position_bends_that_is_left_too_soon(dwells: list[tuple[int, float]]) -> None:
+def test_a_position_that_is_left_too_soon_does_not_bend(dwells: list[tuple[int, float]]) -> None:
     radio = Radio()
     for position, for_s in dwells:
         radio.move(position, for_s)
@@ -350,7 +350,7 @@ def test_an_override_that_ends_bends_nothing_again() -> None:
     assert radio.texts[-1] == "Vine: switch ch9 is back where it was, move it again"
     radio.move(0, 1.0)
     radio.move(2, 1.0)
-    assert len(radio.bends) == 2, "a fresh move counts"
+    assert len(radio.bends) == 2, "a new move counts"
 
 
 @pytest.mark.parametrize("parameter", [("RC_OPTIONS", 2.0), ("RC_OVERRIDE_TIME", 0.0)])
@@ -363,7 +363,7 @@ def test_without_overrides_a_switch_that_comes_back_was_moved(
     assert len(radio.bends) == 2
 
 
-def test_sooner_than_an_override_can_end_it_was_the_pilot() -> None:
+def test_a_move_before_an_override_can_end_is_the_pilots() -> None:
     radio = Radio("ardupilot")
     overridden(radio, 1.5)
     assert len(radio.bends) == 2
@@ -378,7 +378,7 @@ def test_an_override_whose_end_is_reported_is_no_move() -> None:
     assert radio.texts[-1] == "Vine: switch ch9 moved as an override ended, move it again"
 
 
-def test_a_bend_that_waits_is_overtaken_by_what_others_ask() -> None:
+def test_a_waiting_bend_is_cancelled_by_another_request() -> None:
     radio = Radio()
     radio.move(2, 1.0)
     radio.pilot.others_asked(straightened=True)
@@ -405,7 +405,7 @@ def test_a_switch_that_comes_back_from_a_preset_bends_nothing_again(
     assert len(radio.bends) == 1
     radio.move(0, 2.5)
     radio.move(2, 3.0)
-    assert len(radio.bends) == 2, "a fresh move counts"
+    assert len(radio.bends) == 2, "a new move counts"
 
 
 def test_a_straightening_clears_only_faults_up_to_its_move() -> None:
@@ -418,7 +418,7 @@ def test_a_straightening_clears_only_faults_up_to_its_move() -> None:
     assert seen_at - moved_s < 0.3
 
 
-def test_a_loss_overtakes_a_bend_that_waits() -> None:
+def test_a_loss_cancels_a_waiting_bend() -> None:
     radio = Radio()
     radio.move(2, 1.0)
     radio.pilot.overtaken()
@@ -480,7 +480,7 @@ def test_a_second_straightening_does_not_hide_an_override_that_ends() -> None:
     assert len(radio.bends) == 1
 
 
-def test_a_switch_that_is_set_up_anew_forgets_the_bend_that_waits() -> None:
+def test_another_setting_of_the_switch_cancels_a_waiting_bend() -> None:
     radio = Radio()
     radio.move(2, 1.0)
     switch = msgspec.structs.replace(radio.config.switch, debounce_s=0.3)
@@ -489,7 +489,7 @@ def test_a_switch_that_is_set_up_anew_forgets_the_bend_that_waits() -> None:
     assert radio.bends == []
 
 
-def test_another_parameter_leaves_the_bend_that_waits() -> None:
+def test_another_parameter_keeps_a_waiting_bend() -> None:
     radio = Radio()
     radio.move(2, 1.0)
     radio.pilot.configure(msgspec.structs.replace(radio.config, limits=config.LimitsConfig(max_bent_s=5.0)))
@@ -497,7 +497,7 @@ def test_another_parameter_leaves_the_bend_that_waits() -> None:
     assert len(radio.bends) == 1
 
 
-def test_a_preset_does_not_bring_back_a_bend_that_was_overtaken() -> None:
+def test_a_preset_does_not_bring_back_a_bend_that_was_cancelled() -> None:
     radio = Radio(preset={9: 1000})
     radio.move(2, 1.0)
     radio.pilot.overtaken()
@@ -575,7 +575,7 @@ def test_after_a_loss_the_switch_may_go_where_it_stood_before() -> None:
     assert len(radio.bends) == 2
 
 
-def test_a_glitch_only_delays_a_bend_that_waits() -> None:
+def test_a_glitch_only_delays_a_waiting_bend() -> None:
     radio = Radio()
     radio.move(2, 1.0)
     radio.move(0, PERIOD_S)
@@ -586,7 +586,7 @@ def test_a_glitch_only_delays_a_bend_that_waits() -> None:
     assert bent_s - glitched_s > 1.3
 
 
-def test_a_straightening_that_was_the_receivers_is_no_move_to_hold() -> None:
+def test_after_a_preset_the_pilot_must_move_the_switch_again() -> None:
     radio = Radio(preset={9: 1000})
     radio.move(2, 3.0)
     radio.lose(0.9)
@@ -638,7 +638,7 @@ def test_a_status_that_reports_a_loss_confirms_no_bend(steps: int) -> None:
     assert all(t < lost_s + BITS_AFTER_S for t in radio.bends)
 
 
-def test_before_the_switch_is_accepted_others_may_ask() -> None:
+def test_a_request_before_the_switch_is_accepted_blocks_no_later_move() -> None:
     radio = Radio("ardupilot")
     radio.pilot.forget()
     radio.pilot.others_asked(straightened=True)

@@ -20,7 +20,7 @@ def read(autopilot: Autopilot, **values: float) -> RadioParameters:
 
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS.values())
-def test_each_is_asked_for_until_it_is_answered_and_then_no_more(autopilot: Autopilot) -> None:
+def test_each_parameter_is_requested_until_it_is_answered(autopilot: Autopilot) -> None:
     parameters = RadioParameters()
     names = autopilot.rc_parameters
     silent, asked = names[-1], []
@@ -35,7 +35,7 @@ def test_each_is_asked_for_until_it_is_answered_and_then_no_more(autopilot: Auto
     assert asked.count(silent) == MAX_ATTEMPTS
 
 
-def test_they_are_asked_for_again_after_a_reboot_and_before_a_flight() -> None:
+def test_parameters_are_requested_again_after_a_reboot_and_before_a_flight() -> None:
     parameters = read(ARDUPILOT, FS_THR_ENABLE=0.0)
     parameters.refresh()
     assert parameters.values == {"FS_THR_ENABLE": 0.0}
@@ -44,7 +44,7 @@ def test_they_are_asked_for_again_after_a_reboot_and_before_a_flight() -> None:
     assert parameters.values == {}
 
 
-def test_of_other_autopilots_and_parameters_nothing_is_made() -> None:
+def test_other_autopilots_and_parameters_have_no_effect() -> None:
     parameters = RadioParameters()
     assert not parameters.requests(0.0, 1, OTHER)
     assert not parameters.handle(OTHER, param_value("FS_THR_ENABLE", 0.0))

@@ -104,7 +104,7 @@ def test_the_text_alone_and_its_return() -> None:
 
 
 @pytest.mark.parametrize("begin_s", [0.0, 5.0])
-def test_a_lost_cleared_is_made_up_for_by_good_health_that_lasts(begin_s: float) -> None:
+def test_lasting_good_health_replaces_a_lost_cleared_text(begin_s: float) -> None:
     link = good(begin_s)
     link.handle(begin_s, text("Radio Failsafe"))
     # ArduPilot's health still looks good for over a second after the text.
@@ -195,22 +195,22 @@ def judged(name: str) -> list[tuple[float, str]]:
     for t, message in recorded(name):
         while now + 0.02 < t:
             now += 0.02
-            said = link.problem(now) or "good"
-            if said != last:
-                changes.append((round(now, 2), said))
-                last = said
+            state = link.problem(now) or "good"
+            if state != last:
+                changes.append((round(now, 2), state))
+                last = state
         link.handle(t, message)
-        said = link.problem(t) or "good"
-        if said != last:
-            changes.append((round(t, 2), said))
-            last = said
+        state = link.problem(t) or "good"
+        if state != last:
+            changes.append((round(t, 2), state))
+            last = state
     return changes
 
 
 def test_a_frozen_and_a_jumping_receiver_as_recorded() -> None:
     changes = judged("rc_switch")
-    lost = [t for t, said in changes if said != "good"]
-    back = [t for t, said in changes if said == "good"][1:]
+    lost = [t for t, state in changes if state != "good"]
+    back = [t for t, state in changes if state == "good"][1:]
     assert changes[0][1] == "good"
     # No pulses from 39.02 on: the text of the failsafe comes a second later, and the channels do not change.
     assert lost[0] == pytest.approx(40.05, abs=0.05)
@@ -228,7 +228,7 @@ def test_a_frozen_and_a_jumping_receiver_as_recorded() -> None:
 
 def test_a_receiver_that_falls_silent_as_recorded() -> None:
     changes = judged("px4_mission")
-    assert [said for _, said in changes] == [
+    assert [state for _, state in changes] == [
         "good",
         "no RC_CHANNELS for 1 s",
         "good",

@@ -38,7 +38,7 @@ def test_a_command_and_its_repeats_are_one(times: tuple[float, ...], lost: tuple
 
 
 @pytest.mark.parametrize("order", list(itertools.permutations(range(4))))
-def test_in_whatever_order_they_come_within_the_lateness_of_a_link(order: tuple[int, ...]) -> None:
+def test_repeats_may_arrive_in_any_order_within_the_delay_of_a_link(order: tuple[int, ...]) -> None:
     line = Line()
     arrived = [line.new(10.0 + 0.1 * place, n) for place, n in enumerate(order)]
     assert arrived == [True, False, False, False]
@@ -53,7 +53,7 @@ def test_a_repeat_that_comes_too_late_is_of_another_command_whose_first_was_lost
         assert line.new(t, confirmation) is new
 
 
-def test_a_ground_station_takes_its_time() -> None:
+def test_a_ground_station_repeats_after_three_seconds() -> None:
     line = Line(STATION_REPEAT_S)
     assert [line.new(t, n) for n, t in enumerate((10.0, 13.0, 16.0, 19.0))] == [True, False, False, False]
 

@@ -88,7 +88,7 @@ def test_our_version_and_what_we_can_do(asked: tuple[int, float]) -> None:
     assert list(received.flight_sw_version.to_bytes(4, "big"))[:3] == [major, minor, patch]
 
 
-def test_only_what_is_true_is_claimed() -> None:
+def test_only_true_capabilities_are_reported() -> None:
     """With file transfer claimed, Mission Planner would wait for a parameter file."""
     claimed = {
         name.removeprefix("MAV_PROTOCOL_CAPABILITY_")
@@ -148,7 +148,7 @@ def test_the_protocol_version_is_read_by_a_dialect_that_has_it(
 # Request of a message.
 
 
-def test_a_heartbeat_on_request_is_the_next_thing_that_leaves() -> None:
+def test_a_requested_heartbeat_is_the_next_message_sent() -> None:
     bench = Bench()
     assert len(bench.heartbeat.due(bench.t, 4)) == 1
     assert bench.heartbeat.due(bench.t + 0.1, 4) == []
@@ -156,7 +156,7 @@ def test_a_heartbeat_on_request_is_the_next_thing_that_leaves() -> None:
     assert len(bench.heartbeat.due(bench.t + 0.1, 4)) == 1
 
 
-def test_all_values_on_request_soon_and_one_after_another() -> None:
+def test_requested_values_are_sent_soon_and_one_after_another() -> None:
     bench = Bench()
     bench.ask(SET_INTERVAL, 251, 10e6)
     bench.wait(31.0)
@@ -192,28 +192,28 @@ def test_the_interval_of_values_is_set_reported_and_kept() -> None:
     for interval_us in (1e5, 2.5e5, 1e6, 1e7):
         assert bench.ask(SET_INTERVAL, 251, interval_us) == (ACCEPTED, [])
         for asked in ((GET_INTERVAL, 251.0), (REQUEST_MESSAGE, 244.0, 251.0)):
-            result, (told,) = bench.ask(int(asked[0]), *asked[1:])
-            assert (result, told.message_id, told.interval_us) == (ACCEPTED, 251, interval_us)
+            result, (answer,) = bench.ask(int(asked[0]), *asked[1:])
+            assert (result, answer.message_id, answer.interval_us) == (ACCEPTED, 251, interval_us)
         bench.wait(interval_us / 1e6)
         sent = bench.wait(4 * interval_us / 1e6)
         assert len(sent) == pytest.approx(4 * len(VALUES), abs=2)
 
 
-def test_values_are_switched_off_and_go_on_as_usual() -> None:
+def test_values_are_switched_off_and_on_again() -> None:
     bench = Bench()
     assert len(bench.wait(2.0)) == pytest.approx(12, abs=1)
     assert bench.ask(SET_INTERVAL, 251, -1) == (ACCEPTED, [])
     assert bench.wait(30.0) == []
-    _, (told,) = bench.ask(GET_INTERVAL, 251)
-    assert told.interval_us == -1
+    _, (answer,) = bench.ask(GET_INTERVAL, 251)
+    assert answer.interval_us == -1
     assert bench.ask(SET_INTERVAL, 251, 0) == (ACCEPTED, [])
     assert len(bench.wait(2.0)) == pytest.approx(12, abs=1)
-    _, (told,) = bench.ask(GET_INTERVAL, 251)
-    assert told.interval_us == 500_000
+    _, (answer,) = bench.ask(GET_INTERVAL, 251)
+    assert answer.interval_us == 500_000
 
 
 @pytest.mark.parametrize("interval_us", [99_000.0, 1.01e7, 1.0, -2.0, math.nan, math.inf])
-def test_values_too_fast_or_too_slow_are_denied_and_go_on_as_before(interval_us: float) -> None:
+def test_a_rate_that_is_too_fast_or_too_slow_is_denied_and_changes_nothing(interval_us: float) -> None:
     bench = Bench()
     assert bench.ask(SET_INTERVAL, 251, interval_us) == (DENIED, [])
     assert bench.values.period_s == 0.5
@@ -226,13 +226,13 @@ def test_values_too_fast_or_too_slow_are_denied_and_go_on_as_before(interval_us:
 def test_nobody_can_change_the_heartbeat(interval_us: float, result: int) -> None:
     bench = Bench()
     assert bench.ask(SET_INTERVAL, 0, interval_us) == (result, [])
-    _, (told,) = bench.ask(GET_INTERVAL, 0)
-    assert told.interval_us == 1_000_000
+    _, (answer,) = bench.ask(GET_INTERVAL, 0)
+    assert answer.interval_us == 1_000_000
 
 
 def test_the_interval_of_what_we_never_send_is_reported_as_such() -> None:
-    result, (told,) = Bench().ask(GET_INTERVAL, 65)
-    assert (result, told.message_id, told.interval_us) == (ACCEPTED, 65, 0)
+    result, (answer,) = Bench().ask(GET_INTERVAL, 65)
+    assert (result, answer.message_id, answer.interval_us) == (ACCEPTED, 65, 0)
     assert Bench().ask(GET_INTERVAL, 70_000) == (DENIED, [])
 
 
@@ -249,7 +249,7 @@ def test_requests_to_others_are_left_alone(number: int, target: tuple[int, int])
 
 
 @pytest.mark.parametrize("number", [31010, 31013, 400, 187, 176, 246, 42428])
-def test_other_commands_are_for_others_here(number: int) -> None:
+def test_other_commands_are_not_handled_here(number: int) -> None:
     assert Bench().take(command(number, (1.0,))) is None
 
 
@@ -283,7 +283,7 @@ def test_pings_to_others_and_our_own_stay_unanswered(
     assert Bench().take(mavlink.MAVLink_ping_message(1, 1, *target), sender) == []
 
 
-def test_two_that_answer_answers_come_to_rest() -> None:
+def test_two_components_that_answer_pings_do_not_answer_each_other_forever() -> None:
     one, other = Bench(), Bench()
     other.requests = Requests(192, other.heartbeat, other.values)
     asked = [mavlink.MAVLink_ping_message(1, 1, 0, 0)]
@@ -331,7 +331,7 @@ def test_the_clock_is_reported_once_a_second_however_often_it_is_asked() -> None
     assert 60 <= answered <= 64
 
 
-def test_each_asker_has_tokens_of_its_own_and_askers_without_end_fill_no_memory() -> None:
+def test_each_requester_has_its_own_tokens_and_many_requesters_fill_no_memory() -> None:
     buckets = TokenBuckets()
     assert [buckets.take(0.0, (1, 1)) for _ in range(6)] == [True] * 4 + [False] * 2
     assert buckets.take(0.0, (2, 1))

@@ -122,7 +122,7 @@ def test_frames_signed_by_hand_and_by_pymavlink_are_accepted() -> None:
 
 
 @pytest.mark.parametrize("name", ["px4_mission.tlog", "px4_vine_mission.tlog"])
-def test_frames_that_a_real_px4_signed(name: str) -> None:
+def test_frames_that_a_real_px4_signed_are_accepted(name: str) -> None:
     # It signs with a key of zeros until it gets one, and counts timestamps from its start.
     signing = Signing(bytes(32))
     codec = MavlinkCodec(0, 191, signing)
@@ -183,7 +183,7 @@ def test_with_any_clock_no_timestamp_is_used_twice_on_one_link_id(
         assert 0 <= signing.timestamp <= 2**47 + len(steps)
 
 
-def test_without_a_clock_what_was_saved_goes_on() -> None:
+def test_without_a_clock_the_saved_timestamp_continues() -> None:
     # A Raspberry Pi starts with an old time; a minute later its clock is right.
     ours = Ours(timestamp=NOW, clock_s=0.0)
     assert ours.signing.next_timestamp() == NOW + 1
@@ -237,13 +237,13 @@ def test_a_frame_with_one_changed_bit_is_refused() -> None:
 @settings(max_examples=examples(100), deadline=None)
 def test_random_bytes_never_raise_and_are_never_accepted(parts: list[bytes | str]) -> None:
     ours, peer = Ours(), Peer()
-    said = [part for part in parts if isinstance(part, str)]
+    texts_sent = [part for part in parts if isinstance(part, str)]
     received = [
         words for part in parts for words in ours.receive(part if isinstance(part, bytes) else peer.say(part))
     ]
     # Noise may look like a frame of a message that the dialect lacks, and hide good frames.
     received += ours.receive(b"".join(peer.say("last") for _ in range(20)))
-    assert set(received) <= {*said, "last"}
+    assert set(received) <= {*texts_sent, "last"}
     assert received[-1] == "last"
 
 
@@ -253,7 +253,7 @@ def test_another_key_is_refused() -> None:
     assert ours.refused == RefusedFrames(forged=1)
 
 
-def test_a_forged_frame_of_the_far_future_does_not_lock_the_real_one_out() -> None:
+def test_a_forged_frame_of_the_far_future_does_not_lock_out_the_real_sender() -> None:
     ours, attacker, peer = Ours(), Peer(NOW + 1000 * MINUTE), Peer()
     assert ours.receive(attacker.say("obey", key=b"x" * 32)) == []
     assert ours.signing.timestamp == NOW
@@ -262,11 +262,11 @@ def test_a_forged_frame_of_the_far_future_does_not_lock_the_real_one_out() -> No
 
 def test_a_frame_is_refused_when_it_is_sent_again() -> None:
     ours, peer = Ours(), Peer()
-    said = [peer.say(f"line {i}") for i in range(300)]
-    assert len(ours.receive(b"".join(said))) == 300
+    frames = [peer.say(f"line {i}") for i in range(300)]
+    assert len(ours.receive(b"".join(frames))) == 300
     dice = random.Random(1)
-    dice.shuffle(said)
-    assert ours.receive(b"".join(said)) == []
+    dice.shuffle(frames)
+    assert ours.receive(b"".join(frames)) == []
     assert ours.refused.replayed + ours.codec.repeated_frames == 300
     assert ours.refused.replayed >= 260  # all but the copies of the last few, which routers also make
 
@@ -331,14 +331,14 @@ def test_streams_without_end_do_not_fill_the_memory_nor_take_the_autopilots_plac
     assert ours.receive(autopilot.say("still here")) == ["still here"]
 
 
-def test_streams_that_fell_silent_make_room_and_stay_refused() -> None:
+def test_silent_streams_make_room_and_their_old_frames_stay_refused() -> None:
     ours = Ours()
-    said = [Peer(NOW, system=2 + number).say("hello") for number in range(MAX_STREAMS)]
-    assert len(ours.receive(b"".join(said))) == MAX_STREAMS
+    frames = [Peer(NOW, system=2 + number).say("hello") for number in range(MAX_STREAMS)]
+    assert len(ours.receive(b"".join(frames))) == MAX_STREAMS
     ours.signing.advance(NOW_S + 120)
     assert ours.receive(Peer(NOW + 2 * MINUTE, system=200).say("new")) == ["new"]
     assert len(ours.signing._streams) == 1
-    for frame in said:
+    for frame in frames:
         ours.codec._senders.clear()  # as if their sequence numbers did not show these copies
         assert ours.receive(frame) == []
 
@@ -409,7 +409,7 @@ def test_a_clock_that_jumps_back_far_does_not_shut_the_autopilot_out() -> None:
     assert ours.receive(Peer(NOW + MINUTE).say("hello")) == ["hello"]
 
 
-def test_the_first_synchronisation_is_followed_and_sets_right_what_was_ahead() -> None:
+def test_the_first_synchronisation_is_followed_and_corrects_a_timestamp_that_was_ahead() -> None:
     # An unsynchronised clock may be a year behind. Only a synchronised clock shows a wrong date.
     ours = Ours(clock_s=None)
     ours.signing.advance(NOW_S - 3 * 86400, 0.0)
@@ -468,7 +468,7 @@ sendings = st.lists(
 def test_no_frame_is_accepted_twice_over_any_restarts(steps: list[tuple[str, int, int]]) -> None:
     signing, now_s = Signing(KEY), NOW_S
     signing.advance(now_s, 0.0, synchronised=True)
-    codec, peers, said, believed = (
+    codec, peers, frames, accepted = (
         MavlinkCodec(1, 191, signing),
         [Peer(NOW, 1 + i) for i in range(3)],
         [b""],
@@ -486,12 +486,12 @@ def test_no_frame_is_accepted_twice_over_any_restarts(steps: list[tuple[str, int
             if what == "live":
                 peer = peers[number]
                 peer.timestamp = max(peer.timestamp, int((now_s - UNIX_TIME_OF_ZERO_S) * UNITS_PER_S))
-                said.append(peer.say(f"{len(said)}"))
-            frame = said[-1] if what == "live" else said[value % len(said)]
+                frames.append(peer.say(f"{len(frames)}"))
+            frame = frames[-1] if what == "live" else frames[value % len(frames)]
             texts = [message.text for message in codec.decode(frame)]
             assert bool(texts) >= (what == "live")
-            believed += texts
-    assert len(believed) == len(set(believed))
+            accepted += texts
+    assert len(accepted) == len(set(accepted))
 
 
 def test_a_key_has_32_bytes() -> None:

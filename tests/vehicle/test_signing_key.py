@@ -110,7 +110,7 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "signing.timestamp"
 
 
-def test_a_first_start_has_nothing_to_go_on_from_and_saves_at_once(file: Path) -> None:
+def test_a_first_start_has_no_saved_timestamp_and_saves_at_once(file: Path) -> None:
     keeper = TimestampFile(file)
     assert keeper.load() == (SigningMemory(), "")
     assert keeper.due(5)
@@ -118,14 +118,14 @@ def test_a_first_start_has_nothing_to_go_on_from_and_saves_at_once(file: Path) -
     assert not keeper.due(6)
 
 
-def test_a_restart_goes_on_a_minute_later_and_saves_at_once(file: Path) -> None:
+def test_a_restart_continues_a_minute_later_and_saves_at_once(file: Path) -> None:
     TimestampFile(file).save(SigningMemory(36_000_000_000_000))
     again = TimestampFile(file)
     assert again.load() == (SigningMemory(36_000_000_000_000 + 60 * UNITS_PER_S, 0), "")
     assert again.due(36_000_006_000_000)
 
 
-def test_it_is_saved_every_half_minute_and_when_the_clock_jumped(file: Path) -> None:
+def test_the_timestamp_is_saved_every_half_minute_and_when_the_clock_jumped(file: Path) -> None:
     keeper = TimestampFile(file)
     saved = []
     for second in [*range(100), *range(5000, 5060)]:
@@ -136,7 +136,7 @@ def test_it_is_saved_every_half_minute_and_when_the_clock_jumped(file: Path) -> 
 
 
 @pytest.mark.parametrize("clock_s", [0.0, 1.7e9])
-def test_however_often_it_crashes_no_timestamp_comes_twice(file: Path, clock_s: float) -> None:
+def test_no_timestamp_is_used_twice_over_any_crashes(file: Path, clock_s: float) -> None:
     # Without a clock only sent frames increase the timestamp.
     used: list[int] = []
     for seconds in (0, 1, 29, 31, 45, 3, 0, 100):
@@ -179,7 +179,7 @@ def test_a_damaged_file_leaves_the_clock_alone_and_is_reported(file: Path, conte
     )
 
 
-def test_a_file_of_an_earlier_version_is_gone_on_from(file: Path) -> None:
+def test_the_file_of_an_earlier_version_is_continued(file: Path) -> None:
     file.write_text("036000000000000\n")
     assert TimestampFile(file).load() == (SigningMemory(36_000_006_000_000), "")
 
@@ -192,7 +192,7 @@ def test_a_file_of_an_earlier_version_is_gone_on_from(file: Path) -> None:
 @settings(
     max_examples=examples(50), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
-def test_all_is_read_as_it_was_written(
+def test_the_file_is_read_as_it_was_written(
     file: Path, timestamp: int, link_id: int, streams: dict[tuple[int, int, int], int]
 ) -> None:
     memory = SigningMemory(timestamp, link_id, tuple(streams.items()))
@@ -201,13 +201,13 @@ def test_all_is_read_as_it_was_written(
     assert (again, problem) == (SigningMemory(timestamp + 60 * UNITS_PER_S, link_id, memory.streams), "")
 
 
-def test_it_is_saved_at_once_where_the_clock_was_set_right(file: Path) -> None:
+def test_a_corrected_clock_is_saved_at_once(file: Path) -> None:
     keeper = TimestampFile(file)
     keeper.save(SigningMemory(36_000_000_000_000))
     assert keeper.due(35_000_000_000_000)
 
 
-def test_it_is_written_as_a_whole_or_not_at_all(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_file_is_written_as_a_whole_or_not_at_all(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     keeper = TimestampFile(file)
     keeper.save(SigningMemory(36_000_000_000_000))
 

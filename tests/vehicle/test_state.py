@@ -98,7 +98,7 @@ def test_only_the_autopilot_reports_that_the_vehicle_is_armed(other: str) -> Non
     assert state.heartbeat_at == 0.0
 
 
-def test_a_false_autopilot_in_our_autopilots_own_place_changes_nothing() -> None:
+def test_a_heartbeat_of_another_type_with_our_autopilots_ids_changes_nothing() -> None:
     state = VehicleState()
     state.handle(0.0, heartbeat(1, base_mode=ARMED))
     state.handle(1.0, heartbeat(1, 1, 18, 8))
@@ -112,7 +112,7 @@ def test_messages_before_the_first_heartbeat_are_ignored() -> None:
 
 
 @pytest.mark.parametrize("later_s", [0.0, 1.0, 2.0])
-def test_two_autopilots_at_once_are_both_left_alone(later_s: float) -> None:
+def test_two_autopilots_at_once_are_both_ignored(later_s: float) -> None:
     state = VehicleState()
     state.handle(0.0, heartbeat(1, base_mode=ARMED))
     assert state.handle(later_s, heartbeat(2)) == [Ambiguous((1, 2))]
@@ -125,7 +125,7 @@ def test_two_autopilots_at_once_are_both_left_alone(later_s: float) -> None:
         assert not state.is_ours(heartbeat(1))
 
 
-def test_a_second_vehicle_that_comes_later_is_passed_over() -> None:
+def test_a_second_vehicle_that_comes_later_is_ignored() -> None:
     state = found()
     for t in (2.1, 10.0, 11.0):
         assert state.handle(t, heartbeat(2, base_mode=ARMED)) == []

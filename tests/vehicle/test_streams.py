@@ -26,9 +26,9 @@ MESSAGES = {
 class Autopilot:
     """Ticks a `Streams`, and sends the requested messages, except those that it ignores."""
 
-    def __init__(self, deaf_to: set[int] | None = None) -> None:
+    def __init__(self, ignored: set[int] | None = None) -> None:
         self.streams = Streams(20.0)
-        self.deaf_to = deaf_to or set()
+        self.ignored = ignored or set()
         self.asked: list[tuple[float, int]] = []
         self.granted: set[int] = set()
         self.ticks = 0
@@ -55,11 +55,11 @@ class Autopilot:
         assert 1e6 / request.param2 == WANTED_HZ[message_id]
         self.asked.append((self.now_s, message_id))
         self.streams.handle(self.now_s, mavlink.MAVLink_command_ack_message(511, 0, 0, 0, 7, 191))
-        if message_id not in self.deaf_to:
+        if message_id not in self.ignored:
             self.granted.add(message_id)
 
 
-def test_each_is_asked_for_once_and_apart_from_the_others() -> None:
+def test_each_stream_is_requested_once_and_not_together_with_others() -> None:
     autopilot = Autopilot()
     asked = autopilot.run(60.0)
     assert sorted(message_id for _, message_id in asked) == sorted(WANTED_HZ)
@@ -76,7 +76,7 @@ def test_never_more_than_one_request_at_a_time() -> None:
 
 
 def test_a_missing_stream_is_requested_again_and_named() -> None:
-    autopilot = Autopilot(deaf_to={1, 42})
+    autopilot = Autopilot(ignored={1, 42})
     asked = autopilot.run(30.0)
     for silent in (1, 42):
         times_s = [t for t, message_id in asked if message_id == silent]
@@ -88,17 +88,17 @@ def test_a_missing_stream_is_requested_again_and_named() -> None:
 
 
 def test_a_missing_stream_is_reported_in_time_and_withdrawn() -> None:
-    autopilot = Autopilot(deaf_to={33})
+    autopilot = Autopilot(ignored={33})
     autopilot.run(MISSING_AFTER_S - 0.5)
     assert autopilot.streams.missing(autopilot.now_s) == []
     autopilot.run(1.5)
     assert autopilot.streams.missing(autopilot.now_s) == ["GLOBAL_POSITION_INT"]
-    autopilot.deaf_to = set()
+    autopilot.ignored = set()
     autopilot.run(4.0)
     assert autopilot.streams.missing(autopilot.now_s) == []
 
 
-def test_a_stream_that_stops_is_asked_for_again() -> None:
+def test_a_stream_that_stops_is_requested_again() -> None:
     autopilot = Autopilot()
     autopilot.run(10.0)
     autopilot.granted.remove(33)
@@ -114,7 +114,7 @@ def test_a_slow_stream_is_not_silent_between_its_messages() -> None:
     assert [message_id for _, message_id in autopilot.asked].count(2) == 1
 
 
-def test_after_a_reboot_everything_is_asked_for_at_once() -> None:
+def test_after_a_reboot_everything_is_requested_at_once() -> None:
     autopilot = Autopilot()
     autopilot.run(10.0)
     autopilot.granted.clear()
@@ -124,7 +124,7 @@ def test_after_a_reboot_everything_is_asked_for_at_once() -> None:
     assert autopilot.streams.missing(autopilot.now_s) == []
 
 
-def test_nothing_is_missing_before_it_was_asked_for() -> None:
+def test_no_stream_is_missing_before_it_was_requested() -> None:
     assert Streams(20.0).missing(1000.0) == []
 
 
@@ -147,7 +147,7 @@ def test_an_unsupported_stream_is_not_soon_requested_again(result: int, pause_s:
         assert gaps_s and all(expected_s - 1e-6 <= gap <= expected_s + 0.7 for gap in gaps_s)
 
 
-def test_a_late_refusal_is_of_no_request() -> None:
+def test_a_late_refusal_belongs_to_no_request() -> None:
     streams = Streams(20.0)
     for tick in range(200):
         streams.requests(tick * TICK_S, 1)
@@ -168,7 +168,7 @@ def test_nothing_is_missing_on_a_link_that_is_silent_and_just_after() -> None:
         autopilot.run(1.0)
         assert autopilot.streams.missing(autopilot.now_s) == []
     autopilot.granted = granted - {1}
-    autopilot.deaf_to = {1}
+    autopilot.ignored = {1}
     autopilot.run(MISSING_AFTER_S - 0.5)
     assert autopilot.streams.missing(autopilot.now_s) == []
     autopilot.run(1.0)

@@ -81,13 +81,13 @@ def test_every_requested_message_is_sent_as_an_answer() -> None:
     assert [message.get_type() for message in queue.due(0.0)] == ["TIMESYNC", "AUTOPILOT_VERSION"]
 
 
-def test_an_answer_leaves_at_once_where_nothing_else_just_did() -> None:
+def test_an_answer_is_sent_at_once_if_no_message_was_just_sent() -> None:
     queue = TransmitQueue()
     queue.put(answer())
     assert len(queue.due(5.0)) == 1
 
 
-def test_of_too_many_the_oldest_of_the_least_is_dropped() -> None:
+def test_in_a_full_queue_the_oldest_message_of_the_lowest_priority_is_dropped() -> None:
     queue = TransmitQueue()
     for number in range(MAX_WAITING):
         queue.put(value(number))
@@ -152,7 +152,9 @@ LOADS = st.lists(
 
 @given(LOADS)
 @settings(max_examples=examples(150), deadline=None)
-def test_never_a_burst_nothing_lost_and_each_rank_in_order(loads: list[tuple[float, list[Maker]]]) -> None:
+def test_there_is_no_burst_and_no_loss_and_each_priority_keeps_its_order(
+    loads: list[tuple[float, list[Maker]]],
+) -> None:
     line = Line()
     for pause_s, makers in loads:
         line.wait(pause_s)

@@ -120,11 +120,11 @@ def test_a_move_while_the_radio_is_lost_is_only_reported() -> None:
     link.text("Radio Failsafe Cleared")
     link.run(3.0, 2000)
     assert link.triggers == []
-    told = [notice.text for notice in link.notices]
-    assert told.count("Vine: switch ch9 moved while RC was lost, move it again") == 1
+    texts = [notice.text for notice in link.notices]
+    assert texts.count("Vine: switch ch9 moved while RC was lost, move it again") == 1
 
 
-def test_after_a_loss_of_rc_a_fresh_move_is_needed() -> None:
+def test_after_a_loss_of_rc_a_new_move_is_needed() -> None:
     link = Link()
     link.run(2.0, 1000)
     link.wait(2.0)
@@ -169,7 +169,7 @@ def test_messages_of_a_second_vehicle_move_nothing() -> None:
     assert link.triggers == []
 
 
-def test_a_reboot_vents_and_everything_is_asked_anew() -> None:
+def test_a_reboot_vents_and_everything_is_requested_again() -> None:
     link = Link()
     link.run(5.0, 1000, boot_ms=100_000)
     assert {m.param1 for _, m in link.sent if m.get_type() == "COMMAND_LONG"} == {65, 1, 33, 42, 2, 29}
@@ -185,8 +185,8 @@ def test_a_reboot_vents_and_everything_is_asked_anew() -> None:
 def test_missing_streams_are_named_once() -> None:
     link = Link()
     link.run(20.0, 1000)
-    told = [notice.text for notice in link.notices if "does not send" in notice.text]
-    assert told == ["Vine: the autopilot does not send SYS_STATUS, GLOBAL_POSITION_INT"]
+    texts = [notice.text for notice in link.notices if "does not send" in notice.text]
+    assert texts == ["Vine: the autopilot does not send SYS_STATUS, GLOBAL_POSITION_INT"]
 
 
 def test_one_execution_of_an_ardupilot_item_is_one_trigger() -> None:
@@ -234,7 +234,7 @@ def replayed(name: str, drop: set[int] | None = None, twice: bool = False) -> Li
 
 @pytest.mark.parametrize("name", EXECUTIONS)
 @pytest.mark.parametrize("twice", [False, True])
-def test_the_items_of_a_real_flight_each_once(name: str, twice: bool) -> None:
+def test_each_item_of_a_real_flight_is_found_once(name: str, twice: bool) -> None:
     link = replayed(name, twice=twice)
     found = [(trigger.t, trigger.what["seq"], trigger.what["command"]) for trigger in link.triggers]
     assert [(seq, number) for _, seq, number in found] == [(s, n) for _, s, n in EXECUTIONS[name]]
@@ -242,7 +242,7 @@ def test_the_items_of_a_real_flight_each_once(name: str, twice: bool) -> None:
         assert t == pytest.approx(at_s, abs=0.02)
 
 
-def test_the_items_of_a_real_flight_whose_texts_were_all_lost() -> None:
+def test_the_items_of_a_real_flight_are_found_without_any_text() -> None:
     frames = [frame for _, frame in TlogReader(RECORDINGS / "ardupilot_vine_mission.tlog").frames()]
     drop = {i for i, frame in enumerate(frames) if b"Mission: " in frame}
     assert len(drop) >= 12
@@ -262,7 +262,7 @@ def test_two_reboots_of_a_real_autopilot_are_each_seen_once() -> None:
     assert [t for t, _ in moves] == pytest.approx([12.25, 45.3], abs=0.15)
 
 
-def test_another_mission_of_the_same_length_is_reported_with_what_was_carried_out() -> None:
+def test_another_mission_of_the_same_length_is_reported_with_the_executed_item() -> None:
     link = Link()
     link.run(1.0, 1000)
     read = [mission_item(0, 16), mission_item(1, 22), mission_item(2, 217, 1.0, 11.0)]
@@ -283,8 +283,8 @@ def test_another_mission_of_the_same_length_is_reported_with_what_was_carried_ou
     link.receive(mavlink.MAVLink_mission_count_message(1, 191, 3, 0))
     for message in (*read[:2], mission_item(2, 217, 1.0, 44.0)):
         link.receive(message)
-    told = [notice.text for notice in link.notices if "mission changed" in notice.text]
-    assert told == ["Vine: mission changed, item 2: bend 44°"]
+    texts = [notice.text for notice in link.notices if "mission changed" in notice.text]
+    assert texts == ["Vine: mission changed, item 2: bend 44°"]
 
 
 def mission_item(seq: int, command: int, param1: float = 0.0, param2: float = 0.0) -> MavlinkMessage:
@@ -293,7 +293,7 @@ def mission_item(seq: int, command: int, param1: float = 0.0, param2: float = 0.
     )
 
 
-def test_a_button_pressed_before_a_stall_comes_as_late_as_it_is() -> None:
+def test_a_button_pressed_before_a_stall_has_its_true_age() -> None:
     link = Link()
     link.run(5.0, 1000, boot_ms=100_000)
     stopped_at = link.now_s

@@ -7,7 +7,7 @@
         for link, frame in autopilot.advance(t):
             ...
 
-It behaves like recordings of real autopilots, including their traps. Its tests replay these recordings.
+It behaves as real autopilots did in recordings, including their quirks. Its tests replay these recordings.
 """
 
 from flying_vines.simulation.autopilot.autopilot import FakeAutopilot

@@ -345,7 +345,7 @@ class FakeAutopilot:
         self._rc.restore()
 
     def reboot(self) -> None:
-        """Restart on the ground: silent for 1.25 s; then all learnt state is lost, but not the mission."""
+        """Restart on the ground: silent for 1.25 s. All learnt state is lost, but not the mission."""
         self.scheduler.clear()
         self._running = False
         for port in self._ports.values():
@@ -374,7 +374,7 @@ class FakeAutopilot:
             self.scheduler.at(self._ready_s + _ORIGIN_S, self._tell_home)
 
     def stir_health(self) -> None:
-        """PX4's health changes for another reason than RC: it is reported now, and then not again for 2 s."""
+        """PX4's health changes, but not by RC. This report delays a report about RC by up to 2 s."""
         if not isinstance(self._rc, ArduPilotRc):
             self._rc.report()
 
@@ -409,7 +409,7 @@ class FakeAutopilot:
         for text, severity in texts:
             message = mavlink.MAVLink_statustext_message(severity, text.encode()[:50])
             for port in self._ports.values():
-                if port.active if self.kind == "ardupilot" else port.hears_gcs:
+                if port.active if self.kind == "ardupilot" else port.has_gcs:
                     self._send(port, message)
 
     # Internals
@@ -616,7 +616,7 @@ class FakeAutopilot:
         source = message.get_srcSystem(), message.get_srcComponent()
         self._routes.learn(*source, port.name)
         if kind == "HEARTBEAT":
-            port.hears_gcs |= message.type == _GCS
+            port.has_gcs |= message.type == _GCS
             for other in self._ports.values():
                 self._forwarder.forward(port, other, frame)
             return

@@ -18,7 +18,7 @@ _RETURN_HOLD_S = 5.0
 
 
 class Leg:
-    """Flies one item. Call `update` often, then read `arrived` (at the place) and `done` (with hold time).
+    """Flies one item. Call `update` often, then read `arrived` (at the place) and `done` (after the hold).
 
     LAND and RTL are never done: disarming ends them.
     """

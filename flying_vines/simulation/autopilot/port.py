@@ -30,7 +30,7 @@ class PortStream:
 class Port:
     """A link of the autopilot.
 
-    Each port has its own MAVLink sequence. `active`: it has received a message; `hears_gcs`: also a ground
+    Each port has its own MAVLink sequence. `active`: it has received a message; `has_gcs`: also a ground
     station's heartbeat. With a `key` it signs its messages, and accepts only signed ones, except on USB. A
     port named "companion" is PX4's MAV_1 in onboard mode.
     """
@@ -42,7 +42,7 @@ class Port:
     known: frozenset[str] = KNOWN
     forwards: bool = True
     active: bool = False
-    hears_gcs: bool = False
+    has_gcs: bool = False
     streams: dict[int, PortStream] = field(default_factory=dict)
     rc_updates: int = 0
     echoed: int = 0
@@ -57,7 +57,7 @@ class Port:
         for stream in self.streams.values():
             stream.entry.cancel()
         self.streams = {}
-        self.active = self.hears_gcs = False
+        self.active = self.has_gcs = False
         self._encoder = mavlink.MAVLink(None, srcSystem=self.system_id, srcComponent=1)
         self._decoder = mavlink.MAVLink(None)
         self._decoder.robust_parsing = True

@@ -45,7 +45,7 @@ class CommandLong:
 
 @dataclass(slots=True)
 class _Sent:
-    """A sent command. It is listed until its last repeat, or until a repeat is due after the answer."""
+    """A sent command. Once acknowledged, it leaves the list when its next repeat would be due."""
 
     command: CommandLong
     acknowledged: bool = False
@@ -92,8 +92,8 @@ class CommandSender:
 class Px4Mission:
     """One index over all items, including DO items.
 
-    Items 211 and 42600 stop the mission for `command_timeout_s` (MIS_COMMAND_TOUT) even if they are
-    acknowledged. Other DO items end at once, so of a burst only the last one is reported as reached.
+    Items 211 (gripper) and 42600 (winch) stop the mission for `command_timeout_s` (MIS_COMMAND_TOUT), even if
+    they are acknowledged. Other DO items end at once, so of a burst only the last one is reported as reached.
     """
 
     def __init__(self, host: Host, sender: CommandSender, command_timeout_s: Callable[[], float]) -> None:
@@ -150,7 +150,7 @@ class Px4Mission:
 
     def set_current(self, seq: int) -> None:
         self._stop_waiting()
-        self._grow_stale()
+        self._keep_reported_seq()
         self._seq = seq
         if self._state == ACTIVE:
             self._run()
@@ -185,7 +185,7 @@ class Px4Mission:
             item = items[self._seq]
             if item.command == JUMP and jumps_left:
                 jumps_left -= 1
-                self._grow_stale()
+                self._keep_reported_seq()
                 self._seq = self._jumps.take(item)
                 continue
             if AUTOPILOTS["px4"].waits_for(item):
@@ -232,7 +232,7 @@ class Px4Mission:
             target = int(first) if item.command in _TO_PARAM1 and 0.0 <= first < 256.0 else 0
             self._sender.send(CommandLong(item.command, item.params, target))
 
-    def _grow_stale(self) -> None:
+    def _keep_reported_seq(self) -> None:
         if self._stale_seq is None and self._state == ACTIVE:
             self._stale_seq = self._seq
 

@@ -39,7 +39,7 @@ class Host(Protocol):
         """Set MISSION_ITEM_REACHED. It is sent at the end of the loop, so the last one of a loop wins."""
 
     def executed(self, item: MissionItem) -> None:
-        """A DO item really ran."""
+        """A DO item was executed."""
 
     def flush(self) -> None:
         """End a loop outside the autopilot's own ticks."""

@@ -1,4 +1,4 @@
-"""The firmware's regulator and a plant in a closed loop, compiled: some thousand times faster than real time.
+"""The firmware's regulator and a plant in a closed loop, compiled: thousands of times faster than real time.
 
 One call simulates what `SimulatedPhlosar` does with bytes: at 1 kHz the firmware's own regulator reads the
 sensors and commands the valves. No protocol and no faults: the caller must check the table for too high
@@ -103,7 +103,7 @@ def run_regulated(
 ) -> Floats:
     """Returns the final state. `drives` stores EVP, DVP, solenoid and setpoint of each tick for the delays.
 
-    EVP: inflation valve. DVP: the Venturi's supply valve. All else as `run_openings`.
+    EVP: inflation valve. DVP: the Venturi's supply valve. The other parameters are as in `run_openings`.
     """
     s0, s1, s2, s3, s4, s5, s6, s7, s8, s9 = state
     now: Floats = (s0, s1, s2, s3, s4, s5, s6, s7, s8, s9)

@@ -32,7 +32,7 @@ _FLAGS = (
     "-std=c++17", "-O2", "-shared", "-fPIC", "-fvisibility=hidden", "-fno-exceptions", "-fno-rtti",
     "-ffp-contract=off",
 )  # fmt: skip
-_HERE, _U8, _U16, _U32, _SIZE = (
+_ADDRESS, _U8, _U16, _U32, _SIZE = (
     ctypes.c_void_p, ctypes.c_uint8, ctypes.c_uint16, ctypes.c_uint32, ctypes.c_size_t,
 )  # fmt: skip
 _FLOAT, _DOUBLE, _FLAG, _TEXT = ctypes.c_float, ctypes.c_double, ctypes.c_bool, ctypes.c_char_p
@@ -57,26 +57,26 @@ class Row(ctypes.Structure):
 _SIGNATURES = {
     "phlosar_sources": (_TEXT, ()),
     "phlosar_size": (_SIZE, ()),
-    "phlosar_start": (None, (_HERE, _TEXT, _U32, _FLAG, _TEXT, _SIZE)),
-    "phlosar_set": (_FLAG, (_HERE, _U8, _FLOAT)),
-    "phlosar_receive": (None, (_HERE, _TEXT, _SIZE)),
-    "phlosar_step": (None, (_HERE, _U32, _U16, _U16, _U16, ctypes.POINTER(Outputs))),
-    "phlosar_control": (None, (_HERE, _U32, _FLOAT, _FLOAT, _FLAG, ctypes.POINTER(Openings))),
-    "phlosar_take_output": (_SIZE, (_HERE, _TEXT, _SIZE)),
-    "phlosar_mode": (_U8, (_HERE,)),
-    "phlosar_faults": (_U16, (_HERE,)),
-    "phlosar_number": (_U16, (_HERE,)),
-    "phlosar_setting": (_FLOAT, (_HERE, _U8)),
+    "phlosar_start": (None, (_ADDRESS, _TEXT, _U32, _FLAG, _TEXT, _SIZE)),
+    "phlosar_set": (_FLAG, (_ADDRESS, _U8, _FLOAT)),
+    "phlosar_receive": (None, (_ADDRESS, _TEXT, _SIZE)),
+    "phlosar_step": (None, (_ADDRESS, _U32, _U16, _U16, _U16, ctypes.POINTER(Outputs))),
+    "phlosar_control": (None, (_ADDRESS, _U32, _FLOAT, _FLOAT, _FLAG, ctypes.POINTER(Openings))),
+    "phlosar_take_output": (_SIZE, (_ADDRESS, _TEXT, _SIZE)),
+    "phlosar_mode": (_U8, (_ADDRESS,)),
+    "phlosar_faults": (_U16, (_ADDRESS,)),
+    "phlosar_number": (_U16, (_ADDRESS,)),
+    "phlosar_setting": (_FLOAT, (_ADDRESS, _U8)),
     "phlosar_setting_row": (ctypes.POINTER(Row), (_U8,)),
     "phlosar_image_size": (_SIZE, ()),
-    "phlosar_unsaved": (_FLAG, (_HERE, _TEXT)),
+    "phlosar_unsaved": (_FLAG, (_ADDRESS, _TEXT)),
     "phlosar_tuning_count": (_SIZE, ()),
     "phlosar_tuning_name": (_TEXT, (_SIZE,)),
-    "phlosar_standard_tuning": (None, (_HERE,)),
+    "phlosar_standard_tuning": (None, (_ADDRESS,)),
     "phlosar_regulator_size": (_SIZE, ()),
-    "phlosar_regulator_start": (None, (_HERE, _HERE)),
-    "phlosar_regulator_begin": (None, (_HERE, _DOUBLE)),
-    "phlosar_regulator_step": (None, (_HERE, _DOUBLE, _DOUBLE, _DOUBLE, _DOUBLE, _HERE)),
+    "phlosar_regulator_start": (None, (_ADDRESS, _ADDRESS)),
+    "phlosar_regulator_begin": (None, (_ADDRESS, _DOUBLE)),
+    "phlosar_regulator_step": (None, (_ADDRESS, _DOUBLE, _DOUBLE, _DOUBLE, _DOUBLE, _ADDRESS)),
 }
 
 

@@ -21,7 +21,7 @@ OPEN_SHARE = -0.125
 SHORTED_SHARE = 1.125
 """Reading of this sensor at its supply voltage of 5 V."""
 _STUB_L = 0.004
-"""In a rig without tubing: volume that stays at the valves when the hose comes off."""
+"""Volume that stays at the valves when the hose comes off; only for a rig without tubing."""
 WATCHDOG_MS = 256
 """The watchdog resets a hanging board after this time."""
 _SONIC_SL_PER_S_KPA_MM2 = 1.27e-3
@@ -184,7 +184,7 @@ class Filled:
 
 @dataclass(frozen=True)
 class Heated:
-    """Bottle and air become warmer by this at once."""
+    """Bottle and air become warmer by this temperature at once."""
 
     kelvin: float
 

@@ -286,7 +286,7 @@ def _true(rig: Rig, effects: Effects | None) -> TrueRig:
     return TrueRig(rig, likely=True) if effects is None else TrueRig(rig, effects=effects)
 
 
-_TICK_S = 0.005
+_PTY_PERIOD_S = 0.005
 _MAX_LAG_S = 0.5
 _READ_SIZE = 4096
 
@@ -350,7 +350,7 @@ class PtyPhlosar:
                 began_s += behind_s
                 now_s -= behind_s
             self._turn(now_s)
-            await asyncio.sleep(_TICK_S)
+            await asyncio.sleep(_PTY_PERIOD_S)
 
     def _turn(self, now_s: float) -> None:
         with contextlib.suppress(BlockingIOError):

@@ -22,7 +22,7 @@ from flying_vines.simulation.scenario.run_kinds import (
     Valves,
 )
 
-OpeningOverTime = Callable[[float], float]
+SetpointOverTime = Callable[[float], float]
 """Setpoint (kPa gauge) as a function of time (s)."""
 ValveCommand = Callable[[float, float], Inputs]
 """Openings as a function of time (s) and the control volume's reading (kPa). Called once per sample."""
@@ -32,7 +32,7 @@ _SLACK_S = 1e-9
 _VENTURI_LEVELS = (0.0, 0.5, 1.0)
 
 
-def command_of(run: RunKind, pattern: random.Random) -> OpeningOverTime | None:
+def command_of(run: RunKind, pattern: random.Random) -> SetpointOverTime | None:
     """The setpoint of a run; None if the run does not regulate."""
     match run:
         case StepsRun():
@@ -74,14 +74,14 @@ def chirp_cycles(run: ChirpRun, t_s: float) -> float:
     return run.from_Hz * run.duration_s / octaves * math.expm1(octaves * t_s / run.duration_s)
 
 
-def _swing(low_kPa: float, high_kPa: float, cycles: OpeningOverTime) -> OpeningOverTime:
+def _swing(low_kPa: float, high_kPa: float, cycles: Callable[[float], float]) -> SetpointOverTime:
     half = 0.5 * (high_kPa - low_kPa)
     return lambda t_s: low_kPa + half * (1.0 - math.cos(2.0 * math.pi * cycles(t_s)))
 
 
 def _held(
     levels: list[float] | tuple[float, ...], holds_s: list[float] | tuple[float, ...]
-) -> OpeningOverTime:
+) -> SetpointOverTime:
     ends_s = list(accumulate(holds_s))
     return lambda t_s: levels[min(bisect_right(ends_s, t_s + _SLACK_S), len(levels) - 1)]
 
@@ -119,7 +119,7 @@ class _Sequence:
 
 
 class _RandomValves:
-    """Random moves, drawn one by one, because the next one depends on the control volume's pressure."""
+    """Random openings, drawn one by one, because the next one depends on the control volume's pressure."""
 
     def __init__(self, run: PrbsRun, pattern: random.Random) -> None:
         self._run = run
@@ -138,7 +138,7 @@ class _RandomValves:
 
     def _next(self, full: bool) -> Inputs:
         run, pattern, last = self._run, self._pattern, self._drive
-        # Always draw all numbers, so that one reading does not change all later moves.
+        # Always draw all numbers, so that one reading does not change all later openings.
         vent = pattern.random() < run.vent_share
         venturi = pattern.choice(_VENTURI_LEVELS)
         level = pattern.choice([other for other in run.levels_opening if other != last.evp or last.solenoid])

@@ -69,7 +69,7 @@ def _openings(run: ScenarioRun, axis: Any) -> None:
 def _reservoir(run: ScenarioRun, axis: Any) -> None:
     axis.plot(run.time_s, run.reservoir_pressure_kPa, color=BLUE, lw=1.0)
     middle_kPa = (run.reservoir_pressure_kPa.min() + run.reservoir_pressure_kPa.max()) / 2.0
-    # Wide enough that mere noise looks like noise.
+    # A minimum range of the axis, so that noise does not look like a change of pressure.
     axis.update_datalim([(0.0, middle_kPa - _MIN_SPAN_KPA / 2.0), (0.0, middle_kPa + _MIN_SPAN_KPA / 2.0)])
     axis.autoscale_view(scalex=False)
     axis.set_ylabel("reservoir,\nkPa gauge")

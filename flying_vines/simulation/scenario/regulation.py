@@ -1,7 +1,7 @@
 """Tunes the regulator for valves that move only once per sample.
 
-At the firmware's own rate it has the standard tuning. A valve that is constant for 20 ms changes the pressure
-of a 0.1 L vine by 7 kPa; with the gains for 1 ms the pressure would oscillate.
+At the firmware's own rate the tuning is the standard one. A valve that is constant for 20 ms changes the
+pressure of a 0.1 L vine by 7 kPa; with the gains for 1 ms the pressure would oscillate.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ from flying_vines.physics.plant.simulator import TICK_S, Simulator
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.rig import ControlVolume, Rig
 from flying_vines.simulation.phlosar.regulator import SAFE, Regulator
-from flying_vines.simulation.scenario.command import OpeningOverTime, ValveCommand, command_of, valves_of
+from flying_vines.simulation.scenario.command import SetpointOverTime, ValveCommand, command_of, valves_of
 from flying_vines.simulation.scenario.regulation import FASTEST_KPA_PER_S, tuning_for
 from flying_vines.simulation.scenario.run_kinds import FIRMWARE_HZ, RunKind
 from flying_vines.simulation.scenario.scenario import Scenario, ScenarioError
@@ -90,7 +90,7 @@ def simulate(rig: Rig | TrueRig, run: RunKind, seed: int = 1, *, index: int = 0)
         controller = _ClosedLoop(nominal, nominal.cv, run, command)
     plant = Simulator(setup.plant, at_rest(setup.plant, run.reservoir_kPa, 0.0))
     true = plant.conditions
-    sense = _Senses(setup, random.Random(f"{seed} {index} noise"), true)
+    sense = _Sensors(setup, random.Random(f"{seed} {index} noise"), true)
     reading = sense(true)
     steps = FIRMWARE_HZ // run.sample_rate_Hz
     rows: list[tuple[float, ...]] = []
@@ -137,7 +137,7 @@ class _Reading(NamedTuple):
     reservoir_kPa: float
 
 
-class _Senses:
+class _Sensors:
     """The sensors, read once per tick."""
 
     def __init__(self, setup: Setup, noise: random.Random, true: Conditions) -> None:
@@ -180,7 +180,7 @@ class _OpenLoop:
 class _ClosedLoop:
     """The firmware's regulator, with an overpressure limit above the pressures of all scenarios."""
 
-    def __init__(self, rig: Rig, cv: ControlVolume, run: RunKind, command: OpeningOverTime) -> None:
+    def __init__(self, rig: Rig, cv: ControlVolume, run: RunKind, command: SetpointOverTime) -> None:
         self.faults = ""
         self._regulator = Regulator(tuning_for(rig, cv, run.reservoir_kPa, run.sample_rate_Hz))
         self._command = command

@@ -145,7 +145,8 @@ class PrbsRun(_Lasting, tag="prbs", frozen=True, kw_only=True):
     """Random levels, each held for a random time; determined by the seed.
 
     The regulator follows `levels_kPa`. `levels_opening` are valve openings without regulation: `vent_share`
-    of the moves vent instead, with the Venturi shut, half or fully open. Above `most_kPa` no air is let in.
+    of the openings vent instead, with the Venturi shut, half or fully open. Above `most_kPa` no opening
+    inflates.
     """
 
     levels_kPa: tuple[Pressure, ...] = ()

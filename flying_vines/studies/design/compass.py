@@ -65,11 +65,11 @@ def solutions() -> dict[str, Solution]:
 
 
 def compass(design: Evaluation, prototype: Evaluation) -> Compass:
-    """A design among the paper's solutions.
+    """The ratings of a design, beside those of the paper's solutions.
 
-    It has the phloSAR's ratings, moved by one step for each factor of two against the prototype: in weight,
-    size (reservoir volume), speed (inflation) and air supply (air in the reservoir). Cost, range and
-    renewability stay, because a choice of parts does not determine them.
+    A design gets the phloSAR's ratings. Each factor of two between it and the prototype moves a rating by one
+    step: weight, size (reservoir volume), speed (inflation) and air supply (air in the reservoir). Cost,
+    range and renewability stay, because a choice of parts does not determine them.
 
     Args:
         design: the evaluated design.

@@ -21,8 +21,8 @@ POINTS = 60
 class Evaluation:
     """A phloSAR of these parts, evaluated for a robot. Speeds are means over a full swing, kPa/s.
 
-    The arrays have a value for each `reservoir_kPa`, from empty to `fill_kPa` (gauge). EVP is the inflation
-    valve, DVP the valve that supplies the Venturi, a pouch the bending pouch of an actuator.
+    The arrays have a value for each `reservoir_kPa`, from empty to `fill_kPa` (gauge). EVP: inflation valve.
+    DVP: the Venturi's supply valve. Pouch: the bending pouch of an actuator.
     """
 
     robot: Robot
@@ -201,8 +201,9 @@ def _deflation_curve(
 
     With Ohm's law of flow (paper, Eq. 2) passive venting is exponential, with τ = R_s V_cv / α of the
     solenoid. The suction of a Venturi falls linearly from Q_s at atmospheric pressure to 0 at its maximum
-    vacuum b. Behind the solenoid this is the same law towards −b, through R_s + b / Q_s. The firmware uses
-    the Venturi where it is faster. The additional air of a pouch increases the time in proportion.
+    vacuum b. In series with the solenoid, the pressure falls exponentially towards −b, through R_s + b / Q_s.
+    The firmware uses the Venturi where it is faster. The additional air of a pouch increases the time in
+    proportion.
     """
     high, low = robot.pressure_kPa, robot.pressure_kPa - (1.0 - DEFLATED) * robot.swing_kPa
     solenoid = parts.solenoid.flow_resistance_kPa_s_per_SL.value

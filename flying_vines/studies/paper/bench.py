@@ -164,7 +164,7 @@ def follow_sine(
     """
     if not frequency_Hz > 0.0:
         raise ValueError(f"the frequency of a sine must be positive, not {frequency_Hz} Hz")
-    # The margins make a cycle that ends exactly at the limit count.
+    # The margins are for rounding errors: a cycle that ends exactly at the limit counts.
     settle = math.floor(SETTLE_S * frequency_Hz + 1e-9)
     keep = max(1, math.ceil(MEASURE_S * frequency_Hz - 1e-9))
     half = 0.5 * peak_to_peak_kPa

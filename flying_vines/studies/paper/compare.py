@@ -33,7 +33,7 @@ SINE_VOLUME_L = 0.5
 HIGH_RESISTANCE = "4L_highRv"
 """The series for which the paper closed the valve partly."""
 HIGH_RESISTANCE_RATIO = 105.0188 / 80.6138
-"""Resistance of this valve setting over that of the other series, from the drawn curves."""
+"""Resistance of this valve setting, relative to that of the other series; from the drawn curves."""
 
 BAND = 3.0
 
@@ -90,7 +90,8 @@ class StepResponse:
     slower_kPa_per_s: float
     """The measured rate, if the paper's error means slower than the model."""
     window_if_faster_s: float
-    """Length of the paper's time series, if its errors are those of two ramps, the measured one faster."""
+    """Length of the paper's time series by its errors, if both curves are ramps and the measured ramp is
+    faster."""
     window_if_slower_s: float
     """The same, if the measured ramp is slower."""
     trace: Trace

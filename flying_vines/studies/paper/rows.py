@@ -112,7 +112,7 @@ def _row(
         verdict: whether they agree.
         paper_to: the upper end of the paper's range.
         case: which one of the notes applies, if there are several.
-        words: what the texts refer to.
+        words: values for the placeholders of the texts.
     """
     texts = _words()[row]
     place = texts.get("place", "")
@@ -212,7 +212,7 @@ def _discharge(curves: Curves) -> Iterator[PaperRow]:
             _near(d.best_time_constant_s, d.time_constant_s, 0.02 * d.time_constant_s),
             d=d,
         )
-    # The paper only prints some rows of the tests at the ends of its range.
+    # The paper prints only some of the logged points, so the ends of its range cannot be checked.
     for end, number, extreme in (("least", low, min), ("most", high, max)):
         yield _row(
             "discharge.nrmse_{end}",
@@ -362,7 +362,7 @@ def _cutoffs(f: FrequencyResponse) -> Iterator[PaperRow]:
 
 
 def _distance(f: FrequencyResponse, three_dB: str, suffix: str) -> Iterator[PaperRow]:
-    """The distances of a plant; the row's names have these endings."""
+    """Rows for a plant's distance from the measured gains; `three_dB` and `suffix` complete their names."""
     name, supply = f.condition.name, f"{f.supply_kPa:.0f}"
     alone = name == "tc4"
     words: dict[str, Any] = {

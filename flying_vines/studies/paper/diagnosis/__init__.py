@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from flying_vines.identification.search import Progress, silent
 from flying_vines.studies.paper.diagnosis.discharge import Discharges, analyse
-from flying_vines.studies.paper.diagnosis.response import Responses, account_for
+from flying_vines.studies.paper.diagnosis.response import Responses, explain
 
 __all__ = ["PaperDiagnosis", "diagnose_paper"]
 
@@ -32,4 +32,4 @@ def diagnose_paper(progress: Progress = silent) -> PaperDiagnosis:
         progress: called with the current step, and the share of the work that is done.
     """
     discharges = analyse(lambda step, share: progress(step, 0.5 * share))
-    return PaperDiagnosis(discharges, account_for(lambda step, share: progress(step, 0.5 + 0.5 * share)))
+    return PaperDiagnosis(discharges, explain(lambda step, share: progress(step, 0.5 + 0.5 * share)))

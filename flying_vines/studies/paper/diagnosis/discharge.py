@@ -56,7 +56,7 @@ _OF_COMMANDS = (
 _ABSENT = ("venturi_stall", "ambient_drop")
 """The bench had no Venturi, and its ambient pressure was constant."""
 SAME_AS_FLOW = "reservoir_volume"
-"""It has the same effect on a discharge as the flow resistance, which is named for both."""
+"""This cause has the same effect on a discharge as the flow resistance. Only the resistance is tested."""
 
 OHM = ("evp_restriction", "reservoir_cooling")
 CHOKED = (*OHM, "compressible_flow")

@@ -61,8 +61,8 @@ def _frequency(responses: Responses) -> Any:
         above, below = axes[0, index], axes[1, index]
         measured = curve(f"frequency_measured_{test}")
         order = np.argsort(measured.x)
-        for account, color, label in shown:
-            gains = account.gains[index]
+        for explanation, color, label in shown:
+            gains = explanation.gains[index]
             above.plot(measured.x[order], gains[order], color=color, lw=1.5, label=label)
             off = 20.0 * np.log10(measured.y / gains)
             below.plot(measured.x[order], off[order], color=color, lw=1.2, marker="o", ms=3)

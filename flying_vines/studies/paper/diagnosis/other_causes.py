@@ -23,7 +23,7 @@ def _less_in_the_flow(readings: ModelReadings, x: Values) -> ModelReadings:
 
 SENSOR_LINE = Cause(
     name="sensor_line",
-    what="The sensor is in the flow, and reads a share less while air flows.",
+    what="The sensor is in the flow, and its reading is lower by a share while air flows.",
     parameters=(
         Parameter(
             "share",

@@ -102,14 +102,15 @@ SUSPECTS = (
 )
 FLOOR = "gain_floor"
 FLOORS = (0.1, 0.15, 0.2, 0.25)
-"""Error of the evaluation, not of the rig: drift and offset in an FFT of few cycles. Squares are added."""
+"""Minimum gains, as an error of the evaluation, not of the rig: drift and offset in an FFT over few cycles.
+Their squares are added to those of the gains."""
 WITH_TUBE = ("compressible_flow", "cv_heating")
 AGAIN = ("evp_restriction", "cv_heating", "tube")
 """Also tested with the other supply pressure of TC5."""
 
 
 @dataclass(frozen=True)
-class Account:
+class Explanation:
     """The gains with some suspects, compared with the measured gains; tuples are in the order of `TESTS`."""
 
     names: tuple[str, ...]
@@ -135,27 +136,27 @@ class Account:
 
 @dataclass(frozen=True)
 class Responses:
-    """All tested accounts, sorted by their difference on unseen data."""
+    """All tested explanations, sorted by their difference on unseen data."""
 
-    accounts: tuple[Account, ...]
+    explanations: tuple[Explanation, ...]
     """With TC5 at 345 kPa."""
-    other: tuple[Account, ...]
+    other: tuple[Explanation, ...]
     """With TC5 at 690 kPa."""
 
-    def of(self, *names: str) -> Account:
-        """The account with these suspects, with TC5 at 345 kPa."""
-        return _of(self.accounts, names)
+    def of(self, *names: str) -> Explanation:
+        """The explanation with these suspects, with TC5 at 345 kPa."""
+        return _of(self.explanations, names)
 
-    def of_other(self, *names: str) -> Account:
-        """The account with these suspects, with TC5 at 690 kPa."""
+    def of_other(self, *names: str) -> Explanation:
+        """The explanation with these suspects, with TC5 at 690 kPa."""
         return _of(self.other, names)
 
 
-def _of(accounts: Sequence[Account], names: Sequence[str]) -> Account:
-    return next(a for a in accounts if set(a.names) == set(names))
+def _of(explanations: Sequence[Explanation], names: Sequence[str]) -> Explanation:
+    return next(a for a in explanations if set(a.names) == set(names))
 
 
-def account_for(
+def explain(
     progress: Progress = silent,
     suspects: Sequence[Suspect] = SUSPECTS,
     with_tube: Sequence[str] = WITH_TUBE,
@@ -192,12 +193,14 @@ def _benches(suspect: Suspect) -> Benches:
     return {(value,): suspect.on(BASE, value) for value in suspect.values}
 
 
-def _ordered(accounts: list[Account]) -> tuple[Account, ...]:
-    return tuple(sorted(accounts, key=lambda account: account.unseen))
+def _ordered(explanations: list[Explanation]) -> tuple[Explanation, ...]:
+    return tuple(sorted(explanations, key=lambda explanation: explanation.unseen))
 
 
-def _explained(names: tuple[str, ...], benches: Benches, supply_kPa: Mapping[str, float]) -> list[Account]:
-    """The accounts without and with a floor."""
+def _explained(
+    names: tuple[str, ...], benches: Benches, supply_kPa: Mapping[str, float]
+) -> list[Explanation]:
+    """The explanations without and with a floor."""
     plain = {
         values: [gains(bench, test, supply_kPa[test]) for test in TESTS] for values, bench in benches.items()
     }
@@ -205,10 +208,10 @@ def _explained(names: tuple[str, ...], benches: Benches, supply_kPa: Mapping[str
         (*values, floor): [np.hypot(g, floor) for g in found]
         for (values, found), floor in product(plain.items(), FLOORS)
     }
-    return [_account(names, plain), _account((*names, FLOOR), floored)]
+    return [_explanation(names, plain), _explanation((*names, FLOOR), floored)]
 
 
-def _account(names: tuple[str, ...], simulated: Mapping[tuple[float, ...], list[Array]]) -> Account:
+def _explanation(names: tuple[str, ...], simulated: Mapping[tuple[float, ...], list[Array]]) -> Explanation:
     measured = [curve(f"frequency_measured_{test}") for test in TESTS]
     bands = [m.x <= BAND * stated()[f"{t}.cutoff_drawn"].value for t, m in zip(TESTS, measured, strict=True)]
     left = {
@@ -218,7 +221,7 @@ def _account(names: tuple[str, ...], simulated: Mapping[tuple[float, ...], list[
     best = min(left, key=lambda values: sum(rms(e) ** 2 for e in left[values]))
     # `reversed` below: each test is predicted with the best values of the other.
     best_of = [min(left, key=lambda values: rms(left[values][test])) for test in range(len(TESTS))]
-    return Account(
+    return Explanation(
         names=names,
         best=dict(zip(names, best, strict=True)),
         rms_dB=tuple(rms(e) for e in left[best]),

@@ -12,9 +12,9 @@ from flying_vines.studies.paper.diagnosis import PaperDiagnosis
 from flying_vines.studies.paper.diagnosis.response import Responses
 from flying_vines.studies.paper.diagnosis.words import findings
 
-ACCOUNTS = 6
+MAX_EXPLANATIONS = 6
 SHOWN = {("gain_floor",), ("tube",), ("cv_heating",), ("evp_restriction",), ()}
-"""Accounts that are shown whatever their rank is."""
+"""Explanations that are shown whatever their rank is."""
 
 
 def show(diagnosis: PaperDiagnosis, console: Console) -> None:
@@ -26,10 +26,10 @@ def show(diagnosis: PaperDiagnosis, console: Console) -> None:
         console.print(Padding(item, (0, 0, 0, 1)))
     console.print("\nDischarges", style="bold")
     show_verdict(diagnosis.discharges.verdict, console)
-    console.print(_accounts(diagnosis.responses))
+    console.print(_explanations(diagnosis.responses))
 
 
-def _accounts(responses: Responses) -> Table:
+def _explanations(responses: Responses) -> Table:
     table = Table(
         box=None,
         padding=(0, 1),
@@ -40,15 +40,15 @@ def _accounts(responses: Responses) -> Table:
     table.add_column("what")
     for heading in ("unseen", "all points", "in band", "at"):
         table.add_column(heading, justify="right", no_wrap=True)
-    shown = {account.names for account in responses.accounts[:ACCOUNTS]} | SHOWN
-    for account in responses.accounts:
-        if account.names in shown:
+    shown = {explanation.names for explanation in responses.explanations[:MAX_EXPLANATIONS]} | SHOWN
+    for explanation in responses.explanations:
+        if explanation.names in shown:
             table.add_row(
-                account.label,
-                " ".join(f"{value:.2f}" for value in account.unseen_dB),
-                " ".join(f"{value:.2f}" for value in account.rms_dB),
-                " ".join(f"{value:.2f}" for value in account.band_rms_dB),
-                " ".join(f"{value:g}" for value in account.best.values()),
+                explanation.label,
+                " ".join(f"{value:.2f}" for value in explanation.unseen_dB),
+                " ".join(f"{value:.2f}" for value in explanation.rms_dB),
+                " ".join(f"{value:.2f}" for value in explanation.band_rms_dB),
+                " ".join(f"{value:g}" for value in explanation.best.values()),
             )
     table.caption = "unseen: each test with the values that are best for the other"
     table.caption_justify = "left"

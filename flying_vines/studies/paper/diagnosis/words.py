@@ -8,7 +8,7 @@ from typing import Any
 from flying_vines.studies.paper.data import stated
 from flying_vines.studies.paper.diagnosis import PaperDiagnosis
 from flying_vines.studies.paper.diagnosis.discharge import RIG, Discharges, LawFit
-from flying_vines.studies.paper.diagnosis.response import FLOOR, Account, Responses
+from flying_vines.studies.paper.diagnosis.response import FLOOR, Explanation, Responses
 
 
 def findings(diagnosis: PaperDiagnosis) -> tuple[str, ...]:
@@ -33,7 +33,7 @@ def _named(found: Discharges) -> str:
         f"for {stated()['evp.flow'].value:g}. The series alone give {alone[0]:.2f} to {alone[-1]:.2f}, which "
         "is wider than this interval. With each series predicted from the others, the error falls from "
         f"{errors.nrmse_before:.1%} to {errors.nrmse_after:.1%} of the range (by {errors.gain[0]:.0%} to "
-        f"{errors.gain[1]:.0%}). A smaller reservoir does the same: weigh it full of water."
+        f"{errors.gain[1]:.0%}). A smaller reservoir has the same effect: weigh it full of water."
     )
 
 
@@ -44,9 +44,9 @@ def _further(found: Discharges) -> str:
     ]
     left = found.verdict.remainder.share if found.verdict.remainder else 0.0
     return (
-        f"A second cause is open; {left:.0%} of the error remains. All series are steeper at first and "
-        "flatter later than with the best R_v. Errors with a second cause, each series predicted from the "
-        f"others, and their changes: {'; '.join(second)}. No improvement is sure."
+        f"Whether there is a second cause stays open; {left:.0%} of the error remains. All series are "
+        "steeper at first and flatter later than with the best R_v. Errors with a second cause, each series "
+        f"predicted from the others, and their changes: {'; '.join(second)}. No improvement is sure."
     )
 
 
@@ -74,10 +74,10 @@ def _experiment(found: Discharges) -> str:
 
 def _responses(responses: Responses) -> tuple[str, ...]:
     null, floor, tube = responses.of(), responses.of(FLOOR), responses.of("tube")
-    alone = [a for a in responses.accounts if len(a.names) == 1 and a.names[0] not in (FLOOR, "tube")]
-    best = min(alone, key=lambda account: account.unseen)
+    alone = [a for a in responses.explanations if len(a.names) == 1 and a.names[0] not in (FLOOR, "tube")]
+    best = min(alone, key=lambda explanation: explanation.unseen)
     other_floor, other_tube = responses.of_other(FLOOR), responses.of_other("tube")
-    better = sum(account.unseen < floor.unseen for account in responses.accounts)
+    better = sum(explanation.unseen < floor.unseen for explanation in responses.explanations)
     return (
         "Frequency responses: the baseline under the paper's regulator is "
         f"{_dB(null.rms_dB)} dB rms off TC4 and TC5, {_dB(null.band_rms_dB)} up to three cut-offs. The "
@@ -87,10 +87,10 @@ def _responses(responses: Responses) -> tuple[str, ...]:
         f"single cause of the catalogue, {best.label}, to {_dB(best.unseen_dB)}. TC5's supply is stated "
         f"twice: on 690 kPa the floor predicts to {_dB(other_floor.unseen_dB)} dB and the tube to "
         f"{_dB(other_tube.unseen_dB)}.",
-        f"With a floor, no further cause is sure: {better} of {len(responses.accounts)} accounts predict "
-        f"better, by at most {floor.unseen - responses.accounts[0].unseen:.1f} dB. The paper does not print "
-        "the regulator's PID, the valve drivers, the tubes, the outlet, or any phase. A record of one test "
-        "over many whole cycles would separate a floor from a tube.",
+        f"With a floor, no further cause is sure: {better} of {len(responses.explanations)} explanations "
+        f"predict better, by at most {floor.unseen - responses.explanations[0].unseen:.1f} dB. The paper "
+        "does not print the regulator's PID, the valve drivers, the tubes, the outlet, or any phase. A "
+        "record of one test over many whole cycles would separate a floor from a tube.",
     )
 
 
@@ -109,17 +109,17 @@ def as_json(diagnosis: PaperDiagnosis) -> dict[str, Any]:
             "second": [each._asdict() for each in found.second],
             "flow_laws": [vars(law) for law in found.laws],
         },
-        "frequency": [_account(account, 345.0) for account in responses.accounts]
-        + [_account(account, 690.0) for account in responses.other],
+        "frequency": [_explanation(explanation, 345.0) for explanation in responses.explanations]
+        + [_explanation(explanation, 690.0) for explanation in responses.other],
     }
 
 
-def _account(account: Account, tc5_supply_kPa: float) -> dict[str, Any]:
+def _explanation(explanation: Explanation, tc5_supply_kPa: float) -> dict[str, Any]:
     return {
-        "causes": list(account.names),
+        "causes": list(explanation.names),
         "tc5_supply_kPa": tc5_supply_kPa,
-        "best": account.best,
-        "rms_dB": list(account.rms_dB),
-        "band_rms_dB": list(account.band_rms_dB),
-        "unseen_dB": list(account.unseen_dB),
+        "best": explanation.best,
+        "rms_dB": list(explanation.rms_dB),
+        "band_rms_dB": list(explanation.band_rms_dB),
+        "unseen_dB": list(explanation.unseen_dB),
     }
