@@ -73,7 +73,7 @@ class _File(msgspec.Struct):
 def read_plan(path: Path, kind: AutopilotKind | None = None) -> PlanFile:
     """The mission in a plan file, for `kind`, or by default for the autopilot that the file names.
 
-    Raises `PlanFileError` if it cannot be read, or contains items that only QGroundControl can convert.
+    Raises `PlanFileError` if it cannot be read, has no items, or some that only QGroundControl can convert.
     """
     text = read_text(path, PlanFileError)
     try:
@@ -87,6 +87,8 @@ def read_plan(path: Path, kind: AutopilotKind | None = None) -> PlanFile:
     home = Home(latitude, longitude, altitude_m or 0.0)
     named = _KINDS.get(mission.firmwareType)
     simple = list(_simple_items(path, mission.items))
+    if not simple:  # only surveys without items
+        raise PlanFileError(f"{path}: it contains no items")
     autopilot = kind or named
     first = int(autopilot is not None and AUTOPILOTS[autopilot].begins_with_home)
     numbers = {item.doJumpId: first + index for index, item in enumerate(simple) if item.doJumpId is not None}
