@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
-from flying_vines.config.config import ITEM_COMMANDS, Config, ItemConfig
+from flying_vines.config.config import ITEM_COMMANDS, Config, ItemConfig, param_index
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem, has_place, is_nav
 from flying_vines.vehicle.mission.storage import MISSION_FRAME, AutopilotKind, MissionRefused, Params, f32
@@ -81,15 +81,11 @@ def _by_preference(config: Config, kind: AutopilotKind) -> Iterator[tuple[int, I
 def _numbers(rule: ItemConfig, intent: Intent) -> Params:
     numbers = [0.0] * 7
     for key, value in rule.match.items():
-        numbers[_index(key)] = value
+        numbers[param_index(key)] = value
     if rule.bend is not None and isinstance(intent, BendTo) and rule.scale:
-        numbers[_index(rule.bend)] = intent.angle_deg / rule.scale
+        numbers[param_index(rule.bend)] = intent.angle_deg / rule.scale
     p1, p2, p3, p4, x, y, z = numbers
     return p1, p2, p3, p4, x, y, z
-
-
-def _index(key: str) -> int:
-    return int(key.removeprefix("param")) - 1
 
 
 def _same(found: Intent | None, wanted: Intent) -> bool:
