@@ -247,9 +247,7 @@ class MissionVehicle:
                 async with asyncio.timeout(ANSWER_WITHIN_S):
                     result, done = await steps.get()
             except TimeoutError:
-                raise VehicleLinkError(
-                    "the vehicle stopped answering during the upload; its mission is now unknown"
-                ) from None
+                result, done = MissionRawResult.TIMEOUT, 0.0
             if result == MissionRawResult.NEXT:
                 progress(done)
             elif result == MissionRawResult.SUCCESS:
