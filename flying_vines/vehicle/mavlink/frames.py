@@ -29,7 +29,6 @@ SIGNATURE_SIZE: int = mavlink.MAVLINK_SIGNATURE_BLOCK_LEN
 _TAIL_SIZE = _CHECKSUM_SIZE + SIGNATURE_SIZE
 _AUTOPILOT: int = mavlink.MAV_COMP_ID_AUTOPILOT1
 _SIGNED: int = mavlink.MAVLINK_IFLAG_SIGNED
-MAX_FRAME_SIZE = _HEADER_SIZE_2 + 255 + _TAIL_SIZE
 
 _CRC_EXTRA = {number: bytes((kind.crc_extra,)) for number, kind in mavlink.mavlink_map.items()}
 """CRC_EXTRA of each message in the dialect: an additional byte of its checksum."""
