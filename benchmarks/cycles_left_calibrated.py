@@ -8,7 +8,6 @@ leaks leave air for thirty cycles.
 
 from __future__ import annotations
 
-import math
 import random
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -18,7 +17,7 @@ from statistics import fmean, median
 
 from cycles_left_flights import FEWEST_CYCLES, began, fly, telemetry_messages
 from cycles_left_guess import Guess, by_paper, quantity
-from cycles_left_rigs import Case, Manoeuvre
+from cycles_left_rigs import Case, Manoeuvre, log_uniform
 from rich.table import Table
 
 from flying_vines.config.config import PneumaticsConfig
@@ -114,7 +113,7 @@ def draw(seed: int) -> Rigged:
     dice = random.Random(f"calibrated {seed}")
     believed = Rig(
         reservoir=Reservoir(dice.choice((1.0, 1.5, 2.0))),
-        cv=ControlVolume(round(_log_uniform(dice, 0.1, 0.4), 3)),
+        cv=ControlVolume(round(log_uniform(dice, 0.1, 0.4), 3)),
         evp=Evp(round(dice.uniform(1500.0, 2500.0))),
         dvp=Dvp(round(dice.uniform(500.0, 800.0))),
         solenoid=Solenoid(round(dice.uniform(45.0, 90.0))),
@@ -161,7 +160,7 @@ def _worn(dice: random.Random, rig: Rig) -> Rig:
 
 def _strength(dice: random.Random, name: str, rig: Rig) -> dict[str, float]:
     parameter, low, high = HIDDEN[name]
-    size = _log_uniform(dice, low, high)
+    size = log_uniform(dice, low, high)
     if parameter in EITHER_SIGN:
         size *= dice.choice((-1.0, 1.0))
     if parameter == "volume_L" and rig.cv is not None:
@@ -266,7 +265,3 @@ def missed_goals(found: Sequence[Outcome]) -> list[str]:
         if held < HELD:
             missed.append(f"{moment}, diagnosed rigs: the interval contains the truth in {held:.1%}")
     return missed
-
-
-def _log_uniform(dice: random.Random, least: float, most: float) -> float:
-    return math.exp(dice.uniform(math.log(least), math.log(most)))

@@ -89,7 +89,7 @@ def draw(seed: int) -> Case:
     """One rig with its program and its flaws; the same seed gives the same rig."""
     dice = random.Random(f"cycles left {seed}")
     kind = dice.choice(("rigid", "compliant", "pouch"))
-    believed_L = _log_uniform(dice, 0.08, 0.4)
+    believed_L = log_uniform(dice, 0.08, 0.4)
     swing_kPa = dice.uniform(12.0, 24.0)
     believed = PneumaticsConfig(
         reservoir_volume_L=dice.choice((1.0, 1.5, 2.0)),
@@ -185,7 +185,7 @@ def _motion(dice: random.Random, least_s: float, most_s: float) -> ValveMotion:
 
 def _leak(dice: random.Random, least: float, most: float) -> Ohm | None:
     """A leak, in half of the rigs."""
-    resistance = _log_uniform(dice, least, most)
+    resistance = log_uniform(dice, least, most)
     return Ohm(resistance) if dice.random() < 0.5 else None
 
 
@@ -228,5 +228,5 @@ def _wave(dice: random.Random, top_kPa: float, rest_s: float) -> Manoeuvre:
     return Manoeuvre(low_kPa, top_kPa, rate_kPa_per_s, 0.0, rest_s, sine=True)
 
 
-def _log_uniform(dice: random.Random, least: float, most: float) -> float:
+def log_uniform(dice: random.Random, least: float, most: float) -> float:
     return math.exp(dice.uniform(math.log(least), math.log(most)))

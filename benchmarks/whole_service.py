@@ -24,12 +24,13 @@ from typing import IO
 
 import msgspec
 from aiohttp import ClientSession, ClientTimeout
-from latency import configuration_text, ended, environment, free_udp_port
+from latency import configuration_text, ended, environment
 from process_cost import cpu_s, only_child, pss_MB
 from serial_board import SerialBoard
 from switch_flips import Flight, Flipper, NotMeasured
 
 from flying_vines.gateway import page_token
+from flying_vines.simulation.autopilot_server import free_udp_port
 from flying_vines.vehicle.mavlink.signing import KEY_SIZE, Signing
 
 STARTS_WITHIN_S = 20.0

@@ -51,15 +51,14 @@ class UsbBoard:
 
     def find(self, ports: Ports | None = None) -> str:
         """The board's present port among `ports` (default: this machine's). Raises BoardNotFoundError."""
-        present = sorted((ports or _ports_of_this_machine)(), key=lambda port: port.device)
+        present = present_ports(ports)
         found = [port for port in present if self._is(port)]
         if len(found) == 1:
             return str(found[0].device)
         if found:
             raise BoardNotFoundError(self._too_many(found))
-        others = ", ".join(map(_described, present)) or "no serial port"
         raise BoardNotFoundError(
-            f"{self} is not there: is the board plugged in, powered and flashed? Present: {others}"
+            f"{self} is not there: is the board plugged in, powered and flashed? Present: {listed(present)}"
         )
 
     def _is(self, port: ListPortInfo) -> bool:
@@ -67,27 +66,31 @@ class UsbBoard:
         return same_kind and self.serial_number in (None, port.serial_number)
 
     def _too_many(self, found: list[ListPortInfo]) -> str:
-        which = f"{self} matches {len(found)} ports: {', '.join(map(_described, found))}"
+        which = f"{self} matches {len(found)} ports: {listed(found)}"
         numbers = {port.serial_number for port in found}
         if len(numbers) == len(found) and None not in numbers:
             return f"{which}; add the serial number of the right one, as in {self}:{found[0].serial_number}"
         return f"{which}; give the right one as serial:/dev/serial/by-path/…"
 
 
-def _ports_of_this_machine() -> Iterable[ListPortInfo]:
+def present_ports(ports: Ports | None = None) -> list[ListPortInfo]:
+    """What `ports` finds (default: this machine's ports), by name; nothing if they cannot be read."""
     try:
-        return comports()
+        return sorted((ports or comports)(), key=lambda port: str(port.device))
     except (OSError, TypeError, ValueError):
         # pyserial raises these if a board is unplugged while it reads the board's description.
         return []
 
 
-def _described(port: ListPortInfo) -> str:
+def description(port: ListPortInfo) -> str:
+    """USB ids, product and serial number of the board on a port; empty if the port is not on USB."""
     if port.vid is None:
-        return str(port.device)
-    words = [f"usb:{port.vid:04x}:{port.pid:04x}"]
-    if port.product:
-        words.append(port.product)
-    if port.serial_number:
-        words.append(f"serial number {port.serial_number}")
-    return f"{port.device} ({', '.join(words)})"
+        return ""
+    number = f"serial number {port.serial_number}" if port.serial_number else ""
+    return ", ".join(filter(None, (f"usb:{port.vid:04x}:{port.pid:04x}", port.product, number)))
+
+
+def listed(ports: Iterable[ListPortInfo]) -> str:
+    """The names of the ports, with the boards on them."""
+    named = ((port.device, description(port)) for port in ports)
+    return ", ".join(f"{name} ({board})" if board else name for name, board in named) or "no serial port"

@@ -210,11 +210,6 @@ class HostSession:
         self._incompatible_because: str | None = None
 
     @property
-    def current_command(self) -> HostCommand:
-        """The command that is repeated while READY."""
-        return self._command
-
-    @property
     def number(self) -> int:
         """Number of the current command. If telemetry has the same number, the firmware has accepted it."""
         return self._number

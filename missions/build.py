@@ -18,6 +18,8 @@ from missions.mission import Mission, MissionError, VineAction, Waypoint
 
 WAYPOINT, RETURN, LAND, TAKEOFF, DELAY, SPEED = 16, 20, 21, 22, 93, 178
 GLOBAL_FRAME, ABOVE_HOME_FRAME = 0, 3
+GLOBAL_FRAMES = (GLOBAL_FRAME, 5)
+"""z is an altitude above sea level."""
 BEND_LESS = "calibrate further, or bend less"
 REST_S = 0.5
 """Time for the vine to come to rest after a motion. Default holds are multiples of it."""

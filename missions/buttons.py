@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.config.config import Config
+from flying_vines.config.config import Config, param_index
 from flying_vines.vehicle.triggers import BEND_TO, CHOICES, Rules
 from flying_vines.vine.intent import (
     ArmPneumatics,
@@ -100,7 +100,7 @@ def _profiles(config: Config) -> Iterator[Button]:
             continue
         params = [0.0] * PARAMS
         for name, value in item.match.items():
-            params[int(name.removeprefix("param")) - 1] = value
+            params[param_index(name)] = value
         if rules.for_command(USER_1, params)[0] == StartProfile(item.profile):
             offered.add(item.profile)
             label = f"Vine {item.profile}"

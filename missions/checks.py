@@ -32,7 +32,7 @@ from missions.build import (
     ABOVE_HOME_FRAME,
     BEND_LESS,
     DELAY,
-    GLOBAL_FRAME,
+    GLOBAL_FRAMES,
     LAND,
     RETURN,
     SPEED,
@@ -181,7 +181,7 @@ def _home(case: CheckedMission) -> Iterator[MissionFinding]:
             yield case.error(first, "ArduPilot uses item 0 as home and skips it; insert home before it")
         return
     starts = len(case.items) > 1 and case.items[1].command == TAKEOFF
-    if starts and first.command == WAYPOINT and first.frame in (GLOBAL_FRAME, 5):
+    if starts and first.command == WAYPOINT and first.frame in GLOBAL_FRAMES:
         yield case.error(first, "looks like home. PX4 has no home item and would fly there; remove it")
 
 

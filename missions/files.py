@@ -10,12 +10,12 @@ from pathlib import Path
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import AutopilotKind
+from missions.build import GLOBAL_FRAMES
 from missions.mission import MissionError
 from missions.plan_file import PlanFileError, read_plan
 from missions.waypoints import WaypointsError, read_waypoints
 
 SUFFIXES = (".plan", ".waypoints", ".txt")
-_ABOVE_SEA_FRAMES = (0, 5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ def home_of(items: Sequence[MissionItem]) -> Home:
     for item in items:
         latitude, longitude, z = item.params[4:]
         if has_place(item.command, item.frame) and (latitude, longitude) != (0.0, 0.0) and on_earth(item):
-            at_sea = item.seq == 0 and item.frame in _ABOVE_SEA_FRAMES and math.isfinite(z)
+            at_sea = item.seq == 0 and item.frame in GLOBAL_FRAMES and math.isfinite(z)
             return Home(latitude, longitude, z if at_sea else 0.0)
     return Home(0.0, 0.0, 0.0)
 

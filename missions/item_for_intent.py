@@ -6,14 +6,13 @@ An item is used only if the autopilot accepts it, and if its stored numbers stil
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Iterator
 from dataclasses import replace
 
-from flying_vines.config.config import ITEM_COMMANDS, Config, ItemConfig
+from flying_vines.config.config import ITEM_COMMANDS, Config, ItemConfig, param_index
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem, has_place, is_nav
-from flying_vines.vehicle.mission.storage import MISSION_FRAME, AutopilotKind, MissionRefused, Params
+from flying_vines.vehicle.mission.storage import MISSION_FRAME, AutopilotKind, MissionRefused, Params, f32
 from flying_vines.vehicle.triggers import NAME_OF_COMMAND, Rules
 from flying_vines.vine.intent import BendTo, Intent, StartProfile
 
@@ -45,7 +44,7 @@ def over_the_wire(item: MissionItem) -> MissionItem:
     p1, p2, p3, p4, x, y, z = item.params
     scale = 1e7 if has_place(item.command, item.frame) else 1.0
     x, y = (round(value * scale) / scale if math.isfinite(value) else value for value in (x, y))
-    return replace(item, params=(_f32(p1), _f32(p2), _f32(p3), _f32(p4), x, y, _f32(z)))
+    return replace(item, params=(f32(p1), f32(p2), f32(p3), f32(p4), x, y, f32(z)))
 
 
 def suggestion(intent: Intent, config: Config, kind: AutopilotKind) -> str:
@@ -82,25 +81,14 @@ def _by_preference(config: Config, kind: AutopilotKind) -> Iterator[tuple[int, I
 def _numbers(rule: ItemConfig, intent: Intent) -> Params:
     numbers = [0.0] * 7
     for key, value in rule.match.items():
-        numbers[_index(key)] = value
+        numbers[param_index(key)] = value
     if rule.bend is not None and isinstance(intent, BendTo) and rule.scale:
-        numbers[_index(rule.bend)] = intent.angle_deg / rule.scale
+        numbers[param_index(rule.bend)] = intent.angle_deg / rule.scale
     p1, p2, p3, p4, x, y, z = numbers
     return p1, p2, p3, p4, x, y, z
-
-
-def _index(key: str) -> int:
-    return int(key.removeprefix("param")) - 1
 
 
 def _same(found: Intent | None, wanted: Intent) -> bool:
     if isinstance(found, BendTo) and isinstance(wanted, BendTo):
         return abs(found.angle_deg - wanted.angle_deg) <= ANGLE_TOLERANCE_DEG
     return found == wanted
-
-
-def _f32(value: float) -> float:
-    try:
-        return float(struct.unpack("<f", struct.pack("<f", value))[0])
-    except OverflowError:
-        return math.copysign(math.inf, value)

@@ -71,6 +71,7 @@ class ReceivedMessage:
     """A message of any sender on the vehicle's network, with its fields by name."""
 
     name: str
+    system: int
     component: int
     fields: dict[str, Any]
 
@@ -179,7 +180,8 @@ class MessageQueue:
             message = self._waiting.popleft()
             with suppress(json.JSONDecodeError):
                 fields = json.loads(message.fields_json)
-                found.append(ReceivedMessage(message.message_name, message.component_id, fields))
+                sender = message.system_id, message.component_id
+                found.append(ReceivedMessage(message.message_name, *sender, fields))
         return found
 
     async def receive(self, within_s: float) -> list[ReceivedMessage]:
@@ -245,9 +247,7 @@ class MissionVehicle:
                 async with asyncio.timeout(ANSWER_WITHIN_S):
                     result, done = await steps.get()
             except TimeoutError:
-                raise VehicleLinkError(
-                    "the vehicle stopped answering during the upload; its mission is now unknown"
-                ) from None
+                result, done = MissionRawResult.TIMEOUT, 0.0
             if result == MissionRawResult.NEXT:
                 progress(done)
             elif result == MissionRawResult.SUCCESS:

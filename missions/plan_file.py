@@ -19,15 +19,15 @@ from msgspec import Meta
 from flying_vines.config.toml_text import OneLineError, read_text
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem, has_place
+from flying_vines.vehicle.mission.jumps import JUMP
 from flying_vines.vehicle.mission.reference_vehicle import CRUISE_M_S, Home
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.storage import MISSION_FRAME, AutopilotKind
+from missions.build import GLOBAL_FRAME, WAYPOINT
 
 _KINDS = {autopilot.mav_autopilot: kind for kind, autopilot in AUTOPILOTS.items()}
 _MULTIROTOR = 2
 _CRUISE_SPEED_M_S = 15
 """For fixed wings; QGroundControl writes it into every plan."""
-_JUMP, _WAYPOINT = 177, 16
-_MISSION_FRAME = 2
 _ABOVE_HOME, _ABOVE_SEA = 1, 2
 _ALTITUDE_MODES = {3: _ABOVE_HOME, 6: _ABOVE_HOME, 0: _ABOVE_SEA, 5: _ABOVE_SEA}
 
@@ -49,7 +49,7 @@ class PlanFile:
 class _Item(msgspec.Struct):
     type: str
     command: Annotated[int, Meta(ge=0, le=65535)] = 0
-    frame: Annotated[int, Meta(ge=0, le=255)] = _MISSION_FRAME
+    frame: Annotated[int, Meta(ge=0, le=255)] = MISSION_FRAME
     params: Annotated[tuple[float | None, ...], Meta(min_length=7, max_length=7)] = (None,) * 7
     autoContinue: bool = True
     doJumpId: int | None = None
@@ -73,7 +73,7 @@ class _File(msgspec.Struct):
 def read_plan(path: Path, kind: AutopilotKind | None = None) -> PlanFile:
     """The mission in a plan file, for `kind`, or by default for the autopilot that the file names.
 
-    Raises `PlanFileError` if it cannot be read, or contains items that only QGroundControl can convert.
+    Raises `PlanFileError` if it cannot be read, has no items, or some that only QGroundControl can convert.
     """
     text = read_text(path, PlanFileError)
     try:
@@ -87,6 +87,8 @@ def read_plan(path: Path, kind: AutopilotKind | None = None) -> PlanFile:
     home = Home(latitude, longitude, altitude_m or 0.0)
     named = _KINDS.get(mission.firmwareType)
     simple = list(_simple_items(path, mission.items))
+    if not simple:  # only surveys without items
+        raise PlanFileError(f"{path}: it contains no items")
     autopilot = kind or named
     first = int(autopilot is not None and AUTOPILOTS[autopilot].begins_with_home)
     numbers = {item.doJumpId: first + index for index, item in enumerate(simple) if item.doJumpId is not None}
@@ -142,7 +144,7 @@ def plan_text(items: Sequence[MissionItem], kind: AutopilotKind, home: Home | No
 
 def _json(item: MissionItem, number: int, kind: AutopilotKind) -> dict[str, object]:
     params = list(item.params)
-    if item.command == _JUMP and not AUTOPILOTS[kind].begins_with_home:
+    if item.command == JUMP and not AUTOPILOTS[kind].begins_with_home:
         params[0] += 1.0  # seq counts from 0, doJumpId from 1
     entry: dict[str, object] = {
         "autoContinue": item.autocontinue,
@@ -175,7 +177,7 @@ def _first_place(items: Sequence[MissionItem]) -> Home:
 
 def _home_item(home: Home) -> MissionItem:
     numbers = (0.0, 0.0, 0.0, 0.0, home.latitude_deg, home.longitude_deg, home.altitude_amsl_m)
-    return MissionItem(0, _WAYPOINT, numbers, 0, current=True)
+    return MissionItem(0, WAYPOINT, numbers, GLOBAL_FRAME, current=True)
 
 
 def _simple_items(path: Path, items: Sequence[_Item]) -> Iterator[_Item]:
@@ -202,7 +204,7 @@ def _item(path: Path, item: _Item, seq: int, numbers: dict[int, int]) -> Mission
     if not has_place(item.command, item.frame):
         # Not a place: null is 0, because the ground station sends x and y as integers.
         values[4:6] = [0.0 if math.isnan(value) else value for value in values[4:6]]
-    if item.command == _JUMP:
+    if item.command == JUMP:
         target = numbers.get(int(values[0])) if math.isfinite(values[0]) else None
         if target is None:
             raise PlanFileError(f"{path}: item {seq} jumps to doJumpId {values[0]:g}, which no item has")

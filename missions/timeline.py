@@ -22,7 +22,7 @@ from flying_vines.vehicle.mission.reference_vehicle import (
     Home,
 )
 from flying_vines.vehicle.mission.storage import AutopilotKind
-from missions.build import DELAY, GLOBAL_FRAME, LAND, RETURN, SPEED, TAKEOFF, WAYPOINT
+from missions.build import DELAY, GLOBAL_FRAMES, LAND, RETURN, SPEED, TAKEOFF, WAYPOINT
 
 MAX_STEPS = 1000
 MAX_LENGTH_S = 6 * 3600.0
@@ -30,7 +30,6 @@ MAX_LENGTH_S = 6 * 3600.0
 
 _LOITER_UNLIMITED, _LOITER_TURNS, _LOITER_TIME, _SPLINE, _VTOL_TAKEOFF, _VTOL_LAND = 17, 18, 19, 82, 84, 85
 _TURN_S = 10.0
-_GLOBAL_FRAMES = (GLOBAL_FRAME, 5)
 _HOLD_IN_PARAM1 = {WAYPOINT, _SPLINE, _LOITER_TIME, DELAY}
 ENDS = (LAND, RETURN, _VTOL_LAND)
 
@@ -149,7 +148,7 @@ class _Flight:
             north_m, east_m = self._home.local_m(x, y)
         if not placed or not math.isfinite(z) or z == 0.0 or item.command in ENDS:
             return north_m, east_m, self._height_m
-        height_m = z - self._home.altitude_amsl_m if item.frame in _GLOBAL_FRAMES else z
+        height_m = z - self._home.altitude_amsl_m if item.frame in GLOBAL_FRAMES else z
         return north_m, east_m, height_m
 
     def _add(self, item: MissionItem, flown: bool, takes_s: float, distance_m: float) -> None:

@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import AutopilotKind, MissionRefused
+from missions.build import GLOBAL_FRAME, LAND, RETURN, TAKEOFF, WAYPOINT
 from missions.checks import name_of
 from missions.files import load_items
 from missions.item_for_intent import described, over_the_wire
@@ -23,7 +24,6 @@ DONE, DIFFERS, REFUSED = 0, 1, 2
 
 _NUMBERS = ("param1", "param2", "param3", "param4", "x", "y", "z")
 _HOME = 0
-_WAYPOINT, _RETURN, _LAND, _TAKEOFF, _ABOVE_SEA = 16, 20, 21, 22, 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +77,10 @@ async def upload(path: Path, link: str, console: Console) -> int:
 
 def refuse_wrong_home(path: Path, items: Sequence[MissionItem], kind: AutopilotKind) -> None:
     """Refuses a mission for the other autopilot: ArduPilot would skip item 0, PX4 would fly to home."""
-    looks_like_home = items[0].command == _WAYPOINT and items[0].frame == _ABOVE_SEA
+    looks_like_home = items[0].command == WAYPOINT and items[0].frame == GLOBAL_FRAME
     if kind == "ardupilot" and not looks_like_home:
         what = f"begins with {name_of(items[0])}, which ArduPilot would use as home"
-    elif kind == "px4" and looks_like_home and len(items) > 1 and items[1].command == _TAKEOFF:
+    elif kind == "px4" and looks_like_home and len(items) > 1 and items[1].command == TAKEOFF:
         what = "begins with a home item, to which PX4 would fly"
     else:
         return
@@ -166,9 +166,9 @@ def _changes(before: MissionItem, after: MissionItem) -> list[str]:
 
 def _meant(kind: AutopilotKind, item: MissionItem) -> MissionItem:
     """The item without values that the autopilot always replaces, and without values that do not matter."""
-    if kind == "ardupilot" and item.command == _RETURN:
+    if kind == "ardupilot" and item.command == RETURN:
         return replace(item, params=(0.0,) * 7, frame=0)
-    if kind == "ardupilot" and item.command == _LAND:
+    if kind == "ardupilot" and item.command == LAND:
         return replace(item, params=(*item.params[:3], 0.0, *item.params[4:]))
     return item
 

@@ -124,7 +124,7 @@ class Exchange:
     def command(self, target_kPa: float) -> None:
         command = Regulate(target_kPa, 100.0)
         sent = self.session.command(self.t, command)
-        if self.session.current_command == command:
+        if self.session.state is SessionState.READY:
             self._commanded[self.session.number] = command
             self._most_kPa = max(self._most_kPa, target_kPa)
         self.send(sent)

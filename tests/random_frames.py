@@ -39,6 +39,9 @@ FLOOD_IDS = (0, 20, 21, 23, 40, 43, 44, 51, 73, 75, 76, 253)
 FLOOD: tuple[Any, ...] = tuple(mavlink.mavlink_map[number] for number in FLOOD_IDS)
 """Parameters, missions, commands and texts: messages that cost work and answers."""
 
+MAX_FRAME_SIZE = 280
+"""A signed frame with 255 bytes of payload."""
+
 _SIZES = {"float": 4, "double": 8, "char": 1}
 
 

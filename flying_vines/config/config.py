@@ -55,6 +55,11 @@ Param = Literal["param1", "param2", "param3", "param4", "param5", "param6", "par
 """A parameter of a mission item or command; param5 … param7 are an item's x, y and z."""
 
 
+def param_index(param: Param) -> int:
+    """The index of a parameter in a list of all: 0 for param1."""
+    return int(param.removeprefix("param")) - 1
+
+
 class ConfigError(OneLineError):
     """The configuration is invalid; the text names file, key and line, and what to do."""
 

@@ -137,15 +137,12 @@ class VehicleProbe:
     """Call `take` for every message, and send what `due` returns. `facts` may be called at any time."""
 
     def __init__(self, config: Config) -> None:
-        switch = config.switch
         self._config = config
         self._state = VehicleState(config.vehicle.system_id)
         self._streams = Streams(config.vehicle.rc_rate_Hz, messages_of(own_triggers(config.triggers)))
-        self._radio = RadioLink(switch, config.losses.rc_s)
+        self._radio = RadioLink(config.switch, config.losses.rc_s)
         self._parameters = RadioParameters()
-        self._switch = SwitchReader(
-            len(switch.positions), switch.debounce_s, switch.settle_s, switch.hysteresis_us
-        )
+        self._switch = SwitchReader.of(config.switch)
         self._mission_cache = MissionCache()
         self._heartbeat = Heartbeat()
         self._queue = TransmitQueue()

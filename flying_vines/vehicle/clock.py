@@ -19,7 +19,8 @@ WAIT_FOR_STAMP_S = 0.3
 """A message that may be late waits this long for the next time stamp."""
 MAX_STAMP_PERIOD_S = 1.0
 SILENCE_S = 1.2
-"""HEARTBEAT comes at 1 Hz: a longer silence is a stall of the link or of our process."""
+"""HEARTBEAT comes at 1 Hz. If the autopilot is silent for longer, the link or our process has stalled, or the
+autopilot has rebooted."""
 BACKLOG_S = 2.0
 """After a stall, the delayed messages arrive within this time."""
 

@@ -14,6 +14,7 @@ STATION_REPEAT_S = 5.0
 MAX_DELAY_DIFFERENCE_S = 0.6
 """Maximum difference in delay between two frames."""
 COPIES_WITHIN_S = 2.0
+"""A frame with the same sequence number and content within this time is a copy."""
 MAX_COMMANDS = 64
 MAX_FRAMES = 16
 

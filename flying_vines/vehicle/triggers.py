@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.config.config import ITEM_COMMANDS, Config, Param
+from flying_vines.config.config import ITEM_COMMANDS, Config, Param, param_index
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.execution import Execution
@@ -165,5 +165,5 @@ def _matches(wanted: Mapping[Param, float], params: Sequence[float]) -> bool:
 
 
 def _param(params: Sequence[float], key: Param) -> float:
-    index = int(key.removeprefix("param")) - 1
+    index = param_index(key)
     return params[index] if index < len(params) else 0.0

@@ -143,7 +143,7 @@ def test_a_free_port_stays_free() -> None:
 def test_a_board_is_named_by_what_it_is(terminal: str) -> None:
     facts = ports.serial_port("phloSAR", "usb:16c0:0483", UsbBoard(0x16C0, 0x0483), lambda: [board(terminal)])
     assert (facts.path, facts.missing) == (terminal, "")
-    assert facts.board == "usb:16c0:0483, USB Serial, 1234560"
+    assert facts.board == "usb:16c0:0483, USB Serial, serial number 1234560"
     assert facts.usb == "usb:16c0:0483:1234560"
 
 
@@ -152,7 +152,7 @@ def test_a_port_that_is_not_there_is_reported_with_those_that_are(terminal: str)
         "phloSAR", "serial:/dev/ttyACM7", SerialAddress("/dev/ttyACM7"), lambda: [board(terminal)]
     )
     assert facts.missing == (
-        f"/dev/ttyACM7 does not exist; found: {terminal} (usb:16c0:0483, USB Serial, 1234560)"
+        f"/dev/ttyACM7 does not exist; found: {terminal} (usb:16c0:0483, USB Serial, serial number 1234560)"
     )
     facts = ports.serial_port("phloSAR", "usb:16c0:0483", UsbBoard(0x16C0, 0x0483), list)
     assert "Present: no serial port" in facts.missing

@@ -112,6 +112,18 @@ def test_a_survey_is_flown_by_the_items_that_it_holds(tmp_path: Path) -> None:
         read_plan(path)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_plan_whose_only_survey_holds_no_items_is_refused(kind: AutopilotKind, tmp_path: Path) -> None:
+    plan = content(kind)
+    survey = {"type": "ComplexItem", "complexItemType": "survey", "TransectStyleComplexItem": {"Items": []}}
+    plan["mission"]["items"] = [survey]
+    path = tmp_path / "m.plan"
+    path.write_text(json.dumps(plan))
+    with pytest.raises(MissionError) as error:
+        load_items(path)
+    assert str(error.value) == f"{path}: it contains no items"
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [

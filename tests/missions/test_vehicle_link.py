@@ -30,9 +30,8 @@ class Direct:
     def say(self, name: str, *texts: str) -> None:
         def speak() -> None:
             for text in texts:
-                self.subscribed[name](
-                    SimpleNamespace(message_name=name, component_id=191, fields_json=text), None
-                )
+                message = SimpleNamespace(message_name=name, system_id=3, component_id=191, fields_json=text)
+                self.subscribed[name](message, None)
 
         thread = threading.Thread(target=speak)
         thread.start()
@@ -45,10 +44,10 @@ async def test_messages_of_a_thread_arrive_in_order() -> None:
     direct.say("A", '{"n": 1}', '{"n": 2}', "{ no json")
     direct.say("B", '{"n": 3}')
     received = await queue.receive(1.0)
-    assert [(each.name, each.component, each.fields["n"]) for each in received] == [
-        ("A", 191, 1),
-        ("A", 191, 2),
-        ("B", 191, 3),
+    assert [(each.name, each.system, each.component, each.fields["n"]) for each in received] == [
+        ("A", 3, 191, 1),
+        ("A", 3, 191, 2),
+        ("B", 3, 191, 3),
     ]
     assert await queue.receive(0.01) == []
     asyncio.get_running_loop().call_later(0.02, lambda: direct.say("A", '{"n": 4}'))

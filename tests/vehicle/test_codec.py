@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from random_frames import MAX_FRAME_SIZE
 
 from examples import examples
 from flying_vines.vehicle.mavlink.codec import (
@@ -18,7 +19,6 @@ from flying_vines.vehicle.mavlink.codec import (
     MavlinkCodec,
     MavlinkMessage,
 )
-from flying_vines.vehicle.mavlink.frames import MAX_FRAME_SIZE
 
 
 class Sender:

@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from random_frames import MAX_FRAME_SIZE
 
 from examples import examples
-from flying_vines.vehicle.mavlink.frames import MAX_FRAME_SIZE, Frame, Frames
+from flying_vines.vehicle.mavlink.frames import Frame, Frames
 
 
 def packed(count: int, version_1: bool = False) -> list[bytes]:

@@ -9,10 +9,7 @@ import re
 import socket
 from pathlib import Path
 
-from serial.tools.list_ports import comports
-from serial.tools.list_ports_common import ListPortInfo
-
-from firmware_link.find import BoardNotFoundError, Ports, UsbBoard
+from firmware_link.find import BoardNotFoundError, Ports, UsbBoard, description, listed, present_ports
 from flying_vines.config.address import NetworkAddress, SerialAddress
 from flying_vines.doctor.checks.port import PortFacts, Which
 from flying_vines.doctor.checks.service import Process
@@ -30,21 +27,16 @@ _KEPT_OFF = re.compile(
 
 
 def serial_port(
-    which: Which, where: str, address: SerialAddress | UsbBoard, ports: Ports = comports
+    which: Which, where: str, address: SerialAddress | UsbBoard, ports: Ports | None = None
 ) -> PortFacts:
     """Facts about a serial port, without opening it."""
-    try:
-        there = sorted(ports(), key=lambda port: str(port.device))
-    except (OSError, TypeError, ValueError):
-        # pyserial raises these if a board is being unplugged.
-        there = []
+    there = present_ports(ports)
     try:
         path = address.find(lambda: there) if isinstance(address, UsbBoard) else address.path
     except BoardNotFoundError as error:
         return PortFacts(which, where, missing=str(error))
     if not Path(path).exists():
-        others = ", ".join(f"{port.device}{_in_brackets(port)}" for port in there) or "no serial port"
-        return PortFacts(which, where, missing=f"{path} does not exist; found: {others}")
+        return PortFacts(which, where, missing=f"{path} does not exist; found: {listed(there)}")
     device = os.path.realpath(path)
     board = next((port for port in there if port.device == device and port.vid is not None), None)
     group, member_since_login = _group(path)
@@ -53,7 +45,7 @@ def serial_port(
         which,
         where,
         path=path if path == device else f"{path} → {device}",
-        board=_description(board) if board else "",
+        board=description(board) if board else "",
         usb=str(UsbBoard(board.vid, board.pid, board.serial_number))
         if board and board.vid and board.pid
         else "",
@@ -97,15 +89,6 @@ def _bound(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
         opened.close()
         raise
     return opened
-
-
-def _description(port: ListPortInfo) -> str:
-    words = [f"usb:{port.vid:04x}:{port.pid:04x}", port.product, port.serial_number]
-    return ", ".join(word for word in words if word)
-
-
-def _in_brackets(port: ListPortInfo) -> str:
-    return f" ({_description(port)})" if port.vid is not None else ""
 
 
 def _group(path: str) -> tuple[str, bool]:

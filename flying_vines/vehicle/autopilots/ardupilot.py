@@ -19,6 +19,7 @@ from flying_vines.vehicle.mission.storage import (
     UNSUPPORTED_FRAME,
     MissionRefused,
     Params,
+    f32,
 )
 
 COPTER_MODES = {
@@ -104,7 +105,7 @@ class ArduPilot(Autopilot):
         p1, p2, p3, p4, latitude, longitude, z = params
         # ArduPilot stores latitude and longitude as integers of 1e-7 degrees; a double is precise enough.
         place = latitude, longitude, whole_centimetres(z)
-        return _stored(item, (_f32(p1), _f32(p2), _f32(p3), _f32(p4), *place), frame=_frame(item))
+        return _stored(item, (f32(p1), f32(p2), f32(p3), f32(p4), *place), frame=_frame(item))
 
 
 # Each function returns a number as ArduPilot stores it.
@@ -129,18 +130,11 @@ def _f16(value: float) -> float:
         return math.copysign(math.inf, value)
 
 
-def _f32(value: float) -> float:
-    try:
-        return float(struct.unpack("<f", struct.pack("<f", value))[0])
-    except OverflowError:
-        return math.copysign(math.inf, value)
-
-
 def whole_centimetres(altitude_m: float) -> float:
     """An altitude as ArduPilot stores it: in centimetres, with 32 bits."""
     max_cm = float((1 << 31) - 1)
-    centimetres = int(max(-max_cm, min(max_cm, _f32(altitude_m * 100.0))))
-    return _f32(centimetres * _f32(0.01))
+    centimetres = int(max(-max_cm, min(max_cm, f32(altitude_m * 100.0))))
+    return f32(centimetres * f32(0.01))
 
 
 def _none(value: float) -> float:
@@ -151,41 +145,41 @@ _Cast = Callable[[float], float]
 
 # Casts of param1..4, x, y, z, by command. Values after the last cast are not stored.
 _DO: dict[int, tuple[_Cast, ...]] = {
-    112: (_f32,),
-    114: (_f32,),
-    115: (_f32, _u16, _i16, _u8),
+    112: (f32,),
+    114: (f32,),
+    115: (f32, _u16, _i16, _u8),
     177: (_u16, _i16),
-    178: (_u8, _f32, _f32),
+    178: (_u8, f32, f32),
     179: (_u8,),
     181: (_u8, _u8),
-    182: (_u8, _i16, _f32),
+    182: (_u8, _i16, f32),
     183: (_u8, _u16),
-    184: (_u8, _u16, _i16, _f32),
+    184: (_u8, _u16, _i16, f32),
     189: (),
     193: (_u8,),
-    195: (_none, _none, _none, _none, _f32, _f32, _f32),
-    201: (_u16, _none, _none, _none, _f32, _f32, _f32),
+    195: (_none, _none, _none, _none, f32, f32, f32),
+    201: (_u16, _none, _none, _none, f32, f32, f32),
     202: (_u16, _u16, _u16, _u8, _u8, _u16, _u16),
     203: (_u8, _u8, _i16, _u8, _u8, _u16),
-    205: (_f32, _f32, _f32),
-    206: (_f32, _none, _u8),
+    205: (f32, f32, f32),
+    206: (f32, _none, _u8),
     207: (_u8,),
     208: (_u8,),
     211: (_u8, _u8),
     215: (_u16,),
     216: (_u8,),
-    217: (_u16, _f32, _f32, _f32),
+    217: (_u16, f32, f32, f32),
     218: (_u16, _u8),
-    222: (_u16, _f32, _f32, _f32),
-    531: (_u8, _f32),
+    222: (_u16, f32, f32, f32),
+    531: (_u8, f32),
     600: (_u16,),
     601: (_u16, _i16),
-    1000: (_f32, _f32, _f32, _f32, _u8),
-    2000: (_u8, _f32, _u16, _u16),
+    1000: (f32, f32, f32, f32, _u8),
+    2000: (_u8, f32, _u16, _u16),
     2001: (_u8,),
     2500: (_u8,),
     2501: (_u8,),
-    42600: (_u8, _u8, _f32, _f32),
+    42600: (_u8, _u8, f32, f32),
 }
 _NAV = {16, 17, 18, 19, 20, 21, 22, 82, 84, 85, 92, 93, 94, NAV_SCRIPT_TIME}
 _YAW_MAY_BE_NAN = {16, 21, 22, 84, 85}

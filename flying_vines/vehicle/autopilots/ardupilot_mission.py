@@ -18,6 +18,7 @@ from flying_vines.vehicle.mission.execution import Execution, same_numbers
 from flying_vines.vehicle.mission.item import MissionItem, is_nav
 from flying_vines.vehicle.mission.jumps import JUMP
 from flying_vines.vehicle.mission.mission_cache import MAX_ITEMS, MissionCache, item_of
+from flying_vines.vehicle.repeats import COPIES_WITHIN_S, MAX_DELAY_DIFFERENCE_S
 
 ITEM_TEXT = re.compile(r"Mission: (\d{1,5}) (\S+)")
 REACHED_TEXT = re.compile(r"Reached command #(\d{1,5})")
@@ -50,10 +51,6 @@ SCRIPT_MESSAGE = 217
 WAIT_FOR_TEXT_S = 0.5
 TEXT_LATE_S = 1.0
 """A text that arrives within this time after its item was inferred belongs to that item."""
-MAX_DELAY_DIFFERENCE_S = 0.5
-"""Maximum difference in delay between two frames."""
-COPIES_WITHIN_S = 2.0
-"""A frame with the same sequence number and text within this time is a copy."""
 REACHED_AGAIN_S = 3.0
 PROGRESS_AFTER_REACHED_S = 3.0
 """MISSION_CURRENT arrives at 1 Hz or faster. If it changes later than this after the waypoint was reached,

@@ -7,14 +7,13 @@ from collections.abc import Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from flying_vines.vehicle.clock import SILENCE_S
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mavlink.fuel_status import fuel_status
 
 VALUE_NAMES = ("RES_KPA", "CYC_LEFT", "MIN_LEFT", "CV_KPA", "CMD_KPA", "BEND_DEG")
 """The names of NAMED_VALUE_FLOAT, 10 characters at most. docs/mavlink.md says what they mean."""
 HEARTBEAT_S = 1.0
-SILENCE_S = 1.2
-"""An autopilot with a longer time between two heartbeats may have rebooted."""
 MIN_PERIOD_S, MAX_PERIOD_S = 0.1, 10.0
 """The periods that a ground station may request for the named values."""
 ONCE_SPACING_S = 0.1

@@ -19,8 +19,8 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 _MARKER_1, _MARKER_2 = mavlink.PROTOCOL_MARKER_V1, mavlink.PROTOCOL_MARKER_V2
-_MARKERS = bytes((_MARKER_1, _MARKER_2))
-_ANY_MARKER = re.compile(b"[%b]" % _MARKERS)
+MARKERS = bytes((_MARKER_1, _MARKER_2))
+_ANY_MARKER = re.compile(b"[%b]" % MARKERS)
 _HEADER_1 = struct.Struct("<BBBBBB").unpack_from
 _HEADER_2 = struct.Struct("<BBBBBBBHB").unpack_from
 _HEADER_SIZE_1, _HEADER_SIZE_2 = 6, 10
@@ -29,7 +29,6 @@ SIGNATURE_SIZE: int = mavlink.MAVLINK_SIGNATURE_BLOCK_LEN
 _TAIL_SIZE = _CHECKSUM_SIZE + SIGNATURE_SIZE
 _AUTOPILOT: int = mavlink.MAV_COMP_ID_AUTOPILOT1
 _SIGNED: int = mavlink.MAVLINK_IFLAG_SIGNED
-MAX_FRAME_SIZE = _HEADER_SIZE_2 + 255 + _TAIL_SIZE
 
 _CRC_EXTRA = {number: bytes((kind.crc_extra,)) for number, kind in mavlink.mavlink_map.items()}
 """CRC_EXTRA of each message in the dialect: an additional byte of its checksum."""
@@ -75,10 +74,10 @@ class Frames:
         data = self._rest + data
         at, end = 0, len(data)
         while at < end:
-            if data[at] not in _MARKERS:
+            if data[at] not in MARKERS:
                 at = self._skip_noise(data, at)
                 continue
-            frame = _frame_at(data, at)
+            frame = frame_at(data, at)
             if frame is None:
                 break
             stop = at + len(frame.raw)
@@ -87,7 +86,7 @@ class Frames:
             elif stop == end:
                 break  # wait for the next byte: the result must not depend on how the stream is split
             else:
-                good = data[stop] in _MARKERS
+                good = data[stop] in MARKERS
             if good:
                 frames.append(frame)
                 at = stop
@@ -121,13 +120,13 @@ def from_autopilot(data: bytes) -> bool:
 
 def frame_in(raw: bytes) -> Frame:
     """The frame in `raw`, which was whole and right when it was received or sent. It is not checked again."""
-    frame = _frame_at(raw, 0)
+    frame = frame_at(raw, 0)
     assert frame is not None
     return frame
 
 
-def _frame_at(data: bytes, at: int) -> Frame | None:
-    """The frame whose header is at `at`; None until all of its bytes have arrived."""
+def frame_at(data: bytes, at: int) -> Frame | None:
+    """The frame that begins with the marker at `at`; None until all of its bytes have arrived."""
     end = len(data)
     must = may = 0
     if data[at] == _MARKER_2:

@@ -11,12 +11,9 @@ from typing import Self
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
+from flying_vines.vehicle.mavlink.frames import MARKERS, frame_at
 
 _TIME = struct.Struct(">Q")
-_V1, _V2 = 0xFE, 0xFD
-_HEADER_SIZE = {_V1: 6, _V2: 10}
-_CHECKSUM_SIZE = 2
-_SIGNATURE_SIZE = 13
 _EARLIEST_US = 946_684_800_000_000  # the year 2000, before MAVLink existed
 _LATEST_US = 4_102_444_800_000_000
 
@@ -70,35 +67,32 @@ class TlogReader:
         """(unix time in s, raw frame). Raises `TlogError` if there is no frame."""
         data, at, found = self._data, 0, False
         while at < len(data):
-            size = self._record_size(at)
-            if size is None:
+            frame = self._frame_at(at)
+            if frame is None:
                 self.skipped_bytes += 1
                 at += 1
                 continue
             (time_us,) = _TIME.unpack_from(data, at)
             found = True
-            yield time_us / 1e6, data[at + _TIME.size : at + size]
-            at += size
+            yield time_us / 1e6, frame
+            at += _TIME.size + len(frame)
         if not found:
             raise TlogError(f"{self._path}: no MAVLink frame in the file: is it a .tlog?")
 
-    def _record_size(self, at: int) -> int | None:
-        """The size of the record that starts at `at`; None if no record starts there."""
-        data, frame = self._data, at + _TIME.size
-        if frame + 3 > len(data) or data[frame] not in _HEADER_SIZE:
+    def _frame_at(self, at: int) -> bytes | None:
+        """The frame of the record that starts at `at`; None if no record starts there."""
+        data, begin = self._data, at + _TIME.size
+        if begin >= len(data) or data[begin] not in MARKERS:
             return None
         if not _EARLIEST_US < _TIME.unpack_from(data, at)[0] < _LATEST_US:
             return None
-        size = _HEADER_SIZE[data[frame]] + data[frame + 1] + _CHECKSUM_SIZE
-        if data[frame] == _V2 and data[frame + 2] & mavlink.MAVLINK_IFLAG_SIGNED:
-            size += _SIGNATURE_SIZE
-        end = frame + size
-        if end > len(data):
+        frame = frame_at(data, begin)
+        if frame is None:
             return None
-        follows = end + _TIME.size
-        if follows < len(data) and data[follows] not in _HEADER_SIZE:
-            return None if not self._checks(data[frame:end]) else _TIME.size + size
-        return _TIME.size + size
+        follows = begin + len(frame.raw) + _TIME.size
+        if follows < len(data) and data[follows] not in MARKERS and not self._checks(frame.raw):
+            return None
+        return frame.raw
 
     @staticmethod
     def _checks(frame: bytes) -> bool:

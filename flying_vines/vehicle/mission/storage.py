@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import struct
 from typing import Literal
 
 from flying_vines.vehicle.mission.item import MissionItem
@@ -24,3 +26,11 @@ class MissionRefused(ValueError):
     def __init__(self, item: MissionItem, result: int) -> None:
         super().__init__(f"item {item.seq} (command {item.command}) refused with MAV_MISSION_RESULT {result}")
         self.result = result
+
+
+def f32(value: float) -> float:
+    """The number as a 32-bit float, as in MAVLink and in ArduPilot's storage; infinite if it is too large."""
+    try:
+        return float(struct.unpack("<f", struct.pack("<f", value))[0])
+    except OverflowError:
+        return math.copysign(math.inf, value)

@@ -60,7 +60,7 @@ class Pilot:
         self._rules = rules
         self._config = config
         self.radio = RadioLink(config.switch, config.losses.rc_s)
-        self.switch = _switch(config)
+        self.switch = SwitchReader.of(config.switch)
         self.parameters = RadioParameters()
         self._waiting: _Waiting | None = None
         self._positions: set[int] = set()
@@ -80,7 +80,7 @@ class Pilot:
         """One of our parameters has changed."""
         self.radio.configure(config.switch, config.losses.rc_s)
         if config.switch != self._config.switch:
-            self.switch = _switch(config)
+            self.switch = SwitchReader.of(config.switch)
             self._waiting = None
         self._config = config
 
@@ -322,8 +322,3 @@ class Pilot:
 
     def _move_again(self, t: float, what: str) -> Notice:
         return Notice(t, Severity.NOTICE, f"Vine: switch ch{self.channel} {what}, move it again")
-
-
-def _switch(config: Config) -> SwitchReader:
-    switch = config.switch
-    return SwitchReader(len(switch.positions), switch.debounce_s, switch.settle_s, switch.hysteresis_us)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
+
+from flying_vines.config.config import SwitchConfig
 
 BOUNDARIES_US = {
     2: (1500.0,),
@@ -57,6 +60,10 @@ class SwitchReader:
         self._candidate_jumped = False
         self._before_loss: int | None = None
         self.position: int | None = None
+
+    @classmethod
+    def of(cls, switch: SwitchConfig) -> Self:
+        return cls(len(switch.positions), switch.debounce_s, switch.settle_s, switch.hysteresis_us)
 
     @property
     def last_position(self) -> int | None:
