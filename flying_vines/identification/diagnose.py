@@ -122,11 +122,12 @@ def _noise_left(candidate: Candidate, stated: Noise, *, may_correlate: bool) -> 
 def _verdict(found: SearchResult, progress: Progress) -> Verdict:
     chosen, problem = found.chosen, found.chosen.problem
     progress("intervals", 0.85)
-    wider = widening(chosen)
+    jacobian = problem.jacobian(chosen.fit)
+    wider = widening(chosen, jacobian)
     parameters = [(i, n) for i, cause in enumerate(chosen.causes) for n in range(len(cause.parameters))]
-    profiles = mapped(lambda parameter: profile(chosen, *parameter, wider), parameters)
+    profiles = mapped(lambda parameter: profile(chosen, *parameter, wider, jacobian), parameters)
     progress("unseen data", 0.9)
-    predictions = predictions_for(problem, chosen.fit.point, profiles)
+    predictions = predictions_for(problem, chosen.fit.point, jacobian, profiles)
     null = found.search.null
     errors = held_out(problem, predictions, None if chosen is null else null.fit.point)
     nothing = Verdict(

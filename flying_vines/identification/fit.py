@@ -10,7 +10,8 @@ variance, so numbers that the data do not fix stay nominal. The typical value of
 Each Levenberg-Marquardt step is solved exactly within the bounds (Stark & Parker 1995). It is corrected for
 the curvature of the model (geodesic acceleration, Transtrum & Sethna 2012), because χ² has long, narrow
 valleys where two causes resemble each other. The initial pressures have no bounds and may be many: they are
-eliminated from the linear system, and corrected after each step.
+eliminated from the linear system, and corrected after each step. The derivatives take most simulations, so
+they are used again while the model is nearly linear (chord method, Kelley 1995).
 """
 
 from __future__ import annotations
@@ -20,18 +21,15 @@ from dataclasses import dataclass, replace
 from math import inf
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from flying_vines.identification.case import Case
 from flying_vines.identification.jacobian import Jacobian, RunJacobian
 from flying_vines.identification.noise import Noise
 from flying_vines.identification.simulate import Simulation, prior_std
-from flying_vines.physics.arrays import Array
+from flying_vines.physics.arrays import Array, BoolArray
 from flying_vines.physics.cause import Cause, Values
 from flying_vines.physics.rig import number
-
-Bools = NDArray[np.bool_]
 
 MAX_STEPS = 30
 FIRST_STEPS = 3
@@ -55,6 +53,9 @@ MAX_BEND = 0.5
 """A step fails if the model's curvature changes it by more than this share: then it is too long."""
 SHORTER = 0.3
 """Factor for a step of initial pressures that increases χ² on its own stretch."""
+LINEAR = 0.05
+"""The derivatives are used again if a step is hardly damped, and if its curvature changes χ² by less than this
+share of its gain."""
 NO_EFFECT = 1e-6
 """A number has no effect at a point if, by the derivative, its whole range changes χ² by less than this."""
 CORRECTIONS = 2
@@ -131,7 +132,7 @@ class Tangents:
         free: (numbers,) False where a number is on its bound.
     """
 
-    def __init__(self, jacobian: Jacobian, residuals: Sequence[Array], free: Bools) -> None:
+    def __init__(self, jacobian: Jacobian, residuals: Sequence[Array], free: BoolArray) -> None:
         self._jacobian = jacobian
         directions = jacobian.reduced[free].T
         scale = np.linalg.norm(directions, axis=0)
@@ -163,7 +164,7 @@ class FitProblem:
         used: for each run a boolean (n,), the samples that count; default: all.
     """
 
-    def __init__(self, case: Case, noise: Noise, used: Sequence[Bools] | None = None) -> None:
+    def __init__(self, case: Case, noise: Noise, used: Sequence[BoolArray] | None = None) -> None:
         self.case = case
         self.noise = noise
         self.noise_kPa = noise[0].slow_std_kPa, noise[1].slow_std_kPa
@@ -181,6 +182,11 @@ class FitProblem:
         """Rows of each run in `FitPoint.initial`."""
         self._read = self.start().initial
         self.readings = int(sum(np.count_nonzero(weight) for weight in self.weights))
+
+    @property
+    def used(self) -> list[BoolArray]:
+        """For each run (2, n): the readings that count."""
+        return [weight > 0.0 for weight in self.weights]
 
     def start(self) -> FitPoint:
         """The nominal rig, with the first readings as initial pressures."""
@@ -269,6 +275,7 @@ class FitProblem:
         max_steps: int = MAX_STEPS,
         moving: int | None = None,
         min_gain: float = MIN_GAIN,
+        known: Jacobian | None = None,
     ) -> Fit:
         """The local minimum of the cost near `start`.
 
@@ -276,6 +283,7 @@ class FitProblem:
             max_steps: maximum number of steps.
             moving: only this many of the last parameters are moved; default: everything that is free.
             min_gain: see `MIN_GAIN`.
+            known: derivatives at a point near `start`, with the same numbers.
         """
         space = _Space(self, start, moving)
         place = space.clipped(space.to_search(start))
@@ -284,36 +292,69 @@ class FitProblem:
         if not np.isfinite(cost):
             return Fit(start, inf, inf, tuple(residuals))
         # The step of initial pressures is not damped. If it were large, each later step would curve too much.
-        initial_only = _Space(self, start, moving=0).jacobian(place, residuals)
+        initial_only = known or _Space(self, start, moving=0).jacobian(place, residuals)
         place, residuals = self._corrected(space, place, residuals, initial_only, MIN_GAIN)
         cost = chi2_of(residuals) + space.prior(place)
         damping = DAMPING
+        jacobian = known.at(residuals) if known else None
         for _ in range(max_steps):
-            jacobian, enough = space.jacobian(place, residuals), min_gain * max(1.0, cost / self.readings)
-            own, shares = self._by_start(residuals), np.ones(len(start.initial))
-            for _ in range(MAX_TRIALS):
-                step = self._curved_step(space, place, jacobian, damping)
-                if step is not None:
-                    there = space.clipped(place + space.shortened(step, shares))
-                    tried = self.residuals(space.to_model(there))
-                    there, tried = self._corrected(space, there, tried, jacobian, enough)
-                    lower = chi2_of(tried) + space.prior(there)
-                    if lower <= cost:
-                        break
-                    shares[~(self._by_start(tried) <= own)] *= SHORTER
-                damping = HARDER * max(damping, LEAST_DAMPING)
-            else:
-                break
-            gained, cost = cost - lower, lower
+            fresh, enough = jacobian is None, min_gain * max(1.0, cost / self.readings)
+            jacobian = jacobian or space.jacobian(place, residuals)
+            found = self._stepped(
+                space, place, residuals, jacobian, damping, enough, MAX_TRIALS if fresh else 1
+            )
+            if found is None:
+                if fresh:
+                    break
+                jacobian = None
+                continue
+            there, tried, damping = found
+            lower = chi2_of(tried) + space.prior(there)
+            gained, cost, damping = cost - lower, lower, damping * EASIER
+            bent = jacobian.bent(there - place, tried)
             place, residuals = there, tried
-            damping *= EASIER
-            if gained < enough:
+            if gained < enough and (fresh or bent < enough):
                 break
+            linear = damping <= DAMPING and bent < max(enough, LINEAR * gained)
+            jacobian = jacobian.at(tried) if linear else None
         return Fit(space.to_model(place), chi2_of(residuals), cost, tuple(residuals))
 
-    def _curved_step(self, space: _Space, place: Array, jacobian: Jacobian, damping: float) -> Array | None:
-        """The best step within the bounds, with the model's curvature along it; None if that is too large."""
-        straight = space.best_step(place, jacobian, damping)
+    def _stepped(
+        self,
+        space: _Space,
+        place: Array,
+        residuals: list[Array],
+        jacobian: Jacobian,
+        damping: float,
+        enough: float,
+        trials: int,
+    ) -> tuple[Array, list[Array], float] | None:
+        """A better place, its residuals, and the damping of the step; None if every trial failed.
+
+        It is `place` itself if a hardly damped step should gain less than `enough`.
+        """
+        cost = chi2_of(residuals) + space.prior(place)
+        hardly_damped = space.best_step(place, jacobian, min(damping, DAMPING))
+        if cost - space.expected_cost(place, jacobian, hardly_damped) < enough:
+            return place, residuals, damping
+        own, shares = self._by_start(residuals), np.ones(len(self._read))
+        for _ in range(trials):
+            straight = space.best_step(place, jacobian, damping)
+            step = self._curved(space, place, jacobian, straight, damping)
+            if step is not None:
+                there = space.clipped(place + space.shortened(step, shares))
+                tried = self.residuals(space.to_model(there))
+                there, tried = self._corrected(space, there, tried, jacobian, enough)
+                if chi2_of(tried) + space.prior(there) <= cost:
+                    return there, tried, damping
+                shares[~(self._by_start(tried) <= own)] *= SHORTER
+            damping = HARDER * max(damping, LEAST_DAMPING)
+        return None
+
+    def _curved(
+        self, space: _Space, place: Array, jacobian: Jacobian, straight: Array, damping: float
+    ) -> Array | None:
+        """The best step, with the model's curvature along the straight one; None if that is too large."""
         if not len(jacobian.reduced):
             return straight
         along = space.clipped(place + straight) - place
@@ -414,7 +455,7 @@ class _Space:
             initial=place[self._common :].reshape(-1, 2),
         )
 
-    def inside(self, place: Array) -> Bools:
+    def inside(self, place: Array) -> BoolArray:
         """(numbers,) False where a number that all runs share is on its bound."""
         common = slice(self._common)
         return (place[common] > self._low[common]) & (place[common] < self._high[common])
@@ -435,7 +476,7 @@ class _Space:
         there[self._common :] += step
         return there
 
-    def of_starts(self, starts: Bools) -> Bools:
+    def of_starts(self, starts: BoolArray) -> BoolArray:
         """True at the two initial pressures of these starts."""
         return np.concatenate((np.zeros(self._common, dtype=np.bool_), np.repeat(starts, 2)))
 
@@ -453,17 +494,14 @@ class _Space:
                 moved[self._common + 2 * starts.start + column : self._common + 2 * starts.stop : 2] += nudge
                 (there,) = self._problem.residuals(self.to_model(moved), [run])
                 initial.append(_derivative(there, residuals[run], nudge))
-            common = [column[run] for column in columns]
+            common = np.array([column[run] for column in columns]).reshape(-1, *residuals[run].shape)
             begins = self._problem.simulation.runs[run].start
-            runs.append(RunJacobian(np.array(initial), residuals[run], np.array(common), begins))
+            runs.append(RunJacobian(np.array(initial), residuals[run], common, begins))
         return Jacobian(runs)
 
     def normal_equations(self, jacobian: Jacobian, place: Array) -> tuple[Array, Array]:
         """JᵀJ and Jᵀr of the numbers that all runs share, with their priors."""
-        information, gradient = (
-            jacobian.reduced @ jacobian.reduced.T,
-            jacobian.reduced @ jacobian.reduced_residuals,
-        )
+        information, gradient = jacobian.square.copy(), jacobian.reduced @ jacobian.reduced_residuals
         information[np.diag_indices_from(information)] += self._precision
         return information, gradient + self._precision * (place[: self._common] - self._typical)
 
@@ -477,6 +515,11 @@ class _Space:
         moved[k] += nudge
         there = self._problem.residuals(self.to_model(moved))
         return [_derivative(a, b, nudge) for a, b in zip(there, residuals, strict=True)]
+
+    def expected_cost(self, place: Array, jacobian: Jacobian, step: Array) -> float:
+        """The cost after a step, by the derivatives, with the best initial pressures."""
+        after = jacobian.linear(step)
+        return float(after @ after) + self.prior(place + step)
 
     def best_step(self, place: Array, jacobian: Jacobian, damping: float) -> Array:
         """The step to the minimum of the quadratic model within the bounds."""

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from firmware_link.protocol import Fault, Mode
 from flying_vines.identification.case import Case
 from flying_vines.identification.recording import CaseError, RecordedRun
-from flying_vines.physics.arrays import Array
+from flying_vines.physics.arrays import Array, BoolArray
 from flying_vines.physics.rig import Rig, RigError, load_rig, rig_from
 from flying_vines.record.reader import FlightLog, LogError
 from flying_vines.record.topics import SNAPSHOT, START, TELEMETRY
@@ -56,7 +56,7 @@ class _Telemetry(NamedTuple):
 
     time_ms: NDArray[np.int64]
     """Firmware's clock, unwrapped."""
-    regulates: NDArray[np.bool_]
+    regulates: BoolArray
     setpoint_kPa: Array
     cv_kPa: Array
     reservoir_kPa: Array
@@ -66,7 +66,7 @@ class _Telemetry(NamedTuple):
     ambient_kPa: Array
     """Absolute; NaN if it was not measured."""
 
-    def part(self, which: slice | NDArray[np.bool_]) -> _Telemetry:
+    def part(self, which: slice | BoolArray) -> _Telemetry:
         return _Telemetry._make(values[which] for values in self)
 
     @property

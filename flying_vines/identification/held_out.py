@@ -16,8 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from flying_vines.identification.fit import Bools, FitPoint, FitProblem
+from flying_vines.identification.fit import FitPoint, FitProblem
 from flying_vines.identification.intervals import LikelihoodProfile
+from flying_vines.identification.jacobian import Jacobian
 from flying_vines.identification.prediction_error import (
     Errors,
     Split,
@@ -29,6 +30,7 @@ from flying_vines.identification.prediction_error import (
     split,
 )
 from flying_vines.identification.threads import mapped
+from flying_vines.physics.arrays import BoolArray
 
 FAR = 3.0
 """Distance, in half widths of its interval, at which a parameter is tested."""
@@ -77,7 +79,8 @@ def held_out(problem: FitProblem, predictions: Sequence[Prediction], null: FitPo
     splits = [prediction.split for prediction in predictions]
     after = before = errors(problem, splits, [prediction.fitted for prediction in predictions])
     if null is not None:
-        before = errors(problem, splits, mapped(lambda split: _refitted(split.shown, null), splits))
+        jacobian = problem.jacobian(problem.at(null))
+        before = errors(problem, splits, mapped(lambda s: _refitted(s.shown, null, jacobian), splits))
     noise = [sensor.variance_over_slow for sensor in problem.noise]
     floor = nrmse(problem, Errors(before.count * noise, before.count))
     return HeldOut(
@@ -98,21 +101,25 @@ def unseen_error(problem: FitProblem, predictions: Sequence[Prediction], point: 
 
 
 def predictions_for(
-    problem: FitProblem, chosen: FitPoint, profiles: Sequence[LikelihoodProfile]
+    problem: FitProblem, chosen: FitPoint, jacobian: Jacobian, profiles: Sequence[LikelihoodProfile]
 ) -> list[Prediction]:
-    """Predictions of all data by the chosen causes, whose parameters have these likelihood profiles."""
-    every = mapped(lambda i: _of_run(problem, chosen, profiles, i), range(len(problem.case.runs)))
+    """Predictions of all data by the chosen causes.
+
+    Args:
+        chosen: the fit to all data, with its `jacobian` and the likelihood profiles of its parameters.
+    """
+    every = mapped(lambda i: _of_run(problem, chosen, jacobian, profiles, i), range(len(problem.case.runs)))
     return [prediction for predictions in every for prediction in predictions]
 
 
 def _of_run(
-    problem: FitProblem, chosen: FitPoint, profiles: Sequence[LikelihoodProfile], i: int
+    problem: FitProblem, chosen: FitPoint, jacobian: Jacobian, profiles: Sequence[LikelihoodProfile], i: int
 ) -> list[Prediction]:
     nothing = [np.zeros(len(run.time_s), dtype=np.bool_) for run in problem.case.runs]
 
-    def predicted(unseen: Bools) -> Prediction:
+    def predicted(unseen: BoolArray) -> Prediction:
         part = split(problem, [*nothing[:i], unseen, *nothing[i + 1 :]])
-        return Prediction(part, _refitted(part.shown, chosen))
+        return Prediction(part, _refitted(part.shown, chosen, jacobian))
 
     if len(problem.case.runs) > 1:
         others = predicted(~nothing[i])
@@ -125,7 +132,8 @@ def _of_run(
 def _fixed(prediction: Prediction, profiles: Sequence[LikelihoodProfile]) -> bool:
     """True if the shown data alone determine every parameter."""
     shown, point = prediction.split.shown, prediction.fitted
-    least = shown.fit(point, 1).cost
+    here = shown.at(point)
+    jacobian, least = shown.jacobian(here), here.cost
     names = [cause.name for cause in point.causes]
     for profile in profiles:
         index = names.index(profile.cause)
@@ -135,16 +143,20 @@ def _fixed(prediction: Prediction, profiles: Sequence[LikelihoodProfile]) -> boo
             moved = float(np.clip(value + FAR * far, parameter.low, parameter.high))
             if moved == value:
                 continue
-            held = shown.fit(point.pinned(index, number, moved), PINNED_STEPS)
+            held = shown.fit(point.pinned(index, number, moved), PINNED_STEPS, known=jacobian)
             if held.cost + parameter.prior_penalty(parameter.to_search(moved)) - least < MIN_RISE:
                 return False
     return True
 
 
-def _refitted(problem: FitProblem, point: FitPoint) -> FitPoint:
-    """The same causes and free numbers, fitted from their starting values."""
+def _refitted(problem: FitProblem, point: FitPoint, jacobian: Jacobian) -> FitPoint:
+    """The same causes and free numbers, fitted from their starting values.
+
+    Args:
+        jacobian: derivatives at `point`, of all data.
+    """
     start = problem.start().freed(tuple(point.deviation))
     for cause, values in zip(point.causes, point.values, strict=True):
         start = start.with_cause(cause, cause.nearest_seed(values))
-    fit, near = problem.fit(start), problem.fit(point)
+    fit, near = problem.fit(start), problem.fit(point, known=jacobian.where(problem.used))
     return near.point if near.cost < fit.cost - LOCAL_MINIMUM else fit.point

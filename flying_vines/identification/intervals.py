@@ -17,6 +17,7 @@ import numpy as np
 from scipy import special
 
 from flying_vines.identification.candidate import Candidate
+from flying_vines.identification.jacobian import Jacobian
 from flying_vines.identification.prediction_error import blocks
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Parameter
@@ -52,19 +53,18 @@ class LikelihoodProfile:
     """Rise at the ends of the interval."""
 
 
-def widening(candidate: Candidate) -> Array:
+def widening(candidate: Candidate, jacobian: Jacobian) -> Array:
     """(numbers,) factor of `ABOVE` for each free rig number and parameter; 1 if the residuals are noise.
 
     If they have no pattern but are larger than noise, their excess is the factor.
     """
-    problem, fit = candidate.problem, candidate.fit
     covariance = candidate.covariance
     if candidate.adequate or not len(covariance):
         return np.full(len(covariance), max(candidate.excess))
     scores = []
-    for run, jacobian in zip(problem.case.runs, problem.jacobian(fit).runs, strict=True):
+    for run, derivatives in zip(candidate.problem.case.runs, jacobian.runs, strict=True):
         block = np.tile(blocks([run.time_s], OF_A_RUN)[0], 2)
-        products = jacobian.reduced * jacobian.reduced_residuals
+        products = derivatives.reduced * derivatives.reduced_residuals
         scores.append(np.stack([np.bincount(block, row) for row in products], axis=1))
     by_block = np.concatenate(scores)
     spread = np.einsum("ij,bj,bk,ki->i", covariance, by_block, by_block, covariance)
@@ -73,8 +73,15 @@ def widening(candidate: Candidate) -> Array:
     return wider
 
 
-def profile(candidate: Candidate, index: int, number: int, wider: Array) -> LikelihoodProfile:
-    """The likelihood profile of the parameter `number` of the cause `index`; `wider` is from `widening`."""
+def profile(
+    candidate: Candidate, index: int, number: int, wider: Array, jacobian: Jacobian
+) -> LikelihoodProfile:
+    """The likelihood profile of the parameter `number` of the cause `index`.
+
+    Args:
+        wider: from `widening`.
+        jacobian: derivatives at the candidate's fit.
+    """
     problem, point = candidate.problem, candidate.fit.point
     cause = point.causes[index]
     parameter, best = cause.parameters[number], point.values[index][number]
@@ -85,7 +92,7 @@ def profile(candidate: Candidate, index: int, number: int, wider: Array) -> Like
     seen = {best: 0.0}
 
     def above(x: float) -> float:
-        held = problem.fit(point.pinned(index, number, parameter.to_model(x)), STEPS)
+        held = problem.fit(point.pinned(index, number, parameter.to_model(x)), STEPS, known=jacobian)
         seen[parameter.to_model(x)] = difference = held.cost + parameter.prior_penalty(x) - least
         return difference
 

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from flying_vines.physics.arrays import Array
+from flying_vines.physics.arrays import Array, BoolArray
 
 _RIDGE = 1e-12
 
@@ -36,8 +36,16 @@ class RunJacobian:
         self._inverses = [_inverse(initial[:, :, stretch].reshape(2, -1)) for stretch in self._stretches]
         self._initial = initial
         self._common = common
+        self._start = start
         self.residuals = residuals
-        self.starts = len(start)
+
+    @property
+    def starts(self) -> int:
+        return len(self._stretches)
+
+    def where(self, used: BoolArray) -> RunJacobian:
+        """The Jacobian if only these readings (2, n) count."""
+        return RunJacobian(self._initial * used, self.residuals * used, self._common * used, self._start)
 
     def at(self, residuals: Array) -> RunJacobian:
         """The same derivatives with other residuals (2, n)."""
@@ -110,10 +118,40 @@ class Jacobian:
 
     def __init__(self, runs: Sequence[RunJacobian]) -> None:
         self.runs = runs
-        self.reduced = np.concatenate([run.reduced for run in runs], axis=1)
+
+    @cached_property
+    def reduced(self) -> Array:
         """(numbers, readings): see `RunJacobian.reduced`."""
-        self.reduced_residuals = np.concatenate([run.reduced_residuals for run in runs])
+        return np.concatenate([run.reduced for run in self.runs], axis=1)
+
+    @cached_property
+    def square(self) -> Array:
+        """(numbers, numbers): JᵀJ of the reduced derivatives."""
+        return self.reduced @ self.reduced.T
+
+    @cached_property
+    def reduced_residuals(self) -> Array:
         """(readings,): see `RunJacobian.reduced_residuals`."""
+        return np.concatenate([run.reduced_residuals for run in self.runs])
+
+    def at(self, residuals: Sequence[Array]) -> Jacobian:
+        """The same derivatives with other residuals, (2, n) a run."""
+        other = Jacobian([run.at(r) for run, r in zip(self.runs, residuals, strict=True)])
+        other.__dict__.update(reduced=self.reduced, square=self.square)
+        return other
+
+    def where(self, used: Sequence[BoolArray]) -> Jacobian:
+        """The Jacobian if only these readings count, (2, n) a run."""
+        return Jacobian([run.where(mask) for run, mask in zip(self.runs, used, strict=True)])
+
+    def linear(self, step: Array) -> Array:
+        """(readings,): residuals after a step by these derivatives, initial pressures eliminated."""
+        after: Array = self.reduced_residuals + step[: len(self.reduced)] @ self.reduced
+        return after
+
+    def bent(self, step: Array, residuals: Sequence[Array]) -> float:
+        """Sum of squares by which the residuals after a step differ from `linear`."""
+        return float(np.sum((self.orthogonal_part(residuals) - self.linear(step)) ** 2))
 
     def curved(self, step: Array, probe: Sequence[Array], share: float) -> Jacobian:
         """The same derivatives; half of the second derivative along a step is added to the residuals.
@@ -123,12 +161,12 @@ class Jacobian:
             probe: residuals after this share of the step.
         """
         common = len(self.reduced)
-        pressures, runs = step[common:].reshape(-1, 2), []
+        pressures, bent = step[common:].reshape(-1, 2), []
         for run, there in zip(self.runs, probe, strict=True):
             linear = run.residuals_after(share * step[:common], share * pressures[: run.starts])
-            runs.append(run.at(run.residuals + (there - linear) / share**2))
+            bent.append(run.residuals + (there - linear) / share**2)
             pressures = pressures[run.starts :]
-        return Jacobian(runs)
+        return self.at(bent)
 
     def bend(self, straight: Array, curved: Array) -> float:
         """The difference of two steps of the shared numbers, as a share of the first.

@@ -15,12 +15,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flying_vines.identification.importing.units import parse_unit
 from flying_vines.identification.noise import resolution
 from flying_vines.identification.recording import CaseError, RecordedRun
-from flying_vines.physics.arrays import Array
+from flying_vines.physics.arrays import Array, BoolArray
 from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.rig import Rig
 
@@ -366,13 +365,13 @@ def _moves(run: RecordedRun) -> bool:
     return bool(((run.evp_opening > 0.0) | (run.dvp_opening > 0.0) | (run.solenoid > 0.0)).any())
 
 
-def _spells(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def _spells(mask: BoolArray) -> list[tuple[int, int]]:
     """Intervals [first, last) in which the mask is true."""
     edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0))
     return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
 
 
-def _held_for(run: RecordedRun, mask: NDArray[np.bool_], min_s: float) -> NDArray[np.bool_]:
+def _held_for(run: RecordedRun, mask: BoolArray, min_s: float) -> BoolArray:
     """Samples at which the mask has been true for `min_s`."""
     held = np.zeros_like(mask)
     for first, last in _spells(mask):
@@ -380,7 +379,7 @@ def _held_for(run: RecordedRun, mask: NDArray[np.bool_], min_s: float) -> NDArra
     return held
 
 
-def _change(values: Array, mask: NDArray[np.bool_]) -> float:
+def _change(values: Array, mask: BoolArray) -> float:
     """Rise of a pressure, summed over the sample intervals that begin where the mask is true."""
     return float(np.nansum(np.diff(values)[mask[:-1]]))
 
@@ -423,7 +422,7 @@ def _filled(run: RecordedRun, channel: _Channel) -> Array:
     return np.interp(run.time_s, t, x) if len(t) else np.zeros_like(run.time_s)
 
 
-def _through_evp(run: RecordedRun, rig: Rig, where: NDArray[np.bool_]) -> Array:
+def _through_evp(run: RecordedRun, rig: Rig, where: BoolArray) -> Array:
     """Standard litres through the inflation valve in the baseline, from each sample to the next."""
     drop_kPa = np.maximum(_filled(run, _RESERVOIR) - _filled(run, _CV), 0.0)
     flow = np.where(where, run.evp_opening, 0.0) * drop_kPa / rig.evp.flow_resistance_kPa_s_per_SL
@@ -431,7 +430,7 @@ def _through_evp(run: RecordedRun, rig: Rig, where: NDArray[np.bool_]) -> Array:
     return volume
 
 
-def _lost_through_valves(run: RecordedRun, rig: Rig, where: NDArray[np.bool_] | None = None) -> float:
+def _lost_through_valves(run: RecordedRun, rig: Rig, where: BoolArray | None = None) -> float:
     """Pressure loss of the reservoir in the baseline at the recorded pressures, kPa."""
     everywhere = np.ones(len(run.time_s), dtype=bool) if where is None else where
     motive = np.where(everywhere, run.dvp_opening, 0.0) * np.maximum(_filled(run, _RESERVOIR), 0.0)
@@ -439,7 +438,7 @@ def _lost_through_valves(run: RecordedRun, rig: Rig, where: NDArray[np.bool_] | 
     return float(ALPHA_KPA / rig.reservoir.volume_L * (_through_evp(run, rig, everywhere) + motive).sum())
 
 
-def _filled_through_evp(run: RecordedRun, rig: Rig, where: NDArray[np.bool_]) -> float:
+def _filled_through_evp(run: RecordedRun, rig: Rig, where: BoolArray) -> float:
     """Pressure gain of the control volume in the baseline while the solenoid is shut, kPa."""
     if rig.cv is None:
         return 0.0

@@ -17,9 +17,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from flying_vines.identification.fit import Bools, FitPoint, FitProblem
+from flying_vines.identification.fit import FitPoint, FitProblem
 from flying_vines.identification.threads import mapped
-from flying_vines.physics.arrays import Array
+from flying_vines.physics.arrays import Array, BoolArray
 
 SHOWN_S = 0.5
 STRETCHES = 8
@@ -40,7 +40,7 @@ class Split:
     """The data that a fit sees, and the data on which it is scored."""
 
     shown: FitProblem
-    scored: tuple[Bools, ...]
+    scored: tuple[BoolArray, ...]
     """For each run, (n,)."""
 
 
@@ -81,10 +81,10 @@ class HeldOutErrors:
         return gain(self._problem, self.errors(before), self.errors(after))
 
 
-def in_odd_stretch(time_s: Array) -> Bools:
+def in_odd_stretch(time_s: Array) -> BoolArray:
     """(n,): every other eighth of a run."""
     since = time_s - time_s[0]
-    odd: Bools = (since * STRETCHES // (since[-1] * (1.0 + 1e-9))) % 2 == 1
+    odd: BoolArray = (since * STRETCHES // (since[-1] * (1.0 + 1e-9))) % 2 == 1
     return odd
 
 
@@ -98,7 +98,7 @@ def blocks(times_s: Sequence[Array], at_least: int = MIN_BLOCKS) -> list[NDArray
     return found
 
 
-def split(problem: FitProblem, unseen: Sequence[Bools]) -> Split:
+def split(problem: FitProblem, unseen: Sequence[BoolArray]) -> Split:
     """The split that predicts these samples, (n,) for each run, from all others and from the beginnings."""
     scored = tuple(
         mask & ~_beginnings(run.time_s, prepared.start)
@@ -107,18 +107,23 @@ def split(problem: FitProblem, unseen: Sequence[Bools]) -> Split:
     return Split(FitProblem(problem.case, problem.noise, [~mask for mask in scored]), scored)
 
 
-def _beginnings(time_s: Array, start: NDArray[np.intp]) -> Bools:
+def _beginnings(time_s: Array, start: NDArray[np.intp]) -> BoolArray:
     """The first half second after each start; of shorter stretches, the first half."""
     ends = np.append(start[1:], len(time_s)) - 1
     shown_s = np.minimum(SHOWN_S, (time_s[ends] - time_s[start]) / 2.0)
     stretch = np.repeat(np.arange(len(start)), np.diff(np.append(start, len(time_s))))
-    beginnings: Bools = time_s - time_s[start[stretch]] <= shown_s[stretch]
+    beginnings: BoolArray = time_s - time_s[start[stretch]] <= shown_s[stretch]
     return beginnings
 
 
 def quick_errors(problem: FitProblem, splits: Sequence[Split], point: FitPoint) -> Errors:
     """The errors of predictions from the shown data of each split, `STEPS` steps from a fit to all data."""
-    return errors(problem, splits, mapped(lambda split: split.shown.fit(point, STEPS).point, splits))
+    jacobian = problem.jacobian(problem.at(point))
+
+    def refitted(split: Split) -> FitPoint:
+        return split.shown.fit(point, STEPS, known=jacobian.where(split.shown.used)).point
+
+    return errors(problem, splits, mapped(refitted, splits))
 
 
 def errors(problem: FitProblem, splits: Sequence[Split], fitted: Sequence[FitPoint]) -> Errors:

@@ -17,11 +17,10 @@ from dataclasses import dataclass
 from math import log
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from flying_vines.identification.fit import Fit, FitProblem
-from flying_vines.physics.arrays import Array
+from flying_vines.physics.arrays import Array, BoolArray
 
 CHANNELS = ("control volume", "reservoir")
 STRETCHES_S = (0.1, 0.5, 2.5, 10.0)
@@ -87,7 +86,7 @@ def excess(found: Sequence[Pattern]) -> tuple[float, float]:
 
 
 def _grouped(
-    residual: Array, value: Array, group: Array, changes: NDArray[np.bool_], rounding: float
+    residual: Array, value: Array, group: Array, changes: BoolArray, rounding: float
 ) -> tuple[Array, Array, Array, float, float] | None:
     """Means of feature and residuals, samples, −log₁₀ p and strength; None if there is no group."""
     _, index = np.unique(group, return_inverse=True)

@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flying_vines.identification.recording import CaseError
-from flying_vines.physics.arrays import Array
+from flying_vines.physics.arrays import Array, BoolArray
 
 TIME = "time_s"
 _SEPARATORS = (",", ";", "\t")
@@ -58,7 +57,7 @@ class RunTable:
         self.refuse(name, odd, f"is neither 0 ({no}) nor 1 ({yes}); check the column names")
         return values
 
-    def refuse(self, name: str, odd: NDArray[np.bool_], why: str) -> None:
+    def refuse(self, name: str, odd: BoolArray, why: str) -> None:
         """CaseError about the first cell of a column that is `odd`."""
         if odd.any():
             row = int(np.argmax(odd))

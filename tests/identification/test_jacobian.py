@@ -94,3 +94,27 @@ def test_a_parameter_is_two_sided_if_neutral_is_inside_its_range() -> None:
     volume = Parameter("volume_L", low=0.0, high=1.0, seeds=(0.1,), neutral=0.0, source="")
     resistance = Parameter("resistance", low=3.0, high=1e4, seeds=(30.0,), neutral=None, source="")
     assert [p.two_sided for p in (gain, volume, resistance)] == [True, False, False]
+
+
+def test_other_residuals_leave_the_derivatives_as_they_are() -> None:
+    random = np.random.default_rng(4)
+    parts = [random.standard_normal((k, 2, SAMPLES)) for k in (2, NUMBERS)]
+    first, other = random.standard_normal((2, 2, SAMPLES))
+    anew = Jacobian([RunJacobian(parts[0], other, parts[1], START)])
+    again = Jacobian([RunJacobian(parts[0], first, parts[1], START)]).at([other])
+    assert again.reduced == pytest.approx(anew.reduced)
+    assert again.square == pytest.approx(anew.reduced @ anew.reduced.T)
+    assert again.reduced_residuals == pytest.approx(anew.reduced_residuals)
+
+
+def test_a_linear_model_is_not_bent_and_its_residuals_are_foreseen() -> None:
+    random = np.random.default_rng(5)
+    initial, common = random.standard_normal((2, 2, SAMPLES)), random.standard_normal((NUMBERS, 2, SAMPLES))
+    residuals, step = random.standard_normal((2, SAMPLES)), random.standard_normal(NUMBERS)
+    jacobian = Jacobian([RunJacobian(initial, residuals, common, START)])
+    after = residuals + np.tensordot(step, common, 1)
+    assert jacobian.orthogonal_part([after]) == pytest.approx(jacobian.linear(step))
+    assert jacobian.bent(step, [after]) == pytest.approx(0.0, abs=1e-20)
+    off = random.standard_normal((2, SAMPLES))
+    square = jacobian.orthogonal_part([off]) @ jacobian.orthogonal_part([off])
+    assert jacobian.bent(step, [after + off]) == pytest.approx(square)

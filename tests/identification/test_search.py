@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -14,9 +15,10 @@ from hidden_truth import draw, write
 
 from flying_vines.identification.case import Case, RecordedRun, read_case
 from flying_vines.identification.diagnose import _confidence, _shares
-from flying_vines.identification.fit import FitProblem
+from flying_vines.identification.fit import FitPoint, FitProblem
 from flying_vines.identification.noise import stated_noise
 from flying_vines.identification.search import Search
+from flying_vines.physics.arrays import Array
 from flying_vines.physics.effects import cause_named, causes_of
 from flying_vines.physics.rig import Reservoir, Rig
 
@@ -25,6 +27,18 @@ def problem_of(case: Case) -> FitProblem:
     return FitProblem(
         case, stated_noise(case.rig, [np.stack((run.cv_kPa, run.reservoir_kPa)) for run in case.runs])
     )
+
+
+class Counted(FitProblem):
+    """Counts the simulations of a problem."""
+
+    def __init__(self, problem: FitProblem) -> None:
+        super().__init__(problem.case, problem.noise)
+        self.simulations = 0
+
+    def simulated(self, point: FitPoint, runs: Sequence[int] | None = None) -> list[Array]:
+        self.simulations += 1
+        return super().simulated(point, runs)
 
 
 @pytest.mark.long
@@ -115,3 +129,31 @@ def test_a_share_is_at_most_all_of_the_misfit() -> None:
         chosen=chosen, search=SimpleNamespace(null=null), without=(without_law, without_cooling)
     )
     assert _shares(found) == {"law": 1.0, "cooling": 0.25}
+
+
+def test_a_fit_with_known_derivatives_ends_at_the_same_cost_with_fewer_simulations(tmp_path: Path) -> None:
+    truth = draw("short", 3)
+    write(tmp_path / "case", truth)
+    problem = problem_of(read_case(tmp_path / "case"))
+    keys = Search(problem, ()).keys
+    best = problem.fit(problem.begun(problem.start().freed(keys), cause_named(truth.hidden[0].name)).point)
+    (parameter, *_), (value, *_) = best.point.causes[0].parameters, best.point.values[0]
+    pinned = best.point.pinned(0, 0, parameter.within(parameter.to_search(value) + 1e-3 * parameter.range))
+    counted = Counted(problem)
+    anew = counted.fit(pinned)
+    whole, counted.simulations = counted.simulations, 0
+    again = counted.fit(pinned, known=problem.jacobian(best))
+    assert again.cost == pytest.approx(anew.cost, abs=0.1)
+    assert counted.simulations < whole / 2
+
+
+def test_derivatives_of_a_part_of_the_readings_are_a_part_of_the_derivatives(tmp_path: Path) -> None:
+    write(tmp_path / "case", draw("short", 4))
+    problem = problem_of(read_case(tmp_path / "case"))
+    (run,) = problem.case.runs
+    shown = FitProblem(problem.case, problem.noise, [run.time_s < 10.0])
+    point = problem.start().freed(Search(problem, ()).keys)
+    part = problem.jacobian(problem.at(point)).where(shown.used)
+    anew = shown.jacobian(shown.at(point))
+    assert part.reduced == pytest.approx(anew.reduced)
+    assert part.reduced_residuals == pytest.approx(anew.reduced_residuals)

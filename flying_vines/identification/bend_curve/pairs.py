@@ -10,10 +10,9 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flying_vines.config.toml_text import one_line, read_text
-from flying_vines.physics.arrays import Array
+from flying_vines.physics.arrays import Array, BoolArray
 
 MIN_PAIRS = 8
 MAX_PAIRS = 20_000
@@ -41,7 +40,7 @@ class Pairs:
     time_s: Array | None = None
 
     @cached_property
-    def rising(self) -> NDArray[np.bool_]:
+    def rising(self) -> BoolArray:
         """True for pairs on a way up: after a turn at a low pressure, up to a turn at a high pressure."""
         kPa = self.pressure_kPa
         turn_kPa = TURN * float(np.ptp(kPa))

@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from flying_vines.identification.evidence import Compared
-from flying_vines.identification.fit import Bools
 from flying_vines.identification.report.canvas import (
     AFTER,
     BEFORE,
@@ -20,7 +19,7 @@ from flying_vines.identification.report.canvas import (
     unbroken,
 )
 from flying_vines.identification.residuals import CHANNELS
-from flying_vines.physics.arrays import Array
+from flying_vines.physics.arrays import Array, BoolArray
 from flying_vines.plots.style import BLUE, GREEN, GREY
 
 _ZOOM = 0.09
@@ -78,7 +77,7 @@ def draw_run(run: Compared, noise_kPa: tuple[float, float], model: str) -> Figur
     return figure
 
 
-def _pressure(axis: Any, run: Compared, row: int, model: str, kept: Bools, whole: bool) -> None:
+def _pressure(axis: Any, run: Compared, row: int, model: str, kept: BoolArray, whole: bool) -> None:
     time_s = run.time_s[kept]
     axis.plot(
         time_s,
@@ -108,7 +107,7 @@ def _openings(axis: Any, run: Compared) -> None:
     axis.set_yticks([-1.35, -0.5, 0.5], ["solenoid", "Venturi's", "inflation"])
 
 
-def _zoom(run: Compared, noise_kPa: tuple[float, float], model: str) -> Bools:
+def _zoom(run: Compared, noise_kPa: tuple[float, float], model: str) -> BoolArray:
     """(n,) True in the stretch in which the simulations differ most."""
     time_s = run.time_s
     span_s = time_s[-1] - time_s[0]
@@ -119,5 +118,5 @@ def _zoom(run: Compared, noise_kPa: tuple[float, float], model: str) -> Bools:
     gained = np.where(time_s <= time_s[-1] - width_s + 1e-9, total[ends] - total[:-1], -1.0)
     start = int(np.argmax(gained))
     index = np.arange(len(time_s))
-    inside: Bools = (index >= start) & (index < ends[start])
+    inside: BoolArray = (index >= start) & (index < ends[start])
     return inside

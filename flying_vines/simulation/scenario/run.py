@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from flying_vines.physics.arrays import Array
+from flying_vines.physics.arrays import Array, BoolArray
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.plant.plant import Conditions, at_rest
 from flying_vines.physics.plant.sensors import read, rested
@@ -50,7 +49,7 @@ class ScenarioRun:
     command_kPa: Array
     evp_opening: Array
     dvp_opening: Array
-    solenoid: NDArray[np.bool_]
+    solenoid: BoolArray
     cv_pressure_kPa: Array
     reservoir_pressure_kPa: Array
     true_cv_kPa: Array

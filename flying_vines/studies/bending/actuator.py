@@ -15,9 +15,9 @@ from typing import Annotated, NamedTuple, Protocol
 
 import numpy as np
 from msgspec import Meta
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from flying_vines.physics.arrays import Array
+from flying_vines.physics.arrays import Array, BoolArray
 
 Size = Annotated[float, Meta(ge=0.1, le=10000)]
 """A size within plausible bounds, in the unit of its name."""
@@ -56,7 +56,7 @@ class BendingActuator(Protocol):
         """State at a gauge pressure and a bulge in (0, 1]: more bulge is less force and more contraction."""
 
 
-def bulge_where(crossed: Callable[[Array], NDArray[np.bool_]], shape: tuple[int, ...]) -> Array:
+def bulge_where(crossed: Callable[[Array], BoolArray], shape: tuple[int, ...]) -> Array:
     """The smallest bulge for which `crossed` is true, by bisection; 1 if it never is."""
     low, high = np.zeros(shape), np.ones(shape)
     for _ in range(HALVINGS):

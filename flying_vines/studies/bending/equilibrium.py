@@ -13,9 +13,9 @@ from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from flying_vines.physics.arrays import Array
+from flying_vines.physics.arrays import Array, BoolArray
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.studies.bending.actuator import bulge_where, free
 from flying_vines.studies.bending.description import BendingVine
@@ -126,7 +126,7 @@ def bend(vine: BendingVine, pressure_kPa: ArrayLike | None = None) -> BendingCur
     actuator, yielding = vine.actuator, vine.body.yielding
     under = kPa[1:]
 
-    def rests(bulge: Array) -> NDArray[np.bool_]:
+    def rests(bulge: Array) -> BoolArray:
         state = actuator.state(under, bulge)
         needed = np.interp(state.contraction, yielding.contraction, yielding.force_N, left=-np.inf)
         return np.asarray(state.force_N <= needed)
