@@ -259,6 +259,13 @@ def test_a_baseline_that_explains_all_has_no_profiles_and_no_extended_model(noth
     assert "(−1.00 %)" in seen.text and "nominal" in seen.text
 
 
+def test_a_rig_number_of_zero_stays_nominal(nothing: Diagnosed) -> None:
+    rig = replace(nothing.case.rig, venturi=replace(nothing.case.rig.venturi, full_vacuum_kPa=0.0))
+    verdict = replace(nothing.verdict, numbers={"venturi.full_vacuum_kPa": 0.0})
+    seen = page_of(Diagnosed(replace(nothing.case, rig=rig), verdict))
+    assert "full vacuum, kPa 0 ± 1 % nominal" in seen.text
+
+
 def test_the_unexplained_remainder_comes_first(unexplained: Diagnosed) -> None:
     verdict = unexplained.verdict
     text = page_of(unexplained, "unseen", "run-1").text
