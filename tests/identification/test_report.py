@@ -188,6 +188,12 @@ def test_a_report_has_the_content_of_the_verdict(found: Diagnosed, written: list
     assert all(run.run in text for run in verdict.evidence.runs)
 
 
+def test_the_best_candidate_is_named_without_a_share_if_the_baseline_diverged(unexplained: Diagnosed) -> None:
+    ranking = tuple(tried for tried in unexplained.verdict.ranking if tried.causes)
+    text = in_words(replace(unexplained.verdict, ranking=ranking))
+    assert text == "No known cause explains the difference between data and simulation."
+
+
 def test_several_causes_are_mostly_one_only_if_it_makes_half_of_the_error(found: Diagnosed) -> None:
     also = (
         Named("cv_heating", found.verdict.parameters, 0.09),
