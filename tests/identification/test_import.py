@@ -379,8 +379,10 @@ def test_spikes_of_a_disturbed_sensor_are_left_out(tmp_path: Path) -> None:
     # Pressures below vacuum are impossible, even if a noisy sensor hides its spikes.
     noise = np.random.default_rng(1).normal(0.0, 60.0, 200)
     noisy = "\n".join(f"{i / 10},{600 + noise[i] if i != 90 else -200:.0f}" for i in range(200))
-    there = one_run(proposed(tmp_path / "c.csv", f"t,tank kPa\n{noisy}"))["reservoir_pressure"]
+    found = proposed(tmp_path / "c.csv", f"t,tank kPa\n{noisy}")
+    there = one_run(found)["reservoir_pressure"]
     assert np.flatnonzero(np.isnan(there)).tolist() == [90]
+    assert "1 spike of reservoir_pressure left out: the sensor was disturbed" in found.notes
     # If readings are too far apart to follow the pressure, a single high one may be true.
     moves = "\n".join(f"{i},{600 * (i % 12 in (5, 8, 9, 10)) + 2 * i}" for i in range(100))
     assert not np.isnan(
@@ -626,4 +628,4 @@ def test_a_table_keeps_its_remarks(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t,p\n" + "1,2\n" * 5 + "error: sensor lost\n" + "2,3\n" * 5 + "3")
     table = read_foreign(tmp_path / "a.csv")
     assert len(table.cells[0]) == 10
-    assert table.remarks == ("a.csv: 2 lines below the first row are not rows of numbers; left out",)
+    assert table.remarks == ("a.csv: 2 lines without numbers below the first row left out",)

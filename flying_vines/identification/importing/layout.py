@@ -17,7 +17,7 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
-from flying_vines.identification.recording import CaseError
+from flying_vines.identification.recording import CaseError, counted
 from flying_vines.physics.arrays import Array
 
 Separator = Literal[",", ";", "\t", " ", "|"]
@@ -123,7 +123,8 @@ def read_foreign(path: Path, layout: TextLayout | None = None) -> ForeignTable:
     if width > _MAX_COLUMNS:
         raise CaseError(f"{path}: has {width} columns; at most {_MAX_COLUMNS} can be read")
     if skipped := sum(at > first for at in rows) + 1 - len(kept):
-        remarks.append(f"{path.name}: {skipped} lines below the first row are not rows of numbers; left out")
+        left_out = counted(skipped, "line")
+        remarks.append(f"{path.name}: {left_out} without numbers below the first row left out")
     header, names = _header(lines, first, width, separator, layout.header_line if layout else None)
     padded = ([*row[:width], *[""] * (width - len(row))] for row in kept.values())
     cells = tuple(zip(*padded, strict=True))

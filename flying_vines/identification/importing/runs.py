@@ -37,7 +37,7 @@ from flying_vines.identification.importing.pump import PUMP_TOLERANCE_PERCENT, g
 from flying_vines.identification.importing.spikes import is_spike
 from flying_vines.identification.importing.units import parse_unit, psi_instead
 from flying_vines.identification.noise import MIN_KPA, measured_noise, rounded_noise, rounding_step
-from flying_vines.identification.recording import CaseError
+from flying_vines.identification.recording import CaseError, counted
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.rig import rig_from
@@ -228,7 +228,7 @@ def _runs(table: ForeignTable, answers: Answers, notes: list[str]) -> Iterator[t
     parts = [order[first:last] for first, last in pairwise(edges)]
     kept = [part for part in parts if _long_enough(values["time"][part])]
     if dropped := len(parts) - len(kept):
-        notes.append(f"{dropped} runs with less than {MIN_SAMPLES} rows or {MIN_S:g} s are left out")
+        notes.append(f"{counted(dropped, 'run')} with less than {MIN_SAMPLES} rows or {MIN_S:g} s left out")
     if not kept:
         raise CaseError(f"{table.path}: its {length} rows are too few or too short in time for a run")
     for count, rows in enumerate(kept, start=1):
@@ -239,7 +239,8 @@ def _runs(table: ForeignTable, answers: Answers, notes: list[str]) -> Iterator[t
             spikes |= below & (below.mean() < 0.01)
             if spikes.any():
                 run[meaning] = np.where(spikes, np.nan, run[meaning])
-                notes.append(f"{np.sum(spikes)} spikes of {meaning} are left out: the sensor was disturbed")
+                found = counted(int(np.sum(spikes)), "spike")
+                notes.append(f"{found} of {meaning} left out: the sensor was disturbed")
         yield (table.path.stem if len(kept) == 1 else f"{table.path.stem}_{count}"), run
 
 
