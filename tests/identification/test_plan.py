@@ -251,12 +251,8 @@ def test_the_scenario_and_the_profiles_are_readable(made: RecordingPlan) -> None
 
 
 def test_one_run_is_printed_in_the_singular() -> None:
-    runs = [
-        PlannedRun(
-            f"hold_{number}", "leaks", StepsRun(pressures_kPa=(20.0,), hold_s=9.0), 9.0, 0.5, commanded, ()
-        )
-        for number, commanded in enumerate((True, False))
-    ]
+    kind = StepsRun(pressures_kPa=(20.0,), hold_s=9.0)
+    runs = [PlannedRun("hold", "leaks", kind, 9.0, 0.5, commanded, ()) for commanded in (True, False)]
     best, by_commands = Recording((*runs,), 1.0, ()), Recording((runs[0],), 0.5, (GAINS,))
     made = RecordingPlan(HALF, 0.5, 11.0, best, by_commands, ("cv_leak",), np.array([[0.0, 30.0]]), ())
     show(made, Console(file=(printed := StringIO()), width=200))
