@@ -17,6 +17,7 @@ that a diagnosis has found no cause.
 
 from __future__ import annotations
 
+import json
 import math
 import types
 from collections.abc import Mapping, Sequence
@@ -264,4 +265,4 @@ def _value(value: Any) -> str:
         return "true" if value else "false"
     if isinstance(value, tuple | list):
         return f"[{', '.join(_value(v) for v in value)}]"
-    return repr(value).replace("'", '"') if isinstance(value, str) else repr(float(value))
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(float(value))
