@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from flying_vines.config.toml_edit import value_text
+from flying_vines.config.toml_edit import table_lines
 from flying_vines.identification.case import MIN_S, MIN_SAMPLES, RIG, Case, read_case
 from flying_vines.identification.importing.answers_file import (
     Answers,
@@ -196,11 +196,8 @@ def write_case(proposals: Sequence[Proposal], folder: Path) -> list[Path]:
         raise CaseError(f"{folder}: contains {other[0]}, which is not from this import; use another --to")
     lines = ["# Written by flying-vines import from the answers in *.import.toml."]
     for name, numbers in rigs[0].items():
-        rows = (
-            f"{value_text(k) if '.' in k else k} = {value_text(v if isinstance(v, str) else float(v))}"
-            for k, v in numbers.items()
-        )
-        lines += ["", f"[{name}]", *rows]
+        as_floats = {key: v if isinstance(v, str) else float(v) for key, v in numbers.items()}
+        lines += ["", *table_lines(name, as_floats)]
     (folder / RIG).write_text("\n".join([*lines, ""]), encoding="utf-8")
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
