@@ -26,7 +26,7 @@ from flying_vines.identification.importing.answers_file import (
     set_answer,
     volume_L,
 )
-from flying_vines.identification.importing.columns import ImportedColumn
+from flying_vines.identification.importing.columns import ImportedColumn, guess_columns
 from flying_vines.identification.importing.layout import read_foreign
 from flying_vines.identification.importing.runs import Proposal, Run, propose, write_case
 from flying_vines.identification.importing.units import UNITS, Unit, parse_unit, psi_instead, unit_in
@@ -359,6 +359,14 @@ def test_names_of_columns(name: str, tmp_path: Path) -> None:
     header, row, expected = HEADINGS[name]
     found = meanings(proposed(tmp_path / "a.csv", "\n".join([header, *(row(i) for i in range(120))])))
     assert found == expected
+
+
+@pytest.mark.parametrize("answered", ["cv_pressure", "reservoir_pressure"])
+def test_the_other_pressure_is_guessed_if_one_is_answered(answered: str, tmp_path: Path) -> None:
+    rows = "\n".join(f"{i / 10},{600.0 * 0.99**i:.2f},{500.0 * 0.98**i:.2f}" for i in range(300))
+    (tmp_path / "a.csv").write_text(f"t,a kPa,tank kPa\n{rows}")
+    columns = guess_columns(read_foreign(tmp_path / "a.csv"), [ImportedColumn(2, answered)])
+    assert {column.meaning for column in columns} == {"time", "cv_pressure", "reservoir_pressure"}
 
 
 def test_an_error_names_the_meaning_of_each_column(tmp_path: Path) -> None:

@@ -347,7 +347,8 @@ def _compare_pressures(
         falls = -0.1 * first < last < 0.5 * first  # an evacuated vessel does not supply air
         falls |= opening is not None and _empties(signals[number - 1].values, opening.values)
         reservoir = level[number] == max(level.values()) if len(level) > 1 else falls or not driven
-        scores[number, pairs[int(reservoir)]] += 1.5
+        if (pair := (number, pairs[int(reservoir)])) in scores:  # not if another column was answered as it
+            scores[pair] += 1.5
 
 
 def _empties(pressure: Array, opening: Array) -> bool:
