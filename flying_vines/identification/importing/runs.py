@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -327,30 +328,45 @@ def _alone(run: Run, answers: Answers, notes: list[str], name: str) -> Run:
     filled_s = _filled_time(run["time"], run["reservoir_pressure"])
     if filled_s is not None:
         notes.append(f"{name}: the vessel is filled until {filled_s:.6g} s; these rows are left out")
-        run = {meaning: column[run["time"] >= filled_s] for meaning, column in run.items()}
-    time_s, p = run["time"], run["reservoir_pressure"]
-    opens_s = _opening_time(time_s, p, late=True)
+        run = _from(run, filled_s)
+    opens_s = _opening_time(run["time"], run["reservoir_pressure"], late=True)
     if answers.setup.outlet is None:
-        fall_s = _fall_s({**run, "evp_opening": np.where(time_s >= (opens_s or 0.0), 1.0, 0.0)})
-        leaks = opens_s is None or fall_s is None or fall_s > _MAX_VALVE_S
-        answers.setup.outlet = "shut" if leaks else "opens"
+        answers.setup.outlet = "shut" if _only_leaks(run, opens_s) else "opens"
     outlet = answers.setup.outlet
-    shut = np.zeros_like(time_s)
     if outlet == "open":
         return run
-    if outlet == "shut" and (opens_s := _opening_time(time_s, p, late=False)) is not None:
-        notes.append(
-            f"{name}: the pressure is held by a supply until {opens_s:.6g} s; these rows are left out"
-        )
-        later = time_s >= opens_s
-        run, shut = {meaning: column[later] for meaning, column in run.items()}, shut[later]
-    if outlet == "opens" and opens_s is None:
-        opens_s = float(time_s[0])
-    if isinstance(outlet, float | int):
+    if outlet == "shut":
+        held_s = _opening_time(run["time"], run["reservoir_pressure"], late=False)
+        if held_s is not None:
+            notes.append(
+                f"{name}: the pressure is held by a supply until {held_s:.6g} s; these rows are left out"
+            )
+            run = _from(run, held_s)
+        return _with_outlet(run, inf)
+    if outlet != "opens":
         opens_s = float(outlet)
-    opening = shut if outlet == "shut" or opens_s is None else (time_s >= opens_s).astype(float)
-    if opening.any():
+    elif opens_s is None:
+        opens_s = float(run["time"][0])
+    if opens_s <= run["time"][-1]:
         notes.append(f"{name}: the outlet (written as evp_opening) opens at {opens_s:.6g} s")
+    return _with_outlet(run, opens_s)
+
+
+def _from(run: Run, start_s: float) -> Run:
+    """The rows of a run from a time on."""
+    return {meaning: column[run["time"] >= start_s] for meaning, column in run.items()}
+
+
+def _only_leaks(run: Run, opens_s: float | None) -> bool:
+    """True if the pressure falls too slowly for an outlet that opens at this time."""
+    fall_s = _fall_s({**run, "evp_opening": np.where(run["time"] >= (opens_s or 0.0), 1.0, 0.0)})
+    return opens_s is None or fall_s is None or fall_s > _MAX_VALVE_S
+
+
+def _with_outlet(run: Run, opens_s: float) -> Run:
+    """The run of a vessel with the valve columns: its outlet, written as evp_opening, opens at this time."""
+    opening = (run["time"] >= opens_s).astype(float)
+    shut = np.zeros_like(opening)
     # The valve moved at an unknown time between two readings: the second does not follow from the first.
     after_gap = np.concatenate(([0.0, 0.0], np.diff(opening)[:-1]))
     return {**run, "evp_opening": opening, "dvp_opening": shut, "solenoid": shut, "after_gap": after_gap}
@@ -422,27 +438,32 @@ def _rig_tables(proposal: Proposal) -> dict[str, Any]:
         tables.setdefault("gas", {"name": proposal.answers.setup.gas})
     if "tolerance_percent" in tables:
         tables["tolerance_percent"] = dict(rig_from(proposal.answers.rig).tolerance_percent)
+    runs = list(proposal.runs.values())
     if proposal.answers.setup.source == "pump":
-        guessed = guessed_pump(list(proposal.runs.values()), tables["cv"]["volume_L"])
-        known = tables.get("pump", {})
-        tolerance = {f"pump.{key}": PUMP_TOLERANCE_PERCENT for key in guessed if key not in known}
-        tables["pump"] = {**guessed, **known}
-        tables["tolerance_percent"] = {**tolerance, **tables.get("tolerance_percent", {})}
+        _add_guess(tables, "pump", guessed_pump(runs, tables["cv"]["volume_L"]), PUMP_TOLERANCE_PERCENT)
     sensors = tables.setdefault("sensors", {})
     for pressure, vessel in _PRESSURES.items():
-        readings = [run[pressure] for run in proposal.runs.values() if pressure in run]
+        readings = [run[pressure] for run in runs if pressure in run]
         if readings and f"{vessel}_noise_std_kPa" not in sensors:
             sensors[f"{vessel}_noise_std_kPa"] = float(f"{_noise_kPa(readings):.3g}")
-    if all("cv_pressure" not in run for run in proposal.runs.values()):
+    if all("cv_pressure" not in run for run in runs):
         tables.pop("cv", None)
-        said = "flow_resistance_kPa_s_per_SL" in tables.get("evp", {})
-        seconds = [s for run in proposal.runs.values() if (s := _fall_s(run)) is not None]
-        if seconds and not said:
+        seconds = [s for run in runs if (s := _fall_s(run)) is not None]
+        if seconds and "flow_resistance_kPa_s_per_SL" not in tables.get("evp", {}):
             R = float(np.median(seconds)) * ALPHA_KPA / tables["reservoir"]["volume_L"]
-            tables["evp"] = {"flow_resistance_kPa_s_per_SL": float(f"{R:.4g}")}
-            tolerance = {"evp.flow_resistance_kPa_s_per_SL": _RESISTANCE_TOLERANCE_PERCENT}
-            tables["tolerance_percent"] = {**tolerance, **tables.get("tolerance_percent", {})}
+            guessed = {"flow_resistance_kPa_s_per_SL": float(f"{R:.4g}")}
+            _add_guess(tables, "evp", guessed, _RESISTANCE_TOLERANCE_PERCENT)
     return tables
+
+
+def _add_guess(
+    tables: dict[str, Any], name: str, guessed: Mapping[str, float], tolerance_percent: float
+) -> None:
+    """Add guessed numbers to a table, with their tolerance. Known numbers stay."""
+    known = tables.get(name, {})
+    tolerance = {f"{name}.{key}": tolerance_percent for key in guessed if key not in known}
+    tables[name] = {**guessed, **known}
+    tables["tolerance_percent"] = {**tolerance, **tables.get("tolerance_percent", {})}
 
 
 def _noise_kPa(readings: Sequence[Array]) -> float:
