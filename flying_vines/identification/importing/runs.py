@@ -207,12 +207,7 @@ def write_case(proposals: Sequence[Proposal], folder: Path) -> list[Path]:
 
 def _runs(table: ForeignTable, answers: Answers, notes: list[str]) -> Iterator[tuple[str, Run]]:
     """The runs of a file: they end where the run column changes or the time jumps back."""
-    values: Run = {}
-    for column in answers.columns:
-        if column.meaning != IGNORED:
-            raw = table.numbers(column.number - 1)
-            unit = parse_unit(column.unit) if column.unit else None
-            values[column.meaning] = raw if unit is None else raw * unit.factor + unit.offset
+    values = _converted(table, answers)
     length = len(table.cells[0])
     number = values.pop("run", np.zeros(length))
     if answers.setup.sample_Hz and "time" not in values:
@@ -232,14 +227,31 @@ def _runs(table: ForeignTable, answers: Answers, notes: list[str]) -> Iterator[t
     for count, rows in enumerate(kept, start=1):
         run = {meaning: column[rows] for meaning, column in values.items()}
         run["time"] = _in_order(run, notes)
-        for meaning in _PRESSURES.keys() & run.keys():
-            spikes, below = is_spike(run[meaning]), run[meaning] < -_VACUUM_KPA
-            spikes |= below & (below.mean() < 0.01)
-            if spikes.any():
-                run[meaning] = np.where(spikes, np.nan, run[meaning])
-                found = counted(int(np.sum(spikes)), "spike")
-                notes.append(f"{found} of {meaning} left out: the sensor was disturbed")
+        for meaning in _PRESSURES:
+            if meaning in run:
+                run[meaning] = _without_spikes(run[meaning], meaning, notes)
         yield (table.path.stem if len(kept) == 1 else f"{table.path.stem}_{count}"), run
+
+
+def _converted(table: ForeignTable, answers: Answers) -> Run:
+    """The columns of a file in the units of a case, by meaning."""
+    values: Run = {}
+    for column in answers.columns:
+        if column.meaning != IGNORED:
+            raw = table.numbers(column.number - 1)
+            unit = parse_unit(column.unit) if column.unit else None
+            values[column.meaning] = raw if unit is None else raw * unit.factor + unit.offset
+    return values
+
+
+def _without_spikes(pressure_kPa: Array, meaning: str, notes: list[str]) -> Array:
+    """The readings, with NaN where the sensor was disturbed."""
+    spikes, below = is_spike(pressure_kPa), pressure_kPa < -_VACUUM_KPA
+    spikes |= below & (below.mean() < 0.01)
+    if spikes.any():
+        found = counted(int(np.sum(spikes)), "spike")
+        notes.append(f"{found} of {meaning} left out: the sensor was disturbed")
+    return np.where(spikes, np.nan, pressure_kPa)
 
 
 def _long_enough(time_s: Array) -> bool:
