@@ -16,11 +16,10 @@ from flying_vines.physics.plant.flow import Iso6358, Ohm
 from flying_vines.physics.plant.likely_effects import DVP, EVP, SOLENOID, likely_effects
 from flying_vines.physics.plant.plant import Plant
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, Sensor
-from flying_vines.physics.plant.tubing import Tubing
 from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
 from flying_vines.physics.plant.volume import Compliant, Pouch, Shape
 from flying_vines.physics.plant.wall import Wall
-from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
+from flying_vines.physics.rig import ControlVolume, Hose, Reservoir, Rig
 from flying_vines.simulation.phlosar.regulator import Tuning
 
 HOST_TICK_S = 0.02
@@ -158,7 +157,7 @@ def _effects(dice: random.Random, shape: Shape | None, reservoir_L: float, cv_L:
         evp_motion=_motion(dice, 0.005, 0.020),
         dvp_motion=_motion(dice, 0.010, 0.030),
         solenoid_timing=SolenoidTiming(dice.uniform(0.005, 0.02), dice.uniform(0.01, 0.04)),
-        tubing=Tubing(dice.uniform(0.005, 0.02), dice.uniform(3.0, 10.0)),
+        tubing=Hose(dice.uniform(0.005, 0.02), dice.uniform(3.0, 10.0)),
         cv_shape=shape,
         reservoir_leak=_leak(dice, 15_000.0, 200_000.0),
         cv_leak=_leak(dice, 4_000.0, 60_000.0),

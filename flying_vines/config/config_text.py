@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from flying_vines.config.config import Config
-from flying_vines.config.toml_edit import value_text
+from flying_vines.config.toml_edit import table_lines, value_text
 
 
 def configuration_text(config: Config) -> str:
@@ -20,17 +20,9 @@ def _tables(raw: Mapping[str, Any]) -> Iterator[str]:
     for name, content in raw.items():
         if name in ("items", "triggers"):
             for element in content:
-                yield from _table(f"[{name}]", element)
+                yield from (*table_lines(f"[{name}]", element), "")
         elif name == "profiles":
             for profile, segments in content.items():
-                yield from _table(f"profiles.{value_text(profile)}", segments)
+                yield from (*table_lines(f"profiles.{value_text(profile)}", segments), "")
         else:
-            yield from _table(name, content)
-
-
-def _table(name: str, content: Mapping[str, Any]) -> Iterator[str]:
-    yield f"[{name}]"
-    for key, value in content.items():
-        if value is not None:
-            yield f"{key} = {value_text(value)}"
-    yield ""
+            yield from (*table_lines(name, content), "")

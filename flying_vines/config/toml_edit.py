@@ -1,10 +1,14 @@
-"""Replaces one value in a TOML text that a person wrote. All other text stays, also the comments."""
+"""Replaces one value in a TOML text that a person wrote; all other text stays, also the comments.
+
+Also writes values and tables as TOML.
+"""
 
 from __future__ import annotations
 
 import json
 import re
 import tomllib
+from collections.abc import Mapping
 from typing import Any
 
 from flying_vines.config.toml_text import ASSIGNMENT, HEADER, lines_of_keys
@@ -49,6 +53,12 @@ def value_text(value: Any) -> str:
             known = [f"{_key(key)} = {value_text(part)}" for key, part in value.items() if part is not None]
             return f"{{ {', '.join(known)} }}" if known else "{}"
     return str(value)
+
+
+def table_lines(name: str, values: Mapping[str, Any]) -> list[str]:
+    """A table as lines of TOML; None values are left out."""
+    known = {key: value for key, value in values.items() if value is not None}
+    return [f"[{name}]", *(f"{_key(key)} = {value_text(value)}" for key, value in known.items())]
 
 
 def _key(name: str) -> str:

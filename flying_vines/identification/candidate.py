@@ -42,14 +42,14 @@ class Candidate:
 
     def doubtful(self) -> list[int]:
         """Indices of the causes whose parameters may be neutral, by the curvature of χ²."""
-        found, at = [], len(self.fit.point.deviation)
+        found = []
         spread = max(self.excess) * np.diag(self.covariance)
         for index, (cause, values) in enumerate(zip(self.causes, self.fit.point.values, strict=True)):
+            variances = spread[self.columns(index)]
             sure = (
                 parameter.distance(value) ** 2 > SURELY * CLAIM * variance
-                for parameter, value, variance in zip(cause.parameters, values, spread[at:], strict=False)
+                for parameter, value, variance in zip(cause.parameters, values, variances, strict=True)
             )
-            at += len(values)
             if not any(sure):
                 found.append(index)
         return found
@@ -66,6 +66,11 @@ class Candidate:
     def covariance(self) -> Array:
         """See `FitProblem.covariance`."""
         return self.problem.covariance(self.fit)
+
+    def columns(self, index: int) -> range:
+        """Columns of the covariance that belong to the parameters of the cause `index`."""
+        first = len(self.fit.point.deviation) + sum(len(c.parameters) for c in self.causes[:index])
+        return range(first, first + len(self.causes[index].parameters))
 
     @property
     def score(self) -> float:

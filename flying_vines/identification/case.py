@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flying_vines.identification import plausible
-from flying_vines.identification.recording import CaseError, RecordedRun
+from flying_vines.identification.recording import CaseError, RecordedRun, counted
 from flying_vines.identification.table import TIME, RunTable, read_table
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.rig import Rig, RigError, load_rig
@@ -190,7 +190,8 @@ def _rows_in_time(table: RunTable, remarks: list[str]) -> Rows:
     time_s = table.numbers(TIME)
     rows = np.flatnonzero(~np.isnan(time_s))
     if len(rows) < len(time_s):
-        remarks.append(f"{table.path.name}: {_rows(len(time_s) - len(rows))} without a time left out")
+        left_out = counted(len(time_s) - len(rows), "row")
+        remarks.append(f"{table.path.name}: {left_out} without a time left out")
     steps_s = np.diff(time_s[rows])
     if (steps_s < 0.0).any():
         before, after = rows[np.argmax(steps_s < 0.0) :][:2]
@@ -205,7 +206,7 @@ def _rows_in_time(table: RunTable, remarks: list[str]) -> Rows:
             "write the time with more digits"
         )
     if again:
-        remarks.append(f"{table.path.name}: {_rows(again)} with the time of the next row left out")
+        remarks.append(f"{table.path.name}: {counted(again, 'row')} with the time of the next row left out")
     return rows[np.append(steps_s > 0.0, True)] if len(rows) else rows
 
 
@@ -232,7 +233,7 @@ def _held(table: RunTable, name: str, rows: Rows, remarks: list[str]) -> Array |
     if empty[rows].all():
         return None
     if count := int(empty[rows].sum()):
-        cells = f"{count} empty cell{'s' if count > 1 else ''}"
+        cells = counted(count, "empty cell")
         remarks.append(f"{table.path.name}: {name}: {cells}, filled with the value before")
     last = np.maximum.accumulate(np.where(empty, -1, np.arange(len(values))))
     return np.where(last < 0, 0.0, values[last])[rows]
@@ -271,7 +272,3 @@ def _meant(name: str, absent: Sequence[str]) -> str | None:
             return known
     near = difflib.get_close_matches(plain, [known.casefold() for known in absent], n=1, cutoff=0.9)
     return next((known for known in absent if known.casefold() in near), None)
-
-
-def _rows(count: int) -> str:
-    return f"{count} row{'s' if count > 1 else ''}"

@@ -252,10 +252,10 @@ def _roughly(candidate: Candidate, cause: Cause) -> dict[str, ParameterEstimate]
     """Parameters of one cause, with intervals from the curvature of χ²."""
     point = candidate.fit.point
     index = point.causes.index(cause)
-    at = len(point.deviation) + sum(len(c.parameters) for c in point.causes[:index])
+    columns = candidate.columns(index)
     estimates = {}
-    for number, (parameter, value) in enumerate(zip(cause.parameters, point.values[index], strict=True)):
-        reach = 1.96 * sqrt(max(0.0, candidate.covariance[at + number, at + number]))
+    for parameter, value, at in zip(cause.parameters, point.values[index], columns, strict=True):
+        reach = 1.96 * sqrt(max(0.0, candidate.covariance[at, at]))
         searched = parameter.to_search(value)
         estimates[parameter.name] = ParameterEstimate(
             value, parameter.within(searched - reach), parameter.within(searched + reach)

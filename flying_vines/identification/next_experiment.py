@@ -103,8 +103,7 @@ def _known(base: Candidate, index: int) -> tuple[Cause, Values]:
     The error of a parameter is at most that of a uniform distribution over its range.
     """
     cause, values = base.causes[index], base.fit.point.values[index]
-    at = len(base.fit.point.deviation) + sum(len(c.parameters) for c in base.causes[:index])
-    variance = max(base.excess) * np.diag(base.covariance)[at : at + len(values)]
+    variance = max(base.excess) * np.diag(base.covariance)[base.columns(index)]
     parameters = tuple(
         replace(
             parameter,

@@ -1,4 +1,4 @@
-"""A recorded run of a rig, and the error of a recording that cannot be used."""
+"""A recorded run of a rig; the error of a recording that cannot be used, and words for its texts."""
 
 from __future__ import annotations
 
@@ -13,6 +13,11 @@ class CaseError(ValueError):
 
     def __init__(self, text: str) -> None:
         super().__init__(one_line(text))
+
+
+def counted(count: int, name: str) -> str:
+    """`1 row` or `2 rows`."""
+    return f"{count} {name}{'' if count == 1 else 's'}"
 
 
 @dataclass(frozen=True, eq=False)

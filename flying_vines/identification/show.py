@@ -76,8 +76,10 @@ def _percent(share: float) -> str:
 
 def _nearest(verdict: Verdict) -> str:
     """The candidate that explains the largest part; empty if there is none."""
+    baseline = next((tried for tried in verdict.ranking if not tried.causes), None)
+    if baseline is None:  # Its simulation diverged: there is no error to compare with.
+        return ""
     best = verdict.ranking[0]
-    (baseline,) = (tried for tried in verdict.ranking if not tried.causes)
     over_noise = baseline.chi2_per_reading - 1.0
     if not best.causes or over_noise <= 0.0:
         return ""

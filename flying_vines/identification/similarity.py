@@ -21,11 +21,9 @@ import numpy as np
 
 from flying_vines.identification.fit import Fit, FitPoint, FitProblem
 from flying_vines.physics.arrays import Array
-from flying_vines.physics.cause import Cause, Values
+from flying_vines.physics.cause import Cause
 
 _UNSEEN = 1e-6
-_OF_RANGE = 0.03
-"""A cause whose seed has no effect is shifted by this share of its range."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,17 +59,9 @@ def similarity(problem: FitProblem, fit: Fit, causes: Sequence[Cause], keys: Seq
 
 
 def _changed(point: FitPoint, cause: Cause) -> Iterator[FitPoint]:
-    """The point without the cause if the cause is in it; otherwise with the cause at each of its seeds."""
+    """The point without the cause if it has the cause; otherwise with the cause at, or beside, each seed."""
     if cause in point.causes:
         yield point.without(point.causes.index(cause))
         return
     for seed in cause.seeds():
-        yield point.with_cause(cause, _at_work(cause, seed))
-
-
-def _at_work(cause: Cause, seed: Values) -> Values:
-    """The seed, or a value near it if the cause has no effect at the seed."""
-    parameter = cause.parameters[0]
-    if seed[0] != parameter.neutral:
-        return seed
-    return (parameter.to_model(parameter.to_search(seed[0]) + _OF_RANGE * parameter.range), *seed[1:])
+        yield point.with_cause(cause, (cause.parameters[0].with_effect(seed[0]), *seed[1:]))

@@ -23,7 +23,7 @@ from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Opening
 from flying_vines.physics.plant.leak import Leak
 from flying_vines.physics.plant.numbers import PlantNumbers, heat_per_s, numbers_of
-from flying_vines.physics.plant.sensors import Sensor
+from flying_vines.physics.plant.sensors import Sensor, Transfer
 from flying_vines.physics.plant.setup import Setup, perfect
 from flying_vines.physics.plant.simulator import TICK_S
 from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
@@ -92,8 +92,8 @@ class Made(NamedTuple):
     cv_sensor: np.void
     reservoir_sensor: np.void
     effects: Effects
-    drift_kPa_per_s: tuple[float, float]
-    """Drift of the readings of control volume and reservoir."""
+    sensors: tuple[Transfer, Transfer]
+    """Sensors of control volume and reservoir, with their drift and limits."""
     longest_s: tuple[float, float, float]
     """Maximum step with the solenoid shut, with it open, and over several samples."""
 
@@ -146,8 +146,10 @@ class Simulation:
             made.longest_s,
             out,
         )
-        if any(made.drift_kPa_per_s):
-            out += np.outer(run.time_s - run.time_s[0], made.drift_kPa_per_s)
+        for column, sensor in zip(out.T, made.sensors, strict=True):
+            if sensor.drift_kPa_per_s:
+                column += sensor.gain * sensor.drift_kPa_per_s * (run.time_s - run.time_s[0])
+            np.clip(column, sensor.lowest_kPa, sensor.highest_kPa, out=column)
         readings = ModelReadings(out[:, 0], out[:, 1])
         for cause, x in causes:
             if cause.readings is not None:
@@ -192,10 +194,9 @@ class Simulation:
         # The number of samples in a step must not change with each small change of a parameter.
         smooth_s = 2.0 ** floor(log2(min(MAX_SMOOTH_S, shut_s)))
         longest_s = min(MAX_STEP_S, shut_s), min(MAX_STEP_S, open_s), smooth_s
-        sensors = (_sensor(setup.cv_sensor), _sensor(setup.reservoir_sensor))
-        cv, reservoir = setup.cv_sensor, setup.reservoir_sensor
-        drift = (cv.gain * cv.drift_kPa_per_min / 60.0, reservoir.gain * reservoir.drift_kPa_per_min / 60.0)
-        return Made(record(numbers), *sensors, effects, drift, longest_s)
+        records = _sensor(setup.cv_sensor), _sensor(setup.reservoir_sensor)
+        sensors = setup.cv_sensor.numbers, setup.reservoir_sensor.numbers
+        return Made(record(numbers), *records, effects, sensors, longest_s)
 
 
 @cache
@@ -206,8 +207,9 @@ def _compiled() -> Callable[..., None]:
 
 def _sensor(sensor: Sensor) -> np.void:
     # Converter steps have no derivative, and the noise hides them. The model does not know the time since the
-    # start of the run: `readings` adds the drift.
-    return record(replace(sensor, adc=None, drift_kPa_per_min=0.0).numbers)
+    # start of the run: `readings` adds the drift, and then applies the limits.
+    plain = replace(sensor, adc=None, drift_kPa_per_min=0.0, lowest_share=None, highest_share=None)
+    return record(plain.numbers)
 
 
 def _prepared(run: RecordedRun) -> Prepared:

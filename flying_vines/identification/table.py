@@ -19,7 +19,8 @@ from flying_vines.physics.arrays import Array, BoolArray
 
 TIME = "time_s"
 _SEPARATORS = (",", ";", "\t")
-_MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})
+MISSING = frozenset({"", "nan", "na", "n/a", "null", "none"})
+"""Cells without a reading."""
 _WORDS = {"false": "0", "true": "1"}
 _COMMENT = re.compile(r"\s*#\s*")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
@@ -69,7 +70,7 @@ class RunTable:
 
     def _number(self, row: int, name: str) -> float:
         cell = self.columns[name][row].strip()
-        if cell.casefold() in _MISSING:
+        if cell.casefold() in MISSING:
             return float("nan")
         try:
             return float(cell)

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
     from flying_vines.physics.plant.commands import Commands
 
+BESIDE = 0.03
+"""Share of a parameter's range between its neutral value and a value with an effect."""
 Values = tuple[float, ...]
 Sensor = Literal["cv", "reservoir"]
 
@@ -106,6 +108,12 @@ class Parameter:
         if self.logarithmic and not 0.0 < self.neutral < inf:
             return 1.0
         return abs(self.to_search(value) - self.to_search(self.neutral))
+
+    def with_effect(self, value: float) -> float:
+        """The value; if it is neutral, a value that is higher by `BESIDE` of the range."""
+        if value != self.neutral:
+            return value
+        return self.to_model(self.to_search(value) + BESIDE * self.range)
 
     def prior_penalty(self, searched: float) -> float:
         """Squared distance from the prior's mean, in standard deviations."""

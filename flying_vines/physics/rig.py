@@ -87,10 +87,17 @@ class Pump:
 
 @dataclass(frozen=True)
 class Hose:
-    """A vessel between the valves and the control volume. The default is 1 m of 4 mm tube."""
+    """A vessel between the valves and the control volume.
+
+    The default is 1 m of 4 mm tube with twice its laminar resistance.
+    """
 
     volume_L: Positive = 0.0126
     flow_resistance_kPa_s_per_SL: Positive = 6.0
+
+    def __post_init__(self) -> None:
+        if not (self.volume_L > 0.0 and self.flow_resistance_kPa_s_per_SL > 0.0):
+            raise ValueError("a hose's volume and resistance must be positive")
 
 
 @dataclass(frozen=True)
@@ -189,13 +196,13 @@ def rig_from(content: Mapping[str, Any]) -> Rig:
         try:
             msgspec.convert(value, NotNegative)
         except msgspec.ValidationError as error:
-            raise RigError(_explained(str(error), f"tolerance_percent.{key}", value)) from None
+            raise RigError(number_error(str(error), f"tolerance_percent.{key}", value)) from None
     try:
         return msgspec.convert({"cv": None, **content, "tolerance_percent": tolerances}, Rig)
     except msgspec.ValidationError as error:
         reason, _, at = str(error).partition(" - at `$.")
         key = at.rstrip("`")
-        raise RigError(_explained(reason, key, dict(_flat(content)).get(key))) from None
+        raise RigError(number_error(reason, key, dict(_flat(content)).get(key))) from None
 
 
 def _check_name(key: str) -> None:
@@ -208,8 +215,8 @@ def _check_name(key: str) -> None:
         raise RigError(f"unknown key {key!r} of a rig{_instead(name, choices)}")
 
 
-def _explained(reason: str, key: str, value: object) -> str:
-    """A sentence for msgspec's "Expected `float` > 0.0" and "Expected `float`, got `str`"."""
+def number_error(reason: str, key: str, value: object) -> str:
+    """Error text for a key from msgspec's "Expected `float` > 0.0" and "Expected `float`, got `str`"."""
     bounds = reason.removeprefix("Expected `float`")
     if bounds == reason:
         return f"{key}: {reason}."

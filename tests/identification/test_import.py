@@ -26,7 +26,7 @@ from flying_vines.identification.importing.answers_file import (
     set_answer,
     volume_L,
 )
-from flying_vines.identification.importing.columns import ImportedColumn
+from flying_vines.identification.importing.columns import ImportedColumn, guess_columns
 from flying_vines.identification.importing.layout import read_foreign
 from flying_vines.identification.importing.runs import Proposal, Run, propose, write_case
 from flying_vines.identification.importing.units import UNITS, Unit, parse_unit, psi_instead, unit_in
@@ -361,6 +361,14 @@ def test_names_of_columns(name: str, tmp_path: Path) -> None:
     assert found == expected
 
 
+@pytest.mark.parametrize("answered", ["cv_pressure", "reservoir_pressure"])
+def test_the_other_pressure_is_guessed_if_one_is_answered(answered: str, tmp_path: Path) -> None:
+    rows = "\n".join(f"{i / 10},{600.0 * 0.99**i:.2f},{500.0 * 0.98**i:.2f}" for i in range(300))
+    (tmp_path / "a.csv").write_text(f"t,a kPa,tank kPa\n{rows}")
+    columns = guess_columns(read_foreign(tmp_path / "a.csv"), [ImportedColumn(2, answered)])
+    assert {column.meaning for column in columns} == {"time", "cv_pressure", "reservoir_pressure"}
+
+
 def test_an_error_names_the_meaning_of_each_column(tmp_path: Path) -> None:
     rows = "\n".join(f"{i / 10},{i},{600 - i},{i}" for i in range(40))
     with pytest.raises(CaseError, match=r"2 Angle \(ignored\), 3 tank kPa \(reservoir_pressure\)"):
@@ -379,8 +387,10 @@ def test_spikes_of_a_disturbed_sensor_are_left_out(tmp_path: Path) -> None:
     # Pressures below vacuum are impossible, even if a noisy sensor hides its spikes.
     noise = np.random.default_rng(1).normal(0.0, 60.0, 200)
     noisy = "\n".join(f"{i / 10},{600 + noise[i] if i != 90 else -200:.0f}" for i in range(200))
-    there = one_run(proposed(tmp_path / "c.csv", f"t,tank kPa\n{noisy}"))["reservoir_pressure"]
+    found = proposed(tmp_path / "c.csv", f"t,tank kPa\n{noisy}")
+    there = one_run(found)["reservoir_pressure"]
     assert np.flatnonzero(np.isnan(there)).tolist() == [90]
+    assert "1 spike of reservoir_pressure left out: the sensor was disturbed" in found.notes
     # If readings are too far apart to follow the pressure, a single high one may be true.
     moves = "\n".join(f"{i},{600 * (i % 12 in (5, 8, 9, 10)) + 2 * i}" for i in range(100))
     assert not np.isnan(
@@ -626,4 +636,4 @@ def test_a_table_keeps_its_remarks(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t,p\n" + "1,2\n" * 5 + "error: sensor lost\n" + "2,3\n" * 5 + "3")
     table = read_foreign(tmp_path / "a.csv")
     assert len(table.cells[0]) == 10
-    assert table.remarks == ("a.csv: 2 lines below the first row are not rows of numbers; left out",)
+    assert table.remarks == ("a.csv: 2 lines without numbers below the first row left out",)

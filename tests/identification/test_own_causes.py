@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -110,6 +111,14 @@ def test_a_rig_file_names_the_file_that_is_missing(files: Path, capsys: pytest.C
     assert [cause.name for cause in catalogue()].count("seam_leak") == 1
     written = true_rig_text(load_true_rig(files / "rig.toml"))
     assert 'defined_in = "seam_leak.py"' in written
+
+
+def test_a_rig_file_names_a_file_with_an_apostrophe(files: Path) -> None:
+    own = files / "o'brien's leak.py"
+    own.write_text(EXAMPLE.read_text(encoding="utf-8"), encoding="utf-8")
+    add_causes(read_causes(own))
+    written = true_rig_text(load_true_rig(files / "rig.toml"))
+    assert tomllib.loads(written)["causes"]["seam_leak"]["defined_in"] == own.name
 
 
 def test_the_service_takes_a_rig_with_it(files: Path, capsys: pytest.CaptureFixture[str]) -> None:

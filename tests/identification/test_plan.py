@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import partial
+from io import StringIO
 from math import sqrt
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import run as run_command
+from rich.console import Console
 
 from flying_vines.config import config as configuration
 from flying_vines.identification.plan import (
@@ -26,6 +28,8 @@ from flying_vines.identification.plan.choose import gram_of
 from flying_vines.identification.plan.full_fits import FullFits
 from flying_vines.identification.plan.library import CandidateRun, library
 from flying_vines.identification.plan.nominal_run import nominal_run
+from flying_vines.identification.plan.planning import PlannedRun, Recording
+from flying_vines.identification.plan.show import show
 from flying_vines.identification.plan.strengths import strengths, typical
 from flying_vines.identification.plan.traces import CandidatePart, Layout, _moved, layout_of, parts_of
 from flying_vines.identification.plan.write import profiles_text, scenario_text
@@ -244,6 +248,16 @@ def test_the_scenario_and_the_profiles_are_readable(made: RecordingPlan) -> None
         assert read.profiles[name].segments[: len(run.kind.segments)] == run.kind.segments
         assert read.profiles[name].rate_kPa_per_s == run.kind.rate_kPa_per_s
         assert [item.profile for item in read.items if item.match == {"param1": number}] == [name]
+
+
+def test_one_run_is_printed_in_the_singular() -> None:
+    kind = StepsRun(pressures_kPa=(20.0,), hold_s=9.0)
+    runs = [PlannedRun("hold", "leaks", kind, 9.0, 0.5, commanded, ()) for commanded in (True, False)]
+    best, by_commands = Recording((*runs,), 1.0, ()), Recording((runs[0],), 0.5, (GAINS,))
+    made = RecordingPlan(HALF, 0.5, 11.0, best, by_commands, ("cv_leak",), np.array([[0.0, 30.0]]), ())
+    show(made, Console(file=(printed := StringIO()), width=200))
+    assert "2 runs, 18 of 30 s" in printed.getvalue()
+    assert "The service alone can do 1 run, 9 s; not separated then: cv_sensor_gain" in printed.getvalue()
 
 
 @pytest.mark.long

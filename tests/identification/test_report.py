@@ -188,6 +188,12 @@ def test_a_report_has_the_content_of_the_verdict(found: Diagnosed, written: list
     assert all(run.run in text for run in verdict.evidence.runs)
 
 
+def test_the_best_candidate_is_named_without_a_share_if_the_baseline_diverged(unexplained: Diagnosed) -> None:
+    ranking = tuple(tried for tried in unexplained.verdict.ranking if tried.causes)
+    text = in_words(replace(unexplained.verdict, ranking=ranking))
+    assert text == "No known cause explains the difference between data and simulation."
+
+
 def test_several_causes_are_mostly_one_only_if_it_makes_half_of_the_error(found: Diagnosed) -> None:
     also = (
         Named("cv_heating", found.verdict.parameters, 0.09),
@@ -257,6 +263,13 @@ def test_a_baseline_that_explains_all_has_no_profiles_and_no_extended_model(noth
     assert "extended" not in seen.text
     assert "noise alone gives this" in seen.text
     assert "(−1.00 %)" in seen.text and "nominal" in seen.text
+
+
+def test_a_rig_number_of_zero_stays_nominal(nothing: Diagnosed) -> None:
+    rig = replace(nothing.case.rig, venturi=replace(nothing.case.rig.venturi, full_vacuum_kPa=0.0))
+    verdict = replace(nothing.verdict, numbers={"venturi.full_vacuum_kPa": 0.0})
+    seen = page_of(Diagnosed(replace(nothing.case, rig=rig), verdict))
+    assert "full vacuum, kPa 0 ± 1 % nominal" in seen.text
 
 
 def test_the_unexplained_remainder_comes_first(unexplained: Diagnosed) -> None:

@@ -20,6 +20,7 @@ from flying_vines.physics.effects import catalogue, cause_named
 from flying_vines.physics.gas import Gas
 from flying_vines.physics.plant.compiled import replay as plant_replay
 from flying_vines.physics.plant.plant import at_rest
+from flying_vines.physics.plant.sensors import Sensor
 from flying_vines.physics.plant.setup import perfect
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
 
@@ -198,6 +199,14 @@ def test_a_warming_valve_and_drifting_sensors_are_the_plants() -> None:
     )
     assert cv_kPa < 0.005
     assert reservoir_kPa < 0.02
+
+
+def test_a_saturated_sensor_reads_its_limit_while_it_drifts() -> None:
+    limited = Sensor(100.0, lowest_share=0.0, highest_share=0.1, drift_kPa_per_min=60.0)
+    own = Cause("limited", "", (), "", apply=lambda setup: replace(setup, cv_sensor=limited))
+    cv_kPa = Simulation(case_of(random_run(5))).readings(0, {}, [(own, ())], STARTS).cv_kPa
+    assert cv_kPa.min() == 0.0
+    assert cv_kPa.max() == 10.0
 
 
 def hose(flow_resistance_kPa_s_per_SL: float, volume_L: float) -> Own:

@@ -21,7 +21,6 @@ from flying_vines.physics.plant.plant import Conditions, Plant, State, at_rest
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, read, rested
 from flying_vines.physics.plant.simulator import SHUT, Simulator
 from flying_vines.physics.plant.tick import tick
-from flying_vines.physics.plant.tubing import Tubing
 from flying_vines.physics.plant.valve_response import ValveMotion, dead_zone
 from flying_vines.physics.plant.venturi import Ejector
 from flying_vines.physics.plant.volume import Compliant, Pouch
@@ -184,7 +183,7 @@ def random_plant(seed: int) -> Plant:
         reservoir_wall=rng.choice([None, Wall(rng.uniform(0.1, 20.0))]),
         cv_wall=rng.choice([None, Wall(rng.uniform(0.05, 5.0)), LIKELY.cv_wall]),
         evp_motion=rng.choice([None, LIKELY.evp_motion, ValveMotion(time_constant_s=0.003)]),
-        tubing=rng.choice([None, Tubing(rng.uniform(0.003, 0.03), rng.uniform(2.0, 30.0))]),
+        tubing=rng.choice([None, Hose(rng.uniform(0.003, 0.03), rng.uniform(2.0, 30.0))]),
         cv_shape=rng.choice([None, Compliant(0.01), Pouch(volume_L * rng.uniform(0.02, 0.5), 0.002)]),
         cv_leak=rng.choice([None, Ohm(200.0)]),
     )

@@ -17,12 +17,11 @@ from flying_vines.physics.plant.numbers import numbers_of
 from flying_vines.physics.plant.plant import Held, Plant, State, at_rest
 from flying_vines.physics.plant.rates import conditions, flows, rates
 from flying_vines.physics.plant.simulator import TICK_S, Simulator
-from flying_vines.physics.plant.tubing import Tubing
 from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
 from flying_vines.physics.plant.venturi import Ejector
 from flying_vines.physics.plant.volume import Compliant, Pouch
 from flying_vines.physics.plant.wall import Wall
-from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
+from flying_vines.physics.rig import ControlVolume, Hose, Reservoir, Rig
 
 R_J_PER_KG_K = 287.05
 C_V = R_J_PER_KG_K / 0.4
@@ -73,7 +72,7 @@ def effects_with(walls: st.SearchStrategy[Wall | None]) -> st.SearchStrategy[Eff
         evp_motion=st.sampled_from([None, ValveMotion(0.003, 0.1, 0.2, 0.01)]),
         dvp_motion=st.sampled_from([None, ValveMotion(time_constant_s=0.02)]),
         solenoid_timing=st.sampled_from([None, SolenoidTiming(0.005, 0.01)]),
-        tubing=st.one_of(st.none(), st.builds(Tubing, st.floats(0.005, 0.03), st.floats(3.0, 30.0))),
+        tubing=st.one_of(st.none(), st.builds(Hose, st.floats(0.005, 0.03), st.floats(3.0, 30.0))),
         cv_shape=st.sampled_from([None, Compliant(0.01), Pouch(), Pouch(0.02, 0.005)]),
         reservoir_leak=st.sampled_from([None, Ohm(500.0)]),
         cv_leak=st.sampled_from([None, Ohm(200.0), Iso6358(1e-4)]),

@@ -32,7 +32,7 @@ from flying_vines.physics.plant.likely_effects import DVP
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.rates import flows
 from flying_vines.physics.plant.simulator import Simulator
-from flying_vines.physics.plant.tubing import Tubing, tubing_of
+from flying_vines.physics.plant.tubing import tubing_of
 from flying_vines.physics.plant.valve_response import (
     SolenoidTiming,
     ValveMotion,
@@ -42,7 +42,7 @@ from flying_vines.physics.plant.valve_response import (
 )
 from flying_vines.physics.plant.venturi import Ejector, nozzle_supply, outlet_SL_per_s
 from flying_vines.physics.plant.volume import Compliant, Pouch, pressure_and_volume, volume_and_work
-from flying_vines.physics.rig import Rig
+from flying_vines.physics.rig import Hose, Rig
 
 pressures = st.floats(20.0, 900.0)
 
@@ -107,7 +107,7 @@ def test_a_hot_gas_flows_less_and_nothing_flows_back_where_it_must_not() -> None
         lambda: Ejector(free_suction_per_motive=0.0),
         lambda: ValveMotion(dead_opening=1.0),
         lambda: SolenoidTiming(-0.1),
-        lambda: Tubing(0.0),
+        lambda: Hose(0.0),
         lambda: Coil(supply_V=0.5),
         lambda: Recorded((0.0, 0.0), (100.0, 100.0), (290.0, 290.0)),
     ],
@@ -208,7 +208,7 @@ def test_tubing_has_the_volume_and_resistance_of_its_size() -> None:
 
 def test_the_pressure_at_the_valves_is_above_the_one_in_the_volume() -> None:
     """By R Q while air flows; a part of the flow is stored in the tube. Without flow both are equal."""
-    plant = Plant(Rig(), Effects(tubing=Tubing(0.005, 8.0)))
+    plant = Plant(Rig(), Effects(tubing=Hose(0.005, 8.0)))
     simulator = Simulator(plant)
     for _ in range(50):
         simulator.advance(Inputs(1.0, 0.0, False))

@@ -207,13 +207,13 @@ def test_a_reader_of_the_nominal_rig_does_not_get_the_true_one(tmp_path: Path) -
         ("[effects]\nwithout = ['tubing']", "effects.without removes likely effects"),
         ("[effects]\ntubing = 1", "effects.tubing must be a table."),
         ("[effects.tubing]\nlength_m = 1", "effects.tubing.length_m is not a parameter: the parameters are"),
-        ("[effects.tubing]\nvolume_L = -1", "effects.tubing: a tube's volume and resistance must be"),
+        ("[effects.tubing]\nvolume_L = -1", "effects.tubing.volume_L must be a number > 0.0, not -1."),
         ("[effects.evp_law]\nC = 1", "effects.evp_law.kind must be one of ohm, iso6358."),
         ("[effects.evp_law]\nkind = []", "effects.evp_law.kind must be one of ohm, iso6358."),
         ("[effects.evp_law]\nkind = 'ohm'", "effects.evp_law.flow_resistance_kPa_s_per_SL is missing."),
         (
             "[effects.evp_law]\nkind = 'ohm'\nflow_resistance_kPa_s_per_SL = 'x'",
-            "effects.evp_law.flow_resistance_kPa_s_per_SL: Expected `float`, got `str`.",
+            "effects.evp_law.flow_resistance_kPa_s_per_SL must be a number, not 'x'.",
         ),
         (
             "[effects.cv_wall]\ntime_constant_s = nan",

@@ -8,21 +8,20 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 
 from flying_vines.config.on_disk import put
-from flying_vines.config.toml_edit import value_text
+from flying_vines.config.toml_edit import table_lines
 from flying_vines.config.toml_text import explained, located, one_line, parsed, read_text
 from flying_vines.identification.importing.columns import MEANINGS, ImportedColumn
 from flying_vines.identification.importing.layout import TextLayout
 from flying_vines.identification.importing.units import parse_unit
 from flying_vines.identification.recording import CaseError
-from flying_vines.physics.rig import RigError, rig_from
+from flying_vines.physics.rig import Positive, RigError, rig_from
 
 ENDING = ".import.toml"
-Positive = Annotated[float, msgspec.Meta(gt=0)]
 
 
 class ImportSetup(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
@@ -189,6 +188,5 @@ def write_answers(path: Path, answers: Answers, missing: Sequence[ImportQuestion
 
 def _table(name: str, values: Mapping[str, Any]) -> list[str]:
     """A table as lines, without values that are None or empty."""
-    rows = [f"{value_text(key) if '.' in key else key} = {value_text(value)}" for key, value in values.items()
-            if value is not None and value != ""]  # fmt: skip
-    return ["", f"[{name}]", *rows] if rows else []
+    given = {key: value for key, value in values.items() if value not in (None, "")}
+    return ["", *table_lines(name, given)] if given else []

@@ -211,37 +211,20 @@ def guess_columns(table: ForeignTable, given: Sequence[ImportedColumn] = ()) -> 
     if unknown := sorted(n for n in fixed if not 1 <= n <= len(table.cells)):
         raise CaseError(f"{table.path}: there is no column {unknown[0]}; it has {len(table.cells)} columns")
     signals = [_signal(table, number) for number in range(1, len(table.cells) + 1)]
-    taken = {column.meaning for column in given if column.meaning}
     copies = _copies(signals)
-    scores: dict[tuple[int, str], float] = {}
-    reasons: dict[tuple[int, str], str] = {}
-    for signal in signals:
-        if signal.number in fixed and fixed[signal.number].meaning:
-            continue
-        for meaning in WORDS:
-            if meaning not in taken and signal.number not in copies:
-                scores[signal.number, meaning], reasons[signal.number, meaning] = _score(signal, meaning)
-    _compare_pressures(signals, scores, taken)
-    meanings: dict[int, str] = {}
-    while scores and scores[best := max(scores, key=lambda pair: scores[pair])] > 0.0:
-        number, meanings[number] = best[0], best[1]
-        scores = {
-            pair: points for pair, points in scores.items() if pair[0] != best[0] and pair[1] != best[1]
-        }
-    unlabelled = [
-        (signal, meanings[signal.number])
-        for signal in signals
-        if meanings.get(signal.number) in _ONE_UNIT and not signal.unit
-    ]
-    labelled = [
-        signal.unit for signal in signals if signal.unit and meanings.get(signal.number) in _ONE_UNIT
-    ] + [parse_unit(column.unit) for column in given if column.unit and column.meaning in _ONE_UNIT]
+    guessed = _guess_meanings([signal for signal in signals if signal.number not in copies], given)
+    meanings = {number: meaning for number, (meaning, _) in guessed.items()}
+    one_unit = [signal for signal in signals if meanings.get(signal.number) in _ONE_UNIT]
+    unlabelled = [(signal, meanings[signal.number]) for signal in one_unit if not signal.unit]
+    labelled = [signal.unit for signal in one_unit if signal.unit]
+    labelled += [parse_unit(column.unit) for column in given if column.unit and column.meaning in _ONE_UNIT]
     found = []
     for signal in signals:
         known = fixed.get(signal.number) or ImportedColumn(signal.number, "")
-        meaning = known.meaning or meanings.get(signal.number, IGNORED)
-        why = (known.why or "as answered") if known.meaning else reasons.get((signal.number, meaning), "")
-        if signal.number in copies and not known.meaning:
+        meaning, why = guessed.get(signal.number, (IGNORED, ""))
+        if known.meaning:
+            meaning, why = known.meaning, known.why or "as answered"
+        elif signal.number in copies:
             why = f"the same signal as column {copies[signal.number]}"
         unit, reason = (known.unit, "") if known.unit else _unit(signal, meaning, unlabelled, labelled)
         if unit:
@@ -249,6 +232,26 @@ def guess_columns(table: ForeignTable, given: Sequence[ImportedColumn] = ()) -> 
         why = "; ".join(part for part in (why, reason) if part)
         found.append(ImportedColumn(signal.number, meaning, unit, signal.name, why))
     return found
+
+
+def _guess_meanings(
+    signals: Sequence[_Signal], given: Sequence[ImportedColumn]
+) -> dict[int, tuple[str, str]]:
+    """Number, meaning and reason of each column that is neither given nor ignored."""
+    answered = {column.number: column.meaning for column in given if column.meaning}
+    scores: dict[tuple[int, str], float] = {}
+    reasons: dict[tuple[int, str], str] = {}
+    for signal in signals:
+        for meaning in WORDS:
+            if signal.number not in answered and meaning not in answered.values():
+                scores[signal.number, meaning], reasons[signal.number, meaning] = _score(signal, meaning)
+    _compare_pressures(signals, scores, set(answered.values()))
+    guessed = {}
+    while scores and scores[best := max(scores, key=lambda pair: scores[pair])] > 0.0:
+        number, meaning = best
+        guessed[number] = meaning, reasons[best]
+        scores = {pair: points for pair, points in scores.items() if pair[0] != number and pair[1] != meaning}
+    return guessed
 
 
 def _signal(table: ForeignTable, number: int) -> _Signal:
@@ -339,15 +342,17 @@ def _compare_pressures(
         best = _best_meanings(signals, scores)
     driven = not {"command_kPa", "evp_opening"}.isdisjoint({*taken, *best.values()})
     opening = next((s for s in signals if best.get(s.number) == "evp_opening"), None)
-    level = {s.number: float(np.median(s.readings)) * (s.unit.factor if s.unit else 1.0) for s in signals
-             if best.get(s.number) in pairs}  # fmt: skip
-    for number in level:
-        p = signals[number - 1].readings
+    pressures = [signal for signal in signals if best.get(signal.number) in pairs]
+    levels = [float(np.median(s.readings)) * (s.unit.factor if s.unit else 1.0) for s in pressures]
+    for signal, level in zip(pressures, levels, strict=True):
+        p = signal.readings
         first, last = float(np.median(p[: len(p) // 10 + 1])), float(np.median(p[-len(p) // 10 :]))
         falls = -0.1 * first < last < 0.5 * first  # an evacuated vessel does not supply air
-        falls |= opening is not None and _empties(signals[number - 1].values, opening.values)
-        reservoir = level[number] == max(level.values()) if len(level) > 1 else falls or not driven
-        scores[number, pairs[int(reservoir)]] += 1.5
+        falls |= opening is not None and _empties(signal.values, opening.values)
+        reservoir = level == max(levels) if len(levels) > 1 else falls or not driven
+        # Another column may have been answered as this pressure.
+        if (pair := (signal.number, pairs[int(reservoir)])) in scores:
+            scores[pair] += 1.5
 
 
 def _empties(pressure: Array, opening: Array) -> bool:

@@ -17,7 +17,8 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
-from flying_vines.identification.recording import CaseError
+from flying_vines.identification.recording import CaseError, counted
+from flying_vines.identification.table import MISSING
 from flying_vines.physics.arrays import Array
 
 Separator = Literal[",", ";", "\t", " ", "|"]
@@ -36,7 +37,7 @@ _LAYOUTS: tuple[tuple[Separator, Decimal], ...] = (
 _GUESS_ROWS = 500
 _MIN_ROWS = 3
 _MAX_COLUMNS = 1000
-_MISSING = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---", "inf", "-inf", "ovf"})
+_MISSING = MISSING | {"#n/a", "-", "--", "---", "inf", "-inf", "ovf"}
 _SWITCH = {"true": 1.0, "on": 1.0, "open": 1.0, "false": 0.0, "off": 0.0, "closed": 0.0, "shut": 0.0}
 _PLAIN = re.compile(r"[+-]?(\d{1,15}\.?\d{0,20}|\.\d{1,20})([eE][+-]?\d{1,2})?")
 _GROUPED = re.compile(r"[+-]?\d{1,3}([,.' \u00a0\u202f])\d{3}(\1\d{3})*([.,]\d+)?")
@@ -123,7 +124,8 @@ def read_foreign(path: Path, layout: TextLayout | None = None) -> ForeignTable:
     if width > _MAX_COLUMNS:
         raise CaseError(f"{path}: has {width} columns; at most {_MAX_COLUMNS} can be read")
     if skipped := sum(at > first for at in rows) + 1 - len(kept):
-        remarks.append(f"{path.name}: {skipped} lines below the first row are not rows of numbers; left out")
+        left_out = counted(skipped, "line")
+        remarks.append(f"{path.name}: {left_out} without numbers below the first row left out")
     header, names = _header(lines, first, width, separator, layout.header_line if layout else None)
     padded = ([*row[:width], *[""] * (width - len(row))] for row in kept.values())
     cells = tuple(zip(*padded, strict=True))

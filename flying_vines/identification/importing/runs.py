@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -17,7 +18,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from flying_vines.config.toml_edit import value_text
+from flying_vines.config.toml_edit import table_lines
 from flying_vines.identification.case import MIN_S, MIN_SAMPLES, RIG, Case, read_case
 from flying_vines.identification.importing.answers_file import (
     Answers,
@@ -37,7 +38,7 @@ from flying_vines.identification.importing.pump import PUMP_TOLERANCE_PERCENT, g
 from flying_vines.identification.importing.spikes import is_spike
 from flying_vines.identification.importing.units import parse_unit, psi_instead
 from flying_vines.identification.noise import MIN_KPA, measured_noise, rounded_noise, rounding_step
-from flying_vines.identification.recording import CaseError
+from flying_vines.identification.recording import CaseError, counted
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.rig import rig_from
@@ -196,11 +197,8 @@ def write_case(proposals: Sequence[Proposal], folder: Path) -> list[Path]:
         raise CaseError(f"{folder}: contains {other[0]}, which is not from this import; use another --to")
     lines = ["# Written by flying-vines import from the answers in *.import.toml."]
     for name, numbers in rigs[0].items():
-        rows = (
-            f"{value_text(k) if '.' in k else k} = {value_text(v if isinstance(v, str) else float(v))}"
-            for k, v in numbers.items()
-        )
-        lines += ["", f"[{name}]", *rows]
+        as_floats = {key: v if isinstance(v, str) else float(v) for key, v in numbers.items()}
+        lines += ["", *table_lines(name, as_floats)]
     (folder / RIG).write_text("\n".join([*lines, ""]), encoding="utf-8")
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
@@ -209,12 +207,7 @@ def write_case(proposals: Sequence[Proposal], folder: Path) -> list[Path]:
 
 def _runs(table: ForeignTable, answers: Answers, notes: list[str]) -> Iterator[tuple[str, Run]]:
     """The runs of a file: they end where the run column changes or the time jumps back."""
-    values: Run = {}
-    for column in answers.columns:
-        if column.meaning != IGNORED:
-            raw = table.numbers(column.number - 1)
-            unit = parse_unit(column.unit) if column.unit else None
-            values[column.meaning] = raw if unit is None else raw * unit.factor + unit.offset
+    values = _converted(table, answers)
     length = len(table.cells[0])
     number = values.pop("run", np.zeros(length))
     if answers.setup.sample_Hz and "time" not in values:
@@ -228,19 +221,37 @@ def _runs(table: ForeignTable, answers: Answers, notes: list[str]) -> Iterator[t
     parts = [order[first:last] for first, last in pairwise(edges)]
     kept = [part for part in parts if _long_enough(values["time"][part])]
     if dropped := len(parts) - len(kept):
-        notes.append(f"{dropped} runs with less than {MIN_SAMPLES} rows or {MIN_S:g} s are left out")
+        notes.append(f"{counted(dropped, 'run')} with less than {MIN_SAMPLES} rows or {MIN_S:g} s left out")
     if not kept:
         raise CaseError(f"{table.path}: its {length} rows are too few or too short in time for a run")
     for count, rows in enumerate(kept, start=1):
         run = {meaning: column[rows] for meaning, column in values.items()}
         run["time"] = _in_order(run, notes)
-        for meaning in _PRESSURES.keys() & run.keys():
-            spikes, below = is_spike(run[meaning]), run[meaning] < -_VACUUM_KPA
-            spikes |= below & (below.mean() < 0.01)
-            if spikes.any():
-                run[meaning] = np.where(spikes, np.nan, run[meaning])
-                notes.append(f"{np.sum(spikes)} spikes of {meaning} are left out: the sensor was disturbed")
+        for meaning in _PRESSURES:
+            if meaning in run:
+                run[meaning] = _without_spikes(run[meaning], meaning, notes)
         yield (table.path.stem if len(kept) == 1 else f"{table.path.stem}_{count}"), run
+
+
+def _converted(table: ForeignTable, answers: Answers) -> Run:
+    """The columns of a file in the units of a case, by meaning."""
+    values: Run = {}
+    for column in answers.columns:
+        if column.meaning != IGNORED:
+            raw = table.numbers(column.number - 1)
+            unit = parse_unit(column.unit) if column.unit else None
+            values[column.meaning] = raw if unit is None else raw * unit.factor + unit.offset
+    return values
+
+
+def _without_spikes(pressure_kPa: Array, meaning: str, notes: list[str]) -> Array:
+    """The readings, with NaN where the sensor was disturbed."""
+    spikes, below = is_spike(pressure_kPa), pressure_kPa < -_VACUUM_KPA
+    spikes |= below & (below.mean() < 0.01)
+    if spikes.any():
+        found = counted(int(np.sum(spikes)), "spike")
+        notes.append(f"{found} of {meaning} left out: the sensor was disturbed")
+    return np.where(spikes, np.nan, pressure_kPa)
 
 
 def _long_enough(time_s: Array) -> bool:
@@ -329,30 +340,45 @@ def _alone(run: Run, answers: Answers, notes: list[str], name: str) -> Run:
     filled_s = _filled_time(run["time"], run["reservoir_pressure"])
     if filled_s is not None:
         notes.append(f"{name}: the vessel is filled until {filled_s:.6g} s; these rows are left out")
-        run = {meaning: column[run["time"] >= filled_s] for meaning, column in run.items()}
-    time_s, p = run["time"], run["reservoir_pressure"]
-    opens_s = _opening_time(time_s, p, late=True)
+        run = _from(run, filled_s)
+    opens_s = _opening_time(run["time"], run["reservoir_pressure"], late=True)
     if answers.setup.outlet is None:
-        fall_s = _fall_s({**run, "evp_opening": np.where(time_s >= (opens_s or 0.0), 1.0, 0.0)})
-        leaks = opens_s is None or fall_s is None or fall_s > _MAX_VALVE_S
-        answers.setup.outlet = "shut" if leaks else "opens"
+        answers.setup.outlet = "shut" if _only_leaks(run, opens_s) else "opens"
     outlet = answers.setup.outlet
-    shut = np.zeros_like(time_s)
     if outlet == "open":
         return run
-    if outlet == "shut" and (opens_s := _opening_time(time_s, p, late=False)) is not None:
-        notes.append(
-            f"{name}: the pressure is held by a supply until {opens_s:.6g} s; these rows are left out"
-        )
-        later = time_s >= opens_s
-        run, shut = {meaning: column[later] for meaning, column in run.items()}, shut[later]
-    if outlet == "opens" and opens_s is None:
-        opens_s = float(time_s[0])
-    if isinstance(outlet, float | int):
+    if outlet == "shut":
+        held_s = _opening_time(run["time"], run["reservoir_pressure"], late=False)
+        if held_s is not None:
+            notes.append(
+                f"{name}: the pressure is held by a supply until {held_s:.6g} s; these rows are left out"
+            )
+            run = _from(run, held_s)
+        return _with_outlet(run, inf)
+    if outlet != "opens":
         opens_s = float(outlet)
-    opening = shut if outlet == "shut" or opens_s is None else (time_s >= opens_s).astype(float)
-    if opening.any():
+    elif opens_s is None:
+        opens_s = float(run["time"][0])
+    if opens_s <= run["time"][-1]:
         notes.append(f"{name}: the outlet (written as evp_opening) opens at {opens_s:.6g} s")
+    return _with_outlet(run, opens_s)
+
+
+def _from(run: Run, start_s: float) -> Run:
+    """The rows of a run from a time on."""
+    return {meaning: column[run["time"] >= start_s] for meaning, column in run.items()}
+
+
+def _only_leaks(run: Run, opens_s: float | None) -> bool:
+    """True if the pressure falls too slowly for an outlet that opens at this time."""
+    fall_s = _fall_s({**run, "evp_opening": np.where(run["time"] >= (opens_s or 0.0), 1.0, 0.0)})
+    return opens_s is None or fall_s is None or fall_s > _MAX_VALVE_S
+
+
+def _with_outlet(run: Run, opens_s: float) -> Run:
+    """The run of a vessel with the valve columns: its outlet, written as evp_opening, opens at this time."""
+    opening = (run["time"] >= opens_s).astype(float)
+    shut = np.zeros_like(opening)
     # The valve moved at an unknown time between two readings: the second does not follow from the first.
     after_gap = np.concatenate(([0.0, 0.0], np.diff(opening)[:-1]))
     return {**run, "evp_opening": opening, "dvp_opening": shut, "solenoid": shut, "after_gap": after_gap}
@@ -424,27 +450,32 @@ def _rig_tables(proposal: Proposal) -> dict[str, Any]:
         tables.setdefault("gas", {"name": proposal.answers.setup.gas})
     if "tolerance_percent" in tables:
         tables["tolerance_percent"] = dict(rig_from(proposal.answers.rig).tolerance_percent)
+    runs = list(proposal.runs.values())
     if proposal.answers.setup.source == "pump":
-        guessed = guessed_pump(list(proposal.runs.values()), tables["cv"]["volume_L"])
-        known = tables.get("pump", {})
-        tolerance = {f"pump.{key}": PUMP_TOLERANCE_PERCENT for key in guessed if key not in known}
-        tables["pump"] = {**guessed, **known}
-        tables["tolerance_percent"] = {**tolerance, **tables.get("tolerance_percent", {})}
+        _add_guess(tables, "pump", guessed_pump(runs, tables["cv"]["volume_L"]), PUMP_TOLERANCE_PERCENT)
     sensors = tables.setdefault("sensors", {})
     for pressure, vessel in _PRESSURES.items():
-        readings = [run[pressure] for run in proposal.runs.values() if pressure in run]
+        readings = [run[pressure] for run in runs if pressure in run]
         if readings and f"{vessel}_noise_std_kPa" not in sensors:
             sensors[f"{vessel}_noise_std_kPa"] = float(f"{_noise_kPa(readings):.3g}")
-    if all("cv_pressure" not in run for run in proposal.runs.values()):
+    if all("cv_pressure" not in run for run in runs):
         tables.pop("cv", None)
-        said = "flow_resistance_kPa_s_per_SL" in tables.get("evp", {})
-        seconds = [s for run in proposal.runs.values() if (s := _fall_s(run)) is not None]
-        if seconds and not said:
+        seconds = [s for run in runs if (s := _fall_s(run)) is not None]
+        if seconds and "flow_resistance_kPa_s_per_SL" not in tables.get("evp", {}):
             R = float(np.median(seconds)) * ALPHA_KPA / tables["reservoir"]["volume_L"]
-            tables["evp"] = {"flow_resistance_kPa_s_per_SL": float(f"{R:.4g}")}
-            tolerance = {"evp.flow_resistance_kPa_s_per_SL": _RESISTANCE_TOLERANCE_PERCENT}
-            tables["tolerance_percent"] = {**tolerance, **tables.get("tolerance_percent", {})}
+            guessed = {"flow_resistance_kPa_s_per_SL": float(f"{R:.4g}")}
+            _add_guess(tables, "evp", guessed, _RESISTANCE_TOLERANCE_PERCENT)
     return tables
+
+
+def _add_guess(
+    tables: dict[str, Any], name: str, guessed: Mapping[str, float], tolerance_percent: float
+) -> None:
+    """Add guessed numbers to a table, with their tolerance. Known numbers stay."""
+    known = tables.get(name, {})
+    tolerance = {f"{name}.{key}": tolerance_percent for key in guessed if key not in known}
+    tables[name] = {**guessed, **known}
+    tables["tolerance_percent"] = {**tolerance, **tables.get("tolerance_percent", {})}
 
 
 def _noise_kPa(readings: Sequence[Array]) -> float:

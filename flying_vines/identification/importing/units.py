@@ -13,6 +13,7 @@ from flying_vines.identification.importing.spikes import without_spikes
 from flying_vines.identification.recording import CaseError
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
+from flying_vines.physics.plant.flow import Iso6358, flow_SL_per_s
 
 Quantity = Literal["time", "pressure", "opening", "temperature", "volume", "raw"]
 
@@ -293,8 +294,9 @@ def _iso_6358_time(share: Array, start_kPa: float, critical_ratio: float, polytr
     """Times at which the gauge pressure has fallen to these shares of its start, in an arbitrary unit."""
     grid = np.linspace(1.0, float(share.min()), 400)
     p_kPa = grid * start_kPa + STANDARD_PRESSURE_KPA
-    over = np.maximum(STANDARD_PRESSURE_KPA / p_kPa - critical_ratio, 0.0) / (1.0 - critical_ratio)
-    rate = p_kPa * np.sqrt(np.maximum(1.0 - over**2, 1e-9)) * p_kPa ** ((polytropic - 1) / (2 * polytropic))
+    law = Iso6358(1.0, critical_ratio, laminar_ratio=1.0, temperature_dependent=False).numbers()
+    flow = np.array([flow_SL_per_s(law, p, STANDARD_PRESSURE_KPA, 1.0, 1.0) for p in p_kPa.tolist()])
+    rate = flow * p_kPa ** ((polytropic - 1) / (2 * polytropic))
     steps = -np.diff(grid) * 0.5 * (1.0 / rate[1:] + 1.0 / rate[:-1])
     time: Array = np.interp(-share, -grid, np.concatenate([[0.0], np.cumsum(steps)]))
     return time

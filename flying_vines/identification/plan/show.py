@@ -11,6 +11,7 @@ from rich.text import Text
 
 from flying_vines.identification.plan.cause_distance import SETTLED
 from flying_vines.identification.plan.planning import CausePair, PlannedRun, Recording, RecordingPlan
+from flying_vines.identification.recording import counted
 from flying_vines.identification.verdict import NONE
 
 _NAMED = 2
@@ -20,10 +21,9 @@ _WORST = 8
 def show(plan: RecordingPlan, console: Console) -> None:
     """Print the runs with their purpose, the pairs with the lowest separation, and the open pairs."""
     best = plan.best
-    runs = f"{len(best.runs)} run{'s' if len(best.runs) > 1 else ''}"
     time = f"{best.seconds:.0f} of {60.0 * plan.minutes:.0f} s"
     air = f"{best.air_SL:.2f} of {plan.air_SL:.2f} standard litres of air"
-    console.print(Text(f"{runs}, {time}, {air}", style="bold"))
+    console.print(Text(f"{counted(len(best.runs), 'run')}, {time}, {air}", style="bold"))
     console.print(_runs(best))
     console.print()
     console.print(_worst(plan))
@@ -99,11 +99,9 @@ def _left(plan: RecordingPlan) -> list[str]:
             lines.append(f"Not separated by any run of the library: {in_words(plan.never)}.")
     if any(not run.commanded for run in plan.best.runs):
         if plan.by_commands.runs:
-            count, seconds = len(plan.by_commands.runs), plan.by_commands.seconds
+            runs, seconds = counted(len(plan.by_commands.runs), "run"), plan.by_commands.seconds
             left = in_words(plan.by_commands.open)
-            lines.append(
-                f"The service alone can do {count} runs, {seconds:.0f} s; not separated then: {left}."
-            )
+            lines.append(f"The service alone can do {runs}, {seconds:.0f} s; not separated then: {left}.")
         else:
             lines.append("The service alone cannot do any of these runs.")
     return lines

@@ -59,10 +59,7 @@ def typical(cause: Cause, rig: Rig) -> float:
         return TYPICAL[cause.name]
     # Unknown for this cause: use a seed of its fits.
     parameter = cause.parameters[0]
-    seed = parameter.seeds[len(parameter.seeds) // 2]
-    if seed != parameter.neutral:
-        return seed
-    return parameter.to_model(parameter.to_search(seed) + 0.03 * parameter.range)
+    return parameter.with_effect(parameter.seeds[len(parameter.seeds) // 2])
 
 
 def strengths(cause: Cause, usual: float) -> tuple[float, ...]:

@@ -104,7 +104,8 @@ def _numbers(verdict: Verdict, case: Case) -> Iterator[dict[str, str]]:
         group, name = key.split(".")
         nominal = getattr(getattr(case.rig, group), name)
         fitted = "nominal"
-        if key in verdict.numbers:
+        # A fit moves a number by a share of it, so 0 stays 0.
+        if key in verdict.numbers and nominal != 0.0:
             moved = signed(f"{100.0 * (verdict.numbers[key] / nominal - 1.0):+.2f}")
             fitted = f"{verdict.numbers[key]:,.5g} ({moved} %)"
         yield {

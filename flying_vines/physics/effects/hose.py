@@ -9,11 +9,11 @@ from math import log
 
 from flying_vines.physics.cause import Cause, Parameter
 from flying_vines.physics.plant.setup import Setup
-from flying_vines.physics.plant.tubing import Tubing
+from flying_vines.physics.rig import Hose
 
 
 def apply(base: Setup, flow_resistance_kPa_s_per_SL: float, volume_L: float) -> Setup:
-    return base.with_effects(tubing=Tubing(volume_L, flow_resistance_kPa_s_per_SL))
+    return base.with_effects(tubing=Hose(volume_L, flow_resistance_kPa_s_per_SL))
 
 
 CAUSE = Cause(

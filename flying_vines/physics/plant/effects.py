@@ -9,11 +9,11 @@ from flying_vines.physics.plant.coil import Coil
 from flying_vines.physics.plant.curve import Curve
 from flying_vines.physics.plant.flow import FlowLaw, Iso6358
 from flying_vines.physics.plant.leak import LeakLaw, Viscous, leak_of
-from flying_vines.physics.plant.tubing import Tubing
 from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
 from flying_vines.physics.plant.venturi import Ejector
 from flying_vines.physics.plant.volume import Shape
 from flying_vines.physics.plant.wall import Wall
+from flying_vines.physics.rig import Hose
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Effects:
     evp_coil: Coil | None = None
     dvp_coil: Coil | None = None
     solenoid_timing: SolenoidTiming | None = None
-    tubing: Tubing | None = None
+    tubing: Hose | None = None
     cv_shape: Shape | None = None
     reservoir_leak: LeakLaw | None = None
     cv_leak: LeakLaw | None = None

@@ -114,25 +114,23 @@ class Iso6358:
             raise ValueError("a subsonic index must be positive, a cracking pressure not negative")
 
     def numbers(self, gas: GasProperties = AIR) -> Opening:
-        conductance = self.sonic_conductance_SL_per_s_kPa * sonic_conductance_ratio(gas)
-        b = self.critical_pressure_ratio
-
-        def share(r: float) -> float:
-            return float(max(0.0, 1.0 - ((r - b) / (1.0 - b)) ** 2) ** self.subsonic_index)
-
-        # The flow is steepest in the laminar part, at standard temperature.
-        laminar = min(self.laminar_ratio, 0.999)
-        return Opening(
+        opening = Opening(
             False,
-            conductance,
-            b,
+            self.sonic_conductance_SL_per_s_kPa * sonic_conductance_ratio(gas),
+            self.critical_pressure_ratio,
             self.subsonic_index,
             self.cracking_kPa,
             self.laminar_ratio,
             self.temperature_dependent,
             self.one_way,
-            share(self.laminar_ratio),
-            conductance * max(1.0, share(laminar) / (1.0 - laminar)),
+        )
+        plain = opening._replace(cracking_kPa=0.0)
+        # The flow is steepest in the laminar part, at standard temperature.
+        laminar = min(self.laminar_ratio, 0.999)
+        steepest = max(1.0, choked_share(plain, 1.0, laminar) / (1.0 - laminar))
+        return opening._replace(
+            laminar_share=choked_share(plain, 1.0, self.laminar_ratio),
+            steepest_SL_per_s_kPa=opening.conductance_SL_per_s_kPa * steepest,
         )
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from flying_vines.physics.plant.coil import Coil
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm, conductance_from_rating_SL_per_s_kPa
-from flying_vines.physics.plant.tubing import Tubing
 from flying_vines.physics.plant.valve_response import CLIPPARD_DVP, CLIPPARD_EVP, HUAMEI_12V
 from flying_vines.physics.plant.venturi import COVAL_VR09
 from flying_vines.physics.plant.volume import Pouch
 from flying_vines.physics.plant.wall import PET_BOTTLE_2L, Wall
+from flying_vines.physics.rig import Hose
 
 EVP = Iso6358(conductance_from_rating_SL_per_s_kPa(23.5, 690.0))
 """C from the rating; b = 0.3, usual for valves with fittings, is an assumption."""
@@ -35,7 +35,7 @@ def likely_effects(*, pouch: bool = True) -> Effects:
         evp_coil=Coil(),
         dvp_coil=Coil(),
         solenoid_timing=HUAMEI_12V,
-        tubing=Tubing(),
+        tubing=Hose(),
         cv_shape=Pouch(per_kPa=0.002) if pouch else None,
         reservoir_leak=Ohm(100_000.0),
         cv_leak=Ohm(20_000.0),

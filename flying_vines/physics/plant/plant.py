@@ -8,9 +8,8 @@ from typing import NamedTuple
 from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Ambient, Steady
 from flying_vines.physics.plant.effects import Effects
-from flying_vines.physics.plant.tubing import Tubing, hose_of
 from flying_vines.physics.plant.volume import Compliant, Shape, volume_and_work
-from flying_vines.physics.rig import Rig
+from flying_vines.physics.rig import Hose, Rig
 
 
 @dataclass(frozen=True)
@@ -29,9 +28,9 @@ class Plant:
         return Steady() if self.effects.ambient is None else self.effects.ambient
 
     @property
-    def tubing(self) -> Tubing | None:
+    def tubing(self) -> Hose | None:
         """The tube before the control volume: that of the effects, otherwise the rig's hose."""
-        return self.effects.tubing or hose_of(self.rig)
+        return self.effects.tubing or self.rig.hose
 
     @property
     def shape(self) -> Shape:

@@ -17,6 +17,7 @@ that a diagnosis has found no cause.
 
 from __future__ import annotations
 
+import json
 import math
 import types
 from collections.abc import Mapping, Sequence
@@ -32,7 +33,7 @@ from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.likely_effects import likely_effects
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, Sensor
 from flying_vines.physics.plant.setup import Setup, changed, perfect
-from flying_vines.physics.rig import WITHOUT_PUMP, Rig, RigError, Sensors, read_rig, rig_from
+from flying_vines.physics.rig import WITHOUT_PUMP, Rig, RigError, Sensors, number_error, read_rig, rig_from
 
 _EFFECTS: dict[str, dict[str, type]] = {
     name: {kind.__name__.lower(): kind for kind in get_args(hint) if kind is not types.NoneType}
@@ -219,6 +220,9 @@ def _effect(name: str, value: Any) -> Any:
         return msgspec.convert(table, described)
     except msgspec.ValidationError as error:
         reason, _, at = str(error).partition(" - at `$")
+        key = at.strip("`.")
+        if key in table:
+            raise RigError(number_error(reason, f"{where}.{key}", table[key])) from None
         raise RigError(f"{where}{at.rstrip('`')}: {reason}.") from None
 
 
@@ -261,4 +265,4 @@ def _value(value: Any) -> str:
         return "true" if value else "false"
     if isinstance(value, tuple | list):
         return f"[{', '.join(_value(v) for v in value)}]"
-    return repr(value).replace("'", '"') if isinstance(value, str) else repr(float(value))
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(float(value))

@@ -26,8 +26,7 @@ from flying_vines.physics.effects import setup
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.setup import Setup
 from flying_vines.physics.plant.simulator import TICK_S
-from flying_vines.physics.plant.tubing import Tubing
-from flying_vines.physics.rig import ControlVolume, Rig, Solenoid
+from flying_vines.physics.rig import ControlVolume, Hose, Rig, Solenoid
 from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
 from flying_vines.studies.paper.bench import FIXED_SOURCE, PAPERS_TUNING
 from flying_vines.studies.paper.compare import BAND, decibel, rms
@@ -75,7 +74,7 @@ def _tube(rig: Rig, flow_resistance_kPa_s_per_SL: float) -> Setup:
 
 
 def _with_tube(made: Setup, flow_resistance_kPa_s_per_SL: float) -> Setup:
-    tubing = Tubing(TUBE_L, flow_resistance_kPa_s_per_SL)
+    tubing = Hose(TUBE_L, flow_resistance_kPa_s_per_SL)
     return replace(made, plant=Plant(made.plant.rig, replace(made.plant.effects, tubing=tubing)))
 
 
