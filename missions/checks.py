@@ -32,14 +32,13 @@ from missions.build import (
     ABOVE_HOME_FRAME,
     BEND_LESS,
     DELAY,
-    GLOBAL_FRAMES,
     LAND,
     RETURN,
     SPEED,
     TAKEOFF,
     WAYPOINT,
 )
-from missions.files import on_earth
+from missions.home import home_fits, on_earth
 from missions.item_for_intent import described, item_for_intent, over_the_wire, suggestion
 from missions.timeline import ENDS, MAX_LENGTH_S, MAX_STEPS, Timeline
 
@@ -175,14 +174,13 @@ def _altered(case: CheckedMission, item: MissionItem, stored: MissionItem) -> It
 
 
 def _home(case: CheckedMission) -> Iterator[MissionFinding]:
-    first = case.items[0]
-    if case.kind == "ardupilot":
-        if first.command != WAYPOINT:
-            yield case.error(first, "ArduPilot uses item 0 as home and skips it; insert home before it")
+    if home_fits(case.items, case.kind):
         return
-    starts = len(case.items) > 1 and case.items[1].command == TAKEOFF
-    if starts and first.command == WAYPOINT and first.frame in GLOBAL_FRAMES:
-        yield case.error(first, "looks like home. PX4 has no home item and would fly there; remove it")
+    if case.kind == "ardupilot":
+        why = "ArduPilot uses item 0 as home and skips it; insert home before it"
+    else:
+        why = "looks like home. PX4 has no home item and would fly there; remove it"
+    yield case.error(case.items[0], why)
 
 
 def _capacity(case: CheckedMission) -> Iterator[MissionFinding]:
