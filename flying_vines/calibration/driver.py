@@ -106,7 +106,7 @@ class CalibrationOutcome(NamedTuple):
     findings: Findings
     charts: tuple[Chart, ...]
     log_problem: str
-    """One sentence if the log is incomplete."""
+    """One sentence if the log is incomplete: it ended, or it continues in another folder."""
 
 
 @dataclass(frozen=True)
