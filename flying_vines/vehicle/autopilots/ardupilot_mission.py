@@ -49,6 +49,7 @@ SAME_SCRIPT_ITEM_S = 3.0
 repeats unacknowledged params for two seconds."""
 SCRIPT_MESSAGE = 217
 WAIT_FOR_TEXT_S = 0.5
+"""It may be shorter than `MAX_DELAY_DIFFERENCE_S`, so that the vine moves earlier: see `TEXT_LATE_S`."""
 TEXT_LATE_S = 1.0
 """A text that arrives within this time after its item was inferred belongs to that item."""
 REACHED_AGAIN_S = 3.0
