@@ -11,8 +11,8 @@ from random import Random
 from flying_vines.calibration.calibrator import Calibrator, EvaluationTask, Question
 from flying_vines.calibration.driver import (
     INTERRUPTED,
+    LAST_VENT_S,
     STEP_S,
-    VENT_TIMEOUT_S,
     CalibrateError,
     CalibrationContext,
     CalibrationDriver,
@@ -138,7 +138,7 @@ def _run(
             if stopped():
                 driver.carry_out(calibrator.stop(world.now, INTERRUPTED))
             driver.step(world.now, snapshot)
-        last = number + round(VENT_TIMEOUT_S / STEP_S)
+        last = number + round(LAST_VENT_S / STEP_S)
         while number < last and not vented(step(number)):
             number += 1
         driver.actions.extend(world.feed(Stop(world.now)))
