@@ -17,7 +17,7 @@ from flying_vines.simulation.autopilot.forwarding import Forwarder
 from flying_vines.simulation.autopilot.mission_protocol import MissionStorage
 from flying_vines.simulation.autopilot.modes import FlightMode, mission_mode, mode_named, mode_numbered
 from flying_vines.simulation.autopilot.parameters import ParameterServer
-from flying_vines.simulation.autopilot.port import COMPANION, KNOWN, PX4_EXTRA_MESSAGES, Port
+from flying_vines.simulation.autopilot.port import COMPANION, GCS, KNOWN, PX4_EXTRA_MESSAGES, Port
 from flying_vines.simulation.autopilot.px4 import CommandLong, CommandSender, Px4Mission
 from flying_vines.simulation.autopilot.rc_input import ArduPilotRc, RcInput, rc_input
 from flying_vines.simulation.autopilot.receiver import RcLoss, RcSource, Receiver
@@ -313,8 +313,8 @@ class FakeAutopilot:
 
     def replace_mission(self, items: Sequence[MissionItem]) -> None:
         """Simulate an upload by a ground station. Raises `MissionRefused` if it would be refused."""
-        self.add_link("gcs")
-        self._storage.replace("gcs", items)
+        self.add_link(GCS)
+        self._storage.replace(GCS, items)
 
     def set_parameter(self, name: str, value: float) -> None:
         """Change a parameter. Raises `ValueError` if it does not exist."""
