@@ -24,7 +24,7 @@ sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from invariant_monitor import DEAD_MAN_S, LONGEST_HANG_S, InvariantMonitor, MonitoredBoard, Rules, Violation
 
 from flying_vines.config import config
-from flying_vines.config.config import Config
+from flying_vines.config.config import ITEM_COMMANDS, Config
 from flying_vines.core.core import Core
 from flying_vines.core.events import Action, Decision, Event, LinkChanged
 from flying_vines.core.safety import LANDING_MARGIN_M
@@ -48,7 +48,7 @@ SWITCH = 9
 PULSES_US = (1000, 1500, 2000)
 CRUISE_M = 8.0
 HELD_AT_MOST_S = 4.0
-SCRIPT_MESSAGE, ACTUATOR = 217, 187
+SCRIPT_MESSAGE, ACTUATOR = ITEM_COMMANDS["script_message"], ITEM_COMMANDS["actuator"]
 ALTITUDE = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 COMMAND = mavlink.MAVLINK_MSG_ID_COMMAND_LONG
 STEP_S = 0.01

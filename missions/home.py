@@ -6,10 +6,9 @@ import math
 from collections.abc import Sequence
 
 from flying_vines.vehicle.autopilots import AUTOPILOTS
-from flying_vines.vehicle.mission.item import MissionItem, has_place
+from flying_vines.vehicle.mission.item import GLOBAL_FRAMES, TAKEOFF, WAYPOINT, MissionItem, has_place
 from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import AutopilotKind
-from missions.build import GLOBAL_FRAMES, TAKEOFF, WAYPOINT
 
 
 def is_home(item: MissionItem) -> bool:

@@ -18,11 +18,10 @@ from msgspec import Meta
 
 from flying_vines.config.toml_text import OneLineError, read_text
 from flying_vines.vehicle.autopilots import AUTOPILOTS
-from flying_vines.vehicle.mission.item import MissionItem, has_place
+from flying_vines.vehicle.mission.item import GLOBAL_FRAME, WAYPOINT, MissionItem, has_place
 from flying_vines.vehicle.mission.jumps import JUMP
 from flying_vines.vehicle.mission.reference_vehicle import CRUISE_M_S, Home
 from flying_vines.vehicle.mission.storage import MISSION_FRAME, AutopilotKind
-from missions.build import GLOBAL_FRAME, WAYPOINT
 from missions.home import home_of
 
 _KINDS = {autopilot.mav_autopilot: kind for kind, autopilot in AUTOPILOTS.items()}

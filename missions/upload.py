@@ -11,9 +11,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from flying_vines.vehicle.autopilots import AUTOPILOTS
-from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.item import LAND, RETURN, MissionItem
 from flying_vines.vehicle.mission.storage import AutopilotKind, MissionRefused
-from missions.build import LAND, RETURN
 from missions.checks import name_of
 from missions.files import load_items
 from missions.home import home_fits

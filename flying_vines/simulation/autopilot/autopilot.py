@@ -26,6 +26,7 @@ from flying_vines.simulation.autopilot.runner import Runner
 from flying_vines.simulation.autopilot.scheduler import ScheduledCallback, Scheduler
 from flying_vines.simulation.autopilot.snapshot import AutopilotSnapshot
 from flying_vines.simulation.autopilot.streams import StreamSender
+from flying_vines.vehicle.mission import item as mission_item
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import ARDUPILOT_HOME, PX4_HOME, Home
 from flying_vines.vehicle.mission.storage import AutopilotKind
@@ -497,7 +498,7 @@ class FakeAutopilot:
         if mode == flies_mission:
             self._runner.enter()
         elif mode.name in ("LAND", "RTL"):
-            command = legs.LAND if mode.name == "LAND" else legs.RETURN_HOME
+            command = mission_item.LAND if mode.name == "LAND" else mission_item.RETURN
             self._leg = legs.Leg(self.flight, MissionItem(0, command, (0.0,) * 7, 3), self.scheduler.now_s)
         else:
             self.flight.hold()
@@ -507,7 +508,7 @@ class FakeAutopilot:
         return True
 
     def _take_off(self, height_m: float) -> None:
-        item = MissionItem(0, legs.TAKEOFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m), 3)
+        item = MissionItem(0, mission_item.TAKEOFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m), 3)
         self._leg = legs.Leg(self.flight, item, self.scheduler.now_s)
 
     def _rc_failsafe_changed(self, on: bool) -> None:
@@ -709,11 +710,11 @@ class FakeAutopilot:
             case commands.SET_MODE:
                 mode = commands.requested_mode(self.kind, params)
                 return _result(mode is not None and self._select(mode))
-            case commands.TAKEOFF:
+            case mission_item.TAKEOFF:
                 return _result(self._guided_take_off(params[6]))
-            case commands.LAND:
+            case mission_item.LAND:
                 return _result(self._select(mode_named(self.kind, "LAND")))
-            case commands.RETURN_HOME:
+            case mission_item.RETURN:
                 return _result(self._select(mode_named(self.kind, "RTL")))
             case commands.START_MISSION:
                 return _result(self._select(mission_mode(self.kind)))
