@@ -180,7 +180,7 @@ class FakeAutopilot:
         return self._rc.receiver
 
     @property
-    def tells_rc_lost(self) -> bool:
+    def reports_rc_loss(self) -> bool:
         """True if RC loss is reported: ArduPilot by its failsafe, PX4 by its health report about an own
         receiver."""
         rc = self._rc
@@ -374,8 +374,8 @@ class FakeAutopilot:
             self.scheduler.at(self._ready_s + _READY_S, self._say_ready)
             self.scheduler.at(self._ready_s + _ORIGIN_S, self._tell_home)
 
-    def stir_health(self) -> None:
-        """PX4's health changes, but not by RC. This report delays a report about RC by up to 2 s."""
+    def report_health(self) -> None:
+        """PX4 reports its health for another reason than RC. A report about RC then comes up to 2 s later."""
         if not isinstance(self._rc, ArduPilotRc):
             self._rc.report()
 
