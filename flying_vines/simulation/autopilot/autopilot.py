@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from random import Random
 from typing import Any
@@ -26,6 +25,7 @@ from flying_vines.simulation.autopilot.runner import Runner
 from flying_vines.simulation.autopilot.scheduler import ScheduledCallback, Scheduler
 from flying_vines.simulation.autopilot.snapshot import AutopilotSnapshot
 from flying_vines.simulation.autopilot.streams import StreamSender
+from flying_vines.simulation.autopilot.transit import Transit
 from flying_vines.vehicle.mission import item as mission_item
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import ARDUPILOT_HOME, PX4_HOME, Home
@@ -65,16 +65,6 @@ _MISSION_MESSAGES = frozenset(
     }
 )
 _PARAMETER_MESSAGES = frozenset({"PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET"})
-
-
-@dataclass(slots=True)
-class _Stall:
-    """A link that delays its frames."""
-
-    both_ways: bool
-    until_s: float = 0.0
-    outgoing: list[bytes] = field(default_factory=list)
-    incoming: list[bytes] = field(default_factory=list)
 
 
 class FakeAutopilot:
@@ -140,12 +130,12 @@ class FakeAutopilot:
         self._unix_s = unix_s
         self._key = signing_key
         self._epoch_s: float | None = None
-        self._transmit_queue: list[tuple[str, bytes]] = []
+        self._transit = Transit(self.scheduler)
         self._texts: list[tuple[str, int]] = []
         self._reached: int | None = None
         self._ports: dict[str, Port] = {}
         self._routes = Routes(kind, system_id)
-        self._forwarder = Forwarder(kind, self.scheduler, self._put_out)
+        self._forwarder = Forwarder(kind, self.scheduler, self._transit.send)
         self._streams = StreamSender(kind, self.scheduler, self._snapshot, self._send)
         own = {"SYSID_THISMAV": system_id, "MAV_SYS_ID": system_id}
         self.parameters = ParameterServer(
@@ -159,8 +149,6 @@ class FakeAutopilot:
         self._leg: legs.Leg | None = None
         self._reached_again: ScheduledCallback | None = None
         self._grounded_s: float | None = None
-        self._muted_until_s = -1.0
-        self._stalls: dict[str, _Stall] = {}
         self._running = False
         self._boot_s = -_UPTIME_S
         self._ready_s = -_UPTIME_S
@@ -223,14 +211,11 @@ class FakeAutopilot:
     def receive(self, t: float, link: str, data: bytes) -> None:
         """Bytes that arrived on `link` at `t`. Never raises, for any bytes."""
         self._run_to(t)
-        stall = self._stalls.get(link)
-        if stall is not None and stall.both_ways:
-            stall.incoming.append(data)
-            return
-        self._receive(link, data)
+        if not self._transit.delays(link, data):
+            self._receive(link, data)
 
     def _receive(self, link: str, data: bytes) -> None:
-        if not self._running or self.scheduler.now_s < self._muted_until_s:
+        if not self._running or self._transit.muted:
             return
         self.add_link(link)
         port = self._ports[link]
@@ -244,14 +229,9 @@ class FakeAutopilot:
     def advance(self, t: float) -> list[tuple[str, bytes]]:
         """Advance to `t`. Returns the frames sent since the last call as (link, frame), in order."""
         self._run_to(t)
-        for link, stall in list(self._stalls.items()):
-            if self.scheduler.now_s >= stall.until_s:
-                del self._stalls[link]
-                self._transmit_queue = [(link, frame) for frame in stall.outgoing] + self._transmit_queue
-                for data in stall.incoming:
-                    self._receive(link, data)
-        out, self._transmit_queue = self._transmit_queue, []
-        return out
+        for link, data in self._transit.end_stalls():
+            self._receive(link, data)
+        return self._transit.take()
 
     def _run_to(self, t: float) -> None:
         if self._epoch_s is None:
@@ -381,11 +361,11 @@ class FakeAutopilot:
 
     def mute(self, seconds: float) -> None:
         """Cut all links for this time; the vehicle continues to fly."""
-        self._muted_until_s = self.scheduler.now_s + seconds
+        self._transit.mute(seconds)
 
     def stall(self, seconds: float, *, both_ways: bool = False) -> None:
         """Delay frames to the companion (`both_ways`: also received bytes); then all arrive together."""
-        self._stalls.setdefault(COMPANION, _Stall(both_ways)).until_s = self.scheduler.now_s + seconds
+        self._transit.stall(COMPANION, seconds, both_ways)
 
     # Host of the mission runner
 
@@ -560,15 +540,7 @@ class FakeAutopilot:
         if not self._running:
             return
         port.set_time(self._unix_now_s)
-        self._put_out(port, port.encode(message))
-
-    def _put_out(self, port: Port, frame: bytes) -> None:
-        if self.scheduler.now_s < self._muted_until_s:
-            return
-        if port.name in self._stalls:
-            self._stalls[port.name].outgoing.append(frame)
-        else:
-            self._transmit_queue.append((port.name, frame))
+        self._transit.send(port.name, port.encode(message))
 
     def _send_to(self, link: str, message: Any) -> None:
         self._send(self._ports[link], message)
