@@ -24,7 +24,7 @@ sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from invariant_monitor import DEAD_MAN_S, LONGEST_HANG_S, InvariantMonitor, MonitoredBoard, Rules, Violation
 
 from flying_vines.config import config
-from flying_vines.config.config import Config
+from flying_vines.config.config import ITEM_COMMANDS, Config
 from flying_vines.core.core import Core
 from flying_vines.core.events import Action, Decision, Event, LinkChanged
 from flying_vines.core.safety import LANDING_MARGIN_M
@@ -48,7 +48,7 @@ SWITCH = 9
 PULSES_US = (1000, 1500, 2000)
 CRUISE_M = 8.0
 HELD_AT_MOST_S = 4.0
-SCRIPT_MESSAGE, ACTUATOR = 217, 187
+SCRIPT_MESSAGE, ACTUATOR = ITEM_COMMANDS["script_message"], ITEM_COMMANDS["actuator"]
 ALTITUDE = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 COMMAND = mavlink.MAVLINK_MSG_ID_COMMAND_LONG
 STEP_S = 0.01
@@ -240,7 +240,7 @@ class MonitoredFlight:
         self._override_sent_s = self._override_ends_s = 0.0
         self._vented = False
         """True if anything but the switch has vented the vine since the switch moved."""
-        self._stirred_s = -math.inf
+        self._health_reported_s = -math.inf
         self._stalled_until_s = 0.0
         self._mended_unpowered: set[str] | None = None
         """Places that were repaired while the board has no power; None while it has power."""
@@ -541,7 +541,7 @@ class MonitoredFlight:
         self._rc_shown = not self.setup.has_real_receiver and (
             how != "frozen" or not self.setup.hides_rc_losses
         )
-        if how == "jump" and self.now_s < self._stirred_s + REPORTS_APART_S:
+        if how == "jump" and self.now_s < self._health_reported_s + REPORTS_APART_S:
             self.monitor.trigger(self.now_s, TOLD_LATE_S, f"{LIMIT}PX4 reports the loss very late")
         if how == "jump" and self.setup.has_real_receiver and self.now_s < self._moved_s + RC_MESSAGE_S:
             self.monitor.trigger(self.now_s, CONFIRMED_S, f"{LIMIT}a preset hides the move before it")
@@ -566,10 +566,10 @@ class MonitoredFlight:
         parameters = {**self.setup.parameters, name: value}
         self.setup = dataclasses.replace(self.setup, parameters=parameters)
 
-    def stir_health(self) -> None:
+    def report_health(self) -> None:
         """Let PX4 report its health now for another reason, and then not for 2 s."""
-        self.autopilot.stir_health()
-        self._stirred_s = self.now_s
+        self.autopilot.report_health()
+        self._health_reported_s = self.now_s
 
     def stall_vehicle_link(self, seconds: float, both_ways: bool = False) -> None:
         """The vehicle's messages are delayed, and then arrive all at once."""
@@ -817,9 +817,9 @@ class MonitoredFlight:
         if not autopilot.armed and self._rc_lost:
             self._rc_in_use = False
         lowest_m = config.interlocks.min_altitude_m - LANDING_MARGIN_M
-        self._rc_shown |= self._rc_lost is not None and autopilot.tells_rc_lost
+        self._rc_shown |= self._rc_lost is not None and autopilot.reports_rc_loss
         # A ground station's override ends ArduPilot's loss, or prevents its report.
-        replaced = self._override is not None and not autopilot.tells_rc_lost
+        replaced = self._override is not None and not autopilot.reports_rc_loss
         rc_lost = self._rc_lost is not None and self._rc_in_use and self._rc_shown and not replaced
         rc_lost_s = RC_SHOWN_S if now_s > self._rc_lost_s + 0.5 else RC_LOST_S
         silent = bool(self._unseen.keys() & {"silence", "link", "link stalled"})

@@ -133,7 +133,7 @@ def _around_a_loss(random: Random, setup: Setup, fault: Fault) -> list[tuple[flo
         moved_s = max(0.0, random.choice(moments) + random.uniform(-0.1, 0.3))
         acts.append((round(moved_s, 3), Act("move_switch", (random.randrange(3),))))
     if setup.has_real_receiver and random.random() < 0.02:
-        acts.append((round(max(0.0, fault.begins_s - random.uniform(0.0, 1.0)), 3), Act("stir_health")))
+        acts.append((round(max(0.0, fault.begins_s - random.uniform(0.0, 1.0)), 3), Act("report_health")))
     return acts
 
 

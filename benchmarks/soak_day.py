@@ -11,10 +11,11 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from flying_vines.config.config import ITEM_COMMANDS
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.item import LAND, TAKEOFF, WAYPOINT, MissionItem
 from flying_vines.vehicle.mission.storage import AutopilotKind
 
 LOOK_S = 0.1
@@ -27,7 +28,6 @@ _CRUISE_M = 10.0
 _FULL_KPA = 690.0
 _NEAR_KPA = 1.5
 _LANDED_WITHIN_S = 300.0
-_WAYPOINT, _LAND, _TAKEOFF, _ACTUATOR, _SCRIPT_MESSAGE = 16, 21, 22, 187, 217
 
 
 class Motion(NamedTuple):
@@ -190,12 +190,12 @@ def mission(autopilot: FakeAutopilot, angles_deg: list[float], dice: random.Rand
 
     def add(command: int, *params: float, place: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
         first = [*params, 0.0, 0.0, 0.0, 0.0][:4]
-        frame = 3 if command in (_WAYPOINT, _LAND, _TAKEOFF) else 2
+        frame = 3 if command in (WAYPOINT, LAND, TAKEOFF) else 2
         made.append(MissionItem(len(made), command, (*first, *place), frame=frame))  # type: ignore[arg-type]
 
     if autopilot.kind == "ardupilot":
-        add(_WAYPOINT, place=(here.latitude_deg, here.longitude_deg, here.altitude_amsl_m))
-    add(_TAKEOFF, place=(here.latitude_deg, here.longitude_deg, _CRUISE_M))
+        add(WAYPOINT, place=(here.latitude_deg, here.longitude_deg, here.altitude_amsl_m))
+    add(TAKEOFF, place=(here.latitude_deg, here.longitude_deg, _CRUISE_M))
     north_m = 0.0
     for angle_deg in (None, *angles_deg):
         if angle_deg is not None:
@@ -203,16 +203,16 @@ def mission(autopilot: FakeAutopilot, angles_deg: list[float], dice: random.Rand
         # Even the nearest waypoint takes the vehicle longer than a motion.
         north_m += dice.choice((-1.0, 1.0)) * dice.uniform(20.0, 40.0)
         latitude_deg, longitude_deg = here.global_deg(north_m, 0.0)
-        add(_WAYPOINT, place=(latitude_deg, longitude_deg, _CRUISE_M))
-    add(_LAND)
+        add(WAYPOINT, place=(latitude_deg, longitude_deg, _CRUISE_M))
+    add(LAND)
     return made
 
 
 def _add_vine(kind: AutopilotKind, add: Callable[..., None], angle_deg: float) -> None:
     if kind == "ardupilot":
-        add(_SCRIPT_MESSAGE, 1.0, angle_deg)
+        add(ITEM_COMMANDS["script_message"], 1.0, angle_deg)
     else:
-        add(_ACTUATOR, 1.0, angle_deg, place=(0.0, 0.0, 1.0))
+        add(ITEM_COMMANDS["actuator"], 1.0, angle_deg, place=(0.0, 0.0, 1.0))
 
 
 def _landed(world: World) -> Iterator[float]:

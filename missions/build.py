@@ -9,17 +9,23 @@ from flying_vines.config.config import Config
 from flying_vines.config.toml_text import Key, dotted, place
 from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.vehicle.autopilots import AUTOPILOTS
-from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.item import (
+    ABOVE_HOME_FRAME,
+    DELAY,
+    GLOBAL_FRAME,
+    LAND,
+    RETURN,
+    SPEED,
+    TAKEOFF,
+    WAYPOINT,
+    MissionItem,
+)
 from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import MISSION_FRAME, AutopilotKind
 from flying_vines.vine.intent import BendTo, Intent, StartProfile
 from missions.item_for_intent import item_for_intent, suggestion
 from missions.mission import Mission, MissionError, VineAction, Waypoint
 
-WAYPOINT, RETURN, LAND, TAKEOFF, DELAY, SPEED = 16, 20, 21, 22, 93, 178
-GLOBAL_FRAME, ABOVE_HOME_FRAME = 0, 3
-GLOBAL_FRAMES = (GLOBAL_FRAME, 5)
-"""z is an altitude above sea level."""
 BEND_LESS = "calibrate further, or bend less"
 REST_S = 0.5
 """Time for the vine to come to rest after a motion. Default holds are multiples of it."""

@@ -15,7 +15,22 @@ from typing import Literal
 from flying_vines.config.config import Config
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.execution import same_numbers
-from flying_vines.vehicle.mission.item import MissionItem, has_place
+from flying_vines.vehicle.mission.item import (
+    ABOVE_HOME_FRAME,
+    CONDITION_DELAY,
+    CONDITION_DISTANCE,
+    CONDITION_YAW,
+    DELAY,
+    LAND,
+    RETURN,
+    SPEED,
+    TAKEOFF,
+    VTOL_LAND,
+    VTOL_TAKEOFF,
+    WAYPOINT,
+    MissionItem,
+    has_place,
+)
 from flying_vines.vehicle.mission.jumps import FOR_EVER, JUMP
 from flying_vines.vehicle.mission.storage import (
     CAPACITY,
@@ -28,18 +43,8 @@ from flying_vines.vehicle.mission.storage import (
 from flying_vines.vehicle.triggers import Rules
 from flying_vines.vine.intent import BendTo
 from missions.budget import AirBudget, PlannedBend
-from missions.build import (
-    ABOVE_HOME_FRAME,
-    BEND_LESS,
-    DELAY,
-    GLOBAL_FRAMES,
-    LAND,
-    RETURN,
-    SPEED,
-    TAKEOFF,
-    WAYPOINT,
-)
-from missions.files import on_earth
+from missions.build import BEND_LESS
+from missions.home import home_fits, on_earth
 from missions.item_for_intent import described, item_for_intent, over_the_wire, suggestion
 from missions.timeline import ENDS, MAX_LENGTH_S, MAX_STEPS, Timeline
 
@@ -50,7 +55,11 @@ TOGETHER_S = 0.5
 FAR_M = 2000.0
 CENTIMETRE_M = 0.011
 ROUNDING_S = 1e-6
-_CONDITIONS = {112: "CONDITION_DELAY", 114: "CONDITION_DISTANCE", 115: "CONDITION_YAW"}
+_CONDITIONS = {
+    CONDITION_DELAY: "CONDITION_DELAY",
+    CONDITION_DISTANCE: "CONDITION_DISTANCE",
+    CONDITION_YAW: "CONDITION_YAW",
+}
 _NAMES = {
     WAYPOINT: "waypoint",
     RETURN: "return",
@@ -61,7 +70,7 @@ _NAMES = {
     JUMP: "jump",
     **_CONDITIONS,
 }
-_YAW_MAY_BE_NAN = {WAYPOINT, LAND, TAKEOFF, 84, 85}
+_YAW_MAY_BE_NAN = {WAYPOINT, LAND, TAKEOFF, VTOL_TAKEOFF, VTOL_LAND}
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,14 +184,13 @@ def _altered(case: CheckedMission, item: MissionItem, stored: MissionItem) -> It
 
 
 def _home(case: CheckedMission) -> Iterator[MissionFinding]:
-    first = case.items[0]
-    if case.kind == "ardupilot":
-        if first.command != WAYPOINT:
-            yield case.error(first, "ArduPilot uses item 0 as home and skips it; insert home before it")
+    if home_fits(case.items, case.kind):
         return
-    starts = len(case.items) > 1 and case.items[1].command == TAKEOFF
-    if starts and first.command == WAYPOINT and first.frame in GLOBAL_FRAMES:
-        yield case.error(first, "looks like home. PX4 has no home item and would fly there; remove it")
+    if case.kind == "ardupilot":
+        why = "ArduPilot uses item 0 as home and skips it; insert home before it"
+    else:
+        why = "looks like home. PX4 has no home item and would fly there; remove it"
+    yield case.error(case.items[0], why)
 
 
 def _capacity(case: CheckedMission) -> Iterator[MissionFinding]:

@@ -33,5 +33,7 @@ async def download(path: Path, link: str, console: Console) -> int:
             write_waypoints(path, items)
     except OSError as error:
         raise MissionError(f"{path}: cannot be written: {error.strerror}") from None
+    except ValueError as error:
+        raise MissionError(f"{path}: cannot be written: {error}; use a .waypoints file") from None
     console.print(f"Written  {path}: {len(items)} items of {AUTOPILOTS[peer.kind].title}", soft_wrap=True)
     return 0

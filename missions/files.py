@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from flying_vines.vehicle.mission.item import MissionItem, has_place
+from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import AutopilotKind
-from missions.build import GLOBAL_FRAMES
+from missions.home import home_of
 from missions.mission import MissionError
 from missions.plan_file import PlanFileError, read_plan
 from missions.waypoints import WaypointsError, read_waypoints
@@ -44,26 +42,10 @@ def load_items(path: Path, kind: AutopilotKind | None = None) -> Items:
         raise MissionError(f"{path}: cannot be read: {error.strerror}") from None
     if not items:
         raise MissionError(f"{path}: it contains no items")
-    return Items(items, kind, home_of(items))
+    return Items(items, kind, home_of(items) or Home(0.0, 0.0, 0.0))
 
 
 def _known(kind: AutopilotKind | None, path: Path) -> AutopilotKind:
     if kind is None:
         raise MissionError(f"{path}: names no autopilot: give --autopilot ardupilot or px4")
     return kind
-
-
-def home_of(items: Sequence[MissionItem]) -> Home:
-    """Item 0 of an ArduPilot mission; otherwise the first place, with an unknown altitude (0)."""
-    for item in items:
-        latitude, longitude, z = item.params[4:]
-        if has_place(item.command, item.frame) and (latitude, longitude) != (0.0, 0.0) and on_earth(item):
-            at_sea = item.seq == 0 and item.frame in GLOBAL_FRAMES and math.isfinite(z)
-            return Home(latitude, longitude, z if at_sea else 0.0)
-    return Home(0.0, 0.0, 0.0)
-
-
-def on_earth(item: MissionItem) -> bool:
-    """True if x and y are a valid latitude and longitude."""
-    latitude, longitude = item.params[4:6]
-    return abs(latitude) <= 90.0 and abs(longitude) <= 180.0

@@ -68,10 +68,9 @@ class UploadRefused(Exception):
 
 @dataclass(frozen=True, slots=True)
 class ReceivedMessage:
-    """A message of any sender on the vehicle's network, with its fields by name."""
+    """A message of any component of the vehicle, with its fields by name."""
 
     name: str
-    system: int
     component: int
     fields: dict[str, Any]
 
@@ -151,10 +150,15 @@ def _mavsdk() -> Any:
 
 
 class MessageQueue:
-    """Receives messages of the given names. At most MAX_WAITING wait for the reader."""
+    """Receives the messages of one vehicle with the given names. At most MAX_WAITING wait for the reader.
 
-    def __init__(self, direct: Any, names: Sequence[str]) -> None:
+    Other systems' messages are dropped here: another drone on the same network must not end a watch. mavsdk
+    4.1.0 does not deliver them, but its interface does not promise it.
+    """
+
+    def __init__(self, direct: Any, names: Sequence[str], system_id: int) -> None:
         self._direct = direct
+        self._system_id = system_id
         self._loop = asyncio.get_running_loop()
         self._waiting: deque[Any] = deque(maxlen=MAX_WAITING)
         self._arrived = asyncio.Event()
@@ -163,6 +167,8 @@ class MessageQueue:
 
     def _take(self, message: Any, _: object) -> None:
         """Runs in a thread of mavsdk. One call of the loop serves all messages that have arrived by then."""
+        if message.system_id != self._system_id:
+            return
         self._waiting.append(message)
         if not self._called:
             self._called = True
@@ -180,8 +186,7 @@ class MessageQueue:
             message = self._waiting.popleft()
             with suppress(json.JSONDecodeError):
                 fields = json.loads(message.fields_json)
-                sender = message.system_id, message.component_id
-                found.append(ReceivedMessage(message.message_name, *sender, fields))
+                found.append(ReceivedMessage(message.message_name, message.component_id, fields))
         return found
 
     async def receive(self, within_s: float) -> list[ReceivedMessage]:
@@ -214,7 +219,7 @@ class MissionVehicle:
 
     def listen(self, *names: str) -> MessageQueue:
         """Receive messages from now on, until `close`."""
-        queue = MessageQueue(self._direct, names)
+        queue = MessageQueue(self._direct, names, self.system_id)
         self._queues.append(queue)
         return queue
 

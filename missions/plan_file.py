@@ -18,11 +18,11 @@ from msgspec import Meta
 
 from flying_vines.config.toml_text import OneLineError, read_text
 from flying_vines.vehicle.autopilots import AUTOPILOTS
-from flying_vines.vehicle.mission.item import MissionItem, has_place
+from flying_vines.vehicle.mission.item import GLOBAL_FRAME, WAYPOINT, MissionItem, has_place
 from flying_vines.vehicle.mission.jumps import JUMP
 from flying_vines.vehicle.mission.reference_vehicle import CRUISE_M_S, Home
 from flying_vines.vehicle.mission.storage import MISSION_FRAME, AutopilotKind
-from missions.build import GLOBAL_FRAME, WAYPOINT
+from missions.home import home_of
 
 _KINDS = {autopilot.mav_autopilot: kind for kind, autopilot in AUTOPILOTS.items()}
 _MULTIROTOR = 2
@@ -116,7 +116,9 @@ def plan_text(items: Sequence[MissionItem], kind: AutopilotKind, home: Home | No
     if AUTOPILOTS[kind].begins_with_home and flown:
         first = flown.pop(0)
         home = home or Home(*first.params[4:])
-    home = home or _first_place(flown)
+    home = home or home_of(flown)
+    if home is None:
+        raise ValueError("the mission has no place that could be home")
     # QGroundControl itself writes the keys in alphabetical order.
     content = {
         "fileType": "Plan",
@@ -165,14 +167,6 @@ def _number(value: float) -> float | int | None:
     if not math.isfinite(value):
         return None
     return int(value) if value.is_integer() else value
-
-
-def _first_place(items: Sequence[MissionItem]) -> Home:
-    for item in items:
-        latitude, longitude = item.params[4:6]
-        if item.frame in _ALTITUDE_MODES and (latitude, longitude) != (0.0, 0.0):
-            return Home(latitude, longitude, 0.0)
-    raise ValueError("the mission has no place that could be home")
 
 
 def _home_item(home: Home) -> MissionItem:

@@ -11,11 +11,10 @@ from rich.table import Table
 from rich.text import Text
 
 from flying_vines.vehicle.autopilots import AUTOPILOTS
-from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.item import DELAY, SPEED, WAYPOINT, MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import AutopilotKind
 from missions.budget import AirBudget, PlannedBend, Range
-from missions.build import DELAY, SPEED, WAYPOINT
 from missions.checks import MissionFinding, name_of
 from missions.flight_result import FlightResult
 from missions.item_for_intent import described

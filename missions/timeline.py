@@ -12,7 +12,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from flying_vines.vehicle.autopilots import AUTOPILOTS
-from flying_vines.vehicle.mission.item import NAV_SCRIPT_TIME, MissionItem, has_place
+from flying_vines.vehicle.mission.item import (
+    DELAY,
+    GLOBAL_FRAMES,
+    LAND,
+    LOITER_TIME,
+    LOITER_TURNS,
+    LOITER_UNLIMITED,
+    NAV_SCRIPT_TIME,
+    RETURN,
+    SPEED,
+    SPLINE,
+    TAKEOFF,
+    VTOL_LAND,
+    VTOL_TAKEOFF,
+    WAYPOINT,
+    MissionItem,
+    has_place,
+)
 from flying_vines.vehicle.mission.jumps import FOR_EVER, JUMP, Jumps
 from flying_vines.vehicle.mission.reference_vehicle import (
     CRUISE_M_S,
@@ -22,16 +39,14 @@ from flying_vines.vehicle.mission.reference_vehicle import (
     Home,
 )
 from flying_vines.vehicle.mission.storage import AutopilotKind
-from missions.build import DELAY, GLOBAL_FRAMES, LAND, RETURN, SPEED, TAKEOFF, WAYPOINT
 
 MAX_STEPS = 1000
 MAX_LENGTH_S = 6 * 3600.0
 """Limits of the prediction: the rest of a longer mission is not checked."""
 
-_LOITER_UNLIMITED, _LOITER_TURNS, _LOITER_TIME, _SPLINE, _VTOL_TAKEOFF, _VTOL_LAND = 17, 18, 19, 82, 84, 85
 _TURN_S = 10.0
-_HOLD_IN_PARAM1 = {WAYPOINT, _SPLINE, _LOITER_TIME, DELAY}
-ENDS = (LAND, RETURN, _VTOL_LAND)
+_HOLD_IN_PARAM1 = {WAYPOINT, SPLINE, LOITER_TIME, DELAY}
+ENDS = (LAND, RETURN, VTOL_LAND)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +117,7 @@ class _Flight:
             if self._autopilot.waits_for(item):
                 self._fly(item)
                 trailing = 0
-                ended = item.command in (*ENDS, _LOITER_UNLIMITED)
+                ended = item.command in (*ENDS, LOITER_UNLIMITED)
             else:
                 self._run(item)
                 trailing += 1
@@ -132,7 +147,7 @@ class _Flight:
             takes_s += _descent_s(height_m)
             height_m = 0.0
         self._north_m, self._east_m, self._height_m = north_m, east_m, height_m
-        if item.command in (WAYPOINT, _SPLINE):
+        if item.command in (WAYPOINT, SPLINE):
             self._waypoint += 1
         self._add(item, flown=True, takes_s=takes_s + _stays_s(item), distance_m=distance_m)
 
@@ -143,7 +158,7 @@ class _Flight:
             return 0.0, 0.0, self._height_m
         placed = has_place(item.command, item.frame)
         north_m, east_m = self._north_m, self._east_m
-        moves = item.command not in (TAKEOFF, _VTOL_TAKEOFF)
+        moves = item.command not in (TAKEOFF, VTOL_TAKEOFF)
         if placed and moves and math.isfinite(x) and math.isfinite(y) and (x, y) != (0.0, 0.0):
             north_m, east_m = self._home.local_m(x, y)
         if not placed or not math.isfinite(z) or z == 0.0 or item.command in ENDS:
@@ -163,7 +178,7 @@ def _stays_s(item: MissionItem) -> float:
     seconds = 0.0
     if item.command in _HOLD_IN_PARAM1:
         seconds = first
-    elif item.command == _LOITER_TURNS:
+    elif item.command == LOITER_TURNS:
         seconds = first * _TURN_S
     elif item.command == NAV_SCRIPT_TIME:
         seconds = second

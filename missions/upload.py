@@ -11,11 +11,11 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from flying_vines.vehicle.autopilots import AUTOPILOTS
-from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.item import LAND, RETURN, MissionItem
 from flying_vines.vehicle.mission.storage import AutopilotKind, MissionRefused
-from missions.build import GLOBAL_FRAME, LAND, RETURN, TAKEOFF, WAYPOINT
 from missions.checks import name_of
 from missions.files import load_items
+from missions.home import home_fits
 from missions.item_for_intent import described, over_the_wire
 from missions.link import MissionVehicle, UploadRefused, VehicleLinkError, vehicle
 from missions.mission import MissionError
@@ -77,13 +77,12 @@ async def upload(path: Path, link: str, console: Console) -> int:
 
 def refuse_wrong_home(path: Path, items: Sequence[MissionItem], kind: AutopilotKind) -> None:
     """Refuses a mission for the other autopilot: ArduPilot would skip item 0, PX4 would fly to home."""
-    looks_like_home = items[0].command == WAYPOINT and items[0].frame == GLOBAL_FRAME
-    if kind == "ardupilot" and not looks_like_home:
-        what = f"begins with {name_of(items[0])}, which ArduPilot would use as home"
-    elif kind == "px4" and looks_like_home and len(items) > 1 and items[1].command == TAKEOFF:
-        what = "begins with a home item, to which PX4 would fly"
-    else:
+    if home_fits(items, kind):
         return
+    if kind == "ardupilot":
+        what = f"begins with {name_of(items[0])}, which ArduPilot would use as home"
+    else:
+        what = "begins with a home item, to which PX4 would fly"
     raise MissionError(f"{path}: {what}: build it for {AUTOPILOTS[kind].title}")
 
 

@@ -68,8 +68,8 @@ class MissionView:
     _announced: set[int] = field(default_factory=set)
     """Items already shown because of a status text. It may come before MISSION_CURRENT."""
     _shown_values: str = ""
-    _unfinished: dict[tuple[int, int], tuple[int, str]] = field(default_factory=dict)
-    """Id and chunks of the text that each sender (system, component) has not finished."""
+    _unfinished: dict[int, tuple[int, str]] = field(default_factory=dict)
+    """Id and chunks of the text that each component has not finished."""
 
     def handle(self, t: float, message: ReceivedMessage) -> list[WatchLine]:
         """The new lines from a message."""
@@ -157,13 +157,12 @@ class MissionView:
         text, number = message.fields["text"], message.fields.get("id", 0)
         if not number:
             return str(text)
-        sender = message.system, message.component
-        begun, before = self._unfinished.pop(sender, (number, ""))
+        begun, before = self._unfinished.pop(message.component, (number, ""))
         if begun != number or not message.fields.get("chunk_seq", 0):
             before = ""  # another text begins: the unfinished one is dropped
         if len(text) < CHUNK_LENGTH:
             return f"{before}{text}"
-        self._unfinished[sender] = number, before + text
+        self._unfinished[message.component] = number, before + text
         return None
 
 

@@ -12,7 +12,7 @@ from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import ARDUPILOT_HOME, PX4_HOME, Home
 from flying_vines.vehicle.mission.storage import AutopilotKind
 from missions.build import build
-from missions.files import home_of
+from missions.home import home_of
 from missions.mission import parse, planned_home
 from missions.report import Report
 from missions.review import review
@@ -24,6 +24,7 @@ KINDS: tuple[AutopilotKind, ...] = ("ardupilot", "px4")
 HEAD = 'home = "simulator"\n[takeoff]\naltitude_m = 10\n'
 WP, TAKEOFF, LAND, DELAY = 16, 22, 21, 93
 SCRIPT, ACTUATOR, GRIPPER, WINCH, RELAY = 217, 187, 211, 42600, 181
+HOME = (WP, 0, 0, 0, 0, PX4_HOME.latitude_deg, PX4_HOME.longitude_deg, PX4_HOME.altitude_amsl_m)
 
 
 def built(text: str, kind: AutopilotKind, config: Config | None = None) -> list[MissionItem]:
@@ -40,7 +41,8 @@ def waypoint(vine: str, more: str = "north_m = 20") -> str:
 def items(*entries: tuple[float, ...], frame: int = 2) -> list[MissionItem]:
     """Items of (command, param1, …). Places are near PX4's home, 10 m high, if not given."""
     made = []
-    for seq, (command, *given) in enumerate(entries):
+    for seq, entry in enumerate(entries):
+        command, *given = entry
         numbers = [float(number) for number in given]
         flown = int(command) in (WP, TAKEOFF, LAND)
         params = (*numbers, 0.0, 0.0, 0.0, 0.0)[:4] if len(numbers) <= 4 else tuple(numbers)
@@ -48,7 +50,8 @@ def items(*entries: tuple[float, ...], frame: int = 2) -> list[MissionItem]:
             place = (PX4_HOME.latitude_deg, PX4_HOME.longitude_deg + 1e-4 * seq, 10.0)
             params = (*params, *(place if flown else (0.0, 0.0, 0.0)))
         p1, p2, p3, p4, x, y, z = params
-        made.append(MissionItem(seq, int(command), (p1, p2, p3, p4, x, y, z), 3 if flown else frame))
+        above = 0 if entry is HOME else 3
+        made.append(MissionItem(seq, int(command), (p1, p2, p3, p4, x, y, z), above if flown else frame))
     return made
 
 
@@ -59,7 +62,7 @@ def reviewed(
     reservoir_kPa: float = 690.0,
 ) -> Report:
     config = config or configuration.default()
-    home = home_of(given)
+    home = home_of(given) or Home(0.0, 0.0, 0.0)
     return review("m", given, kind, home, config, nominal(config.pneumatics), reservoir_kPa)
 
 

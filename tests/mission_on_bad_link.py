@@ -10,6 +10,7 @@ from heapq import heappop, heappush
 
 from flying_vines.config import config
 from flying_vines.simulation.autopilot import AutopilotKind, FakeAutopilot
+from flying_vines.simulation.autopilot.port import COMPANION
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mission.execution import same_numbers
@@ -19,7 +20,6 @@ from flying_vines.vehicle.vehicle import Vehicle
 
 WP, LAND, TAKEOFF, DELAY, CONDITION_DELAY, JUMP, CHANGE_SPEED = 16, 21, 22, 93, 112, 177, 178
 SCRIPT, GRIPPER, WINCH, ACTUATOR = 217, 211, 42600, 187
-COMPANION = "companion"
 CONFIG = config.default()
 VINE_COMMANDS = Rules(CONFIG).commands
 TICK_S = 0.02

@@ -258,8 +258,7 @@ class Calibrator:
         until = self._t + BOARD_TIMEOUT_S
         while not self._board_ready():
             if self._t > until:
-                problem = self._snapshot.firmware if self._snapshot else "does not answer"
-                raise _Stopped(f"phloSAR {problem}")
+                raise _Stopped(self._why_not_ready())
             yield
         assert self._snapshot is not None
         if self._snapshot.armed:
@@ -271,6 +270,17 @@ class Calibrator:
     def _board_ready(self) -> bool:
         now = self._snapshot
         return now is not None and now.firmware == "ready" and math.isfinite(now.cv_kPa)
+
+    def _why_not_ready(self) -> str:
+        now = self._snapshot
+        if now is None or now.firmware != "ready":
+            return f"phloSAR {now.firmware if now else 'does not answer'}"
+        known = self._problem(now)
+        because = f" ({known})" if known else ""
+        return (
+            f"phloSAR answers, but sends no pressure of the vine{because}: try another cable, or flash its "
+            "firmware again"
+        )
 
     def _ask(self, intent: Intent) -> Generator[None]:
         """Ask the core, and wait for its decision."""

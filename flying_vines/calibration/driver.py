@@ -11,6 +11,7 @@ from typing import NamedTuple
 import msgspec
 
 from flying_vines.calibration.calibrator import (
+    VENTED_KPA,
     Calibrator,
     Ended,
     EvaluationTask,
@@ -35,8 +36,8 @@ from flying_vines.vehicle.mavlink.signing import Signing
 from flying_vines.vine.intent import Intent
 
 STEP_S = 0.02
-VENT_TIMEOUT_S = 5.0
-VENTED_KPA = 1.0
+LAST_VENT_S = 5.0
+"""Maximum time to wait for the vent that ends a calibration, also an interrupted one."""
 INTERRUPTED = "interrupted"
 
 
@@ -106,7 +107,7 @@ class CalibrationOutcome(NamedTuple):
     findings: Findings
     charts: tuple[Chart, ...]
     log_problem: str
-    """One sentence if the log is incomplete."""
+    """One sentence if the log is incomplete: it ended, or it continues in another folder."""
 
 
 @dataclass(frozen=True)

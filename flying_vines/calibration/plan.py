@@ -31,7 +31,7 @@ LEVELS = 3
 # at most LEVELS_AGAIN or VALVE_AGAIN times.
 ROUNDS, ROUNDS_AGAIN = 3, 2
 LEVELS_AGAIN, VALVE_AGAIN = 3, 1
-STEP_S = 0.5
+RAMP_S = 0.5
 """From one level to the next."""
 RATES_KPA_PER_S = (4.0, 60.0, 15.0, 60.0, 30.0)
 """Rates of inflation. Slow inflations measure where the valve starts to open, fast ones its gain."""
@@ -161,7 +161,7 @@ def plan(config: Config, request: CalibrationRequest) -> CalibrationPlan:
     }
     for rate in set(RATES_KPA_PER_S):
         over_s = (top_kPa - low_kPa) / min(rate, max_kPa_per_s)
-        ramp = (*_to(low_kPa, STEP_S, hold_s), *_to(top_kPa, over_s, hold_s))
+        ramp = (*_to(low_kPa, RAMP_S, hold_s), *_to(top_kPa, over_s, hold_s))
         profiles[_valve_profile(rate)] = _profile(ramp)
     if request.vessel_L is not None:
         profiles["calibrate-vessel"] = _profile(_staircase(top_kPa, _hold_s(request.vessel_L)))
@@ -231,7 +231,7 @@ def _to(kPa: float, over_s: float, hold_s: float) -> tuple[Segment, Segment]:
 def _staircase(top_kPa: float, hold_s: float) -> Iterator[Segment]:
     """Rises in steps, and holds each step."""
     for level in range(1, LEVELS + 1):
-        yield from _to(top_kPa * level / LEVELS, STEP_S, hold_s)
+        yield from _to(top_kPa * level / LEVELS, RAMP_S, hold_s)
 
 
 def _motion(config: Config, profiles: dict[str, PressureProfile], name: str) -> Motion:

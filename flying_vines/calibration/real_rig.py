@@ -17,8 +17,8 @@ from flying_vines.calibration.calibrator import Calibrator, EvaluationTask, Ques
 from flying_vines.calibration.configuration import proposed
 from flying_vines.calibration.driver import (
     INTERRUPTED,
+    LAST_VENT_S,
     STEP_S,
-    VENT_TIMEOUT_S,
     CalibrationContext,
     CalibrationDriver,
     CalibrationOutcome,
@@ -134,7 +134,7 @@ async def _run(
             if stopped.is_set():
                 driver.carry_out(calibrator.stop(service.now, INTERRUPTED))
             driver.step(service.now, service.core.snapshot(service.now))
-        until = service.now + VENT_TIMEOUT_S
+        until = service.now + LAST_VENT_S
         while service.now < until and not vented(service.core.snapshot(service.now)):
             await _pass(serving, tasks)
     finally:

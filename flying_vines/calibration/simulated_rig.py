@@ -11,8 +11,8 @@ from random import Random
 from flying_vines.calibration.calibrator import Calibrator, EvaluationTask, Question
 from flying_vines.calibration.driver import (
     INTERRUPTED,
+    LAST_VENT_S,
     STEP_S,
-    VENT_TIMEOUT_S,
     CalibrateError,
     CalibrationContext,
     CalibrationDriver,
@@ -35,7 +35,6 @@ from flying_vines.physics.plant.true_rig import load_true_rig
 from flying_vines.record.recorder import Recorder
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedWorld
-from flying_vines.supply import RigPrior
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vine.curve import BendCurve
 from flying_vines.vine.intent import Intent
@@ -102,7 +101,7 @@ def _run(
     """
     recorder = Recorder(parent, flight_start(plan, context), plan.config.log.least_free_MB, t=0.0)
     calibrator = Calibrator(plan)
-    world = _RecordedWorld(plan.config, phlosar, context.prior, recorder)
+    world = _RecordedWorld(plan.config, phlosar, context, recorder)
     angles = SimulatedAngleReader(seed=1)
 
     def ask(intent: Intent) -> None:
@@ -139,22 +138,22 @@ def _run(
             if stopped():
                 driver.carry_out(calibrator.stop(world.now, INTERRUPTED))
             driver.step(world.now, snapshot)
-        last = number + round(VENT_TIMEOUT_S / STEP_S)
+        last = number + round(LAST_VENT_S / STEP_S)
         while number < last and not vented(step(number)):
             number += 1
         driver.actions.extend(world.feed(Stop(world.now)))
     finally:
         recorder.close()
-    return driver.outcome(recorder.folder, recorder.failed)
+    return driver.outcome(recorder.folder, recorder.news)
 
 
 class _RecordedWorld(SimulatedWorld):
     """A simulated world whose recorder gets the same events and actions as that of the service."""
 
     def __init__(
-        self, config: Config, phlosar: SimulatedPhlosar, prior: RigPrior | None, recorder: Recorder
+        self, config: Config, phlosar: SimulatedPhlosar, context: CalibrationContext, recorder: Recorder
     ) -> None:
-        super().__init__(config, phlosar, prior=prior)
+        super().__init__(config, phlosar, prior=context.prior, stored=context.stored)
         self._recorder = recorder
         self._mavlink = MavlinkCodec(config.vehicle.system_id, config.vehicle.component_id)
 

@@ -36,7 +36,7 @@ def _demo(arguments: argparse.Namespace) -> int:
         rig = load_true_rig(arguments.rig) if arguments.rig else None
         flight = asyncio.run(fly(arguments.out, console, live, rig, arguments.page))
     console.print(summary(flight))
-    for extra in flight.unasked:
+    for extra in flight.unexpected_triggers:
         console.print(f"Unexpected: {extra}", style="bold red")
     seen = ", ".join(f"{name} {value:.1f}" for name, value in sorted(flight.values.items()))
     console.print(f"\nThe ground station's last values: {seen}", highlight=False)

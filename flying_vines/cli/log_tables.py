@@ -25,7 +25,7 @@ from flying_vines.record.reader import FlightLog, LogEntry
 from flying_vines.record.restore import restored
 from flying_vines.record.summary import Summary, summarise
 from flying_vines.record.topics import topic_of
-from flying_vines.simulation.replay import Again, as_json
+from flying_vines.simulation.replay import FlightReplay, as_json
 from flying_vines.terminal.screen import decision_table, event_line
 from flying_vines.vehicle.notice import Notice
 
@@ -93,18 +93,20 @@ def events_as_json(log: FlightLog) -> dict[str, object]:
     return {**summary_as_json(summarise(log)), "about": _about(log), "story": events}
 
 
-def show_again(again: Again, json_wanted: bool, console: Console) -> None:
+def show_replay(replay: FlightReplay, json_wanted: bool, console: Console) -> None:
     """The replay's decisions, and its differences from the flight."""
     if json_wanted:
-        decisions = [as_json(decision) for decision in again.decisions]
-        print(json.dumps({"decisions": decisions, "same": again.compared, "differences": again.differences}))
+        decisions = [as_json(decision) for decision in replay.decisions]
+        print(
+            json.dumps({"decisions": decisions, "same": replay.compared, "differences": replay.differences})
+        )
         return
-    console.print(decision_table([replace(d, t=d.t - again.began) for d in again.decisions]))
-    for difference in again.differences[:MAX_DIFFERENCES]:
+    console.print(decision_table([replace(d, t=d.t - replay.began) for d in replay.decisions]))
+    for difference in replay.differences[:MAX_DIFFERENCES]:
         console.print(difference, style="red", highlight=False, soft_wrap=True)
-    same = ", ".join(f"{count} {topic}" for topic, count in sorted(again.compared.items()))
-    if again.differences:
-        console.print(f"{len(again.differences)} answers differ from the flight's; the same: {same}")
+    same = ", ".join(f"{count} {topic}" for topic, count in sorted(replay.compared.items()))
+    if replay.differences:
+        console.print(f"{len(replay.differences)} answers differ from the flight's; the same: {same}")
     else:
         console.print(f"Identical to the flight: {same}", highlight=False)
 

@@ -96,19 +96,19 @@ def _replay_flight(recording: Path, config: Path | None, as_json: bool) -> int:
     """Replay a flight log. Exit status 1 if the core's answers differ from the flight's."""
     from rich.console import Console
 
-    from flying_vines.cli.log_tables import show_again
+    from flying_vines.cli.log_tables import show_replay
     from flying_vines.record.reader import FlightLog, LogError
     from flying_vines.simulation.replay import replay_flight
 
     instead = configuration.load(config) if config else None
     try:
-        again = replay_flight(FlightLog(recording), instead)
+        replay = replay_flight(FlightLog(recording), instead)
     except LogError as error:
         return bad_input(str(error))
-    show_again(again, as_json, Console())
-    if again.damage:
-        print(f"flying-vines: {again.damage}", file=sys.stderr)
-    return DIFFERENT if again.differences else 0
+    show_replay(replay, as_json, Console())
+    if replay.damage:
+        print(f"flying-vines: {replay.damage}", file=sys.stderr)
+    return DIFFERENT if replay.differences else 0
 
 
 def _action_printer(live: bool) -> Callable[[Action], None]:

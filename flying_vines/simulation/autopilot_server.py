@@ -9,6 +9,7 @@ from typing import cast
 
 from flying_vines.config.address import NetworkAddress, parse_address
 from flying_vines.simulation.autopilot import FakeAutopilot
+from flying_vines.simulation.autopilot.port import COMPANION, GCS
 
 SocketAddress = tuple[str, int]
 Script = Sequence[tuple[float, Callable[[FakeAutopilot], None]]]
@@ -17,8 +18,6 @@ PACE_S = 0.01
 MAX_CLIENTS = 8
 """Maximum TCP clients on all ports together, like the ports of an autopilot."""
 MAX_QUEUED_BYTES = 64 * 1024
-
-_COMPANION, _GCS = "companion", "gcs"
 
 
 class AutopilotServer:
@@ -47,9 +46,9 @@ class AutopilotServer:
         self.autopilot = autopilot
         self._peers: dict[str, SocketAddress] = {}
         if companion is not None:
-            self._peers[_COMPANION] = _host_and_port(companion)
+            self._peers[COMPANION] = _host_and_port(companion)
         if gcs is not None:
-            self._peers[_GCS] = _host_and_port(gcs)
+            self._peers[GCS] = _host_and_port(gcs)
         self._script = sorted(script, key=lambda entry: entry[0])
         self._listen = [_listening(address) for address in listen]
         self._speed = speed

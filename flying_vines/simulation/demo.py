@@ -268,7 +268,7 @@ class DemoFlight:
     """The result of a scripted flight."""
 
     outcomes: list[DemoOutcome]
-    unasked: list[str]
+    unexpected_triggers: list[str]
     """A text for each kind of trigger with an unexpected number."""
     folder: Path
     picture: Path | None
@@ -276,7 +276,7 @@ class DemoFlight:
 
     @property
     def passed(self) -> bool:
-        return not self.unasked and all(o.met_after_s is not None for o in self.outcomes)
+        return not self.unexpected_triggers and all(o.met_after_s is not None for o in self.outcomes)
 
 
 async def fly(
@@ -331,7 +331,7 @@ async def fly(
                 task.cancel()
     log.close()
     picture = _draw(log, console)
-    return DemoFlight(outcomes, _unasked(world), log.folder, picture, dict(ground.values))
+    return DemoFlight(outcomes, _unexpected_triggers(world), log.folder, picture, dict(ground.values))
 
 
 async def _direct(
@@ -383,7 +383,7 @@ def _with_vine(view: RenderableType, bend_deg: float, console: Console) -> Rende
     return both
 
 
-def _unasked(world: World) -> list[str]:
+def _unexpected_triggers(world: World) -> list[str]:
     """A text for each kind of trigger with an unexpected number."""
     found = []
     for kind, expected in EXPECTED_TRIGGERS.items():

@@ -90,7 +90,7 @@ def replay(
 
 
 @dataclass
-class Again:
+class FlightReplay:
     """The result of a replayed flight."""
 
     decisions: list[Decision] = field(default_factory=list)
@@ -105,13 +105,13 @@ class Again:
     """Why the log ends before the end of the flight; else empty."""
 
 
-def replay_flight(log: FlightLog, config: Config | None = None) -> Again:
+def replay_flight(log: FlightLog, config: Config | None = None) -> FlightReplay:
     """Feed a flight's input to a new core, and compare the answers.
 
     `config` replaces the flight's own configuration, to show its effect. Raises `LogError` if the log does
     not contain the start of the core.
     """
-    again = Again()
+    result = FlightReplay()
     core: CrashSafeCore | None = None
     replayed: list[tuple[str, object]] = []
     recorded: list[tuple[str, object]] = []
@@ -123,26 +123,26 @@ def replay_flight(log: FlightLog, config: Config | None = None) -> Again:
             if entry.topic == START:
                 start = restored(Start, entry.fields)
                 if core is None:
-                    core, again.began = _core(part, start, config), start.t
+                    core, result.began = _core(part, start, config), start.t
                 elif start.t > t + GAP_S:
-                    again.damage = f"nothing was recorded for {start.t - t:.1f} s before {part.folder.name}"
-                    return again
+                    result.damage = f"nothing was recorded for {start.t - t:.1f} s before {part.folder.name}"
+                    return result
             elif entry.topic in EVENT_TOPICS:
                 if core is None:
                     raise LogError(f"{part.path}: its beginning is damaged")
-                _compare(again, t, replayed, recorded)
+                _compare(result, t, replayed, recorded)
                 event = event_of(entry)
                 t, actions = event.t, core.handle(event)
-                again.decisions.extend(action for action in actions if isinstance(action, Decision))
+                result.decisions.extend(action for action in actions if isinstance(action, Decision))
                 replayed = [answer for action in actions for answer in _answers(t, action)]
                 recorded = []
             elif entry.topic in ANSWER_TOPICS:
                 recorded.append(_recorded_answer(entry))
         if part.damage:
-            again.damage = part.damage
-            return again
-    _compare(again, t, replayed, recorded)
-    return again
+            result.damage = part.damage
+            return result
+    _compare(result, t, replayed, recorded)
+    return result
 
 
 def _since_the_service_began(log: FlightLog) -> list[FlightLog]:
@@ -200,17 +200,17 @@ def _content(raw: bytes) -> tuple[int, int, bytes]:
 
 
 def _compare(
-    again: Again, t: float, replayed: list[tuple[str, object]], recorded: list[tuple[str, object]]
+    result: FlightReplay, t: float, replayed: list[tuple[str, object]], recorded: list[tuple[str, object]]
 ) -> None:
     if replayed == recorded:
-        again.compared.update(topic for topic, _ in replayed)
+        result.compared.update(topic for topic, _ in replayed)
         return
     for now, before in zip_longest(replayed, recorded):
         if now == before:
-            again.compared[now[0]] += 1
+            result.compared[now[0]] += 1
             continue
         texts = [f"{what[0]} {_readable(what[1])}" if what else "nothing" for what in (before, now)]
-        again.differences.append(f"at {t - again.began:.3f} s: {texts[0]} in the flight, {texts[1]} now")
+        result.differences.append(f"at {t - result.began:.3f} s: {texts[0]} in the flight, {texts[1]} now")
 
 
 def _readable(what: object) -> str:

@@ -21,12 +21,12 @@ from flying_vines.core.events import (
 )
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.simulation.autopilot import FakeAutopilot
+from flying_vines.simulation.autopilot.port import COMPANION
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.supply import RigPrior
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mission.item import MissionItem
 
-COMPANION = "companion"
 BUFFER_BYTES = 4095
 """Size of a serial port's input buffer on Linux. Bytes that do not fit are lost."""
 

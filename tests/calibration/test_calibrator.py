@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -110,6 +111,27 @@ def test_a_board_that_never_answers_ends_it() -> None:
     world.run(60.0)
     assert world.ended is not None and world.ended.sentence == "phloSAR does not answer"
     assert world.now < 20.0
+
+
+@pytest.mark.parametrize(
+    ("safe_state", "because"),
+    [({}, ""), ({"telemetry": "phloSAR telemetry stale"}, " (phloSAR telemetry stale)")],
+)
+def test_a_board_that_answers_without_a_pressure_ends_it_with_what_to_do(
+    safe_state: dict[str, str], because: str
+) -> None:
+    world = PaperWorld(plan(CONFIG, BLIND))
+    calibrator = world.calibrator
+    world.carry_out(calibrator.begin(0.0))
+    mute = replace(world.snapshot, cv_kPa=math.nan, safe_state=safe_state)
+    while calibrator.ended is None and world.now < 60.0:
+        world.now += 0.5
+        world.carry_out(calibrator.tick(world.now, mute))
+    assert calibrator.ended is not None and calibrator.ended.sentence == (
+        f"phloSAR answers, but sends no pressure of the vine{because}: try another cable, or flash its "
+        "firmware again"
+    )
+    assert calibrator.ended.outcome == "refused" and 15.0 < world.now < 20.0
 
 
 def test_an_armed_vehicle_is_not_calibrated() -> None:

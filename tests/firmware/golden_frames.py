@@ -172,4 +172,4 @@ def _welcome(nonce: int) -> Welcome:
 
 def _setting(number: int, value: float) -> Setting:
     name, row = list(setting_rows().items())[number]
-    return Setting(number, len(IDS), name, value, row.least, row.most, row.standard)
+    return Setting(number, len(IDS), name, value, row.min, row.max, row.standard)

@@ -210,8 +210,8 @@ def settings() -> World:
     for number in range(len(IDS) + 1):
         world.say(GetSetting(number))
     for number, row in enumerate(setting_rows().values()):
-        beyond = math.nextafter(row.most, math.inf) + 1e-3
-        world.say(SetSetting(number, row.most), SetSetting(number, beyond), SetSetting(number, row.least))
+        beyond = math.nextafter(row.max, math.inf) + 1e-3
+        world.say(SetSetting(number, row.max), SetSetting(number, beyond), SetSetting(number, row.min))
     for value in (math.nan, math.inf, -math.inf, -0.0, 1e-40):
         world.say(SetSetting(IDS["cv_zero_kPa"], value))
     world.say(SetSetting(255, 1.0), GetSetting(255))
@@ -527,7 +527,7 @@ def random_mess() -> World:
             messages.append(ClearFaults(ALL_FAULTS))
         if chance.random() < 0.01:
             row = list(setting_rows().values())[chance.randrange(len(IDS))]
-            messages += [Vent(number), SetSetting(row.number, chance.uniform(row.least, row.most))]
+            messages += [Vent(number), SetSetting(row.number, chance.uniform(row.min, row.max))]
         if chance.random() < 0.01:
             messages.append(chance.choice((Hello(PROTOCOL_VERSION, ms), Ping(ms), GetSetting(ms % 20))))
         frames = bytearray(b"".join(encode(message, ms) for message in messages))

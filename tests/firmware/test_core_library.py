@@ -176,5 +176,5 @@ def test_the_docs_list_every_setting(name: str) -> None:
         if re.match(rf"\| {row.number} \| {name} \|", line)
     ]
     assert len(cells) == 1
-    wanted = (row.standard, row.least, row.most)
+    wanted = (row.standard, row.min, row.max)
     assert [float(cell) for cell in cells[0][2:5]] == pytest.approx(wanted, rel=1e-6)

@@ -13,6 +13,7 @@ from mission_building import (
     DELAY,
     GRIPPER,
     HEAD,
+    HOME,
     KINDS,
     LAND,
     RELAY,
@@ -32,7 +33,6 @@ from flying_vines.config.config import ItemConfig
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import AutopilotKind
 
-HOME = (WP, 0, 0, 0, 0, 47.3977431, 8.5455944, 489.4)
 JUMP, CONDITION = 177, 112
 NAN = math.nan
 
@@ -92,7 +92,8 @@ def test_numbers_that_storage_changes_are_reported_with_what_they_then_mean() ->
         "item 3 (winch (30.5), waypoint 1): ArduPilot stores other numbers: param1 30.5 becomes 30, so that "
         "'bend 30.5°' becomes 'bend 30°'; use script message (0, 30.5)"
     ]
-    assert finding_texts(reviewed(given, "px4", config)) == []
+    on_px4 = items((TAKEOFF,), (WP,), (WINCH, 30.5), (WP,), (LAND,))
+    assert finding_texts(reviewed(on_px4, "px4", config)) == []
     harmless = items(HOME, (TAKEOFF,), (WP,), (SCRIPT, 0, 0, 0, 0, 9, 0, 0), (WP,), (LAND,))
     assert "param5 9 becomes 0" in finding_texts(reviewed(harmless, "ardupilot"), "warning")[0]
 
@@ -124,13 +125,11 @@ def test_home_is_in_front_on_ardupilot_and_nowhere_on_px4() -> None:
     assert errors("ardupilot", (TAKEOFF,), (WP,), (SCRIPT, 2), (LAND,))[0].startswith(
         "item 0 (take-off): ArduPilot uses item 0 as home"
     )
-    with_home = items(HOME, (TAKEOFF,), (WP,), (ACTUATOR, 0.5), (LAND,))
-    with_home[0] = msgspec_replace_frame(with_home[0])
-    assert any("looks like home" in text for text in finding_texts(reviewed(with_home, "px4")))
-
-
-def msgspec_replace_frame(item: MissionItem) -> MissionItem:
-    return MissionItem(item.seq, item.command, item.params, 0)
+    assert errors("ardupilot", (WP,), (TAKEOFF,), (WP,), (SCRIPT, 2), (LAND,))[0].startswith(
+        "item 0 (waypoint): ArduPilot uses item 0 as home"
+    ), "an altitude above home cannot be home's own"
+    with_home = errors("px4", HOME, (TAKEOFF,), (WP,), (ACTUATOR, 0.5), (LAND,))
+    assert any("looks like home" in text for text in with_home)
 
 
 def test_a_burst_loses_its_first_on_px4() -> None:

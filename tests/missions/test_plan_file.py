@@ -166,6 +166,11 @@ def test_without_a_home_the_first_place_is_used() -> None:
         HOMES["px4"].longitude_deg,
         0,
     ]
+    anywhere = items((22, 0, 0, 0, 0, math.nan, math.nan, 10.0), (16,))  # a take-off where the vehicle stands
+    assert json.loads(plan_text(anywhere, "px4"))["mission"]["plannedHomePosition"] == [
+        *anywhere[1].params[4:6],
+        0,
+    ]
     with pytest.raises(ValueError, match="no place"):
         plan_text(items((187, 1)), "px4")
 

@@ -68,6 +68,16 @@ def test_a_mission_for_the_other_autopilot_is_not_sent(
         refuse_wrong_home(path, items, other)
 
 
+@pytest.mark.parametrize("frame", [0, 5])
+def test_home_in_either_frame_above_the_sea_is_home(frame: int) -> None:
+    path = EXAMPLES / "canopy_sampling-ardupilot.waypoints"
+    home, *others = load_items(path, "ardupilot").items
+    items = [replace(home, frame=frame), *others]
+    refuse_wrong_home(path, items, "ardupilot")
+    with pytest.raises(MissionError, match="begins with a home item"):
+        refuse_wrong_home(path, items, "px4")
+
+
 def as_read_from_a_vehicle(items: list[MissionItem]) -> list[MissionItem]:
     """The items as ArduCopter 4.6 returned them."""
     held = [AUTOPILOTS["ardupilot"].store(over_the_wire(item)) for item in items]

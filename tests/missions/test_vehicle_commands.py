@@ -7,6 +7,8 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 
 import command_line
@@ -14,6 +16,7 @@ import pytest
 
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer
+from flying_vines.vehicle.mission.item import MissionItem
 
 VINE_MISSION = Path(__file__).parents[1] / "data" / "recordings" / "ardupilot_vine_mission.waypoints"
 NOBODY = "udpin:127.0.0.1:1"
@@ -70,6 +73,26 @@ def test_files_are_looked_at_before_the_vehicle(
     arguments: tuple[str, ...], begins: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert error_line(capsys, *arguments, "--link", NOBODY).startswith(begins)
+
+
+def test_a_mission_without_a_place_cannot_be_a_plan(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    class Peer:
+        kind = "px4"
+
+        async def download(self) -> list[MissionItem]:
+            return [MissionItem(0, 187, (0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 2)]
+
+    @asynccontextmanager
+    async def vehicle(link: str) -> AsyncIterator[Peer]:
+        yield Peer()
+
+    monkeypatch.setattr("missions.download.vehicle", vehicle)
+    path = tmp_path / "m.plan"
+    assert error_line(capsys, "download", str(path)) == (
+        f"{path}: cannot be written: the mission has no place that could be home; use a .waypoints file"
+    )
 
 
 @pytest.mark.long

@@ -13,6 +13,8 @@ import pytest
 
 from missions.link import MAX_WAITING, MessageQueue, mavsdk_url
 
+VEHICLE = 3
+
 
 class Direct:
     """Replaces mavsdk's plugin: it calls the listener on a thread of its own."""
@@ -27,10 +29,11 @@ class Direct:
     def unsubscribe_message(self, name: str) -> None:
         del self.subscribed[name]
 
-    def say(self, name: str, *texts: str) -> None:
+    def say(self, name: str, *texts: str, system_id: int = VEHICLE) -> None:
         def speak() -> None:
             for text in texts:
-                message = SimpleNamespace(message_name=name, system_id=3, component_id=191, fields_json=text)
+                sender = {"system_id": system_id, "component_id": 191}
+                message = SimpleNamespace(message_name=name, fields_json=text, **sender)
                 self.subscribed[name](message, None)
 
         thread = threading.Thread(target=speak)
@@ -40,14 +43,14 @@ class Direct:
 
 async def test_messages_of_a_thread_arrive_in_order() -> None:
     direct = Direct()
-    queue = MessageQueue(direct, ["A", "B"])
+    queue = MessageQueue(direct, ["A", "B"], VEHICLE)
     direct.say("A", '{"n": 1}', '{"n": 2}', "{ no json")
     direct.say("B", '{"n": 3}')
     received = await queue.receive(1.0)
-    assert [(each.name, each.system, each.component, each.fields["n"]) for each in received] == [
-        ("A", 3, 191, 1),
-        ("A", 3, 191, 2),
-        ("B", 3, 191, 3),
+    assert [(each.name, each.component, each.fields["n"]) for each in received] == [
+        ("A", 191, 1),
+        ("A", 191, 2),
+        ("B", 191, 3),
     ]
     assert await queue.receive(0.01) == []
     asyncio.get_running_loop().call_later(0.02, lambda: direct.say("A", '{"n": 4}'))
@@ -56,9 +59,17 @@ async def test_messages_of_a_thread_arrive_in_order() -> None:
     assert direct.subscribed == {}
 
 
+async def test_messages_of_another_system_are_dropped() -> None:
+    direct = Direct()
+    queue = MessageQueue(direct, ["A"], VEHICLE)
+    direct.say("A", '{"n": 1}', system_id=VEHICLE + 1)
+    direct.say("A", '{"n": 2}')
+    assert [each.fields["n"] for each in await queue.receive(1.0)] == [2]
+
+
 async def test_a_slow_listener_keeps_the_latest_and_no_more() -> None:
     direct = Direct()
-    queue = MessageQueue(direct, ["A"])
+    queue = MessageQueue(direct, ["A"], VEHICLE)
     calls = 0
     loop = asyncio.get_running_loop()
     call = loop.call_soon_threadsafe
@@ -79,7 +90,7 @@ def test_a_loop_that_has_ended_is_no_error() -> None:
     direct = Direct()
 
     async def listen() -> MessageQueue:
-        return MessageQueue(direct, ["A"])
+        return MessageQueue(direct, ["A"], VEHICLE)
 
     queue = asyncio.run(listen())
     direct.say("A", "{}")

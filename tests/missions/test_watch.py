@@ -25,9 +25,9 @@ class Watched:
         self.lines: list[str] = []
         self.t = 0.0
 
-    def receive(self, kind: str, component: int = 1, system: int = 1, /, **fields: Any) -> None:
+    def receive(self, kind: str, component: int = 1, /, **fields: Any) -> None:
         self.t += 0.1
-        message = ReceivedMessage(kind, system, component, fields)
+        message = ReceivedMessage(kind, component, fields)
         self.lines += [line.text for line in self.view.handle(self.t, message)]
 
     def heartbeat(self, armed: bool) -> None:
@@ -36,8 +36,8 @@ class Watched:
     def current(self, seq: int, state: int = 3) -> None:
         self.receive("MISSION_CURRENT", seq=seq, mission_state=state)
 
-    def text(self, text: str, component: int = 1, severity: int = 6, system: int = 1, **more: int) -> None:
-        self.receive("STATUSTEXT", component, system, text=text, severity=severity, **more)
+    def text(self, text: str, component: int = 1, severity: int = 6, **more: int) -> None:
+        self.receive("STATUSTEXT", component, text=text, severity=severity, **more)
 
 
 def test_each_item_of_ardupilot_is_shown_once() -> None:
@@ -112,9 +112,9 @@ def test_interleaved_chunks_of_several_senders_are_joined_by_sender() -> None:
     watched = Watched()
     watched.text("A" * 50, 1, id=7, chunk_seq=0)
     watched.text("V" * 50, 191, id=7, chunk_seq=0)
-    watched.text("O" * 50, 191, system=2, id=7, chunk_seq=0)
+    watched.text("O" * 50, 192, id=7, chunk_seq=0)
     watched.text("a", 1, id=7, chunk_seq=1)
-    watched.text("o", 191, system=2, id=7, chunk_seq=1)
+    watched.text("o", 192, id=7, chunk_seq=1)
     watched.text("v", 191, id=7, chunk_seq=1)
     assert watched.lines == ["autopilot: " + "A" * 50 + "a", "O" * 50 + "o", "V" * 50 + "v"]
 

@@ -471,7 +471,7 @@ def test_parameters_of_ardupilot_hide_a_loss(parameters: dict[str, float], how: 
     world.request_streams()
     world.autopilot.lose_rc(how)
     world.on(3.0)
-    assert world.autopilot.tells_rc_lost is told
+    assert world.autopilot.reports_rc_loss is told
     assert bool(world.companion.texts()) is told
     assert rc_health(world.companion.of("SYS_STATUS")[-1]) is not told
 

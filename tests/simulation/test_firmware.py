@@ -421,7 +421,7 @@ def test_settings_name_themselves(bench: Bench) -> None:
     assert (first.name, first.value, first.count) == ("cv_limit_kPa", 30.0, len(setting_rows()))
     for number, (name, row) in enumerate(setting_rows().items()):
         bench.send(GetSetting(number))
-        wanted = (number, len(setting_rows()), name, row.standard, row.least, row.most, row.standard)
+        wanted = (number, len(setting_rows()), name, row.standard, row.min, row.max, row.standard)
         assert bench.answers() == [Setting(*wanted)]
     bench.send(GetSetting(len(setting_rows())))
     assert bench.refusals() == [Refusal(0, RefusalReason.OUT_OF_RANGE)]

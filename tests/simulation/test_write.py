@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from command_line import status
+from matplotlib import pyplot as plt
 
-from flying_vines.physics.rig import ControlVolume, Rig, load_rig
+from flying_vines.physics.rig import ControlVolume, Pump, Rig, load_rig
 from flying_vines.simulation.scenario import csv_text, simulate
+from flying_vines.simulation.scenario.picture import draw_runs
 from flying_vines.simulation.scenario.run_kinds import BendsRun, DischargeRun, OpeningsRun, Valves
 
 RIG = """[reservoir]
@@ -99,6 +102,20 @@ def test_without_a_control_volume_there_is_no_column_for_it() -> None:
     text = csv_text(simulate(Rig(cv=None), DischargeRun(duration_s=0.04)))
     assert text.split("\n")[0] == HEADER.replace("cv_pressure_kPa,", "")
     assert all(line.count(",") == 5 for line in text.split("\n")[:-1])
+
+
+def test_a_rig_without_reservoir_or_volume_gets_no_panel_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    figures: list[Any] = []
+    monkeypatch.setattr(plt, "close", figures.append)
+    pumped = simulate(Rig(pump=Pump()), OpeningsRun(valves=(Valves(for_s=0.04, evp=1.0),)))
+    draw_runs([pumped], tmp_path / "pumped.png", "A pump")
+    discharged = simulate(Rig(cv=None), DischargeRun(duration_s=0.04))
+    draw_runs([discharged], tmp_path / "discharged.png", "A discharge")
+    panels = [[axis.get_ylabel() for axis in figure.axes] for figure in figures]
+    assert panels == [["kPa gauge", ""], ["", "reservoir,\nkPa gauge"]]
+    assert all(figure.axes[-1].get_xlabel() == "time, s" for figure in figures)
 
 
 def test_cases_are_not_mixed(

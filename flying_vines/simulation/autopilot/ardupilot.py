@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from flying_vines.simulation.autopilot.legs import DELAY, LAND, RETURN_HOME, Leg
+from flying_vines.simulation.autopilot.legs import Leg
 from flying_vines.simulation.autopilot.runner import (
     ACTIVE,
     COMPLETE,
@@ -14,12 +14,20 @@ from flying_vines.simulation.autopilot.runner import (
     MissionStatus,
 )
 from flying_vines.simulation.autopilot.scheduler import ScheduledCallback
-from flying_vines.vehicle.mission.item import MissionItem, is_nav
+from flying_vines.vehicle.mission.item import (
+    CONDITION_DELAY,
+    CONDITION_DISTANCE,
+    CONDITION_YAW,
+    DELAY,
+    LAND,
+    RETURN,
+    MissionItem,
+    is_nav,
+)
 from flying_vines.vehicle.mission.jumps import JUMP, Jumps
 
 _DO_SPACING_S = 0.006
 _YAW_S = 2.0
-_COND_DELAY, _COND_DISTANCE, _COND_YAW = 112, 114, 115
 _GRIPPER, _WINCH, _TAG = 211, 42600, 600
 
 _NAMES = {
@@ -122,7 +130,7 @@ class ArduPilotMission:
         self._advance(1)
 
     def _complete(self, item: MissionItem) -> None:
-        if item.command not in (LAND, RETURN_HOME):
+        if item.command not in (LAND, RETURN):
             self._host.reached(item.seq)
         if item.command in _REACHED_WITH_TEXT:
             self._host.text(f"Reached command #{item.seq}")
@@ -210,15 +218,15 @@ class ArduPilotMission:
     def _start_condition(self, item: MissionItem) -> bool:
         scheduler, flight = self._host.scheduler, self._host.flight
         ends_s = scheduler.now_s
-        if item.command == _COND_DELAY:
+        if item.command == CONDITION_DELAY:
             ends_s += item.params[0]
-        elif item.command == _COND_YAW:
+        elif item.command == CONDITION_YAW:
             ends_s += _YAW_S
-        elif item.command != _COND_DISTANCE:
+        elif item.command != CONDITION_DISTANCE:
             return False
         within_m = item.params[0]
         self._condition_seq = item.seq
-        if item.command == _COND_DISTANCE:
+        if item.command == CONDITION_DISTANCE:
             self._condition = lambda: flight.distance_to_target_m() <= within_m
         else:
             self._condition = lambda: scheduler.now_s >= ends_s

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from random import Random
 from typing import Any
@@ -17,7 +16,7 @@ from flying_vines.simulation.autopilot.forwarding import Forwarder
 from flying_vines.simulation.autopilot.mission_protocol import MissionStorage
 from flying_vines.simulation.autopilot.modes import FlightMode, mission_mode, mode_named, mode_numbered
 from flying_vines.simulation.autopilot.parameters import ParameterServer
-from flying_vines.simulation.autopilot.port import COMPANION, KNOWN, PX4_EXTRA_MESSAGES, Port
+from flying_vines.simulation.autopilot.port import COMPANION, GCS, KNOWN, PX4_EXTRA_MESSAGES, Port
 from flying_vines.simulation.autopilot.px4 import CommandLong, CommandSender, Px4Mission
 from flying_vines.simulation.autopilot.rc_input import ArduPilotRc, RcInput, rc_input
 from flying_vines.simulation.autopilot.receiver import RcLoss, RcSource, Receiver
@@ -26,6 +25,8 @@ from flying_vines.simulation.autopilot.runner import Runner
 from flying_vines.simulation.autopilot.scheduler import ScheduledCallback, Scheduler
 from flying_vines.simulation.autopilot.snapshot import AutopilotSnapshot
 from flying_vines.simulation.autopilot.streams import StreamSender
+from flying_vines.simulation.autopilot.transit import Transit
+from flying_vines.vehicle.mission import item as mission_item
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import ARDUPILOT_HOME, PX4_HOME, Home
 from flying_vines.vehicle.mission.storage import AutopilotKind
@@ -64,16 +65,6 @@ _MISSION_MESSAGES = frozenset(
     }
 )
 _PARAMETER_MESSAGES = frozenset({"PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET"})
-
-
-@dataclass(slots=True)
-class _Stall:
-    """A link that delays its frames."""
-
-    both_ways: bool
-    until_s: float = 0.0
-    outgoing: list[bytes] = field(default_factory=list)
-    incoming: list[bytes] = field(default_factory=list)
 
 
 class FakeAutopilot:
@@ -139,12 +130,12 @@ class FakeAutopilot:
         self._unix_s = unix_s
         self._key = signing_key
         self._epoch_s: float | None = None
-        self._transmit_queue: list[tuple[str, bytes]] = []
+        self._transit = Transit(self.scheduler)
         self._texts: list[tuple[str, int]] = []
         self._reached: int | None = None
         self._ports: dict[str, Port] = {}
         self._routes = Routes(kind, system_id)
-        self._forwarder = Forwarder(kind, self.scheduler, self._put_out)
+        self._forwarder = Forwarder(kind, self.scheduler, self._transit.send)
         self._streams = StreamSender(kind, self.scheduler, self._snapshot, self._send)
         own = {"SYSID_THISMAV": system_id, "MAV_SYS_ID": system_id}
         self.parameters = ParameterServer(
@@ -158,8 +149,6 @@ class FakeAutopilot:
         self._leg: legs.Leg | None = None
         self._reached_again: ScheduledCallback | None = None
         self._grounded_s: float | None = None
-        self._muted_until_s = -1.0
-        self._stalls: dict[str, _Stall] = {}
         self._running = False
         self._boot_s = -_UPTIME_S
         self._ready_s = -_UPTIME_S
@@ -179,7 +168,7 @@ class FakeAutopilot:
         return self._rc.receiver
 
     @property
-    def tells_rc_lost(self) -> bool:
+    def reports_rc_loss(self) -> bool:
         """True if RC loss is reported: ArduPilot by its failsafe, PX4 by its health report about an own
         receiver."""
         rc = self._rc
@@ -222,14 +211,11 @@ class FakeAutopilot:
     def receive(self, t: float, link: str, data: bytes) -> None:
         """Bytes that arrived on `link` at `t`. Never raises, for any bytes."""
         self._run_to(t)
-        stall = self._stalls.get(link)
-        if stall is not None and stall.both_ways:
-            stall.incoming.append(data)
-            return
-        self._receive(link, data)
+        if not self._transit.delays(link, data):
+            self._receive(link, data)
 
     def _receive(self, link: str, data: bytes) -> None:
-        if not self._running or self.scheduler.now_s < self._muted_until_s:
+        if not self._running or self._transit.muted:
             return
         self.add_link(link)
         port = self._ports[link]
@@ -243,14 +229,9 @@ class FakeAutopilot:
     def advance(self, t: float) -> list[tuple[str, bytes]]:
         """Advance to `t`. Returns the frames sent since the last call as (link, frame), in order."""
         self._run_to(t)
-        for link, stall in list(self._stalls.items()):
-            if self.scheduler.now_s >= stall.until_s:
-                del self._stalls[link]
-                self._transmit_queue = [(link, frame) for frame in stall.outgoing] + self._transmit_queue
-                for data in stall.incoming:
-                    self._receive(link, data)
-        out, self._transmit_queue = self._transmit_queue, []
-        return out
+        for link, data in self._transit.end_stalls():
+            self._receive(link, data)
+        return self._transit.take()
 
     def _run_to(self, t: float) -> None:
         if self._epoch_s is None:
@@ -313,8 +294,8 @@ class FakeAutopilot:
 
     def replace_mission(self, items: Sequence[MissionItem]) -> None:
         """Simulate an upload by a ground station. Raises `MissionRefused` if it would be refused."""
-        self.add_link("gcs")
-        self._storage.replace("gcs", items)
+        self.add_link(GCS)
+        self._storage.replace(GCS, items)
 
     def set_parameter(self, name: str, value: float) -> None:
         """Change a parameter. Raises `ValueError` if it does not exist."""
@@ -373,18 +354,18 @@ class FakeAutopilot:
             self.scheduler.at(self._ready_s + _READY_S, self._say_ready)
             self.scheduler.at(self._ready_s + _ORIGIN_S, self._tell_home)
 
-    def stir_health(self) -> None:
-        """PX4's health changes, but not by RC. This report delays a report about RC by up to 2 s."""
+    def report_health(self) -> None:
+        """PX4 reports its health for another reason than RC. A report about RC then comes up to 2 s later."""
         if not isinstance(self._rc, ArduPilotRc):
             self._rc.report()
 
     def mute(self, seconds: float) -> None:
         """Cut all links for this time; the vehicle continues to fly."""
-        self._muted_until_s = self.scheduler.now_s + seconds
+        self._transit.mute(seconds)
 
     def stall(self, seconds: float, *, both_ways: bool = False) -> None:
         """Delay frames to the companion (`both_ways`: also received bytes); then all arrive together."""
-        self._stalls.setdefault(COMPANION, _Stall(both_ways)).until_s = self.scheduler.now_s + seconds
+        self._transit.stall(COMPANION, seconds, both_ways)
 
     # Host of the mission runner
 
@@ -497,7 +478,7 @@ class FakeAutopilot:
         if mode == flies_mission:
             self._runner.enter()
         elif mode.name in ("LAND", "RTL"):
-            command = legs.LAND if mode.name == "LAND" else legs.RETURN_HOME
+            command = mission_item.LAND if mode.name == "LAND" else mission_item.RETURN
             self._leg = legs.Leg(self.flight, MissionItem(0, command, (0.0,) * 7, 3), self.scheduler.now_s)
         else:
             self.flight.hold()
@@ -507,7 +488,7 @@ class FakeAutopilot:
         return True
 
     def _take_off(self, height_m: float) -> None:
-        item = MissionItem(0, legs.TAKEOFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m), 3)
+        item = MissionItem(0, mission_item.TAKEOFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m), 3)
         self._leg = legs.Leg(self.flight, item, self.scheduler.now_s)
 
     def _rc_failsafe_changed(self, on: bool) -> None:
@@ -559,15 +540,7 @@ class FakeAutopilot:
         if not self._running:
             return
         port.set_time(self._unix_now_s)
-        self._put_out(port, port.encode(message))
-
-    def _put_out(self, port: Port, frame: bytes) -> None:
-        if self.scheduler.now_s < self._muted_until_s:
-            return
-        if port.name in self._stalls:
-            self._stalls[port.name].outgoing.append(frame)
-        else:
-            self._transmit_queue.append((port.name, frame))
+        self._transit.send(port.name, port.encode(message))
 
     def _send_to(self, link: str, message: Any) -> None:
         self._send(self._ports[link], message)
@@ -709,11 +682,11 @@ class FakeAutopilot:
             case commands.SET_MODE:
                 mode = commands.requested_mode(self.kind, params)
                 return _result(mode is not None and self._select(mode))
-            case commands.TAKEOFF:
+            case mission_item.TAKEOFF:
                 return _result(self._guided_take_off(params[6]))
-            case commands.LAND:
+            case mission_item.LAND:
                 return _result(self._select(mode_named(self.kind, "LAND")))
-            case commands.RETURN_HOME:
+            case mission_item.RETURN:
                 return _result(self._select(mode_named(self.kind, "RTL")))
             case commands.START_MISSION:
                 return _result(self._select(mission_mode(self.kind)))

@@ -35,6 +35,10 @@ class CopterMotion:
         return self._target is None or self._target == (self.north_m, self.east_m, self.height_m)
 
     @property
+    def heading_deg(self) -> float:
+        return math.degrees(self.yaw_rad) % 360.0
+
+    @property
     def here(self) -> tuple[float, float, float]:
         return self.north_m, self.east_m, self.height_m
 

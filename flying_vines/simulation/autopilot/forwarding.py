@@ -20,12 +20,10 @@ class Forwarder:
     while its buffer is full are lost.
     """
 
-    def __init__(
-        self, kind: AutopilotKind, scheduler: Scheduler, put_out: Callable[[Port, bytes], None]
-    ) -> None:
+    def __init__(self, kind: AutopilotKind, scheduler: Scheduler, send: Callable[[str, bytes], None]) -> None:
         self._kind = kind
         self._scheduler = scheduler
-        self._put_out = put_out
+        self._send = send
         self._buffers: dict[str, deque[bytes]] = {}
 
     def reboot(self) -> None:
@@ -35,7 +33,7 @@ class Forwarder:
         if not (source.forwards and port.forwards and port.active and port is not source):
             return
         if self._kind == "ardupilot":
-            self._put_out(port, frame)
+            self._send(port.name, frame)
             return
         buffer = self._buffers.setdefault(port.name, deque())
         if len(buffer) < PX4_BUFFER:
@@ -45,6 +43,6 @@ class Forwarder:
 
     def _next(self, port: Port) -> None:
         buffer = self._buffers[port.name]
-        self._put_out(port, buffer.popleft())
+        self._send(port.name, buffer.popleft())
         if buffer:
             self._scheduler.after(_PX4_EVERY_S, lambda: self._next(port))

@@ -5,12 +5,22 @@ from __future__ import annotations
 import math
 
 from flying_vines.simulation.autopilot.flight import CopterMotion
-from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.item import (
+    CONDITION_DELAY,
+    DELAY,
+    GLOBAL_FRAMES,
+    GUIDED_ENABLE,
+    LAND,
+    LOITER_TURNS,
+    LOITER_UNLIMITED,
+    NAV_SCRIPT_TIME,
+    RETURN,
+    TAKEOFF,
+    VTOL_LAND,
+    VTOL_TAKEOFF,
+    MissionItem,
+)
 
-WAYPOINT, RETURN_HOME, LAND, TAKEOFF, VTOL_TAKEOFF, VTOL_LAND = 16, 20, 21, 22, 84, 85
-GUIDED_ENABLE, DELAY, CONDITION_DELAY, SCRIPT_TIME = 92, 93, 112, 42702
-
-_AMSL_FRAMES = (0, 5)
 _SPOOL_UP_S = 2.0
 _TURN_S = 10.0
 _RETURN_HEIGHT_M = 15.0
@@ -38,12 +48,12 @@ class Leg:
         if command in (TAKEOFF, VTOL_TAKEOFF):
             if flight.airborne:
                 self._route = [(flight.north_m, flight.east_m, max(self._height_m(), flight.height_m))]
-        elif command == RETURN_HOME:
+        elif command == RETURN:
             height_m = max(_RETURN_HEIGHT_M, flight.height_m)
             self._route = [(flight.north_m, flight.east_m, height_m), (0.0, 0.0, height_m)]
         elif command in (LAND, VTOL_LAND):
             self._route = [(*self._place(), flight.height_m)]
-        elif command in (DELAY, CONDITION_DELAY, SCRIPT_TIME, GUIDED_ENABLE):
+        elif command in (DELAY, CONDITION_DELAY, NAV_SCRIPT_TIME, GUIDED_ENABLE):
             flight.hold()
             self._hold_until_s = now_s + self._hold_s()
         else:
@@ -60,21 +70,19 @@ class Leg:
         z = self.item.params[6]
         if z == 0.0 or not math.isfinite(z):
             return self._flight.height_m
-        return z - self._flight.home.altitude_amsl_m if self.item.frame in _AMSL_FRAMES else z
+        return z - self._flight.home.altitude_amsl_m if self.item.frame in GLOBAL_FRAMES else z
 
     def _hold_s(self) -> float:
-        first, second = self.item.params[0], self.item.params[1]
-        match self.item.command:
-            case 17:
-                return float("inf")
-            case 18:
-                return first * _TURN_S
-            case 42702:
-                return second or float("inf")
-            case 92:
-                return first or float("inf")
-            case _:
-                return first if first > 0.0 else 0.0
+        command, (first, second) = self.item.command, self.item.params[:2]
+        if command == LOITER_UNLIMITED:
+            return math.inf
+        if command == LOITER_TURNS:
+            return first * _TURN_S
+        if command == NAV_SCRIPT_TIME:
+            return second or math.inf
+        if command == GUIDED_ENABLE:
+            return first or math.inf
+        return first if first > 0.0 else 0.0
 
     def _next_point(self) -> None:
         if self._route and self._flight.airborne:
@@ -104,7 +112,7 @@ class Leg:
     def _hold(self, now_s: float, until_s: float) -> None:
         if now_s < until_s:
             return
-        if self.item.command != RETURN_HOME:
+        if self.item.command != RETURN:
             self.done = True
         elif self._flight.airborne and not self._flight.landing:
             self._flight.land()
@@ -114,7 +122,7 @@ class Leg:
         command = self.item.command
         if command in (LAND, VTOL_LAND):
             self._flight.land()
-        elif command == RETURN_HOME:
+        elif command == RETURN:
             self._hold_until_s = now_s + _RETURN_HOLD_S
         elif command in (TAKEOFF, VTOL_TAKEOFF):
             self.done = True

@@ -87,12 +87,12 @@ class MissionStorage:
 
     def load(self, items: Sequence[MissionItem]) -> None:
         """Store a whole mission. Raises `MissionRefused` if the autopilot would refuse an item."""
-        self.items = [self._stored(replace(item, seq=seq)) for seq, item in enumerate(items)]
+        self.items = self._all_stored(items)
         self._change()
 
     def replace(self, link: str, items: Sequence[MissionItem]) -> None:
         """Simulate an upload by another sender on `link`. Raises `MissionRefused` if an item is refused."""
-        stored = [self._stored(replace(item, seq=seq)) for seq, item in enumerate(items)]
+        stored = self._all_stored(items)
         upload = _Upload(link, 0, 0, len(stored), math.inf)
         if self._kind == "ardupilot":
             if len(self.items) > len(stored):
@@ -243,6 +243,9 @@ class MissionStorage:
             # Sent only to the uploader.
             self._send(upload.link, mavlink.MAVLink_statustext_message(_INFO, b"Flight plan received"))
         self._ack(upload.link, upload.system, upload.component, ACCEPTED)
+
+    def _all_stored(self, items: Sequence[MissionItem]) -> list[MissionItem]:
+        return [self._stored(replace(item, seq=seq)) for seq, item in enumerate(items)]
 
     def _stored(self, item: MissionItem) -> MissionItem:
         if self._kind == "ardupilot" and item.seq == 0:

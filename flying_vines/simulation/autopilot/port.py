@@ -9,8 +9,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.simulation.autopilot.scheduler import ScheduledCallback
 
-COMPANION = "companion"
-USB = "usb"
+COMPANION, GCS, USB = "companion", "gcs", "usb"
+"""Names of links."""
 KNOWN = frozenset(message_class.msgname for message_class in mavlink.mavlink_map.values())
 PX4_EXTRA_MESSAGES = frozenset({"UNKNOWN_371"})
 """FUEL_STATUS is in PX4's dialect but not in this one: PX4 forwards it."""

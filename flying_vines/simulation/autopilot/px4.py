@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from flying_vines.simulation.autopilot.legs import LAND, RETURN_HOME, Leg
+from flying_vines.simulation.autopilot.legs import Leg
 from flying_vines.simulation.autopilot.runner import (
     ACTIVE,
     COMPLETE,
@@ -17,7 +17,7 @@ from flying_vines.simulation.autopilot.runner import (
 )
 from flying_vines.simulation.autopilot.scheduler import ScheduledCallback, Scheduler
 from flying_vines.vehicle.autopilots import AUTOPILOTS
-from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.item import LAND, RETURN, MissionItem
 from flying_vines.vehicle.mission.jumps import JUMP, Jumps
 
 TOTAL_BEFORE_FIRST_UPLOAD = 65535
@@ -165,7 +165,7 @@ class Px4Mission:
             return
         leg, had_arrived = self._leg, self._leg.arrived
         leg.update(self._host.scheduler.now_s, self._host.armed)
-        if leg.item.command in (LAND, RETURN_HOME):
+        if leg.item.command in (LAND, RETURN):
             # Reported as reached above the place, before the descent.
             if leg.arrived and not had_arrived:
                 self._host.reached(leg.item.seq)

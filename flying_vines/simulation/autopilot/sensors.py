@@ -33,7 +33,7 @@ def gps_raw_int(now: AutopilotSnapshot) -> Any:
         70,
         110,
         round(math.hypot(flight.north_m_s, flight.east_m_s) * 100),
-        round(math.degrees(flight.yaw_rad) % 360.0 * 100) % 36000,
+        round(flight.heading_deg * 100) % 36000,
         _SATELLITES,
     )
 

@@ -8,7 +8,6 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.simulation.autopilot import sensors
-from flying_vines.simulation.autopilot.flight import CopterMotion
 from flying_vines.simulation.autopilot.modes import ARMED_FLAG
 from flying_vines.simulation.autopilot.runner import MissionStatus
 from flying_vines.simulation.autopilot.snapshot import AutopilotSnapshot
@@ -107,10 +106,6 @@ def _attitude(now: AutopilotSnapshot) -> Any:
     return mavlink.MAVLink_attitude_message(now.boot_ms, 0.0, pitch_rad, flight.yaw_rad, 0.0, 0.0, 0.0)
 
 
-def _heading_deg(flight: CopterMotion) -> float:
-    return math.degrees(flight.yaw_rad) % 360.0
-
-
 def _global_position(now: AutopilotSnapshot) -> Any:
     flight = now.flight
     latitude_deg, longitude_deg = flight.home.global_deg(flight.north_m, flight.east_m)
@@ -124,7 +119,7 @@ def _global_position(now: AutopilotSnapshot) -> Any:
         round(flight.north_m_s * 100),
         round(flight.east_m_s * 100),
         round(-flight.climb_m_s * 100),
-        round(_heading_deg(flight) * 100) % 36000,
+        round(flight.heading_deg * 100) % 36000,
     )
 
 
@@ -134,7 +129,7 @@ def _vfr_hud(now: AutopilotSnapshot) -> Any:
     return mavlink.MAVLink_vfr_hud_message(
         speed,
         speed,
-        round(_heading_deg(flight)) % 360,
+        round(flight.heading_deg) % 360,
         37 if flight.airborne else 0,
         flight.home.altitude_amsl_m + flight.height_m,
         flight.climb_m_s,

@@ -30,12 +30,12 @@ Settings = Mapping[str, float]
 
 
 class SettingRow(NamedTuple):
-    """A setting that survives power cycles. Messages can change it only within `least` … `most`."""
+    """A setting that survives power cycles. Messages can change it only within `min` … `max`."""
 
     number: int
     standard: float
-    least: float
-    most: float
+    min: float
+    max: float
 
 
 @cache

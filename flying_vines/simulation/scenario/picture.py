@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,12 +34,16 @@ def draw_runs(runs: Sequence[ScenarioRun], path: Path, title: str) -> None:
 
 def _draw(run: ScenarioRun, block: Any, label: str) -> None:
     has_cv = not np.isnan(run.cv_pressure_kPa[0])
-    heights = [2.6, 1.0, 1.2] if has_cv else [1.0, 2.6]
-    axes = block.subplots(len(heights), 1, sharex=True, height_ratios=heights)
+    has_reservoir = not np.isnan(run.reservoir_pressure_kPa[0])
+    panels: list[tuple[Callable[[ScenarioRun, Any], None], float]] = [(_openings, 1.0)]
     if has_cv:
-        _pressure(run, axes[0])
-    _openings(run, axes[-2])
-    _reservoir(run, axes[-1])
+        panels.insert(0, (_pressure, 2.6))
+    if has_reservoir:
+        panels.append((_reservoir, 1.2 if has_cv else 2.6))
+    axes = block.subplots(len(panels), 1, sharex=True, height_ratios=[height for _, height in panels])
+    for (draw, _), axis in zip(panels, axes, strict=True):
+        draw(run, axis)
+    axes[-1].set_xlabel("time, s")
     if run.faults:
         label += f"  (the firmware vented: {run.faults})"
     axes[0].set_title(label, loc="left", fontsize=10, color=RED if run.faults else "black")
@@ -73,4 +77,3 @@ def _reservoir(run: ScenarioRun, axis: Any) -> None:
     axis.update_datalim([(0.0, middle_kPa - _MIN_SPAN_KPA / 2.0), (0.0, middle_kPa + _MIN_SPAN_KPA / 2.0)])
     axis.autoscale_view(scalex=False)
     axis.set_ylabel("reservoir,\nkPa gauge")
-    axis.set_xlabel("time, s")

@@ -100,14 +100,6 @@ class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
         """The load across the tip that folds the tube at its base; π p r³/L without an actuator's pull."""
         return self.spare_Nm(force_N) / length_m
 
-    def moment_Nm(self, curvature_per_m: ArrayLike) -> Array:
-        """The moment at a curvature, without an actuator's pull."""
-        lever, held = _wrinkled()
-        curvature = self.axial_N / (self.stiffness_N_per_m * self.radius_m**2 * held)
-        moment = self.axial_N * self.radius_m * lever
-        bent = np.asarray(curvature_per_m, float)
-        return np.asarray(np.interp(bent, np.append(0.0, curvature), np.append(0.0, moment)))
-
     @cached_property
     def yielding(self) -> Yielding:
         """The bend under an actuator's pull; each ν has one force, so it is solved once for all forces."""

@@ -47,8 +47,9 @@ GIVE_UP_S = 0.8
 SAME_SCRIPT_ITEM_S = 3.0
 """Measured: a script on the autopilot sends an item's params 5 to 17 ms after the item's text. Our script
 repeats unacknowledged params for two seconds."""
-SCRIPT_MESSAGE = 217
+SCRIPT_MESSAGE = ITEM_COMMANDS["script_message"]
 WAIT_FOR_TEXT_S = 0.5
+"""It may be shorter than `MAX_DELAY_DIFFERENCE_S`, so that the vine moves earlier: see `TEXT_LATE_S`."""
 TEXT_LATE_S = 1.0
 """A text that arrives within this time after its item was inferred belongs to that item."""
 REACHED_AGAIN_S = 3.0

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.vehicle.autopilots.autopilot import Autopilot
 from flying_vines.vehicle.autopilots.px4_mission import Px4Watch
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.item import CONDITION_DELAY, MissionItem
 from flying_vines.vehicle.mission.reference_vehicle import PX4_HOME
 from flying_vines.vehicle.mission.storage import (
     MISSION_FRAME,
@@ -31,7 +31,6 @@ STATUS_AFTER_S = 1.1
 """Maximum time from the end of COM_RC_LOSS_T to the status in SYS_STATUS. Measured: the status changes 0.8 to
 1.4 s after a loss with COM_RC_LOSS_T = 0.5 s."""
 
-CONDITION_DELAY = 112
 _NAV = {16, 17, 19, 20, 21, 22, 84, 85}
 _MISSION_FRAME = {
     *(20, 93, 112, 114, 177, 178, 179, 187, 189, 195, 197, 200, 201, 203, 204, 205, 206, 211),

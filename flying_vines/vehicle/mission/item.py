@@ -4,6 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+WAYPOINT, LOITER_UNLIMITED, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
+SPLINE, VTOL_TAKEOFF, VTOL_LAND, GUIDED_ENABLE, DELAY = 82, 84, 85, 92, 93
+CONDITION_DELAY, CONDITION_DISTANCE, CONDITION_YAW = 112, 114, 115
+SPEED, NAV_SCRIPT_TIME = 178, 42702
+"""Commands (MAV_CMD)."""
+
+GLOBAL_FRAME, ABOVE_HOME_FRAME = 0, 3
+GLOBAL_FRAMES = (GLOBAL_FRAME, 5)
+"""z is an altitude above sea level."""
+
 
 @dataclass(frozen=True, slots=True)
 class MissionItem:
@@ -21,7 +31,6 @@ class MissionItem:
     autocontinue: bool = True
 
 
-NAV_SCRIPT_TIME = 42702
 _LAST_NAV = 95
 
 
@@ -30,7 +39,7 @@ def is_nav(command: int) -> bool:
     return command <= _LAST_NAV or command == NAV_SCRIPT_TIME
 
 
-_NAV_WITHOUT_PLACE = {83, 92, 93, NAV_SCRIPT_TIME}
+_NAV_WITHOUT_PLACE = {83, GUIDED_ENABLE, DELAY, NAV_SCRIPT_TIME}
 _DO_WITH_PLACE = {179, 189, 195, 201}
 _PLAIN_FRAMES = {1, 2}
 

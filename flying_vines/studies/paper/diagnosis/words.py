@@ -8,7 +8,13 @@ from typing import Any
 from flying_vines.studies.paper.data import stated
 from flying_vines.studies.paper.diagnosis import PaperDiagnosis
 from flying_vines.studies.paper.diagnosis.discharge import RIG, Discharges, LawFit
-from flying_vines.studies.paper.diagnosis.response import FLOOR, Explanation, Responses
+from flying_vines.studies.paper.diagnosis.response import (
+    FLOOR,
+    OTHER_SUPPLY_KPA,
+    SUPPLY_KPA,
+    Explanation,
+    Responses,
+)
 
 
 def findings(diagnosis: PaperDiagnosis) -> tuple[str, ...]:
@@ -109,8 +115,8 @@ def as_json(diagnosis: PaperDiagnosis) -> dict[str, Any]:
             "second": [each._asdict() for each in found.second],
             "flow_laws": [vars(law) for law in found.laws],
         },
-        "frequency": [_explanation(explanation, 345.0) for explanation in responses.explanations]
-        + [_explanation(explanation, 690.0) for explanation in responses.other],
+        "frequency": [_explanation(explanation, SUPPLY_KPA["tc5"]) for explanation in responses.explanations]
+        + [_explanation(explanation, OTHER_SUPPLY_KPA["tc5"]) for explanation in responses.other],
     }
 
 
