@@ -182,9 +182,9 @@ class Folders:
         return files
 
     def _make_folder(self) -> Path:
-        """Make a folder named by the present local time."""
+        """Make a folder named by the present local time. By name, flights of one second are in order."""
         stamp = time.strftime("%Y-%m-%d_%H-%M-%S")
-        for suffix in ("", *(f"_{n}" for n in range(2, 1000))):
+        for suffix in ("", *(f"_{n:03}" for n in range(2, 1000))):
             folder = self._parent / (stamp + suffix)
             try:
                 folder.mkdir(parents=True)
