@@ -217,7 +217,7 @@ class Safety:
         return ResponseNeeded(name, reason, "vent")
 
     def clear(self, now: SafetyInputs, seen_at: float = math.inf) -> list[str]:
-        """A person clears latched faults. Returns the names of those that were cleared.
+        """A person clears latched faults. Returns a sentence for each cleared one.
 
         A fault stays if its cause is present, or if it came after `seen_at`: the person has not seen it.
         """
@@ -226,8 +226,8 @@ class Safety:
             name for name in self._latched if name not in present and self._latched_at[name] <= seen_at
         ]
         for name in cleared:
-            del self._latched[name], self._latched_at[name]
-        return cleared
+            del self._latched_at[name]
+        return [self._latched.pop(name) for name in cleared]
 
     def firmware_faults_seen(self, seen_at: float) -> bool:
         """True if all faults that the firmware reports now were present at `seen_at`."""
