@@ -112,9 +112,7 @@ class SwitchConfig(_Table, frozen=True):
     hysteresis_us: Annotated[float, Meta(ge=0, le=60)] = 25.0
     throttle_channel: Annotated[int, Meta(ge=0, le=18)] = 3
     throttle_failsafe_us: Annotated[float, Meta(ge=0, le=1200)] = 975.0
-    receiver_failsafe: Literal["unknown", "hold", "hidden"] | Annotated[int, Meta(ge=800, le=2200)] = (
-        "unknown"
-    )
+    receiver_failsafe: ReceiverFailsafe = "unknown"
 
     def __post_init__(self) -> None:
         if len(self.positions) not in (2, 3, 6):

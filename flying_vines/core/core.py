@@ -314,7 +314,7 @@ class Core:
                     self._restarted(t, reason)
                 case fw.Incompatible(reason):
                     self._firmware_problem = reason
-                    self._notice(t, Severity.ERROR, f"{reason}")
+                    self._notice(t, Severity.ERROR, reason)
                 case fw.CommandRefused(refusal):
                     reason = refusal.reason.name.lower().replace("_", " ")
                     why = f"{self._actuator} refused: {reason}"
