@@ -18,6 +18,7 @@ from firmware_link import host as fw
 from firmware_link import protocol
 from flying_vines.config.config import Config
 from flying_vines.core.events import (
+    UNREQUESTED,
     Action,
     Asked,
     Decision,
@@ -109,7 +110,7 @@ AT_ONCE_S = 0.05
 
 VENTING = (VentVine, DisarmPneumatics, StopBench)
 MOVING = (StartProfile, BendTo, SetPressure)
-_BY_PILOT_OR_SAFETY = {"switch", "failsafe", "link"}
+_BY_PILOT_OR_SAFETY = {"switch", *UNREQUESTED}
 """Triggers of the pilot's own switch and of safety. All others come from another person or the mission."""
 
 PAGE_COMMANDS = ("clear_faults", "arm", "start_bench")

@@ -15,6 +15,7 @@ from typing import Any
 
 from matplotlib import pyplot as plt
 
+from flying_vines.core.events import carried_out_unrequested
 from flying_vines.plots.style import BLUE, GREEN, GREY, LABEL_BOX, ORANGE, PURPLE, RED, plain
 from flying_vines.plots.vine import draw_drone, draw_vine, frame
 from flying_vines.record.reader import FlightLog, LogError
@@ -166,8 +167,8 @@ def _mark_decisions(
     rows: list[float] = []
     for decision in decisions:
         x = decision["t"] - start
-        unasked = decision["trigger"] in ("failsafe", "link") and decision["safety"] == "accepted"
-        color = ORANGE if unasked else MARKS[decision["safety"]]
+        unrequested = carried_out_unrequested(decision["trigger"], decision["safety"])
+        color = ORANGE if unrequested else MARKS[decision["safety"]]
         # Each label goes to the lowest row with room for it.
         text = f"{decision['trigger'].replace('_', ' ')}: {decision.get('intent', '?')}"
         if decision["safety"] != "accepted" or decision["trigger"] == "failsafe":
