@@ -89,7 +89,7 @@ def test_a_query_changes_nothing() -> None:
                 if with_queries:
                     core.snapshot(flight.world.now)
                     core._conditions(flight.world.now)
-                    core._reservoir.cycles_left()
+                    core._supply.reservoir.cycles_left()
         return [str(a.message) if isinstance(a, ToVehicle) else str(a) for a in actions]
 
     assert flown(with_queries=True) == flown(with_queries=False)
