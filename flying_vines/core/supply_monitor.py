@@ -72,12 +72,13 @@ class SupplyMonitor:
     def find(self, t: float, features: Features) -> list[PhysicsFinding]:
         """Update the estimate, and run the physics checks. Returns their new findings."""
         run = self._parts.run
+        none: list[PhysicsFinding] = []
         if self.has_reservoir:
             run(t, "bottle estimate", lambda: self.reservoir.update(features), None, needed=True)
-        found = run(t, "physics checks", lambda: self._checks.take(features), [], needed=True)
+        found = run(t, "physics checks", lambda: self._checks.take(features), none, needed=True)
         for name, checks in self._own_checks.items():
             needed = self._own_levels[name] == "fault"
-            found = found + run(t, f"check {name}", partial(checks.take, features), [], needed)
+            found = found + run(t, f"check {name}", partial(checks.take, features), none, needed)
         return found
 
     @property
