@@ -442,7 +442,7 @@ class Core:
         if now.faults and self._safety.firmware_faults_seen(seen_at):
             self._to_firmware(self._firmware.clear_faults(t, now.faults))
         if cleared:
-            self._notice(t, Severity.NOTICE, f"cleared: {'; '.join(cleared)}")
+            self._notice(t, Severity.NOTICE, f"cleared: {'; '.join(cleared.values())}")
         return had_faults
 
     def _record(self, t: float, trigger: Trigger, ruling: Ruling) -> Decision:
