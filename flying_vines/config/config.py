@@ -6,6 +6,7 @@ import difflib
 import ipaddress
 import math
 import re
+from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
@@ -117,9 +118,7 @@ class SwitchConfig(_Table, frozen=True):
     hysteresis_us: Annotated[float, Meta(ge=0, le=60)] = 25.0
     throttle_channel: Annotated[int, Meta(ge=0, le=18)] = 3
     throttle_failsafe_us: Annotated[float, Meta(ge=0, le=1200)] = 975.0
-    receiver_failsafe: Literal["unknown", "hold", "hidden"] | Annotated[int, Meta(ge=800, le=2200)] = (
-        "unknown"
-    )
+    receiver_failsafe: ReceiverFailsafe = "unknown"
 
     def __post_init__(self) -> None:
         if len(self.positions) not in (2, 3, 6):
@@ -386,57 +385,77 @@ def _profiles_of(raw: dict[str, Any]) -> list[tuple[str, Any]]:
 
 def _contradictions(config: Config) -> list[tuple[Key, str]]:
     """The keys whose values are invalid, alone or together with other values, and the reasons."""
-    found: list[tuple[Key, str]] = []
-    for table, link in (("vehicle", config.vehicle.link), ("firmware", config.firmware.link)):
-        try:
-            parse_address(link)
-        except ValueError as error:
-            found.append(((table, "link"), str(error)))
-    try:
-        ipaddress.ip_address(config.page.host)
-    except ValueError:
-        reason = f"'{config.page.host}' is not an IP address: give 127.0.0.1, or 0.0.0.0 for all"
-        found.append((("page", "host"), reason))
-    found.extend((key, "is not a finite number") for key in not_finite(msgspec.to_builtins(config)))
-    found.extend((("mqtt", key), reason) for key, reason in _broker_contradictions(config.mqtt))
-    if found:
-        return found
+    if invalid := list(_invalid_values(config)):
+        return invalid
     try:
         curve = config.vine.bend_curve()
     except ValueError as error:
         return [(("vine", "hysteresis_kPa"), str(error))]
+    return [
+        *_impossible_profiles(config, curve),
+        *_missing_profiles(config),
+        *_above_the_limit(config, curve),
+    ]
+
+
+def _invalid_values(config: Config) -> Iterator[tuple[Key, str]]:
+    for table, link in (("vehicle", config.vehicle.link), ("firmware", config.firmware.link)):
+        try:
+            parse_address(link)
+        except ValueError as error:
+            yield (table, "link"), str(error)
+    try:
+        ipaddress.ip_address(config.page.host)
+    except ValueError:
+        reason = f"'{config.page.host}' is not an IP address: give 127.0.0.1, or 0.0.0.0 for all"
+        yield ("page", "host"), reason
+    for key in not_finite(msgspec.to_builtins(config)):
+        yield key, "is not a finite number"
+    for name, reason in _broker_contradictions(config.mqtt):
+        yield ("mqtt", name), reason
+
+
+def _impossible_profiles(config: Config, curve: BendCurve) -> Iterator[tuple[Key, str]]:
+    """The profiles that cannot be flattened, leave the bend curve or the pressure limit, or are too fast."""
     for name, profile in config.profiles.items():
+        key = ("profiles", name)
         try:
             segments = tuple(flatten(config.profiles, name))
         except ValueError as error:
-            found.append((("profiles", name), str(error)))
+            yield key, str(error)
             continue
         for segment in segments:
-            for value in (getattr(segment, key, None) for key in ("to_deg", "from_deg")):
+            for value in (getattr(segment, field, None) for field in ("to_deg", "from_deg")):
                 if value is not None and not curve.min_deg <= value <= curve.max_deg:
                     angles = f"{curve.min_deg:g}…{curve.max_deg:g}°"
-                    found.append((("profiles", name), f"{value:g}° is outside the bend curve's {angles}"))
-            for value in (getattr(segment, key, None) for key in ("to_kPa", "from_kPa")):
+                    yield key, f"{value:g}° is outside the bend curve's {angles}"
+            for value in (getattr(segment, field, None) for field in ("to_kPa", "from_kPa")):
                 if value is not None and not 0 <= value <= config.limits.max_kPa:
                     limit = f"0…{config.limits.max_kPa:g} kPa (limits.max_kPa)"
-                    found.append((("profiles", name), f"{value:g} kPa is outside {limit}"))
-            if isinstance(segment, Sine):
-                found.extend(_too_fast(config, curve, name, profile, segment))
+                    yield key, f"{value:g} kPa is outside {limit}"
+            if isinstance(segment, Sine) and (reason := _too_fast(config, curve, profile, segment)):
+                yield key, reason
+
+
+def _missing_profiles(config: Config) -> Iterator[tuple[Key, str]]:
+    """The names in switch, triggers and items for which there is no profile."""
     for i, name in enumerate(config.switch.positions):
         if name and name not in config.profiles:
-            found.append((("switch", "positions", i), no_profile(config, name)))
+            yield ("switch", "positions", i), no_profile(config, name)
     for i, trigger in enumerate(config.triggers):
         if trigger.profile not in config.profiles:
-            found.append((("triggers", i, "profile"), no_profile(config, trigger.profile)))
+            yield ("triggers", i, "profile"), no_profile(config, trigger.profile)
     for i, item in enumerate(config.items):
         if item.profile is not None and item.profile not in config.profiles:
-            found.append((("items", i, "profile"), no_profile(config, item.profile)))
+            yield ("items", i, "profile"), no_profile(config, item.profile)
+
+
+def _above_the_limit(config: Config, curve: BendCurve) -> Iterator[tuple[Key, str]]:
     if curve.max_kPa > config.limits.max_kPa:
         reason = f"the curve goes to {curve.max_kPa:g} kPa, above limits.max_kPa = {config.limits.max_kPa:g}"
-        found.append((("vine", "curve"), reason))
+        yield ("vine", "curve"), reason
     if config.pneumatics.cycle_swing_kPa > config.limits.max_kPa:
-        found.append((("pneumatics", "cycle_swing_kPa"), "is above limits.max_kPa"))
-    return found
+        yield ("pneumatics", "cycle_swing_kPa"), "is above limits.max_kPa"
 
 
 def _open_links(config: Config) -> list[tuple[Key, str]]:
@@ -486,15 +505,14 @@ def _broker_contradictions(mqtt: MqttConfig) -> list[tuple[str, str]]:
     return found
 
 
-def _too_fast(
-    config: Config, curve: BendCurve, name: str, profile: PressureProfile, sine: Sine
-) -> list[tuple[Key, str]]:
+def _too_fast(config: Config, curve: BendCurve, profile: PressureProfile, sine: Sine) -> str:
+    """Why a sine is too fast; empty if it is not."""
     low, high = ends_kPa(sine, curve)
     steepest = math.pi * sine.frequency_Hz * abs(high - low)
     limit = min(profile.rate_kPa_per_s or math.inf, config.limits.max_rate_kPa_per_s)
     if steepest <= limit:
-        return []
-    return [(("profiles", name), f"the sine needs {steepest:.0f} kPa/s, the rate limit is {limit:g} kPa/s")]
+        return ""
+    return f"the sine needs {steepest:.0f} kPa/s, the rate limit is {limit:g} kPa/s"
 
 
 def no_profile(config: Config, name: str) -> str:

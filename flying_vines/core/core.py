@@ -17,7 +17,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from firmware_link import host as fw
 from firmware_link import protocol
 from flying_vines.config.config import Config
+from flying_vines.core.asked import trigger_of
+from flying_vines.core.board_mode import BoardMode
 from flying_vines.core.events import (
+    UNREQUESTED,
     Action,
     Asked,
     Decision,
@@ -27,7 +30,6 @@ from flying_vines.core.events import (
     InternalError,
     KeepDisarmed,
     KeepLatched,
-    KeepLearned,
     KeepParameters,
     LinkChanged,
     Measured,
@@ -45,17 +47,8 @@ from flying_vines.core.pending_bend import PendingBend, PendingBendTracker, sour
 from flying_vines.core.restarts import Restarts
 from flying_vines.core.safety import LossEnded, ResponseNeeded, Ruling, Safety, SafetyInputs
 from flying_vines.core.snapshot import Snapshot
-from flying_vines.supply import (
-    Features,
-    ReportedCycles,
-    ReservoirEstimate,
-    RigPrior,
-    TelemetryReader,
-    nominal,
-)
-from flying_vines.supply.cycles_left import AirNeeded
-from flying_vines.supply.learned_file import learned_from, text_of
-from flying_vines.supply.physics_checks import AIR_LOSSES, CHECKS, PhysicsChecks, own_checks
+from flying_vines.core.supply_monitor import SupplyMonitor
+from flying_vines.supply import Features, RigPrior, nominal
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.component.parameters import Changed
 from flying_vines.vehicle.component.telemetry import VALUE_NAMES
@@ -64,11 +57,9 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.radio.pilot import Straightened
-from flying_vines.vehicle.triggers import Trigger, only_deflates
+from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vehicle.vehicle import Vehicle, VehicleOutput
 from flying_vines.vine.intent import (
-    ACTS_WITHIN_S,
-    COMMAND_OF,
     ArmPneumatics,
     BendTo,
     ClearLatchedFaults,
@@ -89,18 +80,6 @@ TICK_S = 0.02
 LISTEN_FIRST_S = 1.5
 """We wait this long for an autopilot before we send anything."""
 
-CYCLES_EVERY_S = 2.0
-"""Interval of the predictions of cycles left. A prediction takes milliseconds of the loop's time."""
-
-KEEP_EVERY_S = 10.0
-"""Minimum interval between two writes of the learned air to disk."""
-
-NO_AIR_NEEDED = AirNeeded(0.0, 0.0)
-"""For an actuator without a reservoir."""
-
-AIR_UNKNOWN = AirNeeded(math.inf, math.inf)
-"""Used after the estimate has failed: no reservoir has so much air, so every bend is refused."""
-
 BENCH_S = 300.0
 """Bench mode ends this long after the last request of a person."""
 
@@ -109,12 +88,8 @@ AT_ONCE_S = 0.05
 
 VENTING = (VentVine, DisarmPneumatics, StopBench)
 MOVING = (StartProfile, BendTo, SetPressure)
-_BY_PILOT_OR_SAFETY = {"switch", "failsafe", "link"}
+_BY_PILOT_OR_SAFETY = {"switch", *UNREQUESTED}
 """Triggers of the pilot's own switch and of safety. All others come from another person or the mission."""
-
-PAGE_COMMANDS = ("clear_faults", "arm", "start_bench")
-"""The page may send these commands without bench mode, and always all commands that only deflate the vine.
-While the vehicle is armed, `start_bench` is refused."""
 
 _SENSOR_TEXTS = {
     "cv_kPa": "vine sensor reads",
@@ -163,21 +138,9 @@ class Core:
         self._safety = Safety(config, stored.latched)
         self._kept_latched = set(stored.latched)
         """The latched faults that were stored last."""
-        self._prior = prior or nominal(config.pneumatics)
-        self._reader = TelemetryReader(self._prior)
-        self._features: Features | None = None
-        known, self._learned_problem = learned_from(stored.learned, self._prior)
-        self._reservoir = ReservoirEstimate(self._prior, known)
-        self._kept_cycles = self._reservoir.measured_cycles
-        """The number of measured cycles that was stored last; NaN after an event: then it is stored again."""
-        self._kept_at = -math.inf
-        self._has_reservoir = config.firmware.is_phlosar
+        self._parts = IsolatedParts(self._on_failed)
+        self._supply = SupplyMonitor(config, prior or nominal(config.pneumatics), stored.learned, self._parts)
         self._actuator = config.firmware.name
-        self._checks = PhysicsChecks(self._prior, config.checks, CHECKS if self._has_reservoir else {})
-        self._own_checks = own_checks(self._prior, config.checks)
-        self._cycles = ReportedCycles(self._reservoir)
-        self._cycles_at = -math.inf
-        self._low_warned = False
         self._silent_since: float | None = None
         self._motion: Motion | None = None
         self._pending_bend = PendingBendTracker()
@@ -188,13 +151,11 @@ class Core:
         self._pneumatics_armed = config.interlocks.armed_at_start and not stored.disarmed
         self._bench_until = -math.inf
         self._requested_at = -math.inf
-        self._mode_mismatch: tuple[protocol.Mode, float, float] | None = None
-        """(commanded mode, begin, end) while the board is in another mode. Times by the board's clock."""
+        self._board_mode = BoardMode()
         self._restarts = Restarts(self._actuator)
         self._restart_noted = False
         """True from a board restart until the board is ready again."""
         self._stopped = False
-        self._parts = IsolatedParts(self._on_failed)
         self.internal_error = False
         """A needed part has failed: the vine stays vented until a person restarts the service."""
         self._actions: list[Action] = []
@@ -225,7 +186,8 @@ class Core:
             case Tick(t):
                 self._on_tick(t)
             case Asked():
-                self._decide(event.t, self._trigger_of(event))
+                trigger = trigger_of(event, self.config, self._vehicle.state.armed, self._on_bench)
+                self._decide(event.t, trigger)
             case Said(t, severity, text):
                 self._notice(t, severity, text)
             case Stop(t):
@@ -281,7 +243,7 @@ class Core:
     # The firmware.
 
     def _on_firmware_link(self, t: float, up: bool) -> None:
-        self._mode_mismatch = None
+        self._board_mode.restart()
         self._restart_noted = False
         if up:
             self._firmware.opened(t)
@@ -303,8 +265,9 @@ class Core:
                     self._notice(t, Severity.INFO if is_new else Severity.DEBUG, ready)
                 case fw.TelemetryReceived(telemetry):
                     self._actions.append(Measured(t, telemetry))
-                    features = self._features = self._reader.read(t, telemetry)
-                    self._note_mode(t, telemetry)
+                    features = self._supply.read(t, telemetry)
+                    made_at = t - self._firmware.telemetry_age(t)
+                    self._board_mode.note(made_at, telemetry.mode, self._commanded_mode)
                     if telemetry.faults or features.cv_lower_kPa > self.config.limits.overpressure_kPa:
                         self._check_safety(t)
                     self._estimate(t, features)
@@ -314,7 +277,7 @@ class Core:
                     self._restarted(t, reason)
                 case fw.Incompatible(reason):
                     self._firmware_problem = reason
-                    self._notice(t, Severity.ERROR, f"{reason}")
+                    self._notice(t, Severity.ERROR, reason)
                 case fw.CommandRefused(refusal):
                     reason = refusal.reason.name.lower().replace("_", " ")
                     why = f"{self._actuator} refused: {reason}"
@@ -325,24 +288,18 @@ class Core:
             return  # the board's clock in telemetry has already shown this restart; now comes its new boot id
         self._restart_noted = True
         self._firmware_problem = "restarted"
-        self._mode_mismatch = None
+        self._board_mode.restart()
         first = self._restarts.note(t)
         why = f"{self._actuator} restarted: {reason}" if first else self._restarts.looping(t)
         self._enter(t, self._safety.latch(t, "firmware_reset", why))
 
     def _estimate(self, t: float, features: Features) -> None:
         """Update the estimates, and run the physics checks."""
-        run, bent_kPa, cv_kPa = self._parts.run, self._planner.curve.bent_kPa, features.telemetry.cv_kPa
-        self._bent_kPa = run(t, "bend", lambda: bent_kPa(cv_kPa, self._bent_kPa), self._bent_kPa, needed=True)
-        if self._has_reservoir:
-            run(t, "bottle estimate", lambda: self._reservoir.update(features), None, needed=True)
-        run(t, "physics checks", lambda: self._check(t, features, self._checks), None, needed=True)
-        for name, checks in self._own_checks.items():
-            needed = self.config.checks.own[name] == "fault"
-            run(t, f"check {name}", partial(self._check, t, features, checks), None, needed)
-
-    def _check(self, t: float, features: Features, checks: PhysicsChecks) -> None:
-        findings = checks.take(features)
+        bent_kPa, cv_kPa = self._planner.curve.bent_kPa, features.telemetry.cv_kPa
+        self._bent_kPa = self._parts.run(
+            t, "bend", lambda: bent_kPa(cv_kPa, self._bent_kPa), self._bent_kPa, needed=True
+        )
+        findings = self._supply.find(t, features)
         for finding in findings:
             if finding.level == "warn":
                 self._notice(t, Severity.WARNING, finding.sentence)
@@ -357,57 +314,11 @@ class Core:
         else:
             self._notice(failed.t, Severity.WARNING, f"{failed.part} failed, flight goes on")
 
-    def _note_mode(self, t: float, telemetry: protocol.Telemetry) -> None:
-        """Compare the board's mode with the command. In FAULT mode the board vents by itself."""
-        mode, commanded = telemetry.mode, self._commanded_mode
-        if mode is commanded or (mode is protocol.Mode.FAULT and commanded is protocol.Mode.VENT):
-            self._mode_mismatch = None
-            return
-        made_at = t - self._firmware.telemetry_age(t)
-        began_at = (
-            self._mode_mismatch[1] if self._mode_mismatch and self._mode_mismatch[0] is commanded else made_at
-        )
-        self._mode_mismatch = commanded, began_at, made_at
-
     @property
     def _commanded_mode(self) -> protocol.Mode:
         return protocol.Mode.VENT if self._motion is None else protocol.Mode.REGULATE
 
-    @property
-    def _mode_mismatch_s(self) -> float:
-        if self._mode_mismatch is None or self._mode_mismatch[0] is not self._commanded_mode:
-            return 0.0
-        return self._mode_mismatch[2] - self._mode_mismatch[1]
-
     # Deciding.
-
-    def _trigger_of(self, asked: Asked) -> Trigger:
-        """The trigger for a request that did not come over MAVLink. `problem` is a reason to refuse it."""
-        t, by, intent = asked.t, asked.by, asked.intent
-        problem = "" if only_deflates(self.config, intent) else self._request_problem(asked)
-        seen_at = asked.seen_at
-        if by == "calibration":
-            seen_at = t
-        elif seen_at is None or seen_at > t:
-            # Unknown, or from before this computer started: the person has seen no fault of this run.
-            seen_at = -math.inf
-        if isinstance(intent, ClearLatchedFaults) and seen_at == -math.inf:
-            problem = problem or "the request does not say which state the person saw"
-        return Trigger(t, by, {}, intent, problem, by_person=not problem, seen_at=seen_at)
-
-    def _request_problem(self, asked: Asked) -> str:
-        age_s = 0.0 if asked.made_at is None else asked.t - asked.made_at
-        if age_s > ACTS_WITHIN_S:
-            return f"too late: requested {age_s:.1f} s ago"
-        command = COMMAND_OF[type(asked.intent)]
-        if asked.by == "broker" and command not in self.config.mqtt.commands:
-            return f"mqtt.commands does not list {command}"
-        if asked.by == "page" and command not in PAGE_COMMANDS:
-            if self._vehicle.state.armed:
-                return "the page cannot bend the vine while the vehicle is armed"
-            if not (self._on_bench or self.config.interlocks.bench_mode):
-                return "the page can bend the vine only in bench mode"
-        return ""
 
     def _decide(self, t: float, trigger: Trigger) -> Decision:
         """Let safety judge a trigger. Carry out its intent, or refuse it with a reason."""
@@ -427,15 +338,7 @@ class Core:
         if problem := self._planner.problem(intent):
             return self._record(t, trigger, Ruling("refused", problem))
         motion = self._plan(t, intent)
-        rise_kPa, rate_kPa_per_s = motion.rise_kPa, motion.rate_kPa_per_s
-        air = (
-            NO_AIR_NEEDED
-            if not self._has_reservoir
-            else self._parts.run(
-                *(t, "bottle estimate", lambda: self._reservoir.air_needed(rise_kPa, rate_kPa_per_s)),
-                *(AIR_UNKNOWN, True),
-            )
-        )
+        air = self._supply.air_needed(t, motion.rise_kPa, motion.rate_kPa_per_s)
         if trigger.by_person and motion.only_deflates:
             self._clear_faults(t, trigger.seen_at)
         ruling = self._safety.judge(motion, air, now)
@@ -539,7 +442,7 @@ class Core:
         if now.faults and self._safety.firmware_faults_seen(seen_at):
             self._to_firmware(self._firmware.clear_faults(t, now.faults))
         if cleared:
-            self._notice(t, Severity.NOTICE, f"cleared {', '.join(cleared)}")
+            self._notice(t, Severity.NOTICE, f"cleared: {'; '.join(cleared.values())}")
         return had_faults
 
     def _record(self, t: float, trigger: Trigger, ruling: Ruling) -> Decision:
@@ -612,7 +515,7 @@ class Core:
     def _note_cut_off(self, t: float) -> None:
         """The present motion ends before its time."""
         if self._motion is not None and not self._motion.is_over(t):
-            self._reservoir.cut_off()
+            self._supply.reservoir.cut_off()
 
     def _stop_moving(self, t: float) -> None:
         self._note_cut_off(t)
@@ -650,9 +553,7 @@ class Core:
         if text := self._restarts.tick(t):
             self._notice(t, Severity.WARNING, text)
         self._report_waiting(t)
-        self._update_cycles_left(t)
-        self._warn_of_low_reservoir(t)
-        self._keep_learned(t)
+        self._watch_supply(t)
         self._keep_latched(t)
         self._report(t)
 
@@ -689,7 +590,8 @@ class Core:
             self._rc_in_use = False
 
     def _conditions(self, t: float) -> SafetyInputs:
-        telemetry = self._firmware.telemetry
+        telemetry, supply = self._firmware.telemetry, self._supply
+        features = supply.features
         return SafetyInputs(
             pneumatics_armed=self._pneumatics_armed,
             armed=self._vehicle.state.armed,
@@ -703,23 +605,16 @@ class Core:
             telemetry_age_s=self._firmware.telemetry_age(t),
             faults=telemetry.faults if telemetry else protocol.Fault.NONE,
             sensor_problem=self._sensor_problem,
-            cv_kPa=self._features.cv_lower_kPa if self._features else math.nan,
-            reservoir_kPa=self._reservoir.reservoir_kPa if self._has_reservoir else math.inf,
-            mode_mismatch_s=self._mode_mismatch_s,
+            cv_kPa=features.cv_lower_kPa if features else math.nan,
+            reservoir_kPa=supply.reservoir.reservoir_kPa if supply.has_reservoir else math.inf,
+            mode_mismatch_s=self._board_mode.mismatch_s(self._commanded_mode),
             restarting=self._restarts.looping(t),
             bench=self._on_bench,
             moving=self._motion is not None,
             moving_s=t - self._triggered_at if self._motion else 0.0,
-            physics=self._physics_faults,
+            physics=supply.faults,
             internal_error=self.internal_error,
         )
-
-    @property
-    def _physics_faults(self) -> dict[str, str]:
-        faults = self._checks.faults
-        for checks in self._own_checks.values():
-            faults |= checks.faults
-        return faults
 
     @property
     def _sensor_problem(self) -> str | None:
@@ -789,52 +684,19 @@ class Core:
         is_new = self._is_new_text(t, change.name, text)
         self._notice(t, Severity.NOTICE if is_new else Severity.DEBUG, text)
 
-    def _update_cycles_left(self, t: float) -> None:
-        """Predict the cycles left after every flown cycle, and every `CYCLES_EVERY_S`."""
-        if not self._has_reservoir:
-            return
-        reservoir, cycles = self._reservoir, self._cycles
-        lost = any(name in AIR_LOSSES for name in self._safety.reasons)
-        flown = cycles.left is None or cycles.left.measured_cycles != reservoir.measured_cycles
-        if flown or lost != cycles.lost or abs(reservoir.read_at - self._cycles_at) >= CYCLES_EVERY_S:
-            self._cycles_at = reservoir.read_at
-            event = self._parts.run(t, "cycles left", lambda: cycles.update(t, lost), None)
-            if event is None:
-                cycles.left = None
-            elif event:
-                self._kept_cycles = math.nan
-                self._notice(t, Severity.NOTICE, event)
-
-    def _keep_learned(self, t: float) -> None:
-        """Store the learned air after new cycles or an event, but not more often than `KEEP_EVERY_S`."""
-        if self._learned_problem:
-            self._notice(t, Severity.NOTICE, self._learned_problem)
-            self._learned_problem = ""
-        reservoir = self._reservoir
-        if reservoir.measured_cycles == self._kept_cycles or t < self._kept_at + KEEP_EVERY_S:
-            return
-        learned = reservoir.learned
-        if learned is not None:
-            self._kept_cycles, self._kept_at = reservoir.measured_cycles, t
-            self._actions.append(KeepLearned(t, text_of(self._prior, learned)))
+    def _watch_supply(self, t: float) -> None:
+        low_reservoir_cycles = self.config.telemetry.low_reservoir_cycles
+        for output in self._supply.tick(t, self._safety.reasons, low_reservoir_cycles):
+            if isinstance(output, Notice):
+                self._publish(output)
+            else:
+                self._actions.append(output)
 
     def _keep_latched(self, t: float) -> None:
         latched = self._safety.latched
         if latched.keys() != self._kept_latched:
             self._kept_latched = set(latched)
             self._actions.append(KeepLatched(t, latched))
-
-    def _warn_of_low_reservoir(self, t: float) -> None:
-        cycles = self._cycles.left
-        if cycles is None or cycles.lost:
-            return
-        threshold = self.config.telemetry.low_reservoir_cycles
-        if cycles.expected < threshold and not self._low_warned:
-            self._low_warned = True
-            pressure = self._reservoir.reservoir_kPa
-            self._notice(t, Severity.WARNING, f"bottle low, {pressure:.0f} kPa, {cycles}")
-        elif cycles.expected > 1.5 * threshold + 1:
-            self._low_warned = False
 
     def _report(self, t: float) -> None:
         status = mavlink.MAV_STATE_ACTIVE if self._motion else mavlink.MAV_STATE_STANDBY
@@ -862,9 +724,9 @@ class Core:
         telemetry = self._fresh_telemetry(t)
         if telemetry is None:
             return {}
-        left = self._cycles.left
+        left = self._supply.cycles_left
         values = (
-            telemetry.reservoir_kPa if self._has_reservoir else math.nan,
+            telemetry.reservoir_kPa if self._supply.has_reservoir else math.nan,
             left.expected if left else math.nan,
             left.minutes if left else math.nan,
             telemetry.cv_kPa,
@@ -899,17 +761,17 @@ class Core:
             firmware="ready" if ready else self._firmware_problem,
             round_trip_s=self._firmware.round_trip_s,
             telemetry_gaps=self._firmware.telemetry_gaps,
-            reservoir_kPa=telemetry.reservoir_kPa if telemetry and self._has_reservoir else math.nan,
+            reservoir_kPa=telemetry.reservoir_kPa if telemetry and self._supply.has_reservoir else math.nan,
             cv_kPa=telemetry.cv_kPa if telemetry else math.nan,
             command_kPa=self._commanded_kPa(t),
             bend_deg=self._planner.curve.angle_deg(self._bent_kPa) if telemetry else math.nan,
             evp_opening=telemetry.evp_opening if telemetry else math.nan,
             dvp_opening=telemetry.dvp_opening if telemetry else math.nan,
             solenoid=telemetry.solenoid if telemetry else None,
-            cycles=self._cycles.left,
+            cycles=self._supply.cycles_left,
             doing=self._motion.name if self._motion else self._resting,
             safe_state=self._safety.reasons,
-            findings=dict(sum((checks.counts for checks in self._own_checks.values()), self._checks.counts)),
+            findings=self._supply.findings,
             ambient_kPa=math.nan if ambient_kPa is None else ambient_kPa,
             pneumatics_armed=self._pneumatics_armed,
             bench=self._on_bench,

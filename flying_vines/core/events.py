@@ -114,6 +114,15 @@ class ToFirmware:
     message: protocol.HostMessage
 
 
+UNREQUESTED = ("failsafe", "link")
+"""The triggers that nobody requested. They vent or hold the vine."""
+
+
+def carried_out_unrequested(trigger: str, safety: str) -> bool:
+    """True if the vine was vented or held, and nobody requested it. So it is not shown in green."""
+    return trigger in UNREQUESTED and safety == "accepted"
+
+
 @dataclass(frozen=True, slots=True)
 class Decision:
     """A trigger and the answer to it."""

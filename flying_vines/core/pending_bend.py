@@ -81,7 +81,7 @@ class PendingBendTracker:
 
 
 def source(kind: str, what: Mapping[str, object]) -> str:
-    """The source of a trigger as text, e.g. "mission item 4"."""
+    """Who or what sent a trigger, e.g. "mission item 4"."""
     if kind == "mission_item":
         return "the mission" if what.get("seq") is None else f"mission item {what['seq']}"
     if kind == "trigger":

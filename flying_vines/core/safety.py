@@ -216,8 +216,8 @@ class Safety:
         self._latched_at[name] = t
         return ResponseNeeded(name, reason, "vent")
 
-    def clear(self, now: SafetyInputs, seen_at: float = math.inf) -> list[str]:
-        """A person clears latched faults. Returns the names of those that were cleared.
+    def clear(self, now: SafetyInputs, seen_at: float = math.inf) -> dict[str, str]:
+        """A person clears latched faults. Returns a sentence for each cleared one, by name.
 
         A fault stays if its cause is present, or if it came after `seen_at`: the person has not seen it.
         """
@@ -226,8 +226,8 @@ class Safety:
             name for name in self._latched if name not in present and self._latched_at[name] <= seen_at
         ]
         for name in cleared:
-            del self._latched[name], self._latched_at[name]
-        return cleared
+            del self._latched_at[name]
+        return {name: self._latched.pop(name) for name in cleared}
 
     def firmware_faults_seen(self, seen_at: float) -> bool:
         """True if all faults that the firmware reports now were present at `seen_at`."""

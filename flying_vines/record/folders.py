@@ -11,6 +11,7 @@ The files are synced to the disk twice a second. So a power cut loses less than 
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import shutil
 import time
@@ -66,7 +67,7 @@ class FlightStart:
 
 
 class LogEnded(OSError):
-    """The log ended for a reason other than a disk error."""
+    """An entry cannot be written, and a retry would not help: the program has an error."""
 
     def __init__(self, why: str) -> None:
         super().__init__(0, why)
@@ -92,7 +93,11 @@ class Folders:
         self._files: Files | None = self._begin(t, "")
 
     def write(self, batches: Sequence[Sequence[RawEntry | None]]) -> None:
-        """Write entries. An entry None starts a new folder. Raises `LogEnded` if a retry cannot help."""
+        """Write entries. An entry None starts a new folder.
+
+        After a disk error, `problem` says why, and later entries are written as soon as the disk allows it.
+        Raises `LogEnded` after any other error.
+        """
         for batch in batches:
             for entry in batch:
                 try:
@@ -139,19 +144,20 @@ class Folders:
         if t - self._checked_at >= CHECK_DISK_S:
             self._checked_at = t
             if not self._files.exist:
-                raise LogEnded("its folder was deleted")
+                raise OSError(errno.ENOENT, "its folder was deleted")
             self._check_room(self.folder)
 
     def _check_room(self, folder: Path, more_MB: float = 0.0) -> None:
         free_MB = shutil.disk_usage(folder).free / 1e6
         if free_MB < self._least_free_MB + more_MB:
             self.close(whole=True)
-            raise LogEnded(
-                f"the disk has {free_MB:.0f} MB left, and log.least_free_MB is {self._least_free_MB:g}"
+            raise OSError(
+                errno.ENOSPC,
+                f"the disk has {free_MB:.0f} MB left, and log.least_free_MB is {self._least_free_MB:g}",
             )
 
     def _continue(self, t: float) -> Files:
-        """Continue in a new folder. Raises `OSError` or `LogEnded` while that is not possible."""
+        """Continue in a new folder. Raises `OSError` while that is not possible."""
         with contextlib.suppress(FileNotFoundError):
             self._check_room(self._parent, MORE_ROOM_MB)
         files = self._open_next(t)
@@ -182,9 +188,9 @@ class Folders:
         return files
 
     def _make_folder(self) -> Path:
-        """Make a folder named by the present local time."""
+        """Make a folder named by the present local time. By name, flights of one second are in order."""
         stamp = time.strftime("%Y-%m-%d_%H-%M-%S")
-        for suffix in ("", *(f"_{n}" for n in range(2, 1000))):
+        for suffix in ("", *(f"_{n:03}" for n in range(2, 1000))):
             folder = self._parent / (stamp + suffix)
             try:
                 folder.mkdir(parents=True)

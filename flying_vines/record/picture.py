@@ -15,6 +15,7 @@ from typing import Any
 
 from matplotlib import pyplot as plt
 
+from flying_vines.core.events import carried_out_unrequested
 from flying_vines.plots.style import BLUE, GREEN, GREY, LABEL_BOX, ORANGE, PURPLE, RED, plain
 from flying_vines.plots.vine import draw_drone, draw_vine, frame
 from flying_vines.record.reader import FlightLog, LogError
@@ -52,11 +53,8 @@ def draw_flight(log: FlightLog, path: Path, title: str | None = None) -> None:
     if len(snapshots) < 2:
         raise LogError(f"{log.path}: has no snapshots to draw")
     start = snapshots[0]["t"]
-    t = [s["t"] - start for s in snapshots]
+    slow = _Columns(snapshots, start)
     quick = _Columns(telemetry[:: 1 + len(telemetry) // MAX_POINTS], start)
-
-    def column(name: str) -> list[float]:
-        return [s.get(name, math.nan) for s in snapshots]
 
     figure, axes = plt.subplots(
         5, 1, figsize=(12, 11), sharex=True, height_ratios=[3.2, 1.5, 1.6, 1.4, 1.8], layout="constrained"
@@ -65,51 +63,18 @@ def draw_flight(log: FlightLog, path: Path, title: str | None = None) -> None:
     when = time.strftime("%Y-%m-%d, %H:%M:%S", time.localtime(began_ns / 1e9))
     figure.align_ylabels(axes)
     figure.suptitle(title or f"Flight of {when}", x=0.01, ha="left", fontweight="bold")
-
-    pressure.plot(t, column("command_kPa"), color=ORANGE, lw=1.6, label="setpoint")
-    pressure.plot(quick.t, quick["cv_kPa"], color=BLUE, lw=1.1, label="vine (CV)")
-    pressure.set_ylabel("pressure, kPa gauge")
-    top = max(25.0, 1.1 * max((x for x in quick["cv_kPa"] if x == x), default=0.0))
-    pressure.set_yticks(range(0, int(top) + 1, 5))
-    pressure.legend(loc="upper right", ncols=2, frameon=False)
-    _mark_decisions(pressure, decisions, start, t[-1], top)
-
-    _draw_vines(shape, t, column("bend_deg"), [d["t"] - start for d in decisions])
-
-    bend.plot(t, column("bend_deg"), color=PURPLE, lw=1.3)
+    _draw_pressure(pressure, slow, quick, decisions, start)
+    _draw_vines(shape, slow.t, slow["bend_deg"], [d["t"] - start for d in decisions])
+    bend.plot(slow.t, slow["bend_deg"], color=PURPLE, lw=1.3)
     bend.set_ylabel("bend, °")
     bend.set_ylim(bottom=-2)
-
-    opening.fill_between(quick.t, quick["evp_opening"], color=BLUE, alpha=0.6, lw=0, step="post")
-    downwards = [-x for x in quick["dvp_opening"]]
-    opening.fill_between(quick.t, downwards, color=GREEN, alpha=0.7, lw=0, step="post")
-    solenoid = [-1.25 if is_open else math.nan for is_open in quick["solenoid"]]
-    opening.plot(quick.t, solenoid, color=GREY, lw=4, solid_capstyle="butt")
-    opening.set_ylim(-1.5, 1.1)
-    opening.set_yticks([-1.25, -0.5, 0.5], ["solenoid", "DVP", "EVP"])
-    opening.set_ylabel("openings")
-
-    reservoir.plot(quick.t, quick["reservoir_kPa"], color=BLUE, lw=1.1)
-    reservoir.set_ylabel("reservoir,\nkPa gauge", color=BLUE)
-    reservoir.set_ylim(bottom=0)
-    reservoir.set_xlabel("time, s")
-    cycles = reservoir.twinx()
-    known = [(x, s["cycles"]) for x, s in zip(t, snapshots, strict=True) if s.get("cycles")]
-    if known:
-        xs = [x for x, _ in known]
-        cycles.fill_between(
-            xs, [c["low"] for _, c in known], [c["high"] for _, c in known], color=PURPLE, alpha=0.15, lw=0
-        )
-        cycles.plot(xs, [c["expected"] for _, c in known], color=PURPLE, lw=1.3)
-    cycles.set_ylabel("cycles left, 90 % interval", color=PURPLE)
-    cycles.set_ylim(bottom=0)
-
+    _draw_openings(opening, quick)
+    _draw_reservoir(reservoir, slow.t, snapshots, quick)
     for axis in axes:
-        _shade_safe_states(axis, t, snapshots)
+        _shade_safe_states(axis, slow.t, snapshots)
         plain(axis)
-        axis.set_xlim(t[0], t[-1])
+        axis.set_xlim(slow.t[0], slow.t[-1])
     shape.set_axis_off()
-    cycles.spines["top"].set_visible(False)
     with plt.rc_context({"pdf.fonttype": 42, "svg.fonttype": "none"}):  # text stays text
         figure.savefig(path, dpi=DPI)
     plt.close(figure)
@@ -124,6 +89,47 @@ class _Columns:
 
     def __getitem__(self, name: str) -> list[float]:
         return [entry.get(name, math.nan) for entry in self._entries]
+
+
+def _draw_pressure(
+    axis: Any, slow: _Columns, quick: _Columns, decisions: list[dict[str, Any]], start: float
+) -> None:
+    axis.plot(slow.t, slow["command_kPa"], color=ORANGE, lw=1.6, label="setpoint")
+    axis.plot(quick.t, quick["cv_kPa"], color=BLUE, lw=1.1, label="vine (CV)")
+    axis.set_ylabel("pressure, kPa gauge")
+    top = max(25.0, 1.1 * max((x for x in quick["cv_kPa"] if x == x), default=0.0))
+    axis.set_yticks(range(0, int(top) + 1, 5))
+    axis.legend(loc="upper right", ncols=2, frameon=False)
+    _mark_decisions(axis, decisions, start, slow.t[-1], top)
+
+
+def _draw_openings(axis: Any, quick: _Columns) -> None:
+    axis.fill_between(quick.t, quick["evp_opening"], color=BLUE, alpha=0.6, lw=0, step="post")
+    downwards = [-x for x in quick["dvp_opening"]]
+    axis.fill_between(quick.t, downwards, color=GREEN, alpha=0.7, lw=0, step="post")
+    solenoid = [-1.25 if is_open else math.nan for is_open in quick["solenoid"]]
+    axis.plot(quick.t, solenoid, color=GREY, lw=4, solid_capstyle="butt")
+    axis.set_ylim(-1.5, 1.1)
+    axis.set_yticks([-1.25, -0.5, 0.5], ["solenoid", "DVP", "EVP"])
+    axis.set_ylabel("openings")
+
+
+def _draw_reservoir(axis: Any, t: list[float], snapshots: list[dict[str, Any]], quick: _Columns) -> None:
+    axis.plot(quick.t, quick["reservoir_kPa"], color=BLUE, lw=1.1)
+    axis.set_ylabel("reservoir,\nkPa gauge", color=BLUE)
+    axis.set_ylim(bottom=0)
+    axis.set_xlabel("time, s")
+    cycles = axis.twinx()
+    known = [(x, s["cycles"]) for x, s in zip(t, snapshots, strict=True) if s.get("cycles")]
+    if known:
+        xs = [x for x, _ in known]
+        cycles.fill_between(
+            xs, [c["low"] for _, c in known], [c["high"] for _, c in known], color=PURPLE, alpha=0.15, lw=0
+        )
+        cycles.plot(xs, [c["expected"] for _, c in known], color=PURPLE, lw=1.3)
+    cycles.set_ylabel("cycles left, 90 % interval", color=PURPLE)
+    cycles.set_ylim(bottom=0)
+    cycles.spines["top"].set_visible(False)
 
 
 def _draw_vines(axis: Any, t: list[float], bend_deg: list[float], decided: list[float]) -> None:
@@ -166,8 +172,8 @@ def _mark_decisions(
     rows: list[float] = []
     for decision in decisions:
         x = decision["t"] - start
-        unasked = decision["trigger"] in ("failsafe", "link") and decision["safety"] == "accepted"
-        color = ORANGE if unasked else MARKS[decision["safety"]]
+        unrequested = carried_out_unrequested(decision["trigger"], decision["safety"])
+        color = ORANGE if unrequested else MARKS[decision["safety"]]
         # Each label goes to the lowest row with room for it.
         text = f"{decision['trigger'].replace('_', ' ')}: {decision.get('intent', '?')}"
         if decision["safety"] != "accepted" or decision["trigger"] == "failsafe":

@@ -12,6 +12,7 @@ from typing import Any
 
 import msgspec
 
+from flying_vines.core.events import carried_out_unrequested
 from flying_vines.record.mcap_file import McapFile
 from flying_vines.record.reader import FlightLog, LogEntry
 from flying_vines.record.schema import Schema, obj
@@ -79,9 +80,9 @@ def _text(entry: LogEntry) -> dict[str, Any] | None:
             return None
         levels = {Severity.ERROR: ERROR, Severity.WARNING: WARNING}
         return _log(entry, levels.get(said["severity"], INFO), said["text"], "notice")
-    unasked = said["trigger"] in ("failsafe", "link")
     text = f"{said.get('intent', '?')}: {said['safety']}" + (f" ({said['reason']})" if said["reason"] else "")
-    level = INFO if said["safety"] == "accepted" and not unasked else WARNING
+    unrequested = carried_out_unrequested(said["trigger"], said["safety"])
+    level = INFO if said["safety"] == "accepted" and not unrequested else WARNING
     return _log(entry, level, text, said["trigger"])
 
 

@@ -83,6 +83,20 @@ async def serve(
         view.say(Text(page))
     serving = asyncio.create_task(service.run())
     gateway_task = asyncio.create_task(gateway.run()) if Gateway.wanted(config) else None
+    try:
+        await _show(serving, service, log, console, view, live)
+        await serving
+    finally:
+        if gateway_task:
+            gateway_task.cancel()
+            await asyncio.wait([gateway_task])
+        log.close()
+
+
+async def _show(
+    serving: asyncio.Task[None], service: Service, log: Recorder, console: Console, view: LiveView, live: bool
+) -> None:
+    """Until `serving` ends, show the live view or the links' news, and report news of the log."""
     screen = Live(console=console, refresh_per_second=5, screen=True) if live else None
     problems: dict[str, str] = {}
     log_reported = ""
@@ -106,11 +120,6 @@ async def serve(
                 for link, why in problems.items():
                     console.print(f"{link} link: {why or 'open'}", soft_wrap=True)
             await asyncio.wait([serving], timeout=SNAPSHOT_S if screen else NEWS_S)
-        await serving
     finally:
         if screen:
             screen.stop()
-        if gateway_task:
-            gateway_task.cancel()
-            await asyncio.wait([gateway_task])
-        log.close()

@@ -12,7 +12,7 @@ from firmware_link.protocol import Telemetry
 from flying_vines.physics.plant.flow import Opening, choked_share
 from flying_vines.supply.reservoir_filter import Spent
 from flying_vines.supply.rig_prior import AMBIENT_KPA, RigPrior
-from flying_vines.supply.telemetry_features import Features
+from flying_vines.supply.telemetry_features import MAX_BRIDGED_S, Features
 
 BLOCK_S = 0.1
 """Averaging time of a reading of the reservoir."""
@@ -28,8 +28,6 @@ WORKING_OPENING = 0.6
 CALM_S = 0.1
 MIN_INFLATION_S = 0.01
 """Avoids a duration of zero or less if the clock steps back."""
-MAX_GAP_S = 0.5
-"""After a longer gap in telemetry the valve commands in between are unknown."""
 WIDE_OPEN = 0.95
 TRACE = 24
 """Number of setpoints that are stored for an inflation."""
@@ -124,7 +122,7 @@ class AirUse:
             self._begun = True
             self._cv_low = telemetry.cv_kPa
         seen_s = dt
-        if dt > MAX_GAP_S:
+        if dt > MAX_BRIDGED_S:
             self._unseen_s += dt
             seen_s = 0.0
         rise, flat = self._follow_cv(dt, telemetry)

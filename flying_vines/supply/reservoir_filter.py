@@ -195,7 +195,7 @@ class ReservoirFilter:
         p[WALL][WALL] += 1e-5 * spent.time_s
         p[LEAK][LEAK] += LEAK_DRIFT_PER_S**2 * spent.time_s
         if spent.rise_kPa:
-            cycles = spent.rise_kPa / 20.0
+            cycles = spent.rise_kPa / self._prior.pneumatics.cycle_swing_kPa
             for i in (RISE, FLAT, CV_LEAK):
                 p[i][i] += (DRIFT_SHARE * m[i]) ** 2 * cycles
         if spent.venturi_s:

@@ -19,7 +19,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from flying_vines.core.events import Action, Decision, InternalError
+from flying_vines.core.events import Action, Decision, InternalError, carried_out_unrequested
 from flying_vines.core.snapshot import Snapshot
 from flying_vines.record.background_writer import BackgroundWriter
 from flying_vines.supply import CyclesLeft
@@ -28,8 +28,6 @@ from flying_vines.vehicle.notice import Notice, Severity
 
 VERDICT_STYLE = {"accepted": "green", "limited": "yellow", "refused": "red"}
 SEVERITY_STYLE = {Severity.ERROR: "bold red", Severity.WARNING: "yellow", Severity.NOTICE: "cyan"}
-UNASKED = ("failsafe", "link")
-"""Triggers that nobody requested: their decisions are not green, the colour of accepted requests."""
 BAR_WIDTH = 24
 FRAME = 2
 """Lines of the panel's frame."""
@@ -42,7 +40,7 @@ EVENT_LINES = 12
 
 
 def describe(what: dict[str, object]) -> str:
-    """A trigger's source as text."""
+    """The details of a trigger, to be shown after its kind, e.g. "ch9 position 2" after "switch"."""
     if "channel" in what:
         return f"ch{what['channel']} position {what['position']}"
     if "loss" in what:
@@ -80,8 +78,8 @@ def decision_table(decisions: Sequence[Decision]) -> Table:
 
 
 def _verdict_style(decision: Decision) -> str:
-    unasked = decision.trigger in UNASKED and decision.safety == "accepted"
-    return "yellow" if unasked else VERDICT_STYLE[decision.safety]
+    unrequested = carried_out_unrequested(decision.trigger, decision.safety)
+    return "yellow" if unrequested else VERDICT_STYLE[decision.safety]
 
 
 def event_line(action: Action, began: float) -> Text | None:

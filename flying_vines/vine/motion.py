@@ -80,71 +80,99 @@ def plan(
     With hysteresis an angle has one pressure for inflation and one for deflation. The present bend `bent_kPa`
     selects one of them (see `BendCurve.bent_kPa`). Its default is the bend of `start_kPa` during inflation.
     """
-    bent = start_kPa if bent_kPa is None else bent_kPa
-
-    def wanted(deg: float | None, kPa: float | None) -> float:
-        nonlocal bent
-        pressure = kPa or 0.0
-        if deg is not None:
-            pressure = curve.toward_kPa(curve.pressure_kPa(deg), bent)
-        pressure = min(max(pressure, 0.0), max_kPa)
-        bent = curve.bent_kPa(pressure, bent)
-        return pressure
-
-    pieces: list[tuple[float, float, Callable[[float], float]]] = []
-    t, at, peak, rise = 0.0, start_kPa, start_kPa, 0.0
-    aims: list[float] = []
-
-    def move(to: float, min_s: float) -> None:
-        nonlocal t, at, peak, rise
-        takes = max(abs(to - at) / rate_kPa_per_s, min_s)
-        if takes > 0.0:
-            pieces.append((t, t + takes, _line(at, to, takes)))
-            t += takes
-        rise += max(0.0, to - at)
-        at, peak = to, max(peak, to)
-
+    before_kPa = start_kPa if bent_kPa is None else bent_kPa
+    path = _Path(curve, rate_kPa_per_s, max_kPa, start_kPa, before_kPa)
     for segment in segments:
         if isinstance(segment, Step):
-            aims.append(wanted(segment.to_deg, segment.to_kPa))
-            move(aims[-1], 0.0)
+            path.move_to(segment.to_deg, segment.to_kPa, 0.0)
         elif isinstance(segment, Ramp):
-            aims.append(wanted(segment.to_deg, segment.to_kPa))
-            move(aims[-1], segment.over_s)
+            path.move_to(segment.to_deg, segment.to_kPa, segment.over_s)
         elif isinstance(segment, HoldFor):
-            move(at, segment.for_s)
+            path.hold(segment.for_s)
         elif isinstance(segment, Sine):
-            low, high = (min(max(end, 0.0), max_kPa) for end in ends_kPa(segment, curve))
-            aims.append(high)
-            move(low, 0.0)
-            fastest_Hz = rate_kPa_per_s / (math.pi * abs(high - low)) if high != low else math.inf
-            frequency_Hz = min(segment.frequency_Hz, fastest_Hz)
-            takes = segment.cycles / frequency_Hz
-            swing = _swing(low, high, frequency_Hz)
-            pieces.append((t, t + takes, swing))
-            t += takes
-            rise += _sine_rise(low, high, segment.cycles)
-            at, peak = swing(takes), max(peak, low, high)
-            halves = math.floor(2.0 * segment.cycles)
-            for turn in range(max(0, halves - 1), halves + 1):
-                bent = curve.bent_kPa(high if turn % 2 else low, bent)
-            bent = curve.bent_kPa(at, bent)
-    furthest_kPa = curve.bent_kPa(peak, start_kPa if bent_kPa is None else bent_kPa)
+            path.swing(segment)
+    furthest_kPa = curve.bent_kPa(path.peak_kPa, before_kPa)
     return Motion(
         name=name,
         started_at=started_at,
-        pieces=tuple(pieces),
+        pieces=tuple(path.pieces),
         start_kPa=start_kPa,
-        aim_kPa=aims[0] if aims else at,
-        final_kPa=at,
-        peak_kPa=peak,
+        aim_kPa=path.at_kPa if path.aim_kPa is None else path.aim_kPa,
+        final_kPa=path.at_kPa,
+        peak_kPa=path.peak_kPa,
         top_kPa=top_kPa(segments, curve, max_kPa),
         wanted_kPa=top_kPa(segments, curve, math.inf),
-        rise_kPa=rise,
-        duration_s=t,
+        rise_kPa=path.rise_kPa,
+        duration_s=path.t,
         rate_kPa_per_s=rate_kPa_per_s,
-        bent_kPa=curve.bent_kPa(at, furthest_kPa),
+        bent_kPa=curve.bent_kPa(path.at_kPa, furthest_kPa),
     )
+
+
+class _Path:
+    """The pressure over time, extended by one segment after another."""
+
+    def __init__(
+        self, curve: BendCurve, rate_kPa_per_s: float, max_kPa: float, start_kPa: float, bent_kPa: float
+    ) -> None:
+        self._curve = curve
+        self._rate_kPa_per_s = rate_kPa_per_s
+        self._max_kPa = max_kPa
+        self._bent_kPa = bent_kPa
+        """The bend after the segments, as in `BendCurve.bent_kPa`."""
+        self.pieces: list[tuple[float, float, Callable[[float], float]]] = []
+        self.t = 0.0
+        self.at_kPa = self.peak_kPa = start_kPa
+        self.rise_kPa = 0.0
+        self.aim_kPa: float | None = None
+
+    def move_to(self, deg: float | None, kPa: float | None, min_s: float) -> None:
+        """Go to an angle or a pressure, in `min_s` or longer."""
+        pressure = kPa or 0.0
+        if deg is not None:
+            pressure = self._curve.toward_kPa(self._curve.pressure_kPa(deg), self._bent_kPa)
+        pressure = self._clipped(pressure)
+        self._bent_kPa = self._curve.bent_kPa(pressure, self._bent_kPa)
+        self._aim(pressure)
+        self._move(pressure, min_s)
+
+    def hold(self, for_s: float) -> None:
+        self._move(self.at_kPa, for_s)
+
+    def swing(self, sine: Sine) -> None:
+        """Go to the sine's first end, then follow it, at its frequency or slower."""
+        low, high = (self._clipped(end) for end in ends_kPa(sine, self._curve))
+        self._aim(high)
+        self._move(low, 0.0)
+        fastest_Hz = self._rate_kPa_per_s / (math.pi * abs(high - low)) if high != low else math.inf
+        frequency_Hz = min(sine.frequency_Hz, fastest_Hz)
+        swing = _swing(low, high, frequency_Hz)
+        takes = sine.cycles / frequency_Hz
+        self._append(takes, swing)
+        self.rise_kPa += _sine_rise(low, high, sine.cycles)
+        self.at_kPa, self.peak_kPa = swing(takes), max(self.peak_kPa, low, high)
+        halves = math.floor(2.0 * sine.cycles)
+        for turn in range(max(0, halves - 1), halves + 1):
+            self._bent_kPa = self._curve.bent_kPa(high if turn % 2 else low, self._bent_kPa)
+        self._bent_kPa = self._curve.bent_kPa(self.at_kPa, self._bent_kPa)
+
+    def _clipped(self, kPa: float) -> float:
+        return min(max(kPa, 0.0), self._max_kPa)
+
+    def _aim(self, kPa: float) -> None:
+        if self.aim_kPa is None:
+            self.aim_kPa = kPa
+
+    def _move(self, to_kPa: float, min_s: float) -> None:
+        takes = max(abs(to_kPa - self.at_kPa) / self._rate_kPa_per_s, min_s)
+        if takes > 0.0:
+            self._append(takes, _line(self.at_kPa, to_kPa, takes))
+        self.rise_kPa += max(0.0, to_kPa - self.at_kPa)
+        self.at_kPa, self.peak_kPa = to_kPa, max(self.peak_kPa, to_kPa)
+
+    def _append(self, takes: float, kPa: Callable[[float], float]) -> None:
+        self.pieces.append((self.t, self.t + takes, kPa))
+        self.t += takes
 
 
 def _line(start: float, end: float, takes: float) -> Callable[[float], float]:

@@ -89,7 +89,7 @@ def test_a_query_changes_nothing() -> None:
                 if with_queries:
                     core.snapshot(flight.world.now)
                     core._conditions(flight.world.now)
-                    core._reservoir.cycles_left()
+                    core._supply.reservoir.cycles_left()
         return [str(a.message) if isinstance(a, ToVehicle) else str(a) for a in actions]
 
     assert flown(with_queries=True) == flown(with_queries=False)
@@ -291,7 +291,7 @@ def test_a_latched_loss_of_air_outlasts_a_restart_until_a_person_clears_it() -> 
     assert (refused.safety, refused.reason) == ("refused", stored[-1]["filling"])
     flight.autopilot.set_rc(9, LOW)
     actions = run_for(flight, 1.0)
-    assert "Vine: cleared filling" in notices(actions)
+    assert f"Vine: cleared: {stored[-1]['filling']}" in notices(actions)
     assert [action.faults for action in actions if isinstance(action, KeepLatched)] == [{}]
     flight.autopilot.set_rc(9, MIDDLE)
     assert [d.safety for d in decisions(run_for(flight, 1.0))] == ["accepted"]
@@ -328,7 +328,7 @@ def test_a_valve_that_stays_shut_is_a_latched_fault_that_a_person_clears() -> No
     (refused,) = decisions(run_for(flight, 1.0))
     assert "not filling" in refused.reason
     flight.autopilot.set_rc(9, LOW)
-    assert "Vine: cleared filling" in notices(run_for(flight, 1.0))
+    assert "Vine: cleared: not filling, bottle loses no air: valve" in notices(run_for(flight, 1.0))
     flight.autopilot.set_rc(9, HIGH)
     assert [d.safety for d in decisions(run_for(flight, 2.0))] == ["accepted"]
     assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)

@@ -18,6 +18,9 @@ from firmware_link.find import UsbBoard
 from flying_vines.config import config
 from flying_vines.install import files, program
 from flying_vines.install.program import FileReader, InstalledProgram, InstallError, check_reachable
+from flying_vines.record import recorder
+from flying_vines.service import service
+from flying_vines.terminal import screen
 
 MOST_EXPOSED = 2.0
 """Of 10, as systemd-analyze counts; up to 2 is safe."""
@@ -95,6 +98,15 @@ def test_the_unit_runs_the_flying_vines_that_wrote_it(
     ).stdout
     assert told == here
     assert arguments[:3] == ["run", "--config", str(files.CONFIGURATION)]
+
+
+def test_systemd_waits_at_a_stop_as_long_as_a_disk_and_a_screen_that_hang_are_waited_for(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    installed(capsys, tmp_path)
+    timeout = re.search(r"^TimeoutStopSec=(\d+)$", text(tmp_path, files.UNIT), re.MULTILINE)
+    assert timeout
+    assert float(timeout[1]) >= service.FLUSH_S + recorder.LAST_WRITES_S + screen.CLOSING_S + 2.0
 
 
 def test_a_second_time_changes_nothing(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -41,9 +41,10 @@ from flying_vines.core.events import (
     ToVehicle,
     VehicleMessage,
 )
+from flying_vines.gateway.page.flights import listed
 from flying_vines.record import folders as folders_module
 from flying_vines.record import recorder as recorder_module
-from flying_vines.record.reader import FlightLog, LogEntry, LogError
+from flying_vines.record.reader import FlightLog, LogEntry, LogError, flights_in
 from flying_vines.record.recorder import Recorder
 from flying_vines.record.restore import event_of, start_of
 from flying_vines.record.schema import Schema
@@ -282,11 +283,17 @@ def test_the_clock_may_jump(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert second - first == 1_000_000_000
 
 
-def test_two_flights_in_a_second_have_two_folders(tmp_path: Path) -> None:
-    recorders = [Recorder(tmp_path, BEGAN, t=0.0) for _ in range(3)]
-    assert len({recorder.folder for recorder in recorders}) == 3
+def test_flights_of_one_second_have_folders_of_their_own_in_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(time, "strftime", lambda *args: "2026-07-26_14-03-05")
+    recorders = [Recorder(tmp_path, BEGAN, t=0.0) for _ in range(12)]
     for recorder in recorders:
         recorder.close()
+    folders = [recorder.folder for recorder in recorders]
+    assert len(set(folders)) == 12
+    assert flights_in(tmp_path) == folders
+    assert [file.flight for file in listed(tmp_path)][::-2] == [folder.name for folder in folders]
 
 
 def test_a_full_disk_ends_the_log_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import pytest
 from bottle_bench import DEMONSTRATION, Bench
 from hypothesis import given, settings
@@ -15,7 +16,7 @@ from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.supply import ReservoirEstimate, RigPrior, TelemetryReader, nominal
-from flying_vines.supply.reservoir_filter import LEAK
+from flying_vines.supply.reservoir_filter import LEAK, RISE, ReservoirFilter, Spent
 from flying_vines.supply.rig_file_prior import prior_of
 
 PRIORS = (
@@ -104,6 +105,18 @@ def test_partial_cycles_count_as_partial() -> None:
     left = bench.left()
     assert left.measured_cycles == pytest.approx(6.0, abs=0.2)
     assert left.cost_kPa == pytest.approx(6.1, rel=0.1)
+
+
+def test_the_drift_of_a_cycles_cost_does_not_depend_on_the_size_of_a_cycle() -> None:
+    drifts = []
+    for swing_kPa in (20.7, 60.0):
+        air = ReservoirFilter(
+            nominal(msgspec.structs.replace(DEMONSTRATION, cycle_swing_kPa=swing_kPa)), 690.0
+        )
+        before = air.covariance[RISE][RISE]
+        air.spend(Spent(1.0, swing_kPa, 0.0, 0.0, 0.0))
+        drifts.append(air.covariance[RISE][RISE] - before)
+    assert drifts[0] == pytest.approx(drifts[1])
 
 
 def test_the_venturis_air_is_learned_and_ends_where_the_firmware_keeps_it_off() -> None:

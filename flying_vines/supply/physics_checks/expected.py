@@ -25,6 +25,8 @@ SOFTNESS = 4.0
 """A soft vine takes this many times the air of a rigid one of its size for a rise."""
 MAX_OUTLET_KPA_S_PER_SL = 120.0
 """Flow resistance from the vine to ambient through solenoid and Venturi. A small solenoid has 70."""
+OUTLET_LAG_S = 0.15
+"""Maximum total lag of the outlet: solenoid, tube and sensor."""
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ vine takes for this rise. Air is counted, not time. So a low reservoir or a slig
 
 from __future__ import annotations
 
-from flying_vines.supply.physics_checks.expected import Expected
+from flying_vines.supply.physics_checks.expected import OUTLET_LAG_S, Expected
 from flying_vines.supply.telemetry_features import Features
 
 GAIN_KPA = 2.0
@@ -18,8 +18,6 @@ OUTLET_SHARE = 0.1
 """Share of the volume that a short opening of the outlet may have let out."""
 MIN_FALL_KPA = 4.0
 """With a smaller expected fall, the reservoir's reading cannot show where the air went."""
-OUTLET_LAG_S = 0.15
-"""An outlet may stay open for this time after the command to shut."""
 
 # A sensor is stuck if all its readings are equal for one of these times.
 STUCK_S = 0.2

@@ -8,14 +8,12 @@ show while the Venturi takes air, too.
 
 from __future__ import annotations
 
-from flying_vines.supply.physics_checks.expected import Expected
+from flying_vines.supply.physics_checks.expected import OUTLET_LAG_S, Expected
 from flying_vines.supply.telemetry_features import VALVE_LAG_S, Features
 
 DOWN_KPA = 3.0
 """The vine counts as vented up to this far above the largest zero of a good sensor."""
 SHARE_LEFT = 0.75
-OUTLET_LAG_S = 0.15
-"""Total lag of solenoid, tube and sensor."""
 LENIENCE = 2.0
 LN_4_3 = 0.288
 

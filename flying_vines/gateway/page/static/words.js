@@ -10,11 +10,11 @@ export const sentence = (text) => text && text[0].toUpperCase() + text.slice(1);
 
 export const plain = (name) => name.replaceAll("_", " ");
 
-// Triggers that nobody asked for: they vent or hold the vine.
-const UNASKED = ["failsafe", "link"];
+// Triggers that nobody requested: they vent or hold the vine. As in `core/events.py`.
+const UNREQUESTED = ["failsafe", "link"];
 
-// A trigger's source as text.
-function source(what) {
+// The details of a trigger, shown after its kind: the same as in `terminal/screen.py`.
+function details(what) {
   if ("channel" in what) return `ch${what.channel} position ${what.position}`;
   if ("loss" in what) return plain(what.loss);
   if ("event" in what) return what.event;
@@ -28,10 +28,10 @@ function source(what) {
 // Text, severity or verdict, and reason of an event; null if the event is not shown.
 export function eventWords({ what, fields }) {
   if (what === "decision") {
-    const request = [plain(fields.trigger), source(fields.what)].filter(Boolean).join(" ");
+    const request = [plain(fields.trigger), details(fields.what)].filter(Boolean).join(" ");
     const reason = fields.reason ? ` (${fields.reason})` : "";
     // A vent by a failsafe is not shown in green, the colour of accepted requests.
-    const style = UNASKED.includes(fields.trigger) && fields.safety === "accepted" ? "warning" : fields.safety;
+    const style = UNREQUESTED.includes(fields.trigger) && fields.safety === "accepted" ? "warning" : fields.safety;
     return { text: `${request} → ${fields.intent ?? "?"}: `, verdict: fields.safety, style, reason };
   }
   if (what === "notice" && !fields.of_decision) {
