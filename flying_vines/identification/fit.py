@@ -54,8 +54,8 @@ MAX_BEND = 0.5
 SHORTER = 0.3
 """Factor for a step of initial pressures that increases χ² on its own stretch."""
 LINEAR = 0.05
-"""The derivatives are used again if a step is hardly damped, and if its curvature changes χ² by less than this
-share of its gain."""
+"""The derivatives are used again if a step is hardly damped, and if its curvature changes χ² by less than
+this share of its gain."""
 NO_EFFECT = 1e-6
 """A number has no effect at a point if, by the derivative, its whole range changes χ² by less than this."""
 CORRECTIONS = 2

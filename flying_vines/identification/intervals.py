@@ -85,7 +85,7 @@ def profile(
     problem, point = candidate.problem, candidate.fit.point
     cause = point.causes[index]
     parameter, best = cause.parameters[number], point.values[index][number]
-    at = len(point.deviation) + sum(len(c.parameters) for c in point.causes[:index]) + number
+    at = candidate.columns(index)[number]
     # The curvature is zero if the parameter only changes the data in jumps.
     limit = ABOVE * float(wider[at])
     sd = float(np.sqrt(candidate.covariance[at, at] * wider[at])) or BLIND * parameter.range

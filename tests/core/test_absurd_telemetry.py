@@ -82,7 +82,7 @@ def test_an_impossible_reading_is_a_fault_that_a_person_clears(field: str, value
     assert [d.safety for d in decisions(run_for(flight, 1.0))] == ["refused"]
     flight.autopilot.set_rc(9, LOW)
     (cleared,) = (text for text in notices(run_for(flight, 1.0)) if "cleared" in text)
-    assert cleared.replace("cleared: ", "").startswith(SAID[field])
+    assert cleared.replace("cleared: ", "").startswith(TEXTS[field])
     flight.autopilot.set_rc(9, HIGH)
     assert [d.safety for d in decisions(run_for(flight, 2.0))] == ["accepted"]
     assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
