@@ -22,7 +22,7 @@ struct Boot {
     // Differs after every reset.
     uint32_t boot_id;
     bool by_watchdog;
-    // Bytes of the memory: from `unsaved`, or erased, or damaged.
+    // The memory: bytes from `unsaved`, erased bytes, or damaged bytes.
     const uint8_t* stored;
     size_t stored_size;
 };
@@ -64,11 +64,11 @@ public:
     uint32_t time_ms() const { return time_ms_; }
 
 private:
-    // A condition counts after this many readings in a row (3 ms), so that one wrong reading ends no flight.
+    // A condition counts after this many readings in a row (3 ms), so that one wrong reading does not end a flight.
     static constexpr uint8_t kInARow = 3;
 
-    // Maximum steps of relief by the Venturi. With a wrong sensor, more would empty the reservoir and suck the
-    // vine flat.
+    // Maximum steps of relief by the Venturi. With a wrong sensor, more would empty the reservoir and collapse
+    // the vine.
     static constexpr uint16_t kMostRelief = 1000;
 
     // A condition that counts after kInARow readings in a row.

@@ -10,7 +10,8 @@ class OutputQueue {
 public:
     size_t size() const { return size_; }
 
-    // Appends the payload's frame. Without room for all of it the frame is lost: its sequence number is missing.
+    // Appends the payload's frame. If there is no room for all of it, the frame is dropped, and the host sees a
+    // missing sequence number.
     void put_frame(const uint8_t* payload, size_t size);
 
     size_t take(uint8_t* into, size_t most) {

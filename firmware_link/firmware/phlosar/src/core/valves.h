@@ -32,7 +32,7 @@ inline uint16_t duty(Real opening, Real full_duty) {
     return static_cast<uint16_t>(static_cast<int32_t>(share * Real(65535) + Real(0.5)));
 }
 
-// The regulator's openings, raised above the dead bands, in which the valves do not open.
+// The regulator's openings, raised above the dead bands. A valve does not open in its dead band.
 Drive over_dead_bands(const Settings& settings, const Drive& wanted);
 
 // A valve's current is proportional to the driver's duty cycle.
