@@ -110,7 +110,7 @@ AGAIN = ("evp_restriction", "cv_heating", "tube")
 
 
 @dataclass(frozen=True)
-class Explanation:
+class GainExplanation:
     """The gains with some suspects, compared with the measured gains; tuples are in the order of `TESTS`."""
 
     names: tuple[str, ...]
@@ -138,21 +138,21 @@ class Explanation:
 class Responses:
     """All tested explanations, sorted by their difference on unseen data."""
 
-    explanations: tuple[Explanation, ...]
+    explanations: tuple[GainExplanation, ...]
     """With TC5 at 345 kPa."""
-    other: tuple[Explanation, ...]
+    other: tuple[GainExplanation, ...]
     """With TC5 at 690 kPa."""
 
-    def of(self, *names: str) -> Explanation:
+    def of(self, *names: str) -> GainExplanation:
         """The explanation with these suspects, with TC5 at 345 kPa."""
         return _of(self.explanations, names)
 
-    def of_other(self, *names: str) -> Explanation:
+    def of_other(self, *names: str) -> GainExplanation:
         """The explanation with these suspects, with TC5 at 690 kPa."""
         return _of(self.other, names)
 
 
-def _of(explanations: Sequence[Explanation], names: Sequence[str]) -> Explanation:
+def _of(explanations: Sequence[GainExplanation], names: Sequence[str]) -> GainExplanation:
     return next(a for a in explanations if set(a.names) == set(names))
 
 
@@ -193,13 +193,13 @@ def _benches(suspect: Suspect) -> Benches:
     return {(value,): suspect.on(BASE, value) for value in suspect.values}
 
 
-def _ordered(explanations: list[Explanation]) -> tuple[Explanation, ...]:
+def _ordered(explanations: list[GainExplanation]) -> tuple[GainExplanation, ...]:
     return tuple(sorted(explanations, key=lambda explanation: explanation.unseen))
 
 
 def _explained(
     names: tuple[str, ...], benches: Benches, supply_kPa: Mapping[str, float]
-) -> list[Explanation]:
+) -> list[GainExplanation]:
     """The explanations without and with a floor."""
     plain = {
         values: [gains(bench, test, supply_kPa[test]) for test in TESTS] for values, bench in benches.items()
@@ -211,7 +211,9 @@ def _explained(
     return [_explanation(names, plain), _explanation((*names, FLOOR), floored)]
 
 
-def _explanation(names: tuple[str, ...], simulated: Mapping[tuple[float, ...], list[Array]]) -> Explanation:
+def _explanation(
+    names: tuple[str, ...], simulated: Mapping[tuple[float, ...], list[Array]]
+) -> GainExplanation:
     measured = [curve(f"frequency_measured_{test}") for test in TESTS]
     bands = [m.x <= BAND * stated()[f"{t}.cutoff_drawn"].value for t, m in zip(TESTS, measured, strict=True)]
     left = {
@@ -221,7 +223,7 @@ def _explanation(names: tuple[str, ...], simulated: Mapping[tuple[float, ...], l
     best = min(left, key=lambda values: sum(rms(e) ** 2 for e in left[values]))
     # `reversed` below: each test is predicted with the best values of the other.
     best_of = [min(left, key=lambda values: rms(left[values][test])) for test in range(len(TESTS))]
-    return Explanation(
+    return GainExplanation(
         names=names,
         best=dict(zip(names, best, strict=True)),
         rms_dB=tuple(rms(e) for e in left[best]),

@@ -12,7 +12,7 @@ from flying_vines.studies.paper.diagnosis.response import (
     FLOOR,
     OTHER_SUPPLY_KPA,
     SUPPLY_KPA,
-    Explanation,
+    GainExplanation,
     Responses,
 )
 
@@ -120,7 +120,7 @@ def as_json(diagnosis: PaperDiagnosis) -> dict[str, Any]:
     }
 
 
-def _explanation(explanation: Explanation, tc5_supply_kPa: float) -> dict[str, Any]:
+def _explanation(explanation: GainExplanation, tc5_supply_kPa: float) -> dict[str, Any]:
     return {
         "causes": list(explanation.names),
         "tc5_supply_kPa": tc5_supply_kPa,
