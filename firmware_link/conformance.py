@@ -105,7 +105,10 @@ def broken_promises(
 
     trial = bent()
     if not trial.device.pressure_kPa > 0.9 * limit_kPa or not trial.reports(Mode.REGULATE):
-        return [*broken, f"it does not reach max_kPa within {moves_within_s:g} s, or does not report it"]
+        return [
+            *broken,
+            f"it does not reach max_kPa within {moves_within_s:g} s, or does not report that it regulates",
+        ]
     trial.run(1.0)
     if trial.highest_kPa > 1.1 * limit_kPa:
         broken.append(f"it reaches {trial.highest_kPa:.1f} kPa, but max_kPa is {limit_kPa:g}")
@@ -114,7 +117,7 @@ def broken_promises(
         broken.append("it does not go down to a lower setpoint")
     trial.command(None)
     if not trial.run(moves_within_s, trial.straight):
-        broken.append("vent does not vent it, or it does not report it")
+        broken.append("the vent command does not vent it, or it does not report the vent")
 
     trial = bent()
     trial.cut = True
@@ -130,7 +133,7 @@ def broken_promises(
         trial.command(None)
         trial.cut = True  # one vent must be enough
         if not trial.run(dead_man_s / 2.0, lambda trial=trial: trial.reports(Mode.VENT)):  # type: ignore[misc]
-            broken.append(f"vent does not vent it after the first {length} bytes of a setpoint")
+            broken.append(f"the vent command does not vent it after the first {length} bytes of a setpoint")
             break
     return broken + _misread(actuator, device)
 

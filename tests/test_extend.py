@@ -177,7 +177,7 @@ def _strict(self: Any, data: bytes) -> Sequence[Reading]:
 @pytest.mark.parametrize(
     ("what", "attributes", "says"),
     [
-        ("pump", {"vent": b"H\n"}, "vent does not vent it"),
+        ("pump", {"vent": b"H\n"}, "the vent command does not vent it"),
         ("pump", {"vent": b"V\n"}, "after the first 1 bytes of a setpoint"),
         ("pump", {"vent": b""}, "cannot be used: vent is empty"),
         ("pump", {"dead_man_ms": 1000}, "cannot be used: dead_man_ms is 1000"),

@@ -2,8 +2,8 @@
 
     stack.py [--json] teensy40/phlosar.elf ...
 
-The stack's bound comes from the machine code, so it holds for the maker's core and the compiler's library
-as for our own code. A function's frame is all that it pushes. The deepest chain of frames from `setup` or
+The stack's bound comes from the machine code, so it also covers Teensy's core and the compiler's library. A
+function's frame is all the stack that the function itself uses. The deepest chain of frames from `setup` or
 `loop` is what the program needs. Each interrupt adds the registers that the processor saves and its own
 chain; every interrupt is assumed to interrupt the one before. Code without a bound is refused: recursion,
 frames of unknown size, and calls through a register to anything but the functions that are listed here.
@@ -27,13 +27,13 @@ _INTERRUPTS = ("pit_isr", "usb_isr")
 _SYSTICK = ("(anonymous namespace)::guard()", "systick_isr")
 """The first one that exists is used. On a Teensy 4 it calls the second one."""
 _SAVED = {"v6S-M": 36, "v7E-M": 108}
-"""Bytes of registers that an interrupt saves, with the gap to a multiple of 8, by architecture (M0+, M7)."""
+"""Bytes of registers that an interrupt saves, padded to a multiple of 8, by architecture (M0+, M7)."""
 _THROUGH_A_REGISTER = {
     r"^pit_isr|every_millisecond|beginCycles|^teensy::inplace_function<": (r"vtable<void>.*_FUN",),
     r"vtable<void>.*_FUN": (r"::step\(\)$",),
     r"^usb_isr|^run_callbacks": ("^rx_event$", "^usb_serial_flush_callback$"),
     r"EventResponder::runFromInterrupt": (),  # the sketch has no events
-    r"^flash_write|^eeprom_write_byte": (),  # seven instructions on the stack itself, without a frame
+    r"^flash_write|^eeprom_write_byte": (),  # code that it copied to the stack and that pushes nothing
     r"^__aeabi_|^__gnu_": (),  # jumps within the routine
 }
 """Which functions a call through a register can reach (patterns of names), by the name of the caller."""
@@ -41,8 +41,8 @@ _THROUGH_A_REGISTER = {
 _LAST = "_reboot_Teensyduino_"
 """Starts the bootloader and never returns, so its stack does not matter."""
 _ONCE = ("usb_rx_memory", "usb_free")
-"""The first function calls the second, and this may call the first again. It does so only once, because the
-first clears the condition for it."""
+"""`usb_free` may call `usb_rx_memory`, which may call `usb_free` again. The recursion ends there, because
+`usb_rx_memory` has cleared the condition for the next call."""
 
 _FUNCTION = re.compile(r"^([0-9a-f]{8}) <(.+)>:$")
 _INSTRUCTION = re.compile(r"^\s*([0-9a-f]+):\t(\S+)(?:\t(.*))?$")

@@ -404,7 +404,7 @@ class Calibrator:
         return found is not None and found.high - found.value <= share * found.value
 
     def _need_zero(self) -> None:
-        """With a larger zero the pressure limits would not protect the vine."""
+        """Stop if the zero is above `checks.zero_kPa`: the pressure limits would not protect the vine."""
         zero = self.findings.estimate("cv_zero_kPa")
         if zero is not None and abs(zero.value) > self.plan.user_config.checks.zero_kPa:
             raise _Stopped(

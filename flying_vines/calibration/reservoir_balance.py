@@ -1,9 +1,9 @@
 """Mass and heat balance of the reservoir: how much air each consumer took, from the reservoir's pressure.
 
-Each consumer j has a column F_j(t): the fall of the reservoir's pressure that it has caused by then, per unit
-of its parameter θ_j, if the gas stayed at ambient temperature. But outflow cools the gas, and the cold wall
-recovers slowly. With the deviations of gas and wall from ambient temperature, ϑ and ϑ_w, as shares of it, and
-p the absolute pressure at ambient temperature:
+Each consumer j has a parameter θ_j and a column F_j(t). The column is the fall of the reservoir's pressure
+that the consumer has caused up to time t, per unit of θ_j, for gas at ambient temperature. But outflow cools
+the gas, and the cold wall recovers slowly. ϑ and ϑ_w are the deviations of gas and wall from ambient
+temperature, divided by it. p is the absolute pressure that the gas would have at ambient temperature:
 
     P_r = P_0 − Σ θ_j F_j + p ϑ
     dϑ/dt = −(γ−1) (1+ϑ)/p Σ θ_j dF_j/dt − a (ϑ − ϑ_w)
@@ -40,7 +40,7 @@ _HEAT_RANGE = 4.0
 _START_SD = np.array([0.03, 0.02])
 """Prior of ϑ and ϑ_w at the start: a reservoir that was just filled is warm."""
 ISOTHERMAL_CHI2 = 10.0
-"""Maximum increase of χ² for which the model without heat is preferred: three parameters fit some noise."""
+"""The model without heat is used if its χ² is higher by less: three heat parameters also fit some noise."""
 _ROUNDS = 3
 """Iterations of the gas temperature: the mass depends on it, and the cooling on the mass."""
 _STEP = 1e-4
@@ -227,7 +227,7 @@ class _BalanceFit:
             conductance_W_per_K=conductance, capacity_J_per_K=capacity, outer_conductance_W_per_K=outer
         ).rates(1.0)
         steps_s = np.diff(self._bins.t_s, prepend=self._bins.t_s[0])
-        # Implicit Euler, because gas that a wall warms very fast must not need short steps.
+        # Implicit Euler: it is stable with long steps, also if the wall warms the gas very fast.
         into_gas = (steps_s * rates.gas_per_s / self._capacity_J_per_K).tolist()
         into_wall, lost = (steps_s * rates.wall_per_s).tolist(), (steps_s * rates.outer_per_s).tolist()
         gas, wall = np.zeros(n + 2), np.zeros(n + 2)

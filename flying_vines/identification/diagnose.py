@@ -176,13 +176,14 @@ def _verdict(found: SearchResult, progress: Progress) -> Verdict:
 
 
 def _shares(found: SearchResult) -> dict[str, float]:
-    """For each cause: the rise of χ² without it, over what all causes together remove."""
+    """For each cause: the rise of χ² without it, divided by the fall of χ² by all causes together."""
     chosen = found.chosen
     if len(chosen.causes) == 1:
         return {chosen.names[0]: 1.0}
     removed = found.search.null.fit.chi2 - chosen.fit.chi2
     return {
-        # Without this cause the others may fit worse than the baseline, as cooling without the flow law does.
+        # At most 1: without this cause, the others may fit worse than the baseline.
+        # An example is cooling without the flow law.
         name: min(1.0, max(0.0, less.fit.chi2 - chosen.fit.chi2) / removed)
         for name, less in zip(chosen.names, found.without, strict=True)
     }

@@ -1,8 +1,9 @@
 """Jacobian of the residuals, with the initial pressures eliminated.
 
-An initial pressure only acts up to the next start, and almost linearly. So each stretch is projected
-orthogonally to the effect of its two initial pressures: its residuals, and its derivatives by all other
-numbers (variable projection, Golub & Pereyra 2003). A fit with hundreds of starts stays a small problem.
+The simulation of a run starts anew after each gap, with two initial pressures. They only act on the stretch
+up to the next start, and almost linearly. So the residuals of each stretch, and their derivatives by all
+other numbers, are projected orthogonally to the effect of its two initial pressures (variable projection,
+Golub & Pereyra 2003). A fit with hundreds of starts stays a small problem.
 """
 
 from __future__ import annotations

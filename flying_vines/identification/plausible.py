@@ -2,9 +2,11 @@
 
 A recording is only refused if no rig can give it, not even a worn one. A possible rig has a reservoir of 20
 to 900 kPa and a control volume of -60 to 210 kPa. Its sensors have offsets up to 25 and 5 kPa, gains wrong by
-a fifth, and another noise than the rig file says. It is at any altitude, and its valves may be blocked. If
-the level alone does not show a wrong unit, the noise and the flow must also show it. EVP is the inflation
-valve, DVP the valve that supplies the Venturi.
+a fifth, and another noise than the rig file says. It is at any altitude, and its valves may be blocked.
+
+Numbers in psi, bar or MPa are often also possible in kPa. They are refused only if their noise shows the
+other unit; if only one column looks wrong, the air flow must show it too. EVP is the inflation valve, DVP the
+valve that supplies the Venturi.
 """
 
 from __future__ import annotations
@@ -183,7 +185,7 @@ def _check_small_units(rig: Rig, runs: Mapping[Path, RecordedRun]) -> None:
     """Numbers in psi, bar or MPa look like low pressures in kPa, but with too little noise."""
     noise_kPa = {_CV: rig.sensors.cv_noise_std_kPa, _RESERVOIR: rig.sensors.reservoir_noise_std_kPa}
     for channel in _CHANNELS:
-        # Runs with readings too high for psi give a better noise than the rig file (valves shut).
+        # Readings that are too high for psi are in kPa. Their noise with shut valves replaces the rig file's.
         level = channel.highest_kPa * _PSI.per_kPa
         sure = [run for run in runs.values() if _top(getattr(run, channel.field)) > level]
         seen_kPa = [_noise(run, channel, only_quiet=True).std for run in sure]
@@ -199,7 +201,9 @@ def _check_small_units(rig: Rig, runs: Mapping[Path, RecordedRun]) -> None:
         for channel, unit in ((_RESERVOIR, reservoir), (_CV, cv)):
             if unit:
                 top = _top(getattr(run, channel.field))
-                what = f"reads up to {top:.3g} with {1.0 / unit.per_kPa:.3g} times less noise than in kPa"
+                what = (
+                    f"reads up to {top:.3g}, with about {1.0 / unit.per_kPa:.3g} times less noise than in kPa"
+                )
                 raise _other_unit(f"{path}: {channel.column}", what, unit)
 
 

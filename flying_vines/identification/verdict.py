@@ -74,8 +74,8 @@ class Verdict:
     """Other causes that these data cannot tell apart from `cause`, or from one in `also`."""
     parameters: dict[str, ParameterEstimate]
     share: float
-    """Rise of the squared misfit if `cause` is left out and the rest refitted, over the part that all causes
-    together remove. Shares do not add up to 1."""
+    """Rise of the squared misfit if `cause` is left out and the rest refitted, divided by the part of the
+    squared misfit that all causes together remove. Shares do not add up to 1."""
     also: tuple[Named, ...]
     """Further causes, the largest share first."""
     numbers: dict[str, float]

@@ -19,7 +19,7 @@ Quantity = Literal["time", "pressure", "opening", "temperature", "volume", "raw"
 
 
 class Unit(NamedTuple):
-    """A unit; value in kPa, s, 0…1, °C or L = `factor` · reading + `offset`."""
+    """A unit. `factor` · reading + `offset` is the value in kPa, s, 0…1, °C or L."""
 
     name: str
     quantity: Quantity
@@ -29,7 +29,7 @@ class Unit(NamedTuple):
     offset: float = 0.0
     absolute: bool = False
     cost: float = inf
-    """-log of how often a column without a unit has this one, relative to kPa or s; inf: never guessed."""
+    """-log of the probability of this unit if none is named, relative to kPa or s; inf: never guessed."""
 
 
 UNITS = (

@@ -52,7 +52,7 @@ class Effects:
         nozzle = self.ejector is not None and self.ejector.nozzle_conductance_SL_per_s_kPa is not None
         if nozzle and not isinstance(self.dvp_law, Iso6358):
             raise ValueError("a nozzle in series needs a supply valve that follows ISO 6358")
-        # Two orifices in one volume raise their error here.
+        # `leak_of` raises if a volume has two orifices.
         leak_of(self.reservoir_leaks)
         leak_of(self.cv_leaks)
 

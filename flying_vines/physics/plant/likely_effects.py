@@ -15,7 +15,7 @@ EVP = Iso6358(conductance_from_rating_SL_per_s_kPa(23.5, 690.0))
 """C from the rating; b = 0.3, usual for valves with fittings, is an assumption."""
 DVP = Iso6358(conductance_from_rating_SL_per_s_kPa(67.0, 690.0))
 SOLENOID = Iso6358(3.65e-3)
-"""C = 0.37 dm³/(s·bar), usual for small solenoids: 70 kPa·s/SL from 20 kPa. Assumption."""
+"""Assumption: C = 0.37 dm³/(s·bar), usual for small solenoids. At 20 kPa gauge this is 70 kPa·s/SL."""
 
 
 def likely_effects(*, pouch: bool = True) -> Effects:

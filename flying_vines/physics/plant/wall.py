@@ -47,9 +47,9 @@ class Heat(NamedTuple):
     own_temperature: bool = False
     """False for isothermal gas."""
     per_air: float = 0.0
-    """kPa·L/s for each SL and each 293.15 K."""
+    """kPa·L/s for each SL of gas and each 293.15 K between wall and gas."""
     fixed: float = 0.0
-    """kPa·L/s for each 293.15 K."""
+    """kPa·L/s for each 293.15 K between wall and gas."""
     per_capacity_K_per_J: float = 0.0
     """Inverse heat capacity of the wall; 0: the wall is at ambient temperature."""
     outer_conductance_W_per_K: float = 0.0

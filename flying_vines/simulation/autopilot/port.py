@@ -31,8 +31,8 @@ class Port:
     """A link of the autopilot.
 
     Each port has its own MAVLink sequence. `active`: it has received a message; `has_gcs`: also a ground
-    station's heartbeat. With a `key` it signs its messages, and accepts only signed ones, except on USB. A
-    port named "companion" is PX4's MAV_1 in onboard mode.
+    station's heartbeat. With a `key` it signs its messages. It then accepts unsigned messages only
+    on USB, and RADIO and RADIO_STATUS on all ports. A port named "companion" is PX4's MAV_1 in onboard mode.
     """
 
     name: str

@@ -9,7 +9,7 @@ wall carries the moment. N is the axial force in the wall, κ the curvature, ν 
 Before it wrinkles, M = π E t r³ κ. Wrinkling starts at M = N r/2, and the tube folds at M = N r. Without an
 actuator N = π r² p, which gives the known π p r³/2 and π p r³. An actuator that pulls with F at a distance d
 from the axis gives the moment F d and reduces N to π r² p − F. So the tube folds at F = π p r³/(r + d), well
-before F = π p r² would crush it. The actuator cannot reach that pull, because its pull falls with
+before F = π p r² would crush it. The actuator alone does not fold the tube, because its pull falls with
 contraction.
 """
 
@@ -102,7 +102,7 @@ class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
 
     @cached_property
     def yielding(self) -> Yielding:
-        """The bend under an actuator's pull; each ν has one force, so it is solved once for all forces."""
+        """The bend under an actuator's pull, computed for all ν at once: each ν has exactly one force."""
         lever, held = _wrinkled()
         r, d, stiffness = self.radius_m, self.lever_m, self.stiffness_N_per_m
         force = self.axial_N * lever * r / (d + lever * r)

@@ -17,7 +17,7 @@ def findings(rows: tuple[PaperRow, ...]) -> tuple[str, ...]:
         f"{min(slow):.0f} to {max(slow):.0f} % shorter than the drawn ones, and no measured point lies above "
         "the model. Sec. IV-A calls it conservative, but it predicts longer times than the tests show. "
         f"The R_v of the drawn curves is {off['discharge.2L_lowRv.resistance']:.0f} % above the EVP's rated "
-        "one; the nearest exponentials of the two tests at low R_v have about the rated flow.",
+        "one; the best-fitting exponentials of the two tests at low R_v give about the rated flow.",
         "Sec. V-B states the errors of the inflation speed without their sign. TC1 agrees with Eq. 4 to "
         "0.24 %, although Eq. 4 leaves out a back pressure that alone gives 5 %; TC2 and TC3, both with 1 L, "
         "differ by 45 %.",
@@ -25,11 +25,11 @@ def findings(rows: tuple[PaperRow, ...]) -> tuple[str, ...]:
         f"{paper['frequency.tc4.rate']:.0f} kPa/s; the cut-off that is drawn for TC4 means "
         f"{ours['frequency.tc4.rate']:.0f} kPa/s. The high-fidelity plant rises at "
         f"{ours['inflation.tc1.rate_likely']:.0f} kPa/s in TC1 and at "
-        f"{ours['inflation.tc2.rate_likely']:.0f} kPa/s in TC2, where the paper has 49.5 if its error means "
-        "faster. So the plant agrees with TC4 and TC2, but not with TC1.",
+        f"{ours['inflation.tc2.rate_likely']:.0f} kPa/s in TC2. In TC2 the paper measured 49.5 kPa/s, if "
+        "it was faster than Eq. 4. So the plant agrees with TC4 and TC2, but not with TC1.",
         "A is called the amplitude, but must be peak to peak: as an amplitude it would need "
         f"{ours['frequency.tc4.flow_if_amplitude']:.0f} SLPM in TC4 through a valve that is rated for "
-        f"{paper['frequency.tc4.flow_if_amplitude']:g} SLPM. Eq. 5 and 7 hold for half of it.",
+        f"{paper['frequency.tc4.flow_if_amplitude']:g} SLPM. Eq. 5 and 7 hold for half of A.",
         "TC5's supply is stated twice, as 345 kPa and as a fixed source of 690 kPa. By Eq. 4 and 7 the drawn "
         f"cut-off of 0.323 Hz belongs to 690 kPa ({ours['frequency.tc5_690.cutoff_eq4']:.3f} Hz), not to "
         f"345 kPa ({ours['frequency.tc5_345.cutoff_eq4']:.3f} Hz). Around the cut-off the plant on 345 kPa "

@@ -1,6 +1,6 @@
 """TIMESYNC answers: only to the sender of the request, and at a limited rate.
 
-PX4 forwards a TIMESYNC without target fields to every link, and requests one ten times a second.
+PX4 forwards a TIMESYNC without target fields to every link, and sends ten requests a second itself.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 RATE_HZ = 1.0
 BURST = 4
 MAX_ASKERS = 16
-"""More links than any autopilot has. If there are more, the oldest is forgotten."""
+"""No autopilot has so many links. If there are more askers, the least recent one is forgotten."""
 
 _TARGET = struct.Struct("<qqBB")
 _TARGET_AT = 16
