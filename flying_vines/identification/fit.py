@@ -49,7 +49,7 @@ MAX_TRIALS = 12
 """Maximum number of trials of a step."""
 PROBE = 0.1
 """Share of a step after which its curvature is measured."""
-MAX_BEND = 0.5
+MAX_STEP_CHANGE = 0.5
 """A step fails if the model's curvature changes it by more than this share: then it is too long."""
 SHORTER = 0.3
 """Factor for a step of initial pressures that increases χ² on its own stretch."""
@@ -311,11 +311,11 @@ class FitProblem:
             there, tried, damping = found
             lower = chi2_of(tried) + space.prior(there)
             gained, cost, damping = cost - lower, lower, damping * EASIER
-            bent = jacobian.bent(there - place, tried)
+            off_linear = jacobian.nonlinearity(there - place, tried)
             place, residuals = there, tried
-            if gained < enough and (fresh or bent < enough):
+            if gained < enough and (fresh or off_linear < enough):
                 break
-            linear = damping <= DAMPING and bent < max(enough, LINEAR * gained)
+            linear = damping <= DAMPING and off_linear < max(enough, LINEAR * gained)
             jacobian = jacobian.at(tried) if linear else None
         return Fit(space.to_model(place), chi2_of(residuals), cost, tuple(residuals))
 
@@ -362,7 +362,7 @@ class FitProblem:
         if not np.isfinite(chi2_of(probe)):
             return None
         curved = space.best_step(place, jacobian.curved(along, probe, PROBE), damping)
-        return curved if jacobian.bend(straight, curved) <= MAX_BEND else None
+        return curved if jacobian.step_change(straight, curved) <= MAX_STEP_CHANGE else None
 
     def _corrected(
         self, space: _Space, place: Array, residuals: list[Array], jacobian: Jacobian, enough: float

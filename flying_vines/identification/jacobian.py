@@ -32,17 +32,16 @@ class RunJacobian:
     """
 
     def __init__(self, initial: Array, residuals: Array, common: Array, start: NDArray[np.intp]) -> None:
-        ends = np.append(start[1:], residuals.shape[1])
-        self._stretches = [slice(b, e) for b, e in zip(start.tolist(), ends.tolist(), strict=True)]
-        self._inverses = [_inverse(initial[:, :, stretch].reshape(2, -1)) for stretch in self._stretches]
         self._initial = initial
         self._common = common
         self._start = start
+        self._lengths = np.diff(np.append(start, residuals.shape[1]))
+        self._inverses = _inverses(np.moveaxis(self._products(initial), 2, 0))
         self.residuals = residuals
 
     @property
     def starts(self) -> int:
-        return len(self._stretches)
+        return len(self._start)
 
     def where(self, used: BoolArray) -> RunJacobian:
         """The Jacobian if only these readings (2, n) count."""
@@ -57,24 +56,34 @@ class RunJacobian:
 
     def residuals_after(self, step: Array, initial_step: Array) -> Array:
         """(2, n) residuals after a step of the shared numbers, and of initial pressures (starts, 2)."""
-        after = self.residuals + np.tensordot(step, self._common, 1)
-        for stretch, pressures in zip(self._stretches, initial_step, strict=True):
-            after[:, stretch] += np.tensordot(pressures, self._initial[:, :, stretch], 1)
+        linear = self.residuals + np.tensordot(step, self._common, 1)
+        after: Array = linear + self._effect(initial_step.T[None])[0]
         return after
 
-    def _shares(self, columns: Array) -> list[Array]:
-        """For each stretch (columns, 2): the change of its two pressures that best fits each column."""
+    def _products(self, columns: Array) -> Array:
+        """(columns, 2, starts): each column (2, n) times the derivatives, summed over each stretch."""
+        if self.starts == 1:  # A matrix product takes a third of the time.
+            return (columns.reshape(len(columns), -1) @ self._initial.reshape(2, -1).T)[:, :, None]
+        products = np.stack([(columns * of_pressure).sum(axis=1) for of_pressure in self._initial], axis=1)
+        return np.add.reduceat(products, self._start, axis=2)
+
+    def _effect(self, pressures: Array) -> Array:
+        """(columns, 2, n): the effect of changes (columns, 2, starts) of the initial pressures."""
+        if self.starts == 1:
+            return np.tensordot(pressures[:, :, 0], self._initial, 1)
+        each = np.repeat(pressures, self._lengths, axis=2)
+        effect: Array = each[:, :1] * self._initial[0] + each[:, 1:] * self._initial[1]
+        return effect
+
+    def _shares(self, columns: Array) -> Array:
+        """(columns, 2, starts): the change of the initial pressures that best fits each column (2, n)."""
         with np.errstate(invalid="ignore"):  # The simulation may have diverged.
-            return [
-                columns[:, :, stretch].reshape(len(columns), -1) @ inverse
-                for stretch, inverse in zip(self._stretches, self._inverses, strict=True)
-            ]
+            shares: Array = np.einsum("kjs,sji->kis", self._products(columns), self._inverses)
+        return shares
 
     def orthogonal_part(self, columns: Array) -> Array:
         """(columns, 2 n): the part of (columns, 2, n) orthogonal to the effect of the initial pressures."""
-        left = columns.copy()
-        for stretch, shares in zip(self._stretches, self._shares(columns), strict=True):
-            left[:, :, stretch] -= np.tensordot(shares, self._initial[:, :, stretch], 1)
+        left: Array = columns - self._effect(self._shares(columns))
         return left.reshape(len(columns), -1)
 
     @cached_property
@@ -93,25 +102,24 @@ class RunJacobian:
     def initial_step(self, step: Array) -> Array:
         """(starts, 2): the best step of the initial pressures for this step of the shared numbers."""
         there = self.residuals + np.tensordot(step, self._common, 1) if len(step) else self.residuals
-        return -np.concatenate(self._shares(there[None]))
+        best: Array = -self._shares(there[None])[0].T
+        return best
 
     def initial_correction(self, residuals: Array) -> tuple[Array, float]:
         """(starts, 2): the best step of the initial pressures for these residuals, and its gain in χ²."""
         left = self.orthogonal_part(residuals[None])
-        return -np.concatenate(self._shares(residuals[None])), float(
-            np.vdot(residuals, residuals) - np.vdot(left, left)
-        )
+        return -self._shares(residuals[None])[0].T, float(np.vdot(residuals, residuals) - np.vdot(left, left))
 
 
-def _inverse(initial: Array) -> Array:
-    """(readings, 2): pseudo-inverse of (2, readings); a pressure without a reading is not moved."""
-    square = initial @ initial.T
-    scale = np.sqrt(np.diag(square))
+def _inverses(square: Array) -> Array:
+    """Inverses of (starts, 2, 2) products of the derivatives; a pressure without a reading is not moved."""
+    scale = np.sqrt(np.diagonal(square, axis1=1, axis2=2))
     scale = np.where(scale > 0.0, scale, 1.0)
-    square = square / np.outer(scale, scale) + _RIDGE * np.eye(2)
-    square[np.diag_indices(2)] += np.diag(square) < 0.5
-    inverse: Array = np.linalg.solve(square, initial / scale[:, None]).T / scale
-    return inverse
+    outer = scale[:, :, None] * scale[:, None, :]
+    scaled = square / outer + _RIDGE * np.eye(2)
+    scaled[:, range(2), range(2)] += np.diagonal(scaled, axis1=1, axis2=2) < 0.5
+    inverses: Array = np.linalg.inv(scaled) / outer
+    return inverses
 
 
 class Jacobian:
@@ -150,7 +158,7 @@ class Jacobian:
         after: Array = self.reduced_residuals + step[: len(self.reduced)] @ self.reduced
         return after
 
-    def bent(self, step: Array, residuals: Sequence[Array]) -> float:
+    def nonlinearity(self, step: Array, residuals: Sequence[Array]) -> float:
         """Sum of squares by which the residuals after a step differ from `linear`."""
         return float(np.sum((self.orthogonal_part(residuals) - self.linear(step)) ** 2))
 
@@ -162,14 +170,14 @@ class Jacobian:
             probe: residuals after this share of the step.
         """
         common = len(self.reduced)
-        pressures, bent = step[common:].reshape(-1, 2), []
+        pressures, after = step[common:].reshape(-1, 2), []
         for run, there in zip(self.runs, probe, strict=True):
             linear = run.residuals_after(share * step[:common], share * pressures[: run.starts])
-            bent.append(run.residuals + (there - linear) / share**2)
+            after.append(run.residuals + (there - linear) / share**2)
             pressures = pressures[run.starts :]
-        return self.at(bent)
+        return self.at(after)
 
-    def bend(self, straight: Array, curved: Array) -> float:
+    def step_change(self, straight: Array, curved: Array) -> float:
         """The difference of two steps of the shared numbers, as a share of the first.
 
         Each number counts by its effect on the residuals.

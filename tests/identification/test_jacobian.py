@@ -107,14 +107,14 @@ def test_other_residuals_leave_the_derivatives_as_they_are() -> None:
     assert again.reduced_residuals == pytest.approx(anew.reduced_residuals)
 
 
-def test_a_linear_model_is_not_bent_and_its_residuals_are_foreseen() -> None:
+def test_a_linear_model_has_no_nonlinearity_and_its_residuals_are_foreseen() -> None:
     random = np.random.default_rng(5)
     initial, common = random.standard_normal((2, 2, SAMPLES)), random.standard_normal((NUMBERS, 2, SAMPLES))
     residuals, step = random.standard_normal((2, SAMPLES)), random.standard_normal(NUMBERS)
     jacobian = Jacobian([RunJacobian(initial, residuals, common, START)])
     after = residuals + np.tensordot(step, common, 1)
     assert jacobian.orthogonal_part([after]) == pytest.approx(jacobian.linear(step))
-    assert jacobian.bent(step, [after]) == pytest.approx(0.0, abs=1e-20)
+    assert jacobian.nonlinearity(step, [after]) == pytest.approx(0.0, abs=1e-20)
     off = random.standard_normal((2, SAMPLES))
     square = jacobian.orthogonal_part([off]) @ jacobian.orthogonal_part([off])
-    assert jacobian.bent(step, [after + off]) == pytest.approx(square)
+    assert jacobian.nonlinearity(step, [after + off]) == pytest.approx(square)
