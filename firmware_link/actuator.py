@@ -102,7 +102,11 @@ class Actuator(Protocol):
 
 
 class ActuatorLine:
-    """The line to an `Actuator`. Raises ValueError with one sentence if its values break its promises."""
+    """The line to an `Actuator`.
+
+    Raises ValueError with one sentence if a number or `vent` breaks the actuator's promises, and
+    MalformedMessageError if the name does.
+    """
 
     def __init__(self, actuator: Actuator) -> None:
         self._actuator = actuator

@@ -256,7 +256,7 @@ class Welcome(_Body):
 
     @classmethod
     def unpack(cls, body: bytes) -> Self:
-        """The message. Of another protocol version's message only the fields that this version knows."""
+        """The message. If it is of another protocol version, only the fields that this version knows."""
         if body and body[0] != PROTOCOL_VERSION:
             body = body[: cls.LAYOUT.size]
         # super() without arguments fails here, because slots=True makes a copy of the class.

@@ -20,7 +20,7 @@ class StageRecording:
     plan: CalibrationPlan
     stage: str
     readings: Readings
-    """All since the reservoir or the vine was last changed; for a rest, only those of the rest."""
+    """Since the reservoir was last filled or the vine exchanged; in `empty` and `zero`, those of the rest."""
     findings: Findings
     ambient_kPa: float
     """Absolute; NaN if it is unknown."""

@@ -24,7 +24,8 @@ MAX_S = 10.0
 QUICK_S = 0.005
 COLD = 0.15
 """A fast vent cools the air. Up to twice this share of the air leaves later, while it warms, at almost no
-pressure. So this share is added to the result, and the interval contains 0 and twice this share."""
+pressure. So the result is increased by this share, and its interval covers an increase of 0 to twice this
+share."""
 DETECTED = (0.95, 0.85)
 """Shares of the pressure at the start. A line through both points gives the time when the fall begins."""
 

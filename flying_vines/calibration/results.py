@@ -182,7 +182,7 @@ def _write_configurations(
 def _instead_of_rig(
     name: str, pneumatics: PneumaticsConfig, changed: list[ConfigurationChange]
 ) -> Iterator[ConfigurationChange]:
-    """A rig file has priority: remove its key from the configuration, and copy its other numbers."""
+    """Clears `pneumatics.rig`, and copies the numbers of the rig file that were not measured."""
     yield ConfigurationChange("pneumatics", "rig", "", "it would have priority over these numbers")
     measured = {change.name for change in changed}
     for key in RIG_KEYS:

@@ -154,7 +154,7 @@ def _columns(readings: Readings, top_kPa: float) -> dict[str, Array]:
             before_kPa = float(np.mean(readings.cv_kPa[shut][max(0, opened[0] - rows) : opened[0] + 1]))
         fill = slice(shut.start + (0 if vented else int(opened[0])), shut.stop)
         kPa = smooth(readings.cv_kPa[fill], rows)
-        # Before any flow, because the pressure drop of the tube is in later readings.
+        # The reading before any flow. Later readings contain the pressure drop of the tube.
         kPa[0] = before_kPa
         steps["volume"][fill] = np.diff(kPa, prepend=kPa[0])
         steps["growth"][fill] = 0.5 * np.diff(kPa * (kPa - top_kPa), prepend=kPa[0] * (kPa[0] - top_kPa))

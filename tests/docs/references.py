@@ -132,7 +132,7 @@ def keys(name: str) -> list[str]:
     for field in fields(tables()[name]):
         meant = comments[name, field.name]
         if setting := settings.get((name, field.name)):
-            meant += f". In the field: `{setting.name}`" + (", while bent, too" if setting.in_flight else "")
+            meant += f". In the field: `{setting.name}`" + (", also while bent" if setting.in_flight else "")
         rows.append(_row(f"`{field.name}`", allowed(field), f"`{value_text(raw[field.name])}`", meant))
     return rows
 
