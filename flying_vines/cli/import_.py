@@ -21,9 +21,9 @@ def add(commands: Any) -> None:
     command.add_argument("files", type=Path, nargs="+", metavar="FILE", help="a text file of numbers")
     command.add_argument("--to", type=Path, metavar="FOLDER", help="the case folder (default: NAME-case)")
     again = {"action": "append", "default": []}
-    what = "what column N is, as 3=cv_pressure:psi; may be given again"
+    what = "meaning of column N, e.g. 3=cv_pressure:psi; may be repeated"
     command.add_argument("--column", metavar="N=MEANING[:UNIT]", help=what, **again)
-    what = "volume of the measured vessel, or cv=L or reservoir=L; may be given again"
+    what = "litres of the measured vessel, or of a named one (cv=, reservoir=); may be repeated"
     command.add_argument("--volume-L", dest="volume_L", metavar="[VESSEL=]L", help=what, **again)
     command.set_defaults(run=_import)
 

@@ -151,8 +151,8 @@ def _installation(arguments: argparse.Namespace) -> InstallPlan:
 def _named(config: Config, folder: Path) -> list[Path]:
     """Public files that a configuration in `folder` names, and the folders of its secret files.
 
-    A secret file gets its owner only when the service's user exists; the service itself reports a file that
-    it cannot read.
+    Secret files cannot be checked before the service's user exists, because this user must own them. The
+    service reports a file that it cannot read.
     """
     mqtt = config.mqtt
     public = (config.pneumatics.rig, mqtt.ca_file, mqtt.certificate_file)

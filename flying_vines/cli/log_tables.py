@@ -106,7 +106,7 @@ def show_replay(replay: FlightReplay, json_wanted: bool, console: Console) -> No
         console.print(difference, style="red", highlight=False, soft_wrap=True)
     same = ", ".join(f"{count} {topic}" for topic, count in sorted(replay.compared.items()))
     if replay.differences:
-        console.print(f"{len(replay.differences)} answers differ from the flight's; the same: {same}")
+        console.print(f"{len(replay.differences)} answers differ from the flight's; identical: {same}")
     else:
         console.print(f"Identical to the flight: {same}", highlight=False)
 

@@ -60,7 +60,7 @@ def add(commands: Any) -> None:
     download = actions.add_parser("download", help="read the mission from the vehicle")
     download.add_argument("mission", type=Path, metavar="FILE", help="a .plan or .waypoints to write")
     _vehicle(download, _download)
-    example = actions.add_parser("example", help="write a mission to begin with, as text")
+    example = actions.add_parser("example", help="write an example mission as text")
     example.add_argument("name", choices=EXAMPLES, metavar="NAME", help=" or ".join(EXAMPLES))
     example.add_argument("--out", type=Path, metavar="FILE.toml", help="the file (NAME.toml)")
     example.set_defaults(run=_example)
@@ -135,7 +135,9 @@ def _example(arguments: argparse.Namespace) -> int:
 def _script(arguments: argparse.Namespace) -> int:
     if not _write_shipped("ardupilot", SCRIPT, arguments.out):
         return BAD_INPUT
-    print(f"{arguments.out}: for APM/scripts on the autopilot's SD card; SCR_ENABLE 1, then reboot")
+    print(
+        f"{arguments.out}: copy it to APM/scripts on the autopilot's SD card; set SCR_ENABLE 1, then reboot"
+    )
     return 0
 
 

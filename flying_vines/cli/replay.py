@@ -23,7 +23,10 @@ def add(commands: Any) -> None:
     """Add `replay` to the parsers of the command line."""
     replay = commands.add_parser("replay", help="run the service's logic on a recording")
     replay.add_argument(
-        "recording", type=Path, metavar="FILE", help="a .tlog, or a flight's folder, .mcap or last"
+        "recording",
+        type=Path,
+        metavar="FILE",
+        help="a .tlog; or a flight: its folder, its .mcap, or DIR/last",
     )
     replay.add_argument(
         "--config", type=Path, metavar="FILE", help="the configuration (default: the built-in one)"

@@ -96,7 +96,7 @@ _SENSOR_TEXTS = {
     "reservoir_kPa": "bottle sensor reads",
     "setpoint_kPa": "{actuator} setpoint is",
 }
-"""The text for each telemetry field whose value no sensor can have."""
+"""By telemetry field: the start of the text about a value that no sensor can have."""
 
 _RESPONSE_TEXTS = {
     "serial": "its dead-man vents",
@@ -513,7 +513,7 @@ class Core:
         self._stop_moving(t)
 
     def _note_cut_off(self, t: float) -> None:
-        """The present motion ends before its time."""
+        """If the present motion still runs: tell the reservoir estimate that it ends early."""
         if self._motion is not None and not self._motion.is_over(t):
             self._supply.reservoir.cut_off()
 

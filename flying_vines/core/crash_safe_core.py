@@ -1,7 +1,7 @@
 """A core that turns every unexpected error into a commanded shutdown; the process continues.
 
 After an error the vine is vented and bends are refused, until a person restarts the service. Heartbeat and
-values continue as far as possible. This class does no I/O, and it works with a broken core.
+named values continue as far as possible. This class does no I/O, and it works with a broken core.
 """
 
 from __future__ import annotations

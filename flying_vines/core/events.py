@@ -119,7 +119,7 @@ UNREQUESTED = ("failsafe", "link")
 
 
 def carried_out_unrequested(trigger: str, safety: str) -> bool:
-    """True if the vine was vented or held, and nobody requested it. So it is not shown in green."""
+    """True if the vine was vented or held without a request. Displays do not show this decision in green."""
     return trigger in UNREQUESTED and safety == "accepted"
 
 

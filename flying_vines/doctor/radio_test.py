@@ -51,7 +51,7 @@ EARLY_S = 1.6
 STATUS_WITHIN_S = 3.0
 """An autopilot with a receiver reports it within this time."""
 SAME_US = 30
-"""A held channel changes by less than this."""
+"""A held channel changes by at most this."""
 LOSSES = 2
 LOSS_SIGNS: frozenset[SignKind] = frozenset({"rssi", "RC status", "text", "no RC_CHANNELS", "throttle"})
 """The signs by which the service detects a loss of RC."""
@@ -107,7 +107,7 @@ class TransmitterLoss:
 
     @property
     def told_after_jump_s(self) -> float | None:
-        """Time from the jump to the receiver's preset until the loss is detected; None without both."""
+        """Time from the first jump of a channel until the loss is detected; None if either is missing."""
         jump = next((sign.after_s for sign in self.signs if sign.kind == "channels"), None)
         shown = self.shown_after_s
         return None if jump is None or shown is None else max(0.0, shown - jump)

@@ -48,7 +48,7 @@ STARTS_S = 20.0
 """Time limit for the start of the gateway, which is slow from a worn SD card."""
 MAX_REQUESTS_PER_S = 20.0
 VENTED_EVERY_S = 0.05
-"""At most one vent per interval goes to the core. It answers all vent requests of this interval."""
+"""The vent requests of one interval become one vent for the page and one for the broker."""
 
 
 class Gateway(Watcher):

@@ -73,7 +73,7 @@ OTHER_AUTOPILOT = FindingText(
     "autopilot",
     "warning",
     "system {system} is neither ArduPilot nor PX4",
-    "try each trigger on the ground first: its reports of mission items are unknown",
+    "try each trigger on the ground first: it is not known how this autopilot reports mission items",
 )
 ARMED = FindingText(
     "autopilot", "warning", "it is armed ({mode})", "disarm it before you connect or repair anything"

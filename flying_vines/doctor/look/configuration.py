@@ -87,5 +87,5 @@ def _exists(path: Path) -> bool:
     try:
         return path.exists()
     except OSError:
-        # Unknown: the service would not start in this case either.
+        # The folder is unreadable: the service would not start. Assume that the pneumatics are disarmed.
         return True

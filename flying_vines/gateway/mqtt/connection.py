@@ -278,7 +278,7 @@ class _Client(aiomqtt.Client):
 
 
 async def _lost(client: _Client) -> None:
-    """Waits until the connection is lost; raises `MqttError`. Messages go to `receive` instead."""
+    """Waits until the connection is lost; raises `MqttError`. No message comes here: all go to `receive`."""
     async for _ in client.messages:
         pass
 

@@ -13,7 +13,7 @@ from flying_vines.gateway.mqtt.health import BrokerProblem
 
 _OTHER_VERSION = 0x84
 _NO_GREETING = "Operation timed out"
-"""The library's text if a connected broker does not answer. A port without answer has another text."""
+"""The library's text if a broker accepts the TCP connection but does not answer the MQTT connect message."""
 _BY_CODE = {
     0x85: "it does not accept our client id: set mqtt.client_id",
     0x86: "it does not accept this user and password: check mqtt.username and mqtt.password_file",
