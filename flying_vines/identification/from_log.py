@@ -2,7 +2,7 @@
 
     case = read_flight("flights/2026-05-04_10-30-00")       the flight's folder, or its flight.mcap
 
-A telemetry message holds the valve commands from its time on. All commands are known if a message comes with
+The valve commands in a telemetry message apply from its time on. All commands are known if a message comes with
 every step of the firmware's regulator. If messages come less often, a remark says so. Time is the firmware's
 clock, because the host's clock includes the delays of the link.
 

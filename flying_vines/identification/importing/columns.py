@@ -196,8 +196,8 @@ EVIDENCE: tuple[tuple[str, _Test, Mapping[str, float]], ...] = (
 _LONG = 5
 """Minimum letters of a word that is also recognised at either end of a longer one."""
 _VACUUM = 0.003
-"""Maximum ratio of lowest to highest reading of a vacuum gauge. A gauge pressure so near 0 also has readings
-below 0."""
+"""Maximum ratio of lowest to highest reading of a vacuum gauge. A sensor of gauge pressure that comes so
+near 0 also reads below 0."""
 _UNIT_FITS, _UNIT_CONTRADICTS = 3.0, -9.0
 _NAMED_ONLY = ("command_kPa", "ambient_pressure")
 """A unit alone does not make a column one of these."""
