@@ -1,4 +1,4 @@
-"""Finds single readings far from their neighbours, which a motor or a valve has disturbed."""
+"""Finds spikes: single readings far from their neighbours. A motor or a valve causes them."""
 
 from __future__ import annotations
 
