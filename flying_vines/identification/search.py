@@ -47,7 +47,8 @@ LEFT_TOGETHER = 0.05
 """Maximum share of the slow residuals' squares that a set found with `AHEAD` leaves. Any three causes imitate
 a part of an effect that the catalogue lacks, but hardly ever nearly all of it."""
 SURE_OF_TWO = 1 / 3
-"""Two causes may leave more than `LEFT_TOGETHER` if the interval of their gain is above this share."""
+"""Two causes may leave more than `LEFT_TOGETHER` if the interval of their gain on unseen data is above this
+share."""
 ROUNDS, LOWER = 5, 0.75
 """A set that leaves more than noise is changed this often, while each change lowers χ² to this share."""
 IMPOSSIBLE = 1.1
