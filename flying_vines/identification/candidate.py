@@ -18,7 +18,7 @@ CLAIM = 25.0
 STRUCTURE = 6.0
 """−log₁₀ p: from this value on, a pattern in the residuals is not noise."""
 SURELY = 4.0
-"""A cause is not doubtful if χ² would rise by this times `CLAIM` with its parameter at neutral."""
+"""A cause is certain if a neutral value of one parameter raises χ² by more than this times `CLAIM`."""
 SURE_SIZE = 8.0
 """From 1 + 8/√n on, χ² per reading is larger than noise explains: more than five standard deviations."""
 ON_BOUND = 1e-6
@@ -83,7 +83,7 @@ class Candidate:
         χ², plus the penalty of free rig numbers, plus ln(number of readings) for each parameter (BIC).
 
         Args:
-            excess: of the residuals of control volume and reservoir over noise; divides their χ².
+            excess: for control volume and reservoir, the excess of the residuals over noise. It divides χ².
         """
         parameters = sum(len(cause.parameters) for cause in self.causes)
         chi2 = sum(chi2 / over for chi2, over in zip(self.channels, excess, strict=True))

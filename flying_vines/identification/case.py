@@ -191,7 +191,7 @@ def _rows_in_time(table: RunTable, remarks: list[str]) -> Rows:
     rows = np.flatnonzero(~np.isnan(time_s))
     if len(rows) < len(time_s):
         left_out = counted(len(time_s) - len(rows), "row")
-        remarks.append(f"{table.path.name}: {left_out} without a time left out")
+        remarks.append(f"{table.path.name}: left out {left_out} without a time")
     steps_s = np.diff(time_s[rows])
     if (steps_s < 0.0).any():
         before, after = rows[np.argmax(steps_s < 0.0) :][:2]
@@ -206,7 +206,7 @@ def _rows_in_time(table: RunTable, remarks: list[str]) -> Rows:
             "write the time with more digits"
         )
     if again:
-        remarks.append(f"{table.path.name}: {counted(again, 'row')} with the time of the next row left out")
+        remarks.append(f"{table.path.name}: left out {counted(again, 'row')} with the time of the next row")
     return rows[np.append(steps_s > 0.0, True)] if len(rows) else rows
 
 

@@ -43,7 +43,7 @@ class Evidence:
     after: tuple[Pattern, ...]
     """Residual patterns with the causes."""
     profiles: tuple[LikelihoodProfile, ...]
-    """One for each parameter of the best fit; an `unexplained` verdict does not name its causes."""
+    """One per parameter of the best fit; an `unexplained` verdict does not name the causes of that fit."""
     similarity: Similarity
     """Similarity of all causes of the catalogue, around the best fit."""
 

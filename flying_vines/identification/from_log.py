@@ -2,9 +2,9 @@
 
     case = read_flight("flights/2026-05-04_10-30-00")       the flight's folder, or its flight.mcap
 
-A telemetry message holds the valve commands from its time on. All commands are known if a message comes with
-every step of the firmware's regulator. If messages come less often, a remark says so. Time is the firmware's
-clock, because the host's clock includes the delays of the link.
+The valve commands in a telemetry message apply from its time on. All commands are known if a message comes
+with every step of the firmware's regulator. If messages come less often, a remark says so. Time is the
+firmware's clock, because the host's clock includes the delays of the link.
 
 Readings are used every few milliseconds; valve commands are used whenever they change. A reading must not be
 selected because a valve moved: the regulator moves valves because of its readings, so this would bias the

@@ -35,10 +35,10 @@ from flying_vines.physics.arrays import BoolArray
 FAR = 3.0
 """Distance, in half widths of its interval, at which a parameter is tested."""
 MIN_RISE = 4.0
-"""A parameter is not determined if χ² rises by less at this distance."""
+"""A parameter is not determined if χ² rises by less than this at the distance `FAR`."""
 PINNED_STEPS = 4
 LOCAL_MINIMUM = 25.0
-"""A fit whose cost is higher by more is in a local minimum; undetermined parameters raise it by less."""
+"""A fit is in a local minimum if its cost is higher than that of the second fit by more than this."""
 
 
 @dataclass(frozen=True)

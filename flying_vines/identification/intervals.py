@@ -27,11 +27,12 @@ NEAR_ENOUGH = 0.25
 MAX_FITS = 8
 STEPS = 6
 FLAT = 0.01
-"""Below this share of the limit a rise says little: the next step may be 30 times as long, not only 3."""
+"""If the rise is below this share of the limit, the next step may be up to 30 times as long, otherwise 3."""
 WALL = 5.0
 """If √rise is more than this many times √limit, the search bisects."""
 OF_A_RUN = 10
-"""Minimum number of blocks in a run. Misfit of a model is correlated for longer than prediction errors."""
+"""Minimum number of blocks in a run. It is low, so that blocks are long: misfit of a model is correlated for
+longer than prediction errors."""
 BLIND = 1e-4
 """First step if the curvature is zero, as a share of the parameter's range."""
 

@@ -204,7 +204,7 @@ def _read_within(
     last: tuple[float, float],
     out: Array,
 ) -> tuple[SensorMemory, SensorMemory]:
-    """Fill the readings at the samples of a step, except the first; both sensors at its end.
+    """Fill the readings at the samples of a step, except the first. Returns both sensors at its end.
 
     `first` and `last` are the rates of both pressures (kPa/s) at the ends of the step.
     """
@@ -282,7 +282,7 @@ def run(
             break
         at = _latest(switch_s, at, now)
         held = Held(openings[at, 0], openings[at, 1], openings[at, 2] > 0.0, False)
-        # The outlet has kinks: it lets no air back in while the Venturi runs.
+        # With an open outlet the flow is not smooth: no air flows back in while the Venturi runs.
         if constant and not held.solenoid_open:
             until = now + longest_s[2]
             if at + 1 < len(switch_s):

@@ -51,7 +51,7 @@ def after_remainder(found: SearchResult, base: Candidate) -> str:
 
 
 def with_one_more(found: SearchResult, rest: Collection[str]) -> dict[str, Candidate]:
-    """For each cause: the best possible candidate that has it and these others."""
+    """For each cause: the best `possible` candidate that contains this cause and those in `rest`."""
     best: dict[str, Candidate] = {}
     for candidate in found.tried:
         others = set(candidate.names) - set(rest)

@@ -132,7 +132,7 @@ def measured_noise(
                 whole = first / _left_about_mean(correlation)
                 correlation = min(3.0 - second / whole, _MAX_CORRELATION)
             std = sqrt(whole / (2.0 * (1.0 - correlation)))
-            # A vibration looks correlated, but its residuals are not as large as that noise would be.
+            # A vibration looks like correlated noise, but the residuals are smaller than such noise would be.
             largest = MAX_OVER_RESIDUALS * _rms(residuals)
             if std > largest:
                 std, correlation = largest, max(0.0, 1.0 - whole / (2.0 * largest**2))
@@ -143,7 +143,7 @@ def measured_noise(
 
 
 def _about_mean(differences: Array) -> Array:
-    """Differences about their mean over neighbours: a slope of the residuals is an error of the model."""
+    """Differences minus the mean of their neighbours: a slope of the residuals is an error of the model."""
     if len(differences) < _NEIGHBOURS:
         return differences[:0]
     # A jump of the residuals must not count in all of its neighbours.
@@ -157,7 +157,7 @@ def _about_mean(differences: Array) -> Array:
 
 
 def _left_about_mean(correlation: float) -> float:
-    """Share of the differences' variance that is left about their mean over neighbours."""
+    """Share of the differences' variance that `_about_mean` leaves."""
     n, rho = _NEIGHBOURS, correlation
     return 1.0 - 2.0 * rho ** (n // 2) / n + (1.0 - rho**n) / (1.0 - rho) / n**2
 

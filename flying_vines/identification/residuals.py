@@ -75,7 +75,7 @@ def patterns(problem: FitProblem, fit: Fit) -> list[Pattern]:
 def excess(found: Sequence[Pattern]) -> tuple[float, float]:
     """For control volume and reservoir: how much larger slow residuals are than noise, as a ratio of squares.
 
-    It is 1 if they are noise. A wrong cause can lower χ² by this factor more than it can with noise alone.
+    It is 1 if they are noise. A wrong cause can then lower χ² this many times as much as with noise alone.
     """
     slow = [pattern for pattern in found if pattern.feature.startswith(IN_STRETCHES)]
     cv, reservoir = (

@@ -47,7 +47,8 @@ LEFT_TOGETHER = 0.05
 """Maximum share of the slow residuals' squares that a set found with `AHEAD` leaves. Any three causes imitate
 a part of an effect that the catalogue lacks, but hardly ever nearly all of it."""
 SURE_OF_TWO = 1 / 3
-"""Two causes may leave more, if the interval of their gain on unseen data is above this share."""
+"""Two causes may leave more than `LEFT_TOGETHER` if the interval of their gain on unseen data is above this
+share."""
 ROUNDS, LOWER = 5, 0.75
 """A set that leaves more than noise is changed this often, while each change lowers χ² to this share."""
 IMPOSSIBLE = 1.1
@@ -62,7 +63,7 @@ EXCHANGES = 5
 """Number of exchanges of one cause for another that are fitted: those with the lowest expected χ²."""
 LEADERS, LEADERS_LEFT = 6, 3
 """Number of fits that are completed: those with the lowest χ² after their first steps. The second value is
-for several causes of which even the best set leaves more than noise: a further cause will decide."""
+for sets of several causes, if even the best set leaves more than noise: a further cause is tried next."""
 REACH, REACH_SHARE = 2000.0, 0.1
 """An unfinished fit may still lower χ² by 2000 + 10 % of the null model's excess. Others are dropped."""
 OF_RANGE = 1e-3
@@ -119,7 +120,7 @@ class Search:
         return [Candidate(self.problem, fit) for fit in sorted(fits, key=lambda fit: fit.chi2)]
 
     def _off_bounds(self, fit: Fit) -> Fit:
-        """The fit; if a parameter is on its bound, the best of it and of fits that start elsewhere.
+        """The fit. If a parameter is on its bound, the best of this fit and of fits that start elsewhere.
 
         A cause that was fitted without the others may have been driven to its bound. One start adds the
         causes in reverse, the others are the seeds of each cause that is out of its physical range. Only the

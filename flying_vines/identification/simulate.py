@@ -246,7 +246,7 @@ def _starts(run: RecordedRun) -> NDArray[np.intp]:
 
 
 def _leak_SL_per_s_kPa(leak: Leak, sensor: Sensor) -> float:
-    """Change of a leak's flow per kPa, at most over the sensor's span."""
+    """Maximum change of a leak's flow per kPa, over the sensor's span."""
     viscous = 2.0 * (sensor.span_kPa + ALPHA_KPA) * leak.viscous_SL_per_s_kPa2
     through = _conductance_SL_per_s_kPa(leak.orifice) + leak.curve.steepest_SL_per_s_kPa
     return leak.ohmic_SL_per_s_kPa + viscous + through

@@ -24,7 +24,7 @@ STATE = Path("/var/lib/flying-vines")
 FLIGHTS = STATE / "flights"
 
 HEAD = "# Written by `flying-vines install-service`; `flying-vines install-service --remove` deletes it.\n"
-"""The first line of each file that we write."""
+"""The first line of each file from a template."""
 
 PORT = "serial:/dev/phlosar"
 TEENSY = UsbBoard(0x16C0, 0x0483)

@@ -65,7 +65,9 @@ def check_reachable(places: Iterable[Path], reader: FileReader) -> None:
         # A link and its target must both be readable.
         for path in dict.fromkeys((place.absolute(), place.resolve())):
             if any(path.is_relative_to(folder) for folder in VOLATILE_FOLDERS):
-                raise InstallError(f"{path} is deleted when the computer restarts: {_ELSEWHERE}")
+                raise InstallError(
+                    f"{path} is in a temporary folder, which can be emptied at any time: {_ELSEWHERE}"
+                )
             if ".cache" in path.parts:
                 raise InstallError(f"{path} is in a cache, which can be emptied at any time: {_ELSEWHERE}")
             closed = _closed(path, reader)

@@ -636,4 +636,4 @@ def test_a_table_keeps_its_remarks(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t,p\n" + "1,2\n" * 5 + "error: sensor lost\n" + "2,3\n" * 5 + "3")
     table = read_foreign(tmp_path / "a.csv")
     assert len(table.cells[0]) == 10
-    assert table.remarks == ("a.csv: 2 lines without numbers below the first row left out",)
+    assert table.remarks == ("a.csv: left out 2 lines without numbers below the first row",)

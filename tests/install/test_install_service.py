@@ -302,7 +302,7 @@ class TestReachable:
         [
             (
                 "/tmp/venv/bin/flying-vines",
-                "/tmp/venv/bin/flying-vines is deleted when the computer restarts",
+                "/tmp/venv/bin/flying-vines is in a temporary folder, which can be emptied at any time",
             ),
             ("/opt/x/.cache/uv/bin/flying-vines", "is in a cache, which can be emptied"),
             ("/usr/bin/no-such-program", "/usr/bin/no-such-program: No such file"),
@@ -342,4 +342,4 @@ def test_the_machine_itself_is_changed_only_with_what_it_can_reach(
     lost = InstalledProgram(("/tmp/venv/bin/flying-vines",), (Path("/tmp/venv/bin/flying-vines"),))
     monkeypatch.setattr(InstalledProgram, "here", lambda: lost)
     status, _, said = run(capsys, "install-service", "--yes")
-    assert (status, "is deleted when the computer restarts" in said) == (2, True)
+    assert (status, "is in a temporary folder" in said) == (2, True)

@@ -35,7 +35,7 @@ KEEP_ALIVE_S = 5.0
 CLOSING_S = 0.2
 HEARTBEAT_S = 10.0
 MAX_BACKLOG = 1024
-"""Maximum number of connections that the system has accepted and we have not."""
+"""Maximum number of connections that wait until we accept them."""
 ACCEPT_RETRY_S = 1.0
 """Wait if the process has no free file descriptor."""
 SEND_BUFFER = 32 * 1024

@@ -1,7 +1,7 @@
 """Fits bend curve and hysteresis to measured pairs, ready for the configuration.
 
 An exponential law with four numbers is used, unless a free rising curve explains the pairs far better. Both
-use the backlash model of `BendCurve`, so the service flies exactly the fitted curve.
+use the backlash model of `BendCurve`, as the service does.
 """
 
 from __future__ import annotations

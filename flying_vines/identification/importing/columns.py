@@ -147,7 +147,7 @@ class _Signal:
 
 
 def _names_of(name: str) -> list[str]:
-    """The words of a name; two that are one known word together, as in `setPoint`, count as that word."""
+    """The words of a name. Two words that together are a known word, as in `setPoint`, count as this word."""
     words = words_of(name)
     for at in range(len(words) - 1, 0, -1):
         if (both := words[at - 1] + words[at]) in _ALL_WORDS:
@@ -196,8 +196,8 @@ EVIDENCE: tuple[tuple[str, _Test, Mapping[str, float]], ...] = (
 _LONG = 5
 """Minimum letters of a word that is also recognised at either end of a longer one."""
 _VACUUM = 0.003
-"""Maximum ratio of lowest to highest reading of a vacuum gauge. A gauge pressure so near 0 also has readings
-below 0."""
+"""Maximum ratio of lowest to highest reading of a vacuum gauge. A sensor of gauge pressure that comes so
+near 0 also reads below 0."""
 _UNIT_FITS, _UNIT_CONTRADICTS = 3.0, -9.0
 _NAMED_ONLY = ("command_kPa", "ambient_pressure")
 """A unit alone does not make a column one of these."""
@@ -292,7 +292,7 @@ def _score(signal: _Signal, meaning: str) -> tuple[float, str]:
 
 
 def _points(word: str, meaning: str) -> float:
-    """Points of a word of a name, or of a long known word that it begins or ends with, as “tankpressure”."""
+    """Points of a word of a name, or of a long known word at its beginning or end, as in “tankpressure”."""
     points = WORDS[meaning]
     parts = (part for part in points if len(part) >= _LONG and (word.startswith(part) or word.endswith(part)))
     return points[word] if word in points else max((points[part] for part in parts), default=0.0)

@@ -120,12 +120,12 @@ def read_foreign(path: Path, layout: TextLayout | None = None) -> ForeignTable:
     if last in kept and len(kept[last]) < width and lines[-1]:
         del kept[last]  # the recording ends within this line
     if len(kept) < _MIN_ROWS or width == 0:
-        raise CaseError(f"{path}: there are no {_MIN_ROWS} rows of numbers in it; save the recording as CSV")
+        raise CaseError(f"{path}: contains fewer than {_MIN_ROWS} rows of numbers; save the recording as CSV")
     if width > _MAX_COLUMNS:
         raise CaseError(f"{path}: has {width} columns; at most {_MAX_COLUMNS} can be read")
     if skipped := sum(at > first for at in rows) + 1 - len(kept):
         left_out = counted(skipped, "line")
-        remarks.append(f"{path.name}: {left_out} without numbers below the first row left out")
+        remarks.append(f"{path.name}: left out {left_out} without numbers below the first row")
     header, names = _header(lines, first, width, separator, layout.header_line if layout else None)
     padded = ([*row[:width], *[""] * (width - len(row))] for row in kept.values())
     cells = tuple(zip(*padded, strict=True))

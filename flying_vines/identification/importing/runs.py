@@ -221,7 +221,7 @@ def _runs(table: ForeignTable, answers: Answers, notes: list[str]) -> Iterator[t
     parts = [order[first:last] for first, last in pairwise(edges)]
     kept = [part for part in parts if _long_enough(values["time"][part])]
     if dropped := len(parts) - len(kept):
-        notes.append(f"{counted(dropped, 'run')} with less than {MIN_SAMPLES} rows or {MIN_S:g} s left out")
+        notes.append(f"left out {counted(dropped, 'run')} with less than {MIN_SAMPLES} rows or {MIN_S:g} s")
     if not kept:
         raise CaseError(f"{table.path}: its {length} rows are too few or too short in time for a run")
     for count, rows in enumerate(kept, start=1):

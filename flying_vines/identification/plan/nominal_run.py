@@ -1,8 +1,8 @@
 """Simulates a planned run on the nominal rig, without noise, to get its valve commands sample by sample.
 
-Runs of openings give the commands directly. For pressures the firmware's regulator runs at 1 kHz on the
-baseline. As in `simulate`, the valves get a new command once a sample. The loop is compiled: a run of a
-minute takes milliseconds.
+Runs of openings give the commands directly. In runs of pressures the firmware's regulator controls the
+baseline at 1 kHz. As in `simulate`, the valves get a new command once a sample. The loop is compiled: a run
+of a minute takes milliseconds.
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ SCENARIO, PROFILES = "scenario.toml", "profiles.toml"
 _FIRST_NUMBER = 101
 _HEADER = """\
 # Append this to the service's configuration, and check it: flying-vines config check FILE
-# For each run: vent the vine, bring the reservoir to the pressure above the run, and wait 2 s. Start the run
-# with the command USER_1 and its number as param1. After the run vent, and wait 6 s.
+# For each run: vent the vine, bring the reservoir to the pressure in the run's comment, and wait 2 s. Start
+# the run with the command USER_1 and its number as param1. After the run vent, and wait 6 s.
 """
 
 

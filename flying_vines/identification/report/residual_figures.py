@@ -141,7 +141,7 @@ def _autocorrelation(verdict: Verdict, row: int, after: bool) -> tuple[Array, in
 def strongest(verdict: Verdict) -> list[Pattern]:
     """The features on which the residuals of each channel depend most.
 
-    The residuals are those of the baseline; of the best fit, if the verdict is unexplained.
+    The residuals are those of the baseline, or of the best fit if the verdict is unexplained.
     """
     evidence = verdict.evidence
     leading = evidence.after if verdict.cause == UNEXPLAINED else evidence.before
