@@ -27,7 +27,7 @@ CAUSE = Cause(
             seeds=(30.0, 300.0),
             neutral=None,
             logarithmic=True,
-            source="Hagen-Poiseuille, 128 μ l/(π d⁴), 1 m: 3 with 4 mm bore (little effect), 6000 with 0.6 mm",
+            source="Hagen-Poiseuille, 128 μ l/(π d⁴), 1 m: 3 for 4 mm bore (little effect), 6000 for 0.6 mm",
         ),
         Parameter(
             "volume_L",
