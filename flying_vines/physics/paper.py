@@ -3,7 +3,7 @@
 Equations have the paper's numbers, (1) to (8). Pressures are kPa gauge unless named otherwise, volumes
 litres, flows standard litres per second, flow resistances kPa·s/SL.
 
-The first argument of a function may be an array if its type says so. This module does not import numpy: the
+The first argument of a function may be an array if its type says so. numpy is imported only for arrays: the
 companion computer, which only needs Eq. 4 and 8, works without it.
 """
 

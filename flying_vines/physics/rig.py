@@ -41,7 +41,7 @@ class ControlVolume:
 
 @dataclass(frozen=True)
 class Evp:
-    """EVP, the inflation valve, fully open. The default is 20.3 SLPM at 690 kPa: the paper's discharges."""
+    """EVP, the inflation valve, fully open. Default: 20.3 SLPM at 690 kPa, from the paper's discharges."""
 
     flow_resistance_kPa_s_per_SL: Positive = 2042.0
 
@@ -62,7 +62,7 @@ class Solenoid:
 
 @dataclass(frozen=True)
 class Venturi:
-    """The vacuum pump. From a supply of `rated_supply_kPa` (gauge) on its vacuum is `full_vacuum_kPa`."""
+    """The vacuum pump. A supply of at least `rated_supply_kPa` (gauge) gives `full_vacuum_kPa`."""
 
     full_vacuum_kPa: Annotated[float, msgspec.Meta(ge=0, le=STANDARD_PRESSURE_KPA)] = 55.0
     rated_supply_kPa: Positive = 600.0
@@ -87,7 +87,7 @@ class Pump:
 
 @dataclass(frozen=True)
 class Hose:
-    """A vessel between the valves and the control volume.
+    """A hose between the valves and the control volume: a volume and a flow resistance.
 
     The default is 1 m of 4 mm tube with twice its laminar resistance.
     """

@@ -38,7 +38,7 @@ class BackgroundWriter(Generic[T]):
         return True
 
     def close(self, within_s: float) -> bool:
-        """End the thread. Returns False if the writing did not finish or fail within that time."""
+        """Write the queue and end the thread. Returns False if the thread still runs after `within_s`."""
         self._waiting.put(None)
         self._thread.join(within_s)
         return not self._thread.is_alive()

@@ -58,7 +58,7 @@ class FlightStart:
     """The state with which the service started its core. It is the first entry of every log."""
 
     configuration: str
-    """Its text."""
+    """The configuration's text."""
     pneumatics: PneumaticsConfig
     """The rig's numbers in the configuration."""
     rig: str = ""
@@ -85,7 +85,7 @@ class Folders:
         self._firmware: protocol.Welcome | None = None
         self._checked_at = self._synced_at = t - CHECK_DISK_S
         self.problem = ""
-        """Why nothing can be written now; empty if it can."""
+        """Why nothing can be written now; empty if there is no problem."""
         self.continued_in = ""
         """The folder in which the log continued after the last problem."""
         self._try_again_at = 0.0
@@ -188,7 +188,7 @@ class Folders:
         return files
 
     def _make_folder(self) -> Path:
-        """Make a folder named by the present local time. By name, flights of one second are in order."""
+        """Make a folder named by the present local time. Names of the same second sort in order of time."""
         stamp = time.strftime("%Y-%m-%d_%H-%M-%S")
         for suffix in ("", *(f"_{n:03}" for n in range(2, 1000))):
             folder = self._parent / (stamp + suffix)

@@ -133,7 +133,7 @@ def _draw_reservoir(axis: Any, t: list[float], snapshots: list[dict[str, Any]], 
 
 
 def _draw_vines(axis: Any, t: list[float], bend_deg: list[float], decided: list[float]) -> None:
-    """Draw the vine after each decision: just before the next decision, and at the end."""
+    """Draw the vine as it was just before each decision, and at the end of the flight."""
     width = max(t[-1] - t[0], 1e-9)
     drawn: list[tuple[float, float]] = []
     for moment in (*decided, t[-1]):

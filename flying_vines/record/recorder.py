@@ -20,7 +20,7 @@ from flying_vines.record.topics import RawEntry, entry_of_action, entry_of_event
 __all__ = ["FlightStart", "Recorder"]
 
 HAND_OVER_S = 0.1
-"""Entries wait this long in the list. Short, because the thread shares the interpreter with the loop."""
+"""Entries wait this long in the list. Short, so that a batch in the thread does not delay the loop much."""
 MAX_WAITING = 150_000
 """Entries in the queue while the disk hangs: about six minutes of flight, 32 MB."""
 LAST_WRITES_S = 5.0

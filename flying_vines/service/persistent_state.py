@@ -50,7 +50,7 @@ class PersistentState:
 
     @classmethod
     def of(cls, config_file: Path, config: Config) -> PersistentState:
-        """The files in `state.folder`, relative to the configuration file's folder, which is the default."""
+        """The files in `state.folder`: relative to the configuration file's folder; default: that folder."""
         folder = config_file.parent / config.state.folder
         token_file = config.page.token_file
         stem = config_file.name.removesuffix(".toml")

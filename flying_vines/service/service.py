@@ -328,7 +328,7 @@ class Service:
         return actions
 
     def notify_watchers(self) -> None:
-        """Give the watchers the events since the last tick. No setpoint waits for a watcher."""
+        """Give the watchers the events since the last call. No setpoint waits for a watcher."""
         unpublished, self._unpublished = self._unpublished, []
         for watcher in tuple(self._watchers):
             try:
@@ -388,6 +388,6 @@ def line_to(config: FirmwareConfig) -> Line:
 
 
 def check_plugins(config: Config) -> None:
-    """Raises `PluginError` if a part of an installed package that the configuration names cannot be used."""
+    """Raises `PluginError` if the configuration names a plugin that cannot be used."""
     line_to(config.firmware)
     Core(config)

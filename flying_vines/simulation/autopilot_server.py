@@ -65,7 +65,7 @@ class AutopilotServer:
         return (asyncio.get_running_loop().time() - self._start_s) * self._speed
 
     async def run(self) -> None:
-        """Serve until cancelled. Raises the error of a TCP port in use, or of a stimulus."""
+        """Serve until cancelled. Raises `OSError` if a TCP port is in use, and any error of a stimulus."""
         loop = asyncio.get_running_loop()
         self._start_s = loop.time()
         servers: list[asyncio.Server] = []

@@ -22,9 +22,7 @@ CAUSE = Cause(
             seeds=(0.003, 0.05),
             neutral=0.0,
             logarithmic=True,
-            source=(
-                "small proportional valves: 5 to 30 ms; a pump that runs up 0.5 s; a motor-driven valve 2 s"
-            ),
+            source="small proportional valves: 5 to 30 ms; a pump's run-up 0.5 s; a motor-driven valve 2 s",
         ),
     ),
     experiment="Open and shut the inflation valve in pulses of 0.05 to 0.5 s.",

@@ -27,7 +27,7 @@ CAUSE = Cause(
             seeds=(30.0, 300.0),
             neutral=None,
             logarithmic=True,
-            source="Hagen-Poiseuille, 128 μ l/(π d⁴): 1 m of 4 mm bore (3) hardly shows; 0.6 mm (6000)",
+            source="Hagen-Poiseuille, 128 μ l/(π d⁴), 1 m: 3 for 4 mm bore (little effect), 6000 for 0.6 mm",
         ),
         Parameter(
             "volume_L",
@@ -38,7 +38,7 @@ CAUSE = Cause(
             logarithmic=True,
             # A volume on its lower bound is no evidence against a hose: perhaps only its resistance matters.
             typical=(log(0.0126), log(3.0)),
-            source="8 cm of 4 mm bore, which hardly shows, to a second vessel of 10 L; typical: 1 m, ×÷ 3",
+            source="from 8 cm of 4 mm bore (little effect) to a second vessel of 10 L; typical: 1 m, ×÷ 3",
         ),
     ),
     experiment="Inflate quickly, shut all valves at once, and record every millisecond.",

@@ -22,7 +22,7 @@ CAUSE = Cause(
             seeds=(3e6, 3e8),
             neutral=float("inf"),
             logarithmic=True,
-            source="the leaks of reservoir_leak (100 to 1e8) times the sum of pressures, 500 to 1000 kPa",
+            source="C = R (p + p_a), with R of reservoir_leak (100 to 1e8), and p + p_a from 500 to 1000 kPa",
         ),
     ),
     experiment="Fill the reservoir, shut all valves, and record its pressure until it is half empty.",

@@ -22,7 +22,7 @@ CAUSE = Cause(
             seeds=(1e5, 3e6, 3e8),
             neutral=float("inf"),
             logarithmic=True,
-            source="the leaks of cv_leak (10 to 1e8) times the sum of pressures, 200 to 500 kPa",
+            source="C = R (p + p_a), with R of cv_leak (10 to 1e8), and p + p_a from 200 to 500 kPa",
         ),
     ),
     experiment="Inflate the control volume to its highest pressure, shut all valves, and let it empty.",

@@ -22,7 +22,7 @@ class Coil:
     """A valve's coil on one channel of an L298N. With the defaults a cold 5 V coil just opens fully.
 
     The drop, 1.0 V plus 0.8 Ω, is near 1.2 V at 0.3 A and 1.8 V at 1 A (data sheet, from memory).
-    Assumptions: the coil's 1.9 W, its thermal numbers, and a smooth current under PWM.
+    Assumptions: the coil's resistance (1.9 W at 5 V), its thermal numbers, and a smooth current under PWM.
     """
 
     supply_V: float = 6.3

@@ -58,7 +58,8 @@ def exponential_runge_kutta(
     first = dt_s * (-4.0 + decay + whole * (4.0 + 3.0 * decay + decay * decay)) / cube
     middle = dt_s * 2.0 * (2.0 - decay - whole * (2.0 + decay)) / cube
     last = dt_s * (-4.0 + 3.0 * decay - decay * decay + whole * (4.0 + decay)) / cube
-    # Isothermal: p V is `warmth` times the air. Otherwise the tubing's air carries `warmth` as enthalpy.
+    # Isothermal: p V is `warmth` times the air. Otherwise each litre of the tubing's air carries the enthalpy
+    # `warmth`.
     own = numbers.cv_heat.own_temperature
     warmth = ALPHA_KPA * air.ratio * (numbers.gamma if own else 1.0)
     pV = (s4 if own else warmth * s3) + warmth * s6

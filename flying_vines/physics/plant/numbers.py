@@ -1,7 +1,7 @@
 """A plant as plain numbers, for the right-hand side.
 
-An effect that is left out has numbers without effect. So the functions of `rates` and `tick` are the same for
-every plant, and numba can compile them.
+An effect that the plant does not have gets neutral numbers. So the functions of `rates` and `tick` are the
+same for every plant, and numba can compile them.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ class PlantNumbers(NamedTuple):
     reservoir_heat: Heat
     reservoir_leak: Leak
     pump_stall_kPa: float
-    """Gauge pressure at which the pump delivers nothing; 0: no pump. `evp` then has its flow resistance."""
+    """Gauge pressure at which the pump delivers nothing; 0: no pump. With a pump, `evp` has the pump's flow
+    resistance."""
     evp: ValveNumbers
     dvp: ValveNumbers
     venturi: Suction

@@ -26,8 +26,8 @@ class Setup:
     def with_effects(self, **parts: Any) -> Setup:
         """This setup with these fields of `Effects`.
 
-        If the existing effect has every parameter that the new one sets, it keeps its others. If not, the new
-        effect replaces it.
+        If the existing effect has every parameter that the new one sets, only these parameters change. If
+        not, the new effect replaces it.
         """
         there = self.plant.effects
         merged = {name: _merged(getattr(there, name), part) for name, part in parts.items()}

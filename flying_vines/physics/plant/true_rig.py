@@ -60,7 +60,7 @@ class TrueRig:
     without: tuple[str, ...] = ()
     """Likely effects that this rig does not have."""
     none_found: bool = False
-    """True if a diagnosis has found no cause; False if there was no diagnosis."""
+    """True if a diagnosis was made and found no cause."""
 
     @property
     def complete(self) -> bool:

@@ -87,8 +87,8 @@ def nozzle_supply(
     """Motive flow in SL/s (at standard temperature) and absolute pressure before the nozzle, kPa.
 
     Two openings in series, each with Q = C √(p₁² − p₂²), which is ISO 6358 with b = 0:
-    Q² = (p₁² − p_a²) / (1/C_v² + 1/C_n²), p_n² = p_a² + Q²/C_n². Assumption: the flow is 7 % lower than with
-    b = 0.3 at 690 kPa, but the law is smooth down to zero pressure.
+    Q² = (p₁² − p_a²) / (1/C_v² + 1/C_n²), p_n² = p_a² + Q²/C_n². b = 0 is an assumption: the flow at 690 kPa
+    is 7 % lower than with b = 0.3, but the law is smooth down to zero pressure.
     """
     if valve_SL_per_s_kPa <= 0.0 or supply_kPa_abs <= ambient_kPa:
         return 0.0, ambient_kPa
@@ -176,7 +176,8 @@ def _elliptic(
 ) -> float:
     """The flow where the ISO 6358 law with m = 1/2, an ellipse in r, crosses the line of the ejector."""
     b, laminar = solenoid.critical_pressure_ratio, solenoid.laminar_ratio
-    # The line, start + slope · r, has a kink at ambient pressure; r is the pressure between the two over p.
+    # The line, start + slope · r, has a kink at ambient pressure. r is the pressure between solenoid and
+    # ejector, divided by p.
     if vacuum_kPa <= 0.0 or (
         p > ambient_kPa and flow_SL_per_s(solenoid, p, ambient_kPa, ratio, ambient_ratio) > free
     ):

@@ -51,7 +51,8 @@ class ArduPilotMission:
     """One navigation command and, in parallel, a queue of DO commands.
 
     The first DO item after a navigation command starts in the same loop, before the next navigation command.
-    The others follow one by one, after that command's text. Item 0 is home and never runs.
+    The others follow one by one, after the status text of that navigation command. Item 0 is home and never
+    runs.
     """
 
     def __init__(self, host: Host) -> None:

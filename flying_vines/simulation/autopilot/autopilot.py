@@ -100,11 +100,12 @@ class FakeAutopilot:
                 ArduPilot item 0 is home.
             links: get heartbeats from the start; other links appear with their first message.
             receiver: the RC input; default on PX4: overrides by a ground station.
-            rc_failsafe_mode: mode after RC loss in flight; None: no change. PX4 without an own receiver
-                never changes.
+            rc_failsafe_mode: mode after RC loss in flight; None: no change. PX4 without a receiver of its
+                own never changes its mode.
             parameters: values that differ from the factory's, e.g. PX4's MIS_COMMAND_TOUT.
-            signing_key: 32 bytes; it signs, and accepts only signed messages, except on a link "usb".
-            unix_s: its clock at the start.
+            signing_key: 32 bytes. With a key the autopilot signs, and accepts only signed messages, except on
+                a link "usb".
+            unix_s: the autopilot's clock at the start.
             seed: determines the delay of PX4's loss reports.
         """
         self.kind: AutopilotKind = kind

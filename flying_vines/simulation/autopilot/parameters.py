@@ -181,7 +181,7 @@ class ParameterServer:
     def _set(self, link: str, message: Any) -> None:
         name = message.param_id
         if name == HASH_CHECK and self._kind == "px4":
-            self._stop(link)  # the ground station has this set in its cache
+            self._stop(link)  # the ground station has these parameters in its cache
             return
         if name not in self._values:
             self._unknown(name)

@@ -166,7 +166,7 @@ class Px4Mission:
         leg, had_arrived = self._leg, self._leg.arrived
         leg.update(self._host.scheduler.now_s, self._host.armed)
         if leg.item.command in (LAND, RETURN):
-            # Reported as reached above the place, before the descent.
+            # Reported as reached above the landing place, before the descent.
             if leg.arrived and not had_arrived:
                 self._host.reached(leg.item.seq)
         elif leg.done:
@@ -176,7 +176,7 @@ class Px4Mission:
             self._run()
 
     def _run(self) -> None:
-        """Run DO items from the current one on, until one must be flown or waited for."""
+        """Run DO items from the current item on, up to an item that is flown or that takes time."""
         self._leg = None
         items = self._host.items
         burst: list[MissionItem] = []
@@ -226,7 +226,7 @@ class Px4Mission:
             self._pictures |= item.command == _START_PICTURES
             if reached:
                 self._host.reached(item.seq)
-        # Size of the queue between navigator and MAVLink.
+        # The queue between navigator and MAVLink keeps only the last `_QUEUE` commands.
         for item in burst[-_QUEUE:]:
             first = item.params[0]
             target = int(first) if item.command in _TO_PARAM1 and 0.0 <= first < 256.0 else 0

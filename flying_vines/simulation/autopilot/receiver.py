@@ -94,7 +94,11 @@ class Receiver:
         self.overridden = False
 
     def lose(self, how: RcLoss, preset: Mapping[int, int] | None) -> None:
-        """Lose the link. In a "jump" the channels of `preset` get its values; the others stay."""
+        """Lose the link.
+
+        In a "jump" the channels of `preset` get its values, and the others stay. Without `preset` all
+        channels get usual failsafe values.
+        """
         self.lost = how
         if how == "jump" and preset is None:
             self._received_us = _JUMP_US

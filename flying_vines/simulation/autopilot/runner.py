@@ -42,7 +42,7 @@ class Host(Protocol):
         """A DO item was executed."""
 
     def flush(self) -> None:
-        """End a loop outside the autopilot's own ticks."""
+        """End a loop now, outside the autopilot's ticks: send its texts and MISSION_ITEM_REACHED."""
 
 
 class Runner(Protocol):

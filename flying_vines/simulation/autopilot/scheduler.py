@@ -21,8 +21,8 @@ class ScheduledCallback:
 class Scheduler:
     """Runs callbacks in order of time; `now_s` is the time of the running one.
 
-    Callbacks of the same time run in the order in which they were scheduled. So a run is reproducible for any
-    division of the time into calls of `run_until`.
+    Callbacks of the same time run in the order in which they were scheduled. So the result does not depend on
+    the times at which `run_until` is called.
     """
 
     def __init__(self) -> None:

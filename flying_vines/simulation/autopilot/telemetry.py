@@ -38,7 +38,7 @@ _PARAM_ENCODING: dict[AutopilotKind, int] = {
     "px4": mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE,
 }
 _UID = 0x5F1E5
-# Values of PX4's RC inputs: channel count, rssi, and the two channels after the sticks.
+# For each RC input of PX4: channel count, rssi, and the value of channels 17 and 18.
 _PX4_RC = {"overrides": (18, 100, 1500), "sbus": (18, 255, 998), "crsf": (16, 61, 65535)}
 _NO_RSSI = 255
 
