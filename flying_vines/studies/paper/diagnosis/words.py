@@ -39,7 +39,8 @@ def _named(found: Discharges) -> str:
         f"where the EVP is rated for {stated()['evp.flow'].value:g}. The series alone give {alone[0]:.2f} "
         f"to {alone[-1]:.2f}, which is wider than this interval. With each series predicted from the others, "
         f"the error falls from {errors.nrmse_before:.1%} to {errors.nrmse_after:.1%} of the range "
-        f"(by {errors.gain[0]:.0%} to {errors.gain[1]:.0%}). A smaller reservoir has the same effect: weigh it full of water."
+        f"(by {errors.gain[0]:.0%} to {errors.gain[1]:.0%}). A smaller reservoir has the same "
+        "effect: weigh it full of water."
     )
 
 
