@@ -364,7 +364,7 @@ class ReservoirEstimate:
         return cost_kPa / max(share * _min_cost_kPa(self._p), air_kPa)
 
     def _minutes(self, mean: Sequence[float], leak_per_s: float, floor_kPa: float) -> float:
-        """Time until the floor at this leak and with the vine as it is now."""
+        """Time until the floor, at this leak and the present pressure of the vine."""
         above_kPa = mean[X] - floor_kPa
         if above_kPa <= 0.0:
             return 0.0

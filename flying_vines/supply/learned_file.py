@@ -41,11 +41,11 @@ def learned_from(text: str, prior: RigPrior) -> tuple[Learned | None, str]:
     try:
         file = msgspec.json.decode(text, type=_File)
     except (msgspec.DecodeError, UnicodeError):
-        return None, "what was learned of the air cannot be read: it is learned again"
+        return None, "the stored use of air cannot be read: it is learned again"
     if file.rig != rig_digest(prior):
         return None, "another rig or changed numbers: air is learned again"
     if not _is_sound(file.learned):
-        return None, "what was learned of the air cannot be read: it is learned again"
+        return None, "the stored use of air cannot be read: it is learned again"
     return file.learned, ""
 
 

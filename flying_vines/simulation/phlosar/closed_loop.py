@@ -1,8 +1,8 @@
 """The firmware's regulator and a plant in a closed loop, compiled: thousands of times faster than real time.
 
-One call simulates what `SimulatedPhlosar` does with bytes: at 1 kHz the firmware's own regulator reads the
-sensors and commands the valves. No protocol and no faults: the caller must check the table for too high
-pressures. Needs numba: pip install 'flying-vines[analysis]'.
+At 1 kHz the firmware's own regulator reads the sensors and commands the valves, as in `SimulatedPhlosar`. But
+there is no serial protocol, and the firmware's faults are not simulated: the caller must check the table for
+too high pressures. Needs numba: pip install 'flying-vines[analysis]'.
 """
 
 from __future__ import annotations

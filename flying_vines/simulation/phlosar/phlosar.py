@@ -62,8 +62,8 @@ class SimulatedPhlosar:
     StuckAt(1.0)`: it acts from the next `advance` on. Set it to None to repair it.
 
     Equal seeds, bytes and times give equal bytes and pressures. `reservoir_kPa` and `cv_kPa` are the true
-    pressures. The firmware reads them with noise, and the control volume's pressure at the valve end of its
-    tube.
+    pressures. The firmware reads them with noise. The control volume's sensor is at the valve end of
+    its tube.
     """
 
     def __init__(

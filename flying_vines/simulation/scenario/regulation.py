@@ -1,7 +1,7 @@
 """Tunes the regulator for valves that move only once per sample.
 
 At the firmware's own rate the tuning is the standard one. A valve that is constant for 20 ms changes the
-pressure of a 0.1 L vine by 7 kPa; with the gains for 1 ms the pressure would oscillate.
+pressure of a 0.1 L vine by up to 7 kPa; with the gains for 1 ms the pressure would oscillate.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ FASTEST_KPA_PER_S = 1e6
 _OF_THE_ERROR = 0.4
 """Share of the error that one sample may correct."""
 _HOLDS_OF_FULL_OPENING = 1.5
-"""From this error on, in pressure changes per sample, the valves open fully."""
+"""Error from which the valves open fully, as a multiple of the maximum pressure change in one sample."""
 _TOLERATED_HOLDS = 0.09
-"""Error above the setpoint, in pressure changes per sample, up to which the solenoid stays shut."""
+"""Error above the setpoint up to which the solenoid stays shut, as a multiple of the same change."""
 
 
 def tuning_for(rig: Rig, cv: ControlVolume, reservoir_kPa: float, sample_rate_Hz: int) -> Tuning:
-    """Tuning for valves that are constant during a sample, in which the pressure changes by up to
-    `hold_kPa`."""
+    """Tuning for valves that are constant during a sample."""
     if sample_rate_Hz >= FIRMWARE_HZ:
         return {}
     hold_s = 1.0 / sample_rate_Hz
     rate_kPa_per_s = ALPHA_KPA * reservoir_kPa / (rig.evp.flow_resistance_kPa_s_per_SL * cv.volume_L)
+    # The maximum pressure change in one sample.
     hold_kPa = rate_kPa_per_s * hold_s
     standard = standard_tuning()
     share = min(1.0, _OF_THE_ERROR / (standard["proportional_per_kPa"] * hold_kPa))

@@ -67,7 +67,7 @@ def bulge_where(crossed: Callable[[Array], BoolArray], shape: tuple[int, ...]) -
 
 
 def held_at(actuator: BendingActuator, pressure_kPa: ArrayLike, contraction: ArrayLike) -> ActuatorState:
-    """The actuator at a gauge pressure and a contraction; at a bulge of 1 if it cannot contract so far."""
+    """The actuator at a gauge pressure and a contraction; at a bulge of 1 if it cannot contract that much."""
     kPa, held = np.broadcast_arrays(np.asarray(pressure_kPa, float), np.asarray(contraction, float))
     bulge = bulge_where(lambda x: actuator.state(kPa, x).contraction >= held, kPa.shape)
     return actuator.state(kPa, bulge)

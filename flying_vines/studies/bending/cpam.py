@@ -9,9 +9,9 @@ this is the curve of a mylar balloon, with complete elliptic integrals of m = p 
 
 The force is zero at m = 1/2. Up to the film's own radius r₀ each half chamber is one such curve; then a
 cylinder of r₀ grows between the two halves. A chamber that does not reach r₀ shortens by at most 54 %. One
-that reaches r₀ shortens by 1.424 r₀ over its length: 30 to 40 % for the usual ratios of 0.21 to 0.28. The
-meridians stretch by 𝒯/k. Greer et al. 2017 describe the sPAM, Kübler et al. 2023 compare it as cPAM; the
-shape is computed here.
+that reaches r₀ shortens by 1.424 r₀: 30 to 40 % of its length, if r₀ is the usual 0.21 to 0.28 of the length.
+The meridians stretch by 𝒯/k, with k = 2π r₀ E t of the film. Greer et al. 2017 describe the sPAM, Kübler et
+al. 2023 compare it as cPAM; the shape is computed here.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ class Cpam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="cpam", 
         first, second = complete_elliptic(m)
         root = np.sqrt(m)
         sigma, delta = first / (2.0 * root), (first - second) / root
-        # Without a cylinder both halves, 2 σ R, are as long as the stretched meridian, flat (1 + 𝒯/k): the
-        # smaller root of a quadratic in R. Without a root the film would stretch without limit.
+        # Without a cylinder both halves, 2 σ R, are as long as the stretched meridian, flat (1 + 𝒯/k). R is
+        # the smaller root of this quadratic equation. Without a root the film would stretch without limit.
         pull = p * math.pi / (2.0 * m * stiffness)
         inside = sigma**2 - pull * flat**2
         balloon = flat / (sigma + np.sqrt(np.maximum(inside, 0.0)))

@@ -26,13 +26,13 @@ class VineError(OneLineError, ValueError):
 
 
 class BendingVine(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """An inflated tube with one actuator along its side, as long as the actuator."""
+    """An inflated tube with one actuator along its side; both have the same length."""
 
     name: Annotated[str, Meta(min_length=1, max_length=60)]
     max_kPa: Annotated[float, Meta(ge=0.1, le=1000)]
     """Maximum supply pressure of the actuator, gauge."""
     tip_load_N: Annotated[float, Meta(ge=0, le=1000)] = 0.0
-    """Required load of the tip, across its direction."""
+    """Load that the tip must bear, across the vine."""
     ambient_kPa: Annotated[float, Meta(ge=20, le=120)] = STANDARD_PRESSURE_KPA
     """Absolute."""
     body: Body

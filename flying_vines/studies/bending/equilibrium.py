@@ -29,7 +29,7 @@ LimitName = Literal["wrinkling", "collapse", "axial", "contraction", "burst"]
 
 
 class Limit(NamedTuple):
-    """A limit at a rising pressure."""
+    """A limit that the vine may reach as the pressure rises."""
 
     name: LimitName
     pressure_kPa: float | None
@@ -61,7 +61,7 @@ class BendingCurve:
 
     @cached_property
     def air_SL(self) -> Array:
-        """The air in the actuator, standard litres: V (P_a + P)/α, isothermal; flat at first."""
+        """The air in the actuator, standard litres: V (P_a + P)/α, isothermal. The flat actuator has none."""
         return self.volume_L * (self.vine.ambient_kPa + self.pressure_kPa) / ALPHA_KPA
 
     @cached_property

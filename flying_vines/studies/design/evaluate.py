@@ -153,7 +153,7 @@ def evaluate(robot: Robot, parts: PartsChoice) -> Evaluation:
         rate_kPa_per_s=wanted,
         flow_resistance_kPa_s_per_SL=resistance,
     )
-    # A pouch needs more air for the same swing: Eq. 8 with rate and swing scaled by this factor.
+    # A pouch needs `pouch_air` times the air for the same swing, so rate and swing of Eq. 8 are scaled by it.
     cycles_pouch = paper.n_cycles(
         fill_kPa,
         reservoir_volume_L=volume_L,

@@ -98,9 +98,9 @@ class VenturiPart(_Part, frozen=True, tag="venturi"):
     """Consumption at `at_kPa` (gauge)."""
     at_kPa: PositiveNumber
     suction_per_consumption: PositiveNumber
-    """Suction from atmospheric pressure over consumption."""
+    """Suction flow from atmospheric pressure, divided by the consumption."""
     max_vacuum_fraction: PositiveNumber
-    """Maximum vacuum over ambient pressure."""
+    """Maximum vacuum, as a share of ambient pressure."""
     full_vacuum_from_kPa: PositiveNumber
     """Below this motive pressure the vacuum falls in proportion to it."""
 

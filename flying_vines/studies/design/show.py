@@ -125,7 +125,7 @@ def rows(evaluation: Evaluation) -> list[tuple[str, str, float, float | None, st
         ("min. reservoir pressure", "kPa", e.least_kPa, None, "Eq. 4, wanted inflation"),
         ("cycles, rigid", "", e.cycles_rigid, wanted["rigid"], "Eq. 8"),
         ("cycles, pouch's air", "", e.cycles_pouch_air, None, "Eq. 8, air of V (P_a + P)"),
-        ("cycles, pouch, fast enough", "", e.cycles_pouch, wanted["pouch"], "minimum P_r with that air too"),
+        ("cycles, pouch, fast enough", "", e.cycles_pouch, wanted["pouch"], "Eq. 8, minimum P_r of a pouch"),
         ("cycles, passive venting", "", e.cycles_passive, wanted["passive"], "no air for the Venturi"),
         ("operating time, cycling", "s", e.operating_s, None, f"{robot.cycle_rate_Hz:.3g} cycles a second"),
         ("operating time, fully open", "s", e.full_open_s, None, "Eq. 3 to minimum pressure"),

@@ -62,7 +62,7 @@ class PaperRow:
 
     @property
     def relative_difference(self) -> float | None:
-        """(ours − paper) / paper; for a range, from its nearer end, and 0 within. None without both."""
+        """(ours − paper) / paper; for a range, from its nearer end, and 0 within. None if one is missing."""
         if not self.comparable or self.paper is None or self.ours is None or self.paper == 0.0:
             return None
         if self.paper_to is not None:

@@ -32,7 +32,7 @@ CURVES = (
 
 
 class PaperDataError(ValueError):
-    """The paper does not print this, or a file is damaged; one sentence."""
+    """The paper does not print this, or a file is damaged; the text is one sentence."""
 
 
 @dataclass(frozen=True)

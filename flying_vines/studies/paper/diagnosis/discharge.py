@@ -37,7 +37,7 @@ RESERVOIR = 1
 BOTTLE_L = 2.0
 VOLUME_L = {"4L_highRv": 4.0, "4L_lowRv": 4.0, "2L_lowRv": 2.0}
 STEP_KPA = 1.222
-"""All 57 readings are multiples of this: 10 bits of a 15 bar sensor."""
+"""All 57 readings differ by multiples of this: a 15 bar sensor with a 10-bit converter."""
 RIG = Rig(cv=None, sensors=Sensors(reservoir_noise_std_kPa=STEP_KPA / sqrt(12.0)))
 
 _LIMITS = {
@@ -113,7 +113,7 @@ class LawFit:
     """Ohm's law and choked flow, each with its own R_v and with gas that cools, fitted to all series."""
 
     settings_ratio: float
-    """Ratio of the valve's resistances in its two settings; the paper does not say how it was measured."""
+    """Ratio of the valve's resistances in its two settings; the paper does not state it."""
     first_exact: bool
     """True if the fits go through the first reading of each series."""
     ohm_kPa: float

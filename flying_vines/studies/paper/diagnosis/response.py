@@ -46,7 +46,7 @@ MEASURE_S = 1.5
 CORNERS = 64
 """Corners of the polygon that approximates a cycle of the command."""
 READINGS = 1000
-"""Maximum number of readings in a cycle; a slow command does not need a reading for each tick."""
+"""Approximate number of readings in a slow cycle, which does not need a reading for each tick."""
 TUBE_L = 0.0126
 """Volume of a metre of 4 mm tube."""
 

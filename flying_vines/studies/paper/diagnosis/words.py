@@ -34,12 +34,13 @@ def _named(found: Discharges) -> str:
     rated_SLPM = 60.0 * stated()["reservoir.pressure"].value / RIG.evp.flow_resistance_kPa_s_per_SL
     alone = sorted(found.scale_alone.values())
     return (
-        f"Discharges: air leaves faster than with the paper's R_v, {scale.estimate:.2f} ({scale.low:.2f} … "
-        f"{scale.high:.2f}) of it: {rated_SLPM / scale.estimate:.1f} SLPM at 690 kPa, where the EVP is rated "
-        f"for {stated()['evp.flow'].value:g}. The series alone give {alone[0]:.2f} to {alone[-1]:.2f}, which "
-        "is wider than this interval. With each series predicted from the others, the error falls from "
-        f"{errors.nrmse_before:.1%} to {errors.nrmse_after:.1%} of the range (by {errors.gain[0]:.0%} to "
-        f"{errors.gain[1]:.0%}). A smaller reservoir has the same effect: weigh it full of water."
+        f"Discharges: air leaves faster than with the paper's R_v. The best R_v is {scale.estimate:.2f} "
+        f"({scale.low:.2f} … {scale.high:.2f}) of it: {rated_SLPM / scale.estimate:.1f} SLPM at 690 kPa, "
+        f"where the EVP is rated for {stated()['evp.flow'].value:g}. The series alone give {alone[0]:.2f} "
+        f"to {alone[-1]:.2f}, which is wider than this interval. With each series predicted from the others, "
+        f"the error falls from {errors.nrmse_before:.1%} to {errors.nrmse_after:.1%} of the range "
+        f"(by {errors.gain[0]:.0%} to {errors.gain[1]:.0%}). A smaller reservoir has the same "
+        "effect: weigh it full of water."
     )
 
 
@@ -59,7 +60,7 @@ def _further(found: Discharges) -> str:
 def _flow_law(laws: Sequence[LawFit]) -> str:
     texts = [
         f"{law.ohm_kPa:.1f} and {law.choked_kPa:.1f} kPa with a ratio of {law.settings_ratio:.2f} and first "
-        f"readings {'taken as exact' if law.first_exact else 'as uncertain as all'}"
+        f"readings {'taken as exact' if law.first_exact else 'as uncertain as all others'}"
         for law in laws
     ]
     return (
@@ -87,12 +88,12 @@ def _responses(responses: Responses) -> tuple[str, ...]:
     return (
         "Frequency responses: the baseline under the paper's regulator is "
         f"{_dB(null.rms_dB)} dB rms off TC4 and TC5, {_dB(null.band_rms_dB)} up to three cut-offs. The "
-        f"difference is the flat tail. A minimum gain of {floor.best[FLOOR]:g}, from drift in an FFT over "
-        "few cycles, predicts each test from the other to "
+        "baseline lacks the flat tail of the measured gains. A minimum gain of "
+        f"{floor.best[FLOOR]:g}, from drift in an FFT over few cycles, predicts each test from the other to "
         f"{_dB(floor.unseen_dB)} dB; a tube between sensor and vessel to {_dB(tube.unseen_dB)}; the best "
-        f"single cause of the catalogue, {best.label}, to {_dB(best.unseen_dB)}. TC5's supply is stated "
-        f"twice: on 690 kPa the floor predicts to {_dB(other_floor.unseen_dB)} dB and the tube to "
-        f"{_dB(other_tube.unseen_dB)}.",
+        f"single cause of the catalogue, {best.label}, to {_dB(best.unseen_dB)}. The paper states "
+        "345 and 690 kPa as the supply of TC5; these numbers are for 345 kPa. On 690 kPa the floor predicts "
+        f"to {_dB(other_floor.unseen_dB)} dB and the tube to {_dB(other_tube.unseen_dB)}.",
         f"With a floor, no further cause is sure: {better} of {len(responses.explanations)} explanations "
         f"predict better, by at most {floor.unseen - responses.explanations[0].unseen:.1f} dB. The paper "
         "does not print the regulator's PID, the valve drivers, the tubes, the outlet, or any phase. A "
