@@ -29,7 +29,7 @@ X, GAS, WALL, RISE, FLAT, VENTURI, LEAK, CV_LEAK, WARMTH = range(9)
 SIZE = 9
 
 MIN_W_PER_K = 0.1
-"""No reservoir is better insulated."""
+"""Minimum conductance of a reservoir's wall."""
 MAX_WARMTH = 0.8
 """Bound of |ln h| for any reservoir."""
 
@@ -218,7 +218,7 @@ class ReservoirFilter:
             return
         self._outliers = 0
         if surprising and error > 0.0:
-            # Only a refill raises the pressure at once. It does not show the leak, or the air of a bend.
+            # Only a refill raises the pressure at once. Its error does not show the leak or the air of bends.
             self.doubt(error)
             projected[X] += error * error
             variance += error * error

@@ -31,7 +31,7 @@ from flying_vines.supply.rig_prior import AMBIENT_KPA, MIN_RISE_SHARE, Prior, Ri
 
 # Relative standard deviations: a rig changes between its calibration and its flight.
 CHANGED = 0.1
-"""Air for a rise."""
+"""Air for a rise, and flow of a valve."""
 LEAK_CHANGED = 0.2
 POUCH_CHANGED = 0.5
 """Flatness of a pouch before an inflation."""
@@ -45,7 +45,7 @@ PARTLY_OPEN_SD = 0.2
 VENTURI_STARTS_KPA = 3.0
 """The firmware starts the Venturi if the control volume is this far above its setpoint."""
 VENTURI_ENDS_KPA = 1.0
-"""The firmware stops the Venturi if the control volume is this far above its setpoint."""
+"""The firmware stops the Venturi once the control volume is less than this above its setpoint."""
 REGULATOR_S = 0.05
 """Reaction time of the regulator."""
 OPENING_S = 0.12
@@ -110,7 +110,7 @@ def _numbers(p: PneumaticsConfig, rig: Rig) -> PneumaticsConfig:
     if rig.cv is None:
         raise RigError("the rig has no [cv], so there is nothing to inflate.")
     if rig.pump is not None:
-        raise RigError("the rig has a pump, and not the reservoir from which a vine is inflated.")
+        raise RigError("the rig has a pump, but a vine is inflated from a reservoir.")
     return msgspec.structs.replace(
         p,
         reservoir_volume_L=rig.reservoir.volume_L,

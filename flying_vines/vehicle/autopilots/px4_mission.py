@@ -28,7 +28,7 @@ SAME_BURST_S = 3.0
 WAIT_FOR_COMMAND_S = 0.3
 """MISSION_ITEM_REACHED was seen up to 20 ms after its command, and once before it."""
 LAST_REPEAT_S = 2.5
-"""Wait this long for a repeat of the command. The repeat has the params, so the cache is not needed."""
+"""If the cache may be outdated, wait this long for a repeat of the command, which has the params."""
 REACHED_WITHIN_S = 3.0
 """PX4 repeats MISSION_ITEM_REACHED every second. A report counts up to this time after the command."""
 GRIPPER, WINCH = 211, 42600
