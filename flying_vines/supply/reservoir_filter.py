@@ -43,7 +43,7 @@ START_SD_K = 1.5
 """Standard deviation of the gas temperature at the start, around ambient."""
 REFILLED_SD_K = 8.0
 GAP_KPA_PER_S = 2.0
-"""Standard deviation of the cost of a gap in telemetry."""
+"""Standard deviation of the air used in a gap in telemetry, for each second of the gap."""
 FORGOTTEN_S = 10.0
 """After a gap of this length the temperatures are unknown again."""
 

@@ -34,13 +34,13 @@ CHANGED = 0.1
 """Air for a rise, and flow of a valve."""
 LEAK_CHANGED = 0.2
 POUCH_CHANGED = 0.5
-"""Flatness of a pouch before an inflation."""
+"""Additional air for an inflation from flat: the pouch may be only partly flat."""
 NO_LEAK_PER_S = 1e-4
 """A leak that a recording of one minute does not show."""
 ZERO_SD_KPA = 3.0
 """Standard deviation of the reservoir sensor's zero and of the ambient pressure."""
 MIN_KPA = 1.0
-"""Lower bound of the pressures that are computed with the error of the control volume's sensor."""
+"""Lower bound of a pressure after the correction of the control volume's sensor."""
 PARTLY_OPEN_SD = 0.2
 VENTURI_STARTS_KPA = 3.0
 """The firmware starts the Venturi if the control volume is this far above its setpoint."""
