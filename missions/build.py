@@ -126,7 +126,7 @@ class _Builder:
             name = AUTOPILOTS[self._kind].title
             self._complain(
                 key,
-                f"no rule in [[items]] gives an item for {wanted} on {name}; add to the configuration: {add}",
+                f"no rule gives an item for {wanted} on {name}; add to the configuration: {add}",
             )
         return item
 
