@@ -125,7 +125,8 @@ class _Builder:
             add = suggestion(intent, self._config, self._kind)
             name = AUTOPILOTS[self._kind].title
             self._complain(
-                key, f"no item that {name} accepts means {wanted}; add to the configuration: {add}"
+                key,
+                f"no rule gives an item for {wanted} on {name}; add to the configuration: {add}",
             )
         return item
 

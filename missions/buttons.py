@@ -1,8 +1,8 @@
 """Makes QGroundControl's buttons for the vine (custom actions) from a configuration.
 
 QGroundControl shows the actions of one file in the Fly View and for joystick buttons. It sends them at once,
-without a question. Its joystick list also contains the flight modes, and of two entries with one name it uses
-the first. PX4 has a mode "Hold". So all labels here begin with "Vine".
+without confirmation. Its joystick list also contains the flight modes, and of two entries with one name it
+uses the first. PX4 has a mode "Hold". So all labels here begin with "Vine".
 """
 
 from __future__ import annotations

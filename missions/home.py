@@ -17,7 +17,7 @@ def is_home(item: MissionItem) -> bool:
 
 
 def home_fits(items: Sequence[MissionItem], kind: AutopilotKind) -> bool:
-    """False if ArduPilot would skip a first item that is not home, or PX4 would fly to one that is."""
+    """False if ArduPilot would skip a first item that is not home, or if PX4 would fly to a home item."""
     if AUTOPILOTS[kind].begins_with_home:
         return is_home(items[0])
     return not (is_home(items[0]) and len(items) > 1 and items[1].command == TAKEOFF)

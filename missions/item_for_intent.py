@@ -67,7 +67,11 @@ def described(item: MissionItem) -> str:
 
 
 def _by_preference(config: Config, kind: AutopilotKind) -> Iterator[tuple[int, ItemConfig]]:
-    """Pairs of command and rule, the best first; actuators that move no autopilot output come first."""
+    """Pairs of command and rule, the best first.
+
+    Of the rules for one command, those with a nonzero param7 come first: such an actuator moves no output
+    of the autopilot.
+    """
     pairs = [(command, rule) for rule in config.items for command in rule.command_ids if not is_nav(command)]
     ranks = {ITEM_COMMANDS[name]: rank for rank, name in enumerate(AUTOPILOTS[kind].item_commands)}
 

@@ -30,7 +30,7 @@ At = tuple[Latitude, Longitude]
 
 
 class MissionError(ValueError):
-    """A mission cannot be read or built; each line of the text names file, line and key."""
+    """A mission cannot be read, built or written. The text has one line for each problem."""
 
     def __init__(self, *problems: str) -> None:
         super().__init__("\n".join(one_line(problem) for problem in problems))
@@ -123,7 +123,7 @@ def planned_home(mission: Mission, kind: AutopilotKind, source: str) -> Home:
     if mission.home is None:
         raise MissionError(
             f"{source}: home: is missing: home = {{ at = [latitude, longitude], altitude_m = ... }}, or "
-            'home = "simulator" for the start of the autopilot\'s own simulator'
+            'home = "simulator" for the home of the autopilot\'s own simulator'
         )
     if mission.home == "simulator":
         return AUTOPILOTS[kind].simulator_home

@@ -73,7 +73,8 @@ class _File(msgspec.Struct):
 def read_plan(path: Path, kind: AutopilotKind | None = None) -> PlanFile:
     """The mission in a plan file, for `kind`, or by default for the autopilot that the file names.
 
-    Raises `PlanFileError` if it cannot be read, has no items, or some that only QGroundControl can convert.
+    Raises `PlanFileError` if it cannot be read, has no items, or has items that only QGroundControl can
+    convert.
     """
     text = read_text(path, PlanFileError)
     try:

@@ -2,7 +2,7 @@
 
 Non-navigation items (vine items too) run as seen on real autopilots. ArduPilot runs them when the previous
 navigation item is done; before the first one it runs them on the ground. After the last navigation item it
-runs only one of them, after the landing none. PX4 goes through all items one by one.
+runs only one of them, and none after the landing. PX4 goes through all items one by one.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ X, GAS, WALL, RISE, FLAT, VENTURI, LEAK, CV_LEAK, WARMTH = range(9)
 SIZE = 9
 
 MIN_W_PER_K = 0.1
-"""No reservoir is better insulated."""
+"""Minimum conductance of a reservoir's wall."""
 MAX_WARMTH = 0.8
 """Bound of |ln h| for any reservoir."""
 
@@ -43,7 +43,7 @@ START_SD_K = 1.5
 """Standard deviation of the gas temperature at the start, around ambient."""
 REFILLED_SD_K = 8.0
 GAP_KPA_PER_S = 2.0
-"""Standard deviation of the cost of a gap in telemetry."""
+"""Standard deviation of the air used in a gap in telemetry, for each second of the gap."""
 FORGOTTEN_S = 10.0
 """After a gap of this length the temperatures are unknown again."""
 
@@ -218,7 +218,7 @@ class ReservoirFilter:
             return
         self._outliers = 0
         if surprising and error > 0.0:
-            # Only a refill raises the pressure at once. It does not show the leak, or the air of a bend.
+            # Only a refill raises the pressure at once. Its error does not show the leak or the air of bends.
             self.doubt(error)
             projected[X] += error * error
             variance += error * error

@@ -31,21 +31,21 @@ from flying_vines.supply.rig_prior import AMBIENT_KPA, MIN_RISE_SHARE, Prior, Ri
 
 # Relative standard deviations: a rig changes between its calibration and its flight.
 CHANGED = 0.1
-"""Air for a rise."""
+"""Air for a rise, and flow of a valve."""
 LEAK_CHANGED = 0.2
 POUCH_CHANGED = 0.5
-"""Flatness of a pouch before an inflation."""
+"""Additional air for an inflation from flat: the pouch may be only partly flat."""
 NO_LEAK_PER_S = 1e-4
 """A leak that a recording of one minute does not show."""
 ZERO_SD_KPA = 3.0
 """Standard deviation of the reservoir sensor's zero and of the ambient pressure."""
 MIN_KPA = 1.0
-"""Lower bound of the pressures that are computed with the error of the control volume's sensor."""
+"""Lower bound of a pressure after the correction of the control volume's sensor."""
 PARTLY_OPEN_SD = 0.2
 VENTURI_STARTS_KPA = 3.0
 """The firmware starts the Venturi if the control volume is this far above its setpoint."""
 VENTURI_ENDS_KPA = 1.0
-"""The firmware stops the Venturi if the control volume is this far above its setpoint."""
+"""The firmware stops the Venturi once the control volume is less than this above its setpoint."""
 REGULATOR_S = 0.05
 """Reaction time of the regulator."""
 OPENING_S = 0.12
@@ -110,7 +110,7 @@ def _numbers(p: PneumaticsConfig, rig: Rig) -> PneumaticsConfig:
     if rig.cv is None:
         raise RigError("the rig has no [cv], so there is nothing to inflate.")
     if rig.pump is not None:
-        raise RigError("the rig has a pump, and not the reservoir from which a vine is inflated.")
+        raise RigError("the rig has a pump, but a vine is inflated from a reservoir.")
     return msgspec.structs.replace(
         p,
         reservoir_volume_L=rig.reservoir.volume_L,

@@ -19,9 +19,9 @@ AMBIENT_KPA = STANDARD_PRESSURE_KPA
 CRITICAL_RATIO = 0.3
 """b of ISO 6358 for a valve with fittings."""
 MIN_RISE_SHARE = 0.65
-"""Minimum air of any control volume for a rise, as a share of the air for a rigid one of the assumed size.
+"""Lower bound of the air for a rise, as a share of the calculated air.
 
-A warm vine takes less: gas that was compressed quickly has not cooled yet."""
+A warm vine takes less air: gas that was compressed quickly has not cooled yet."""
 PACKED_SHARE = 1.2
 """Uncertainty of the first inflation, as a share of the air for a flat pouch."""
 VENTURI_SHARE = 0.7

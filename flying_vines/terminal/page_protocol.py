@@ -33,7 +33,10 @@ class InvalidMessageError(Exception):
 
 
 class PageDecoder:
-    """The events of one service, also over link losses. Times are on the service's clock."""
+    """Decodes the messages of a service's page. After a link loss no event is returned twice.
+
+    `t` is a time of this program; events and snapshots have times of the service.
+    """
 
     def __init__(self) -> None:
         self.vine: VineScale | None = None

@@ -204,7 +204,7 @@ def _health(s: Snapshot) -> str:
 
 
 def air(c: CyclesLeft | None) -> tuple[str, str]:
-    """Bends like the last one that are left, and the time that the air lasts without a bend."""
+    """The number of bends left, each like the last one, and the time that the air lasts without a bend."""
     if c is None:
         return "not known", "not known"
     if c.lost:

@@ -148,7 +148,7 @@ class Vehicle:
         return out
 
     def tick(self, t: float) -> list[VehicleOutput]:
-        """Let time pass: triggers that are due now, and requests to the autopilot."""
+        """The outputs that are due at `t`: triggers, notices, and requests to the autopilot."""
         out: list[VehicleOutput] = []
         out.extend(self.pilot.tick(t))
         if not self.state.found:

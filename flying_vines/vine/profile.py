@@ -141,7 +141,7 @@ def flatten(
 
 
 def ends_kPa(sine: Sine, curve: BendCurve) -> tuple[float, float]:
-    """The two gauge pressures of a sine, the first one first.
+    """The two gauge pressures between which a sine swings, the start first.
 
     The larger angle uses the inflation curve. The smaller angle uses the deflation curve, whose pressure is
     lower by the hysteresis. So the vine reaches both angles.

@@ -88,7 +88,7 @@ def test_the_last_write_counts(tmp_path: Path) -> None:
         ("\n\nVINE_MAX_KPA = 'low'\n", ":3: VINE_MAX_KPA: it must be a number"),
         ("VINE_FUEL_STATUS = true\n", ":1: VINE_FUEL_STATUS: it must be a number"),
         ("VINE_MAX_KPB = 3\n", ":1: VINE_MAX_KPB: there is no such parameter; did you mean VINE_MAX_KPA?"),
-        ("VINE_AP_ACTION = 1\n", ":1: VINE_AP_ACTION: delete the line: a lost autopilot always vents"),
+        ("VINE_AP_ACTION = 1\n", ":1: VINE_AP_ACTION: delete the line: the loss of the autopilot"),
         ("[limits]\nmax_kPa = 3\n", ":1: limits: there is no such parameter: delete the line"),
         ("VINE_MAX_KPA = 18\nVINE_MAX_K", ":2: not TOML: "),
         ("VINE_MAX_KPA = 18\nVINE_MAX_KPA = 17\n", ":2: not TOML: "),

@@ -49,7 +49,8 @@ SAME_SCRIPT_ITEM_S = 3.0
 repeats unacknowledged params for two seconds."""
 SCRIPT_MESSAGE = ITEM_COMMANDS["script_message"]
 WAIT_FOR_TEXT_S = 0.5
-"""It may be shorter than `MAX_DELAY_DIFFERENCE_S`, so that the vine moves earlier: see `TEXT_LATE_S`."""
+"""If the text of an item does not arrive within this time, the item is inferred. A later text is ignored for
+`TEXT_LATE_S`, so this time may be shorter than `MAX_DELAY_DIFFERENCE_S`, and the vine moves earlier."""
 TEXT_LATE_S = 1.0
 """A text that arrives within this time after its item was inferred belongs to that item."""
 REACHED_AGAIN_S = 3.0
@@ -90,7 +91,7 @@ class _Suspect(NamedTuple):
     item: MissionItem
     before: int
     certain_while_at: int | None
-    """The item ran only if the mission is still at this waypoint after the wait; None: it ran anyway."""
+    """The item ran only if the mission is still at this waypoint after the wait; None: no such condition."""
 
 
 class ArduPilotWatch(MissionWatch):
@@ -98,8 +99,9 @@ class ArduPilotWatch(MissionWatch):
 
     Each text is one execution. An execution without a text is inferred if the waypoint before the item was
     reached, the mission moved on to the next waypoint, frames were lost in that time, and no conditional item
-    is before it. It is not inferred if a later item has run since. If a script on the autopilot also sends
-    the item as a command, text and command are one execution.
+    is before it. It is also inferred if the item itself was reported as reached and frames were lost. It is
+    not inferred if a later item has run since. If a script on the autopilot also sends the item as a command,
+    text and command are one execution.
 
     No message shows that the mission was replaced by another of the same length. So each item that ran is
     requested again (`asks`), and only an answer after the execution counts.

@@ -89,7 +89,7 @@ class Autopilot:
     item_commands: tuple[str, ...] = ()
     """Mission commands that can carry a vine action, best first. The best ones move nothing but the vine."""
     item_match = ""
-    """An extra match for an `[[items]]` rule. With it the first command moves nothing but the vine."""
+    """An extra match for an `[[items]]` rule. With it `item_commands[0]` moves nothing but the vine."""
     gives_items_in_any_order = False
     """It answers a request for any item at any time."""
     own_rates_Hz: ClassVar[Mapping[str, float]] = {}

@@ -20,15 +20,15 @@ MIN_REPEAT_S = 0.5
 FIRST_REPEAT_LATER_S = 0.25
 """The first repeat is 0.5 or 1 s old. Its assumed age is the middle: 0.5 s plus this."""
 BEFORE_A_REPEAT_S = 0.4
-"""The item of a repeat ran at least 0.5 s ago, less the link's jitter. An item that was seen less than this
-time ago ran after it."""
+"""A repeat's item ran at least 0.5 s ago, less the link's jitter. So an item whose command arrived within
+this time before the repeat ran later than the repeat's item."""
 SAME_BURST_S = 3.0
 """PX4 sends the following items within milliseconds, and the last repeat of an item 2 s after it."""
 
 WAIT_FOR_COMMAND_S = 0.3
 """MISSION_ITEM_REACHED was seen up to 20 ms after its command, and once before it."""
 LAST_REPEAT_S = 2.5
-"""Wait this long for a repeat of the command. The repeat has the params, so the cache is not needed."""
+"""If the cache may be outdated, wait this long for a repeat of the command, which has the params."""
 REACHED_WITHIN_S = 3.0
 """PX4 repeats MISSION_ITEM_REACHED every second. A report counts up to this time after the command."""
 GRIPPER, WINCH = 211, 42600

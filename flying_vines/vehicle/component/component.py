@@ -23,8 +23,8 @@ from flying_vines.vehicle.state import VehicleState
 class Component:
     """Sans-IO; all times are seconds of one clock.
 
-    `values` are the saved parameters that differ from the configuration. Every message to the vehicle goes
-    through `send`, and leaves by `due` or `leaving`.
+    `values` are the saved parameters that differ from the configuration. All messages to the vehicle wait in
+    one queue: `due` and `leaving` return those that may leave.
     """
 
     def __init__(self, config: Config, values: Mapping[str, float] | None = None) -> None:

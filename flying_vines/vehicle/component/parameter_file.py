@@ -27,7 +27,7 @@ HEADING = """\
 # To use the configuration's value again, delete the line and restart the service.
 """
 
-_REMOVED = {"VINE_AP_ACTION": "a lost autopilot always vents, because the altitude is lost, too"}
+_REMOVED = {"VINE_AP_ACTION": "the loss of the autopilot always vents the vine, as the altitude is lost, too"}
 """Parameters of earlier versions, and why they were removed."""
 
 

@@ -31,7 +31,7 @@ class MavlinkCodec:
 
     A frame that arrives twice (the same sequence number and checksum from the same sender, due to routers and
     retries) is decoded once. Our own frames that a router sends back are dropped. With `signing`, only frames
-    signed with its key are accepted, and ours are signed. No input raises.
+    signed with its key are accepted, and ours are signed. Decoding raises no exception.
 
     With `read`, only messages with these ids get their fields; the others are `HeaderOnly`, which costs less.
     """

@@ -141,8 +141,9 @@ class Peers:
 class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
     """UDP: `udpout` sends to one address, `udpin` listens and answers its `Peers`.
 
-    A sender becomes a peer by a frame of an autopilot, sent from this computer or from the address that the
-    link names. On a link that is open to a network the frame must be signed.
+    A sender becomes a peer when it sends a frame of an autopilot. The sender must be on this computer, or
+    at the address that the link names. On a link that is open to a network, any sender may become a
+    peer, but its frame must be signed.
     """
 
     def __init__(

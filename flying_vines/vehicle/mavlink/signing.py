@@ -65,7 +65,7 @@ class RefusedFrames:
     unsigned: int = 0
     forged: int = 0
     replayed: int = 0
-    """The timestamp was used before, or is too old for a new stream."""
+    """The timestamp is not newer than the last one of its stream, or is too old for a new stream."""
 
     ahead: int = 0
     """The timestamp is too far ahead of this computer's clock."""
@@ -97,8 +97,8 @@ class SigningMemory:
 class Signing:
     """Signs and checks with one key on one link.
 
-    `timestamp` is the last one used. It only rises for one link id. If it is far ahead and must be lowered,
-    the link id changes, which makes a new stream.
+    `timestamp` is the last one used. It never falls while the link id stays the same. If it is far ahead and
+    must be lowered, the link id changes, which makes a new stream.
     """
 
     def __init__(self, key: bytes, link_id: int = 0, memory: SigningMemory = SigningMemory()) -> None:

@@ -17,7 +17,7 @@ TRY_AGAIN_S = 20.0
 QUIET_BEFORE_READING_S = 0.5
 """The total changes during an upload. Reading waits until the total is stable."""
 SAME_CHANGE_S = 5.0
-"""A total that agrees with a reading of at most this age is not a change."""
+"""If the mission was read within this time, a new total that agrees with it is not a change."""
 MAX_ITEMS = 5000
 
 
