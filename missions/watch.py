@@ -26,7 +26,7 @@ SET_MESSAGE_INTERVAL = 511
 
 _AUTOPILOT = 1
 _ARMED = 128
-_ACTIVE, _COMPLETE = 3, 5
+_UNKNOWN, _ACTIVE, _COMPLETE = 0, 3, 5
 _ITEM_TEXT = re.compile(r"Mission: (\d+) ")
 _REACHED_TEXT = "Reached command #"
 _DISARMING = "Disarming motors"
@@ -109,7 +109,9 @@ class MissionView:
     def _progress(self, t: float, seq: int, state: int) -> list[WatchLine]:
         if state == _COMPLETE and self._was_active:
             self.ended = True
-        if state != _ACTIVE or seq == self.current:
+        # Older ArduPilot leaves the state at 0, also on the ground.
+        active = state == _ACTIVE or (state == _UNKNOWN and self._armed)
+        if not active or seq == self.current:
             return []
         self._was_active = True
         self.current = seq

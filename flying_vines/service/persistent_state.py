@@ -76,7 +76,11 @@ class PersistentState:
     @property
     def disarmed(self) -> bool:
         """True if the pneumatics were disarmed and not armed again. Raises `OSError` if it is unreadable."""
-        return self.disarming.exists()
+        try:
+            self.disarming.stat()  # `exists` returns False for an unreadable folder from Python 3.14 on
+        except FileNotFoundError:
+            return False
+        return True
 
     def store_disarmed(self, disarmed: bool) -> None:
         """Raises `PersistentStateError`."""

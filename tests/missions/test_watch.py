@@ -139,6 +139,20 @@ def test_a_mission_completed_before_does_not_end_the_watch() -> None:
     assert watched.view.ended
 
 
+def test_a_mission_without_a_state_is_followed_while_armed() -> None:
+    """Older ArduPilot leaves mission_state at 0."""
+    watched = Watched()
+    watched.heartbeat(False)
+    watched.current(0, state=0)
+    assert watched.lines == []
+    watched.heartbeat(True)
+    for seq in (1, 2, 2):
+        watched.current(seq, state=0)
+    assert [line.split(":")[0] for line in watched.lines] == ["armed", "item 1", "item 2"]
+    watched.heartbeat(False)
+    assert watched.view.ended
+
+
 def test_an_item_that_was_not_downloaded() -> None:
     watched = Watched()
     watched.current(9)
