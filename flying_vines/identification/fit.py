@@ -39,8 +39,8 @@ THEN_STEPS = 2
 MAX_SEEDS = 3
 """If there are more seeds, only those with the lowest χ² are used."""
 MIN_GAIN, ROUGH_GAIN = 0.02, 0.1
-"""A step that lowers χ² by less ends the fit. If χ² is larger than noise explains, the limit is larger by the
-same factor. The second value is for fits that are only compared with each other."""
+"""A fit ends if a step lowers χ² by less, or should. If χ² is larger than noise explains, the limit is larger
+by the same factor. The second value is for fits that are only compared with each other."""
 DAMPING, HARDER, EASIER = 1e-3, 4.0, 0.1
 """Damping of the first step, its factor after a step that fails, and after a good one."""
 LEAST_DAMPING = 2.5e-6

@@ -2,6 +2,7 @@
 
 In the 95 % interval the cost (χ² plus priors) is less than 3.84 above its minimum (Wilks 1938). The curvature
 at the minimum gives the first guess. The interval is not symmetric if the likelihood profile is no parabola.
+It includes a plateau of the likelihood profile behind its end (`_plateau_end`).
 
 Residuals that are more than noise widen the interval. 3.84 is multiplied by a ratio of two variances of the
 parameter: from the residuals themselves, block by block (White 1982), over that from noise.
@@ -11,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import inf, isfinite, sqrt
+from math import exp, inf, isfinite, sqrt
 
 import numpy as np
 from scipy import special
@@ -33,6 +34,15 @@ WALL = 5.0
 OF_A_RUN = 10
 """Minimum number of blocks in a run. It is low, so that blocks are long: misfit of a model is correlated for
 longer than prediction errors."""
+PLATEAU = 3.0
+"""The likelihood profile has a plateau if it rises to less than this times the limit at twice the distance of
+its end. A parabola rises to four times the limit there."""
+EDGE_FITS = 6
+"""Number of fits that bracket the far end of a plateau."""
+UNLIKELY = 0.025
+"""Share of the likelihood outside each end of an interval."""
+OF_WIDTH = 0.64
+"""Likelihood within the interval of a normal distribution, over its width and its maximum."""
 BLIND = 1e-4
 """First step if the curvature is zero, as a share of the parameter's range."""
 
@@ -98,11 +108,17 @@ def profile(
         return difference
 
     least = candidate.fit.cost
+    centre, bounds = (
+        parameter.to_search(best),
+        [parameter.to_search(x) for x in (parameter.low, parameter.high)],
+    )
+    ends = [
+        _crossing(above, centre, side * 1.96 * sd, bound, limit)
+        for side, bound in zip((-1.0, 1.0), bounds, strict=True)
+    ]
     low, high = (
-        parameter.to_model(
-            _crossing(above, parameter.to_search(best), side * 1.96 * sd, parameter.to_search(bound), limit)
-        )
-        for side, bound in ((-1.0, parameter.low), (1.0, parameter.high))
+        parameter.to_model(_plateau_end(above, centre, end, bound, limit, ends[1] - ends[0]))
+        for end, bound in zip(ends, bounds, strict=True)
     )
     values = sorted(seen)
     return LikelihoodProfile(
@@ -146,3 +162,33 @@ def _crossing(
         if WALL * sqrt(limit) < over_root < inf:
             where = over  # The crossing is nearer, but the interval must not be too short.
     return min(where, bound) if outward > 0.0 else max(where, bound)
+
+
+def _plateau_end(
+    above: Callable[[float], float], best: float, end: float, bound: float, limit: float, width: float
+) -> float:
+    """The far end of a plateau of the likelihood profile behind `end`; `end` if there is none that matters.
+
+    A parameter that acts in jumps has such a plateau: the data only show between which pressures the Venturi
+    stalls, and near one of them the noise may fit a little better. The plateau matters if it has more than
+    2.5 % of the likelihood. `width` is that of the interval without it.
+    """
+    height, far, over = inf, end, best + 2.0 * (end - best)
+    while end not in (best, bound):
+        over = min(over, bound) if end > best else max(over, bound)
+        there = above(over)
+        if there > PLATEAU * limit:
+            break
+        height, far, over = min(height, there), over, best + 2.0 * (over - best)
+        if far == bound:
+            break
+    if far == end:
+        return end
+    for _ in range(EDGE_FITS if far != bound else 0):
+        middle = 0.5 * (far + over)
+        if above(middle) > PLATEAU * limit:
+            over = middle
+        else:
+            far = middle
+    likelihood = exp(-0.5 * ABOVE * height / limit) * abs(far - end)
+    return far if likelihood > UNLIKELY * (likelihood + OF_WIDTH * width) else end

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flying_vines.identification.intervals import ABOVE, _crossing
+from flying_vines.identification.intervals import ABOVE, _crossing, _plateau_end
 
 PROFILES: dict[str, tuple[Callable[[float], float], float]] = {
     "a parabola": (lambda d: (d / 0.5) ** 2, 0.5 * sqrt(ABOVE)),
@@ -56,3 +56,41 @@ def test_an_interval_does_not_end_before_a_wall(wall: float) -> None:
 
 def test_a_flat_profile_ends_at_the_bound() -> None:
     assert _crossing(lambda x: 0.0, 420.0, 0.17, 900.0) == 900.0
+
+
+def plateau(height: float, edge: float) -> Callable[[float], float]:
+    """A profile with a narrow minimum at 348.2, and a plateau up to `edge`."""
+    return lambda x: min((x - 348.2) ** 2 / 0.1**2, height) if x < edge else 600.0
+
+
+def with_plateau(above: Callable[[float], float], bound: float = 900.0) -> float:
+    end = _crossing(above, 348.2, 0.2, bound)
+    return _plateau_end(above, 348.2, end, bound, ABOVE, 2.0 * (end - 348.2))
+
+
+@given(st.floats(352.0, 800.0))
+def test_a_plateau_is_part_of_the_interval(edge: float) -> None:
+    """The noise fits a little better near one end of the range that the data allow."""
+    assert with_plateau(plateau(7.8, edge)) == pytest.approx(edge, rel=0.01)
+
+
+def test_an_unlikely_plateau_is_not() -> None:
+    assert with_plateau(plateau(30.0, 500.0)) < 349.0
+    assert with_plateau(plateau(11.0, 349.5)) < 349.0
+
+
+@pytest.mark.parametrize("name", ["a parabola", "steeper and steeper"])
+def test_a_profile_without_plateau_keeps_its_end(name: str) -> None:
+    profile, reach = PROFILES[name]
+    seen: list[float] = []
+
+    def above(x: float) -> float:
+        seen.append(x)
+        return profile(x)
+
+    assert _plateau_end(above, 0.0, reach, 1e6, ABOVE, 2.0 * reach) == reach
+    assert len(seen) == 1
+
+
+def test_a_plateau_up_to_the_bound_ends_there() -> None:
+    assert with_plateau(plateau(7.8, 1e9), 400.0) == 400.0

@@ -213,7 +213,7 @@ def curve(profile: LikelihoodProfile) -> tuple[Array, Array]:
     searched = np.array([parameter.to_search(float(value)) for value in profile.value])
     best = parameter.to_search(profile.estimate)
     root = np.sign(searched - best) * np.sqrt(np.maximum(profile.above, 0.0))
-    fine = np.linspace(searched[0], searched[-1], 200)
+    fine = np.union1d(np.linspace(searched[0], searched[-1], 200), searched)
     return np.array([parameter.to_model(float(x)) for x in fine]), np.interp(fine, searched, root) ** 2
 
 
