@@ -17,6 +17,7 @@ from flying_vines.identification.bend_curve import (
     load_pairs,
     parse_pairs,
 )
+from flying_vines.identification.bend_curve.law import _curve
 from flying_vines.identification.bend_curve.sequence import bent_kPa
 from flying_vines.physics.arrays import Array
 from flying_vines.vine.curve import BendCurve
@@ -78,6 +79,14 @@ def test_the_table_is_a_configuration() -> None:
     assert curve.max_kPa == pytest.approx(20.7, abs=0.011)
     straight = np.array([curve.angle_deg(kPa) for kPa in UP])
     np.testing.assert_allclose(straight, found.law.curve_deg(UP), atol=0.01 * straight[-1])
+
+
+@pytest.mark.parametrize("reach", [0.1, 1.0, 4.0, 10.0, 30.0])
+def test_the_written_pieces_follow_the_law_also_where_the_bend_levels_off(reach: float) -> None:
+    law = Law(100.0, 2.5, 20.0 / reach, 0.0)
+    curve, kPa = BendCurve(_curve(law, 22.5)), np.linspace(0.0, 22.5, 500)
+    off = [curve.angle_deg(x) for x in kPa] - law.curve_deg(kPa)
+    assert np.abs(off).max() < 0.01 * law.curve_deg(kPa[-1:])[0]
 
 
 def test_without_a_way_down_the_hysteresis_is_not_known() -> None:
