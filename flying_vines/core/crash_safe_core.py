@@ -52,8 +52,8 @@ class CrashSafeCore:
     def __init__(self, core: Core, display_failed: Callable[[Exception], None] = lambda error: None) -> None:
         self._core = core
         self._display_failed = display_failed
-        self._down_at: float | None = None
-        """When the shutdown began."""
+        self._down = False
+        """The shutdown began."""
         self._noticed = False
         """The local screen shows the text."""
         self._sent = False
@@ -77,12 +77,12 @@ class CrashSafeCore:
         actions = self._attempt(event)
         for action in actions:
             self._note(event.t, action)
-        if self._core.internal_error and self._down_at is None:
-            self._down_at, self._send_at = event.t, event.t + SENT_WITHIN_S
+        if self._core.internal_error and not self._down:
+            self._down, self._send_at = True, event.t + SENT_WITHIN_S
             # The core may have sent the same notice; `_while_down` drops the duplicate.
             actions.append(Notice(event.t, Severity.WARNING, SHUTDOWN_TEXT))
             return self._while_down(event, actions, at_once=True)
-        return actions if self._down_at is None else self._while_down(event, actions)
+        return self._while_down(event, actions) if self._down else actions
 
     def snapshot(self, t: float) -> Snapshot:
         """The state for displays. If the core fails, almost all fields are unknown."""
@@ -90,7 +90,7 @@ class CrashSafeCore:
             return self._core.snapshot(t)
         except Exception as error:
             self._display_failed(error)
-            return _blank(t, self._actuator, self._down_at is not None)
+            return _blank(t, self._actuator, self._down)
 
     def _attempt(self, event: Event) -> list[Action]:
         try:

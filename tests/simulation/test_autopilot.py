@@ -286,6 +286,16 @@ def test_a_stalled_link_delivers_all_at_once(both_ways: bool) -> None:
     assert [message.result for message in world.companion.of("COMMAND_ACK")] == [0]
 
 
+@pytest.mark.parametrize("both_ways", [False, True])
+def test_a_second_stall_says_anew_which_ways_are_stalled(both_ways: bool) -> None:
+    world = streaming(FakeAutopilot("ardupilot"), 1.0)
+    world.autopilot.stall(1.0, both_ways=not both_ways)
+    world.autopilot.stall(3.0, both_ways=both_ways)
+    world.companion.command(183, 9, 1900)
+    world.on(2.0)
+    assert bool(world.autopilot.performed) is not both_ways
+
+
 @pytest.mark.parametrize(
     ("kind", "kinds"), [("ardupilot", {"HEARTBEAT", "TIMESYNC"}), ("px4", {"HEARTBEAT"})]
 )

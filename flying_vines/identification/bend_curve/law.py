@@ -93,7 +93,7 @@ def _estimates(law: Law, jacobian: Array, residual: Array) -> list[CurveEstimate
 
 def _curve(law: Law, max_kPa: float) -> tuple[tuple[float, float], ...]:
     reach = max(0.0, max_kPa - law.dead_kPa) / law.scale_kPa
-    # All pieces have about the same error: the density of the knots goes with the square root of the curvature.
+    # Pieces of about equal error: the density of the knots goes with the square root of the curvature.
     over = -2.0 * np.log1p(np.expm1(-0.5 * reach) * np.arange(KNOTS + 1) / KNOTS)
     kPa = law.dead_kPa + law.scale_kPa * over
     return rounded(kPa, law.curve_deg(kPa))

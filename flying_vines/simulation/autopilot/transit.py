@@ -34,7 +34,8 @@ class Transit:
         self._muted_until_s = self._scheduler.now_s + seconds
 
     def stall(self, link: str, seconds: float, both_ways: bool) -> None:
-        self._stalls.setdefault(link, _Stall(both_ways)).until_s = self._scheduler.now_s + seconds
+        stall = self._stalls.setdefault(link, _Stall(both_ways))
+        stall.both_ways, stall.until_s = both_ways, self._scheduler.now_s + seconds
 
     def send(self, link: str, frame: bytes) -> None:
         if self.muted:
