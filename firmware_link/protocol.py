@@ -67,7 +67,7 @@ _MODES = {int(mode): mode for mode in Mode}
 
 
 def fault_names(faults: Fault) -> str:
-    """The names of known faults, and the number of the others."""
+    """The names of the known faults. Unknown bits follow as one hexadecimal number."""
     names = [fault.name or "" for fault in Fault if fault in faults and fault]
     unknown = int(faults) & ~sum(Fault)
     return ", ".join([*names, f"0x{unknown:04X}"] if unknown else names)
@@ -194,8 +194,8 @@ class GetSetting(_Body):
 class SetSetting(_Body):
     """Host to device: store `value` as setting `id`, permanently. Refused while regulating.
 
-    Answered by `Setting`. The frame ends with a fixed number. A damaged frame whose CRC is right by chance
-    does not have this number.
+    Answered by `Setting`. The body ends with a fixed number: a second check against a damaged frame whose
+    CRC is right by chance.
     """
 
     TYPE: ClassVar[int] = 0x07
@@ -220,7 +220,7 @@ _UNLOCK = 0x5E77
 
 def _text_to_wire(text: str, size: int, what: str) -> bytes:
     if len(text) > size or not text.isascii() or not (text.isprintable() or not text):
-        raise MalformedMessageError(f"{what} {text!r} is not up to {size} printable ASCII characters")
+        raise MalformedMessageError(f"{what} {text!r}: use at most {size} printable ASCII characters")
     return text.encode("ascii")
 
 
@@ -441,7 +441,7 @@ class Codec:
 
     def __init__(self) -> None:
         self.lost_frames = 0
-        """Frames missing by the sequence numbers. A jump of 128 or more is a restart, not a loss."""
+        """Frames missing between sequence numbers. A jump of 128 or more is a restart, not a loss."""
         self.unknown_messages = 0
         """Frames with a good CRC that are not a message of this version."""
         self._frames = FrameDecoder()

@@ -16,10 +16,10 @@ class LinkStatistics(NamedTuple):
     bad_frames: int
     """Frames with a wrong CRC, or bytes that are not a frame."""
     lost_frames: int
-    """Frames that are missing by the sequence numbers."""
+    """Frames that are missing between received sequence numbers."""
     unknown_messages: int
     telemetry_gaps: int
-    """Telemetry frames that are missing by the device's clock."""
+    """Telemetry frames that are missing between received device times, or have implausible contents."""
     reconnects: int
     received_bytes: int
     sent_bytes: int

@@ -47,7 +47,7 @@ class MotionPlanner:
         Args:
             intent: `StartProfile`, `BendTo` or `SetPressure`.
             start_kPa: pressure at the start, gauge.
-            bent_kPa: the present bend, as the pressure that gives it during inflation (`BendCurve.bent_kPa`).
+            bent_kPa: the pressure that gives the present bend during inflation (`BendCurve.bent_kPa`).
             limit_kPa: the firmware's pressure limit. The lower of it and `limits.max_kPa` applies.
             rate_scale: share of the maximum rate, 0…1.
             started_at: start time of the motion.

@@ -182,7 +182,7 @@ class Guide:
         self._line(Text(), Text(text, style=style))
 
     def _line(self, mark: Text, text: Text) -> None:
-        """Print a line: on a terminal wrapped within its column, in a pipe of any length."""
+        """Print a line. It is wrapped within its column on a terminal, and not wrapped in a pipe."""
         if not self._console.is_terminal:
             self._console.print(Text(f"{mark.plain:<{MARK_WIDTH}} {text.plain}"), soft_wrap=True)
             return

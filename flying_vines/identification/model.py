@@ -3,7 +3,7 @@
 It uses the plant's right-hand side and its step (`physics.plant.tick.runge_kutta`). Differences from a tick
 of the firmware: samples may be at any time. Steps are as long as the gas allows; with a hose they may be
 longer than its time constant. While no valve moves and the outlet is shut, a step may cover several samples.
-Within a step the pressures are cubic in time, for these samples and for the lag of a sensor. A step over an
+The samples within a step, and the lag of a sensor, use a cubic of time for the pressure. A step over an
 edge (the Venturi stalls, the control volume begins to stretch) is divided there. numba compiles this file.
 EVP is the inflation valve, DVP the valve that supplies the Venturi.
 """
@@ -29,12 +29,13 @@ from flying_vines.physics.plant.volume import volume_and_work
 SETTLED = 1e-3
 """A valve has arrived if its opening (0…1) is nearer than this to its target."""
 _BRIEF = 1e-3
-"""Share of a step over which a rate of pressure is taken."""
+"""Time over which the rate of a pressure is calculated, as a share of the step."""
 _FIRST, _GROWTH = 0.5, 0.25
 """Maximum first step after a valve has switched, in time constants of the tubing; maximum later step, as a
-share of the time since."""
+share of the time since the switching."""
 _STIFF = 0.05
-"""Shorter steps, in time constants of the tubing, use plain Runge-Kutta: exponential weights lose digits."""
+"""Steps up to this long (in time constants of the tubing) use plain Runge-Kutta, because the exponential
+weights would lose digits."""
 _PARTS = 8.0
 """With a lagging sensor, steps over an edge are shorter by this factor: the lag assumes a smooth pressure."""
 _ON_EDGE = 1e-7
@@ -90,7 +91,7 @@ def step(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held
         over, under, part = seen[edge], found[edge], h
         if (over < 0.0) == (under < 0.0):
             continue
-        # Regula falsi, always from the near side: a step over the edge is inaccurate.
+        # Regula falsi until the step ends on the edge or before it: a step over the edge is inaccurate.
         for _ in range(4):
             part *= over / (over - under)
             end = gas_after(numbers, air, at_s, state, held, part)
@@ -182,7 +183,10 @@ def _seen_after(
     h: float,
     since_s: float,
 ) -> SensorMemory:
-    """The sensor within a step of `h`; the pressure is cubic, with these rates (kPa/s) at both ends."""
+    """The sensor `since_s` after the start of a step of `h`.
+
+    The pressure is a cubic of time, with the rates `rate` and `end_rate` (kPa/s) at the ends of the step.
+    """
     x = since_s / h
     change = end_kPa - seen.true_kPa
     first, last = rate * h, end_rate * h

@@ -33,7 +33,8 @@ from flying_vines.physics.cause import Cause
 
 CLAIM_LEFT = 10.0
 MIN_GAIN = 0.02
-"""If the residuals are more than noise, a cause needs this gain, and this error reduction on unseen data."""
+"""If the residuals are more than noise, a further cause must lower the score by more than the first value,
+and the error on unseen data by more than the second (a share)."""
 CLAIM_ON_BOUND = 10.0
 """A parameter on its bound shows that a cause is missing. A cause that moves it off needs only this gain."""
 MAX_CAUSES = 9
@@ -44,17 +45,18 @@ BEAM = 2
 AHEAD = 2
 """If no further cause pays, this many more are added to the best sets: two effects may only pay together."""
 LEFT_TOGETHER = 0.05
-"""Maximum share of the slow residuals' squares that a set found with `AHEAD` leaves. Any three causes imitate
-a part of an effect that the catalogue lacks, but hardly ever nearly all of it."""
+"""Maximum share of the slow residuals' squares that a set found with `AHEAD` leaves. Three wrong causes
+can imitate a part of an effect that the catalogue lacks, but rarely almost all of it."""
 SURE_OF_TWO = 1 / 3
 """Two causes may leave more than `LEFT_TOGETHER` if the interval of their gain on unseen data is above this
 share."""
 ROUNDS, LOWER = 5, 0.75
-"""A set that leaves more than noise is changed this often, while each change lowers χ² to this share."""
+"""Maximum number of changes of a set that leaves more than noise. Each change must lower χ² to this share or
+less."""
 IMPOSSIBLE = 1.1
 """Factor for the χ² of a fit outside the physical ranges, to compare it with fits inside."""
 BEGUN_STEPS = 5
-"""Steps from each start, to choose the best one, if a fit starts again."""
+"""If a fit starts again from several points: number of steps from each, before the best one is chosen."""
 IDLE = 1.01
 """A cause is idle if χ² rises by at most this factor without it."""
 PROMISING = 4
@@ -63,9 +65,10 @@ EXCHANGES = 5
 """Number of exchanges of one cause for another that are fitted: those with the lowest expected χ²."""
 LEADERS, LEADERS_LEFT = 6, 3
 """Number of fits that are completed: those with the lowest χ² after their first steps. The second value is
-for sets of several causes, if even the best set leaves more than noise: a further cause is tried next."""
+for sets of several causes of which even the best leaves more than noise: they get a further cause next."""
 REACH, REACH_SHARE = 2000.0, 0.1
-"""An unfinished fit may still lower χ² by 2000 + 10 % of the null model's excess. Others are dropped."""
+"""Assumed maximum by which an unfinished fit can still lower χ²: 2000 + 10 % of the best fit's reduction of
+the null model's χ². A fit that needs more than this to win is not completed."""
 OF_RANGE = 1e-3
 
 
@@ -179,14 +182,16 @@ class Search:
         return self._finished([pairs[names] for names in first], LEADERS if most is None else 1)
 
     def _exchanged(self, candidate: Candidate) -> list[Candidate]:
-        """Fits of the candidate with one more cause, or with another one for each of its causes."""
+        """Fits of the candidate with one more cause, or with one of its causes replaced by another."""
         more = [candidate] if len(candidate.causes) < MAX_CAUSES else []
         return self.further([*more, *self._vacancies(candidate)], EXCHANGES)
 
     def _may_gain(self, candidate: Candidate) -> bool:
-        """True if a further cause may pay: something is left, or a parameter is on its bound.
+        """True if a further cause may pay.
 
-        With a parameter on its bound the expected gain says little: the further cause may move it off.
+        This is so if the residuals are more than noise, a parameter is on its bound, or a cause promises
+        enough. With a parameter on its bound the expected gain says little: the further cause may move it
+        off.
         """
         if not candidate.adequate or candidate.on_bound:
             return True
@@ -220,7 +225,7 @@ class Search:
         return self._grown([*self.nulls, *bases, *leaders], bases[:FIRSTS], leaders, progress)
 
     def resumed(self, earlier: SearchResult, progress: Progress = silent) -> SearchResult:
-        """Go on from the result of an earlier search of the same data with another noise."""
+        """Go on from an earlier search of the same data, which assumed another sensor noise."""
         tried = [*self.nulls, *(c.in_units_of(self.problem) for c in earlier.tried if c.causes)]
         begun = self._fit(earlier.chosen.fit.point.freed(self.keys))
         chosen = self.settled(Candidate(self.problem, begun))

@@ -48,7 +48,10 @@ class Prior(NamedTuple):
 
 @dataclass(frozen=True)
 class RigPrior:
-    """The prior of one rig. Air is in kPa of its reservoir. Pressures are gauge, without sensor errors."""
+    """The prior of one rig. Pressures are gauge, without sensor errors.
+
+    Amounts of air are stated as the reservoir's loss of pressure, kPa.
+    """
 
     pneumatics: PneumaticsConfig
     """The numbers for the formulas: those of the rig file, if there is one."""

@@ -15,8 +15,8 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 ASK_SPACING_S = 0.1
 ASK_AGAIN_S = 3.0
 REFUSED_S = 30.0
-"""A refused stream is requested again after this time, because ArduPilot shows each refusal to the pilot.
-Only the essential streams are requested sooner."""
+"""A refused stream is requested again only after this time: ArduPilot shows each refusal to the pilot.
+Essential streams are requested sooner."""
 ANSWER_WITHIN_S = 0.5
 """Only one request is open at a time, because an answer does not name the stream."""
 MISSING_AFTER_S = 5.0

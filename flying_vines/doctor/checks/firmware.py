@@ -20,7 +20,9 @@ ABOVE_FULL = 1.05
 FALLS_KPA_PER_S = 0.5
 """Limit of the reservoir's pressure loss with all valves shut."""
 
-NO_PORT = FindingText("phloSAR", "skipped", "not checked: see its port")
+NO_PORT = FindingText(
+    "phloSAR", "skipped", "not checked, because its port cannot be used: see the result for the port"
+)
 OTHER = FindingText("phloSAR", "skipped", "not checked: firmware.kind is {kind!r}")
 NO_ANSWER = FindingText(
     "phloSAR",

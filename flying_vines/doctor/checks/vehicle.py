@@ -21,13 +21,13 @@ SAMPLES_WITHIN_LOSS = 3.0
 
 USES = {
     "RC_CHANNELS": "the switch",
-    "SYS_STATUS": "whether RC is lost",
+    "SYS_STATUS": "detection of RC loss",
     "GLOBAL_POSITION_INT": "the altitude interlock",
     "MISSION_CURRENT": "mission items",
-    "SYSTEM_TIME": "reboots, and the clock",
+    "SYSTEM_TIME": "detection of reboots, and the clock check",
     "SCALED_PRESSURE": "ambient pressure",
 }
-"""What the service uses each message for."""
+"""What the service, or the doctor, uses each message for."""
 
 NO_LINK = FindingText("vehicle link", "bad", "{why}", "check vehicle.link, and the result for its port above")
 SERVED = FindingText(
@@ -36,7 +36,9 @@ SERVED = FindingText(
     "no autopilot is found{why}; {who} runs and may use this link",
     "use flying-vines watch; or stop the service ({stop}) and repeat this check",
 )
-NOT_ASKED = FindingText("vehicle link", "skipped", "not checked: see its port")
+NOT_ASKED = FindingText(
+    "vehicle link", "skipped", "not checked, because its port cannot be used: see the result for the port"
+)
 SILENT = FindingText(
     "vehicle link",
     "bad",
@@ -113,7 +115,7 @@ DUPLICATE_ID_OF_SERVICE = FindingText(
 DUPLICATE_ID_ONCE = FindingText(
     "component id",
     "warning",
-    "a message came from {id}, our own: another program may have it",
+    "a message came from our own id {id}: another program may use this id",
     "repeat this check; if it comes again, set vehicle.component_id to a free one",
 )
 FREE = FindingText("component id", "good", "{id} is free; senders besides the autopilot: {others}")
@@ -127,7 +129,7 @@ DATED_AHEAD = FindingText(
     "signing",
     "bad",
     "all messages were refused: their time is too far ahead of this computer's clock",
-    "set the wrong clock: this computer's, or the sender's (docs/mavlink.md)",
+    "correct the clock that is wrong: this computer's or the sender's (docs/mavlink.md)",
 )
 SOME_REFUSED = FindingText(
     "signing",

@@ -14,7 +14,8 @@ _OUR_UNITS = re.compile(r"/(flying-vines[^/]*\.service)$", re.MULTILINE)
 _TCP_LISTENS = "0A"
 _PSEUDO = "/dev/pts/"
 _PTY_MASTERS = ("/dev/ptmx", "/dev/pts/ptmx")
-"""The device side of pseudo-terminals. A process that has it open also keeps the host side open."""
+"""The device side of pseudo-terminals. A simulated device has this side open and may also keep the host side
+open. It is not a user of the port."""
 
 
 def _processes(proc: Path) -> Iterator[tuple[int, Path]]:

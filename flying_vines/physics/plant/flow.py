@@ -14,7 +14,7 @@ from flying_vines.physics.gas import AIR, GasProperties, sonic_conductance_ratio
 
 
 class Opening(NamedTuple):
-    """The numbers of a law. The defaults are no opening."""
+    """The numbers of a flow law. The defaults are a shut valve."""
 
     ohmic: bool = True
     conductance_SL_per_s_kPa: float = 0.0
@@ -92,9 +92,10 @@ class Iso6358:
         φ = φ(r_l) (r_c − r)/(r_c − r_l)          r_l = laminar_ratio · r_c < r: a linear end
         φ = 0                                    r ≥ r_c
 
-    ISO 6358-1:2013 as in MathWorks' "Orifice ISO 6358 (G)" and MapleSim's "Air Orifice ISO6358"; the role of
-    the cracking pressure Δp_c is from memory of the standard. `temperature_dependent=False` leaves out √θ₁.
-    C is given for air, as in a data sheet; `numbers` converts it to the rig's gas.
+    ISO 6358-1:2013 as in MathWorks' "Orifice ISO 6358 (G)" and MapleSim's "Air Orifice ISO6358".
+    The terms with the cracking pressure Δp_c were not checked against the standard.
+    `temperature_dependent=False` leaves out √θ₁. C is given for air, as in a data sheet; `numbers` converts
+    it to the rig's gas.
     """
 
     sonic_conductance_SL_per_s_kPa: float

@@ -169,7 +169,10 @@ class SimulatedPhlosar:
         )
 
     def heat_reservoir(self, kelvin: float) -> None:
-        """Heat bottle and gas by `kelvin`. In an isothermal model, added air makes the pressure rise."""
+        """Heat bottle and gas by `kelvin`.
+
+        An isothermal model cannot be heated. It gets air instead, for the same rise of the pressure.
+        """
         now = self._conditions
         ratio = 1.0 + kelvin / now.reservoir_K
         if not self._healthy.reservoir_heat.own_temperature:
@@ -269,8 +272,8 @@ class _SensorChannel:
 
 
 def _with_stub(numbers: PlantNumbers, state: State, now: Conditions) -> State:
-    """Splits the control volume's air into line and actuator when a line volume appears; merges it when it
-    goes."""
+    """Splits the control volume's air into line and actuator if the model now has a line volume. Merges both
+    if it no longer has one."""
     ratio = now.ambient_K / STANDARD_TEMPERATURE_K
     into_SL = -state.line_air_SL
     if numbers.has_tubing:

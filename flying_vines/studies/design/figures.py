@@ -179,7 +179,7 @@ def _compass(compared: Compass) -> Any:
                 BLUE,
             )
         )
-    # A design moves the phloSAR's ratings, so the same ratings are judgements.
+    # The design's ratings are the phloSAR's, scaled. So they are judgements where the phloSAR's are.
     columns.append(("your design", compared.design, judgements["phlosar"], ORANGE))
     figure, axes = plt.subplots(1, len(columns), figsize=(12, 3.8), sharey=True, layout="constrained")
     for axis, (label, values, judged, color) in zip(axes, columns, strict=True):

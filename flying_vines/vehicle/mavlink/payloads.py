@@ -1,4 +1,4 @@
-"""Frame payloads to message objects of the dialect: the same result as pymavlink's decoding, but faster.
+"""Decodes frame payloads to message objects of the dialect: the same result as pymavlink's, but faster.
 
 The layout of arrays, texts and fields is computed once for each message type, not for each frame.
 """
@@ -57,7 +57,7 @@ class HeaderOnly:
     __slots__ = ("_frame",)
 
     def __init__(self, frame: Frame) -> None:
-        """`frame`: its message is one of the dialect's."""
+        """`frame`: the dialect must have its message type."""
         self._frame = frame
 
     def get_type(self) -> str:
@@ -80,7 +80,7 @@ class HeaderOnly:
 
 
 def message_of(frame: Frame) -> MavlinkMessage:
-    """The message in a frame that the dialect knows."""
+    """The message in a frame. The dialect must have its message type."""
     layout = _LAYOUTS[frame.message_id]
     # MAVLink 2 cuts trailing zeros off. A newer dialect may have appended fields.
     payload = frame.payload.ljust(layout.size, b"\0")[: layout.size]

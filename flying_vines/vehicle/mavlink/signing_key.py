@@ -68,7 +68,7 @@ def _read_private(path: Path) -> bytes:
 
 
 class TimestampFile:
-    """Saves the signing timestamps over restarts and power cuts, even if the clock then starts too early."""
+    """Saves the signing timestamps, so that they increase even if the clock is behind after a restart."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

@@ -61,7 +61,7 @@ SAME_AS_FLOW = "reservoir_volume"
 OHM = ("evp_restriction", "reservoir_cooling")
 CHOKED = (*OHM, "compressible_flow")
 BEST_FOR_CHOKED = 1.24
-"""Ratio of the valve's two settings with the lowest residuals for choked flow, to 0.02."""
+"""Ratio of the resistances of the valve's two settings that fits choked flow best; found to within 0.02."""
 SECOND = (
     "reservoir_cooling",
     "sensor_line",
@@ -120,7 +120,7 @@ class LawFit:
     """Root mean square error of Ohm's law."""
     choked_kPa: float
     choked_scale: float
-    """R_v with choked flow, over the paper's."""
+    """R_v with choked flow, divided by the paper's R_v."""
 
 
 class Second(NamedTuple):
@@ -142,12 +142,12 @@ class Discharges:
     case: Case
     verdict: Verdict
     scale_alone: dict[str, float]
-    """R_v over the paper's, from each series alone."""
+    """R_v from each series alone, divided by the paper's R_v."""
     second: tuple[Second, ...]
     """The best prediction first."""
     laws: tuple[LawFit, ...]
     recommended: Recommendation
-    """The recording that separates the causes that stay open."""
+    """The recording that distinguishes best between the causes that these data leave undecided."""
 
 
 def analyse(progress: Progress = silent) -> Discharges:
