@@ -78,7 +78,7 @@ class PersistentState:
         """True if the pneumatics were disarmed and not armed again. Raises `OSError` if it is unreadable."""
         try:
             self.disarming.stat()  # `exists` returns False for an unreadable folder from Python 3.14 on
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             return False
         return True
 

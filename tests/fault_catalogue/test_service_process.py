@@ -141,8 +141,8 @@ async def test_a_flight_continues_when_files_fail_or_a_second_service_starts(ser
     )
     assert second.stdout is not None
     async with asyncio.timeout(MAX_WAIT_S):
-        while ROWS["second_copy"].pilot_text not in (await second.stdout.readline()).decode():
-            pass
+        while ROWS["second_copy"].pilot_text not in (line := await second.stdout.readline()).decode():
+            assert line, "the second copy has ended without its text"
     second.terminate()
     await second.communicate()
 

@@ -147,6 +147,22 @@ async def test_a_disarm_that_cannot_be_stored_is_reported_and_takes_effect(
         assert doing(served) == "pneumatics disarmed"
 
 
+def test_without_a_folder_nothing_is_disarmed_but_an_unreadable_folder_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("a file where the folder should be")
+    for folder in ("missing", "file"):
+        state = PersistentState.of(tmp_path / folder / "vine.toml", config.default())
+        assert not state.disarmed
+
+    def refuse(path: Path, **_: object) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "stat", refuse)
+    with pytest.raises(PermissionError):
+        _ = state.disarmed
+
+
 def test_disarmed_is_a_file_that_explains_itself_and_may_be_removed(tmp_path: Path) -> None:
     config_file = tmp_path / "vine.toml"
     config_file.write_text(config.default_text().replace('folder = ""', 'folder = "state/of"'))
