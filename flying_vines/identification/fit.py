@@ -39,8 +39,9 @@ THEN_STEPS = 2
 MAX_SEEDS = 3
 """If there are more seeds, only those with the lowest χ² are used."""
 MIN_GAIN, ROUGH_GAIN = 0.02, 0.1
-"""A fit ends if a step lowers χ² by less, or should. If χ² is larger than noise explains, the limit is larger
-by the same factor. The second value is for fits that are only compared with each other."""
+"""A fit ends before a step that should lower χ² by less, and after one that lowers it by less. After a step
+the limit is larger by the factor by which χ² is larger than noise explains. The second value is for fits that
+are only compared with each other."""
 DAMPING, HARDER, EASIER = 1e-3, 4.0, 0.1
 """Damping of the first step, its factor after a step that fails, and after a good one."""
 LEAST_DAMPING = 2.5e-6
@@ -298,10 +299,10 @@ class FitProblem:
         damping = DAMPING
         jacobian = known.at(residuals) if known else None
         for _ in range(max_steps):
-            fresh, enough = jacobian is None, min_gain * max(1.0, cost / self.readings)
+            fresh, enough = jacobian is None, min_gain * max(1.0, cost / self.readings) ** 0.5
             jacobian = jacobian or space.jacobian(place, residuals)
             found = self._stepped(
-                space, place, residuals, jacobian, damping, enough, MAX_TRIALS if fresh else 1
+                space, place, residuals, jacobian, damping, min_gain, enough, MAX_TRIALS if fresh else 1
             )
             if found is None:
                 if fresh:
@@ -313,9 +314,9 @@ class FitProblem:
             gained, cost, damping = cost - lower, lower, damping * EASIER
             off_linear = jacobian.nonlinearity(there - place, tried)
             place, residuals = there, tried
-            if gained < enough and (fresh or off_linear < enough):
+            if gained < enough and (fresh or off_linear < min_gain):
                 break
-            linear = damping <= DAMPING and off_linear < max(enough, LINEAR * gained)
+            linear = damping <= DAMPING and off_linear < max(min_gain, LINEAR * gained)
             jacobian = jacobian.at(tried) if linear else None
         return Fit(space.to_model(place), chi2_of(residuals), cost, tuple(residuals))
 
@@ -326,16 +327,17 @@ class FitProblem:
         residuals: list[Array],
         jacobian: Jacobian,
         damping: float,
+        min_gain: float,
         enough: float,
         trials: int,
     ) -> tuple[Array, list[Array], float] | None:
         """A better place, its residuals, and the damping of the step; None if every trial failed.
 
-        It is `place` itself if a hardly damped step should gain less than `enough`.
+        It is `place` itself if a hardly damped step should gain less than `min_gain`.
         """
         cost = chi2_of(residuals) + space.prior(place)
         hardly_damped = space.best_step(place, jacobian, min(damping, DAMPING))
-        if cost - space.expected_cost(place, jacobian, hardly_damped) < enough:
+        if cost - space.expected_cost(place, jacobian, hardly_damped) < min_gain:
             return place, residuals, damping
         own, shares = self._by_start(residuals), np.ones(len(self._read))
         for _ in range(trials):

@@ -118,12 +118,7 @@ def _beginnings(time_s: Array, start: NDArray[np.intp]) -> BoolArray:
 
 def quick_errors(problem: FitProblem, splits: Sequence[Split], point: FitPoint) -> Errors:
     """The errors of predictions from the shown data of each split, `STEPS` steps from a fit to all data."""
-    jacobian = problem.jacobian(problem.at(point))
-
-    def refitted(split: Split) -> FitPoint:
-        return split.shown.fit(point, STEPS, known=jacobian.where(split.shown.used)).point
-
-    return errors(problem, splits, mapped(refitted, splits))
+    return errors(problem, splits, mapped(lambda split: split.shown.fit(point, STEPS).point, splits))
 
 
 def errors(problem: FitProblem, splits: Sequence[Split], fitted: Sequence[FitPoint]) -> Errors:
