@@ -39,9 +39,9 @@ THEN_STEPS = 2
 MAX_SEEDS = 3
 """If there are more seeds, only those with the lowest χ² are used."""
 MIN_GAIN, ROUGH_GAIN = 0.02, 0.1
-"""A fit ends before a step that should lower χ² by less, and after one that lowers it by less. After a step
-the limit is larger by the factor by which χ² is larger than noise explains. The second value is for fits that
-are only compared with each other."""
+"""A fit ends before a step that should lower χ² by less, and after a step that lowers it by less. The second
+limit is multiplied by √(χ²/readings) if that is more than 1. `ROUGH_GAIN` is for fits that are only compared
+with each other."""
 DAMPING, HARDER, EASIER = 1e-3, 4.0, 0.1
 """Damping of the first step, its factor after a step that fails, and after a good one."""
 LEAST_DAMPING = 2.5e-6
@@ -55,8 +55,8 @@ MAX_STEP_CHANGE = 0.5
 SHORTER = 0.3
 """Factor for a step of initial pressures that increases χ² on its own stretch."""
 LINEAR = 0.05
-"""The derivatives are used again if a step is hardly damped, and if its curvature changes χ² by less than
-this share of its gain."""
+"""The derivatives are used again if the damping is low, and if the residuals differ from their linear
+prediction by less than this share of the gain in χ²."""
 NO_EFFECT = 1e-6
 """A number has no effect at a point if, by the derivative, its whole range changes χ² by less than this."""
 CORRECTIONS = 2
@@ -333,11 +333,11 @@ class FitProblem:
     ) -> tuple[Array, list[Array], float] | None:
         """A better place, its residuals, and the damping of the step; None if every trial failed.
 
-        It is `place` itself if a hardly damped step should gain less than `min_gain`.
+        It is `place` itself if a step with little damping should lower the cost by less than `min_gain`.
         """
         cost = chi2_of(residuals) + space.prior(place)
-        hardly_damped = space.best_step(place, jacobian, min(damping, DAMPING))
-        if cost - space.expected_cost(place, jacobian, hardly_damped) < min_gain:
+        little_damped = space.best_step(place, jacobian, min(damping, DAMPING))
+        if cost - space.expected_cost(place, jacobian, little_damped) < min_gain:
             return place, residuals, damping
         own, shares = self._by_start(residuals), np.ones(len(self._read))
         for _ in range(trials):

@@ -42,7 +42,8 @@ EDGE_FITS = 6
 UNLIKELY = 0.025
 """Share of the likelihood outside each end of an interval."""
 OF_WIDTH = 0.64
-"""Likelihood within the interval of a normal distribution, over its width and its maximum."""
+"""For a normal distribution: the integral of the likelihood, divided by its maximum and by the width of the
+95 % interval."""
 BLIND = 1e-4
 """First step if the curvature is zero, as a share of the parameter's range."""
 
@@ -108,10 +109,8 @@ def profile(
         return difference
 
     least = candidate.fit.cost
-    centre, bounds = (
-        parameter.to_search(best),
-        [parameter.to_search(x) for x in (parameter.low, parameter.high)],
-    )
+    centre = parameter.to_search(best)
+    bounds = [parameter.to_search(bound) for bound in (parameter.low, parameter.high)]
     ends = [
         _crossing(above, centre, side * 1.96 * sd, bound, limit)
         for side, bound in zip((-1.0, 1.0), bounds, strict=True)
