@@ -126,6 +126,11 @@ class Fit:
     nothing was measured."""
 
 
+_PARALLEL = 1e-5
+"""A trace of which a smaller share (of the squares) is orthogonal to the fitted directions gains nothing: a
+few permille are the curvature of a finite step."""
+
+
 class Tangents:
     """The directions in which a fit can change its residuals, and the residuals orthogonal to them.
 
@@ -146,7 +151,7 @@ class Tangents:
         length = float(own @ own)
         whole = sum(float(np.vdot(t, t)) for t in trace)
         slope = float(own @ self._residual)
-        if length <= 1e-9 * whole or (slope > 0.0 and not backwards):
+        if length <= _PARALLEL * whole or (slope > 0.0 and not backwards):
             return 0.0
         return slope**2 / length
 

@@ -59,6 +59,8 @@ BEGUN_STEPS = 5
 """If a fit starts again from several points: number of steps from each, before the best one is chosen."""
 IDLE = 1.01
 """A cause is idle if χ² rises by at most this factor without it."""
+NO_EFFECT = 1e-3
+"""A further cause that changes χ² by a smaller share is dropped: free rig numbers already do the same."""
 PROMISING = 4
 """Number of further causes that are fitted: those with the largest expected gain."""
 EXCHANGES = 5
@@ -179,7 +181,9 @@ class Search:
                 pairs.setdefault(names, (base, cause))
                 expected.setdefault(names, base.fit.chi2 - promises[cause])
         first = sorted(pairs, key=expected.__getitem__)[:most]
-        return self._finished([pairs[names] for names in first], LEADERS if most is None else 1)
+        found = self._finished([pairs[names] for names in first], LEADERS if most is None else 1)
+        before = {names: base.fit.chi2 for names, (base, _) in pairs.items()}
+        return [c for c in found if abs(c.fit.chi2 / before[frozenset(c.names)] - 1.0) > NO_EFFECT]
 
     def _exchanged(self, candidate: Candidate) -> list[Candidate]:
         """Fits of the candidate with one more cause, or with one of its causes replaced by another."""

@@ -264,7 +264,7 @@ def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> f
     """
     n = numbers
     evp = _conductance_SL_per_s_kPa(n.evp.law)
-    at_the_valves = evp + solenoid.conductance_SL_per_s_kPa
+    at_the_valves = evp + _conductance_SL_per_s_kPa(solenoid)
     out_of_reservoir = evp + _conductance_SL_per_s_kPa(n.dvp.law)
     out_of_reservoir += _leak_SL_per_s_kPa(n.reservoir_leak, setup.reservoir_sensor)
     rates = [n.gamma * ALPHA_KPA * out_of_reservoir * n.reservoir_per_L]

@@ -9,6 +9,7 @@ from flying_vines.physics.plant.coil import Coil
 from flying_vines.physics.plant.curve import Curve
 from flying_vines.physics.plant.flow import FlowLaw, Iso6358
 from flying_vines.physics.plant.leak import LeakLaw, Viscous, leak_of
+from flying_vines.physics.plant.pump_curve import ChokedPump
 from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
 from flying_vines.physics.plant.venturi import Ejector
 from flying_vines.physics.plant.volume import Shape
@@ -20,7 +21,8 @@ from flying_vines.physics.rig import Hose
 class Effects:
     """Effects of a rig; each one may be left out.
 
-    `*_law`: flow of a fully open valve (None: Ohm's law with the rig's resistance). `*_wall`: heat between
+    `*_law`: flow of a fully open valve (None: Ohm's law with the rig's resistance). `pump_curve`: how a pump's
+    flow falls (None: linearly). `*_wall`: heat between
     wall and gas (None: isothermal gas). `*_motion`, `*_coil`: how a valve follows its command. `*_leak`:
     permanent openings to ambient; those of one volume add up. `ambient`: None is 101.325 kPa and 293.15 K.
     """
@@ -28,6 +30,7 @@ class Effects:
     evp_law: FlowLaw | None = None
     dvp_law: FlowLaw | None = None
     solenoid_law: FlowLaw | None = None
+    pump_curve: ChokedPump | None = None
     ejector: Ejector | None = None
     reservoir_wall: Wall | None = None
     cv_wall: Wall | None = None

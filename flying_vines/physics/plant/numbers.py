@@ -14,6 +14,7 @@ from flying_vines.physics.plant.coil import Coil
 from flying_vines.physics.plant.flow import FlowLaw, Ohm, Opening
 from flying_vines.physics.plant.leak import Leak, leak_of
 from flying_vines.physics.plant.plant import Plant
+from flying_vines.physics.plant.pump_curve import pump_law
 from flying_vines.physics.plant.valve_response import ValveMotion, ticks
 from flying_vines.physics.plant.venturi import Ejector, Suction
 from flying_vines.physics.plant.volume import Chamber
@@ -45,8 +46,8 @@ class PlantNumbers(NamedTuple):
     reservoir_heat: Heat
     reservoir_leak: Leak
     pump_stall_kPa: float
-    """Gauge pressure at which the pump delivers nothing; 0: no pump. With a pump, `evp` has the pump's flow
-    resistance."""
+    """Gauge pressure at which the pump delivers nothing; 0: no pump. With a pump, `evp` has the law of
+    its flow."""
     evp: ValveNumbers
     dvp: ValveNumbers
     venturi: Suction
@@ -73,7 +74,7 @@ def numbers_of(plant: Plant, tick_s: float) -> PlantNumbers:
     rig, effects = plant.rig, plant.effects
     gas, pump = rig.gas.properties, rig.pump if rig.cv else None
     evp = _valve(
-        Ohm(pump.flow_resistance_kPa_s_per_SL) if pump else effects.evp_law,
+        pump_law(pump, effects.pump_curve, gas) if pump else effects.evp_law,
         rig.evp.flow_resistance_kPa_s_per_SL,
         effects.evp_motion,
         effects.evp_coil,

@@ -164,8 +164,9 @@ def _balance(
         if x_e > 0.0:
             if numbers.pump_stall_kPa > 0.0:
                 # The pump draws from ambient; `rates` takes nothing from the reservoir.
-                left_kPa = max(0.0, numbers.pump_stall_kPa - (near - ambient))
-                evp = x_e * left_kPa * numbers.evp.law.conductance_SL_per_s_kPa
+                stall_kPa_abs = numbers.pump_stall_kPa + ambient
+                if near < stall_kPa_abs:
+                    evp = x_e * flow_SL_per_s(numbers.evp.law, stall_kPa_abs, near, ratio_a, ratio_near)
             else:
                 evp = x_e * flow_SL_per_s(numbers.evp.law, p_r, near, ratio_r, ratio_near)
         # As in the baseline: no backflow while the Venturi runs, free flow both ways while it is off.

@@ -1,0 +1,49 @@
+"""The outlet of a chamber with a pump follows ISO 6358 and chokes:
+
+    Q = s C p₁ φ(p₂/p₁)
+
+Pressures are absolute, φ is that of `compressible_flow`. C is chosen so that the open outlet has the flow of
+Ohm's law from 100 to 0 kPa gauge at 101.325 kPa ambient. The vine of a rig with a reservoir stays below 21 kPa
+gauge, where its outlet does not choke.
+"""
+
+from __future__ import annotations
+
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.flow import iso6358_matching
+from flying_vines.physics.plant.setup import Setup
+
+_MATCHED_KPA = 100.0
+
+
+def apply(base: Setup, critical_pressure_ratio: float) -> Setup:
+    rig = base.plant.rig
+    law = iso6358_matching(
+        rig.solenoid.flow_resistance_kPa_s_per_SL,
+        _MATCHED_KPA,
+        critical_pressure_ratio=critical_pressure_ratio,
+        laminar_ratio=0.999,
+        temperature_dependent=False,
+        gas=rig.gas.properties,
+    )
+    return base.with_effects(solenoid_law=law)
+
+
+CAUSE = Cause(
+    name="choked_outlet",
+    what="The outlet chokes, as compressible flow does.",
+    parameters=(
+        Parameter(
+            "critical_pressure_ratio",
+            low=0.0,
+            high=0.7,
+            seeds=(0.3,),
+            neutral=None,
+            typical=(0.35, 0.12),
+            source="ISO 6358, as for compressible_flow",
+        ),
+    ),
+    experiment="Vent the control volume from its highest pressure.",
+    apply=apply,
+    needs=("pump",),
+)

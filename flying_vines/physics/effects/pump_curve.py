@@ -1,0 +1,37 @@
+"""The pump's flow falls along a curve, as that of a valve at a constant supply:
+
+    Q = u Q_max φ(r) / φ(r₀),   r = (P_cv + p_a)/(P_max + p_a),   r₀ = p_a/(P_max + p_a)
+
+φ is that of ISO 6358, Q_max the free flow and P_max the stall pressure: the pressure of the supply. In the
+baseline the flow falls linearly.
+"""
+
+from __future__ import annotations
+
+from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.plant.pump_curve import ChokedPump
+from flying_vines.physics.plant.setup import Setup
+
+
+def apply(base: Setup, critical_pressure_ratio: float) -> Setup:
+    return base.with_effects(pump_curve=ChokedPump(critical_pressure_ratio))
+
+
+CAUSE = Cause(
+    name="pump_curve",
+    what="The flow of the pump or supply valve does not fall linearly: it chokes.",
+    parameters=(
+        Parameter(
+            "critical_pressure_ratio",
+            low=0.0,
+            high=0.7,
+            seeds=(0.3,),
+            neutral=None,
+            typical=(0.35, 0.12),
+            source="ISO 6358, as for compressible_flow",
+        ),
+    ),
+    experiment="Fill the empty control volume until the pressure no longer rises.",
+    apply=apply,
+    needs=("pump",),
+)
