@@ -61,7 +61,7 @@ class RunJacobian:
         return after
 
     def _products(self, columns: Array) -> Array:
-        """(columns, 2, starts): each column (2, n) times the derivatives, summed over each stretch."""
+        """(columns, 2, starts): each column (2, n) times `initial`, summed over each stretch."""
         if self.starts == 1:  # A matrix product takes a third of the time.
             return (columns.reshape(len(columns), -1) @ self._initial.reshape(2, -1).T)[:, :, None]
         products = np.stack([(columns * of_pressure).sum(axis=1) for of_pressure in self._initial], axis=1)
@@ -159,7 +159,7 @@ class Jacobian:
         return after
 
     def nonlinearity(self, step: Array, residuals: Sequence[Array]) -> float:
-        """Sum of squares by which the residuals after a step differ from `linear`."""
+        """Sum of squares of the difference between the residuals after a step and `linear`."""
         return float(np.sum((self.orthogonal_part(residuals) - self.linear(step)) ** 2))
 
     def curved(self, step: Array, probe: Sequence[Array], share: float) -> Jacobian:
