@@ -6,7 +6,7 @@ stretches of the run are held out instead.
 
 Every such fit starts from the nominal rig and from seeds of the causes. Otherwise information from the
 held-out data would leak into the fit. A second fit starts from the fit to all data. It is only used if the
-first one has ended in a local minimum, far above the second.
+first fit has ended in a local minimum, far above that of the second fit.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ MIN_RISE = 4.0
 """A parameter is not determined if χ² rises by less than this at the distance `FAR`."""
 PINNED_STEPS = 4
 LOCAL_MINIMUM = 25.0
-"""A fit is in a local minimum if its cost is higher than that of the second fit by more than this."""
+"""The first fit is in a local minimum if its cost is higher than that of the second by more than this."""
 
 
 @dataclass(frozen=True)

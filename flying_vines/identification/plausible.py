@@ -329,7 +329,7 @@ def _absolute(path: Path, channel: _Channel, what: str) -> CaseError:
 
 
 def is_ambient(kPa: float) -> bool:
-    """True if this can be the absolute ambient pressure below 5 km, read with a sensor's offset."""
+    """True if this can be absolute ambient pressure at an altitude below 5 km, with a sensor's offset."""
     return 50.0 < kPa < 127.0
 
 
