@@ -94,7 +94,9 @@ def read_flight(path: Path | str, rig: Path | str | None = None) -> Case:
     remarks = [*_telemetry_remarks(path, stretches)]
     if log.unknown:
         total = len(log.telemetry) + log.unknown
-        remarks.append(f"{path.name}: {log.unknown} of {total} readings are incomplete and left out")
+        remarks.append(
+            f"{path.name}: {log.unknown} of {total} telemetry messages are incomplete and left out"
+        )
     if flight.damage:
         remarks.append(flight.damage)
     flown = [run for stretch in stretches for run in _from_rest(stretch)]

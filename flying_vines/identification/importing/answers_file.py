@@ -28,14 +28,14 @@ class ImportSetup(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True
     """How the rig was driven. None: guess or ask."""
 
     outlet: Literal["shut", "open", "opens"] | float | None = None
-    """Outlet of a vessel that was recorded alone: shut (the vessel leaks), open from the start, opens when
-    the pressure begins to fall, or the opening time in s."""
+    """Outlet of a vessel that was recorded alone: `shut` (the vessel leaks), `open` (from the start), `opens`
+    (when the pressure begins to fall), or the time in s at which it opens."""
     source: Literal["pump", "reservoir"] | None = None
     """What fills the chamber, if no reservoir pressure was recorded."""
     sample_Hz: Positive | None = None
     """Sample rate of a file without a time column."""
     gas: str | None = None
-    """Its name in a rig.toml; air unless given."""
+    """Name of the gas, as in a rig.toml; default: air."""
 
 
 class Answers(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
@@ -58,9 +58,9 @@ class ImportQuestion(NamedTuple):
     """Used if nobody answers; empty if the answer is necessary."""
 
 
-def missing_line(recording: Path, question: ImportQuestion, kept: Path) -> str:
+def missing_line(recording: Path, question: ImportQuestion, answers: Path) -> str:
     """What is missing, and where to write it, on one line."""
-    where = f"write {question.key} in {kept}, or give {question.option}"
+    where = f"write {question.key} in {answers}, or give {question.option}"
     return one_line(f"{recording}: missing: {question.text}; {where}")
 
 

@@ -163,11 +163,11 @@ def is_foreign(path: Path) -> bool:
 
 
 def read_imported(path: Path, rig: Path | str | None = None) -> Case:
-    """The case in a file of any layout, by its kept answers. CaseError if an answer is missing."""
-    kept = answers_path(path)
-    proposal = propose(path, read_answers(kept))
+    """The case in a file of any layout, by its answers file. CaseError if an answer is missing."""
+    answers = answers_path(path)
+    proposal = propose(path, read_answers(answers))
     if proposal.missing:
-        raise CaseError(missing_line(path, proposal.missing[0]._replace(option=f"import {path}"), kept))
+        raise CaseError(missing_line(path, proposal.missing[0]._replace(option=f"import {path}"), answers))
     with TemporaryDirectory() as folder:
         write_case([proposal], Path(folder))
         try:
@@ -485,7 +485,7 @@ def _noise_kPa(readings: Sequence[Array]) -> float:
 
 
 def _fall_s(run: Run) -> float | None:
-    """Time constant through the fully open outlet; None if it is shut or the fall too short."""
+    """Time constant through the fully open outlet; None if the outlet is shut or the fall is too short."""
     there = np.isfinite(run["reservoir_pressure"])
     time_s, p = run["time"][there], run["reservoir_pressure"][there]
     opening = run["evp_opening"][there] if "evp_opening" in run else np.ones_like(p)

@@ -84,9 +84,10 @@ _TYPICAL_KPA = (50.0, 1.5)
 AMBIENT_KPA = 85.0, 106.0
 """Range of ambient pressure in laboratories, absolute."""
 _RESTS = 1.5
-"""Subtracted from the cost of a unit in which the readings rest at ambient pressure, as absolute sensors do.
+"""Subtracted from the cost of a unit in which the lowest readings are about ambient pressure.
 
-It is so small that a chamber that rests at 14 kPa is not read as 14 psi.
+An absolute sensor gives such readings. The value is so small that a chamber that rests at 14 kPa is not read
+as 14 psi.
 """
 _SAID = 4.0
 """Subtracted from the cost of a unit that the file names for another pressure."""

@@ -7,7 +7,8 @@ contain everything that readings with independent noise can show. Those of a pla
     G = Σ traces · tracesᵀ
 
 The two initial pressures of each run are free, so their effect is projected out of G run by run. The rig
-numbers are common to all runs: each one, moved by its standard deviation, has its own row in G.
+numbers and the parameters of known causes are the same in all runs. Each of them has a row in G: its effect
+if it moves by its standard deviation.
 """
 
 from __future__ import annotations
@@ -128,7 +129,7 @@ def layout_of(
 
 
 def parts_of(layout: Layout, candidate: CandidateRun, max_s: float = inf) -> list[CandidatePart]:
-    """A candidate at each of its lengths up to `max_s`; a rig that fills slowly can have runs of hours."""
+    """A candidate at each of its lengths up to `max_s`: on a rig that fills slowly, runs can take hours."""
     counts = [count for count in candidate.counts if candidate.make(count).length_s <= max_s]
     if not counts:
         return []
