@@ -74,7 +74,7 @@ MAX_DERIVATIVE = 1e12
 UNREAD_RESERVOIR_KPA = 600.0
 """Initial guess if the reservoir was not recorded."""
 _READINGS = 3
-"""Number of first readings whose mean is the initial guess of a pressure."""
+"""Number of first readings whose mean is the initial guess of a pressure; after a gap it is one reading."""
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from flying_vines.identification.threads import mapped
 from flying_vines.physics.arrays import BoolArray
 
 FAR = 3.0
-"""Distance, in half widths of its interval, at which a parameter is tested."""
+"""A parameter is tested at this distance from its estimate, in half widths of its interval."""
 MIN_RISE = 4.0
 """A parameter is not determined if χ² rises by less than this at the distance `FAR`."""
 PINNED_STEPS = 4
@@ -94,7 +94,7 @@ def held_out(problem: FitProblem, predictions: Sequence[Prediction], null: FitPo
 def unseen_error(problem: FitProblem, predictions: Sequence[Prediction], point: FitPoint) -> float:
     """A quick estimate of a candidate's error: two steps from its fit to all data.
 
-    It is only used for the table of candidates that were not chosen.
+    It is only used in the table of candidates, for those that were not chosen.
     """
     splits = [prediction.split for prediction in predictions]
     return float(nrmse(problem, quick_errors(problem, splits, point)))

@@ -275,7 +275,7 @@ def run(
                 numbers, air, state, initial[started, 0], initial[started, 1], reservoir_K, cv_K
             )
             found = conditions(numbers, air, state)
-            # A sensor keeps its difference from the true pressure.
+            # At a new start, a lagging sensor keeps its difference from the true pressure.
             cv_late = cv_seen.lagged_kPa - cv_seen.true_kPa
             reservoir_late = reservoir_seen.lagged_kPa - reservoir_seen.true_kPa
             cv_seen = SensorMemory(found.line_kPa, found.line_kPa + cv_late, 0.0)

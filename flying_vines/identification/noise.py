@@ -87,7 +87,7 @@ def stated_noise(rig: Rig, readings: Sequence[Array] = ()) -> Noise:
 
 
 def resolution(readings: Array) -> float:
-    """Smallest difference between readings, which are finite; infinite if all are equal."""
+    """Smallest difference between unequal readings; infinite if all are equal. They must be finite."""
     return float(np.min(np.diff(np.unique(readings)), initial=np.inf))
 
 

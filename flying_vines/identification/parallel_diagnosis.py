@@ -25,7 +25,7 @@ from flying_vines.identification.verdict import Verdict
 from flying_vines.record.reader import is_flight
 
 AHEAD = 2
-"""Queued cases for each process: so no process waits for work, and few cases are in memory."""
+"""Running and queued cases for each process: no process waits for work, and few cases are in memory."""
 ANSWER_S = 5.0
 """Maximum time until the scheduler of a cluster answers."""
 CaseOutcome = Verdict | CaseError

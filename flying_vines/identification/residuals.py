@@ -1,7 +1,7 @@
 """Tests whether the residuals of a fit are noise. If not, finds the quantity on which they depend.
 
 If the model lacks an effect, successive residuals are correlated, and their sum of squares alone does not
-show it. So samples are put into groups by one feature: an interval of time, the time since a valve moved, a
+show that. So samples are put into groups by one feature: an interval of time, the time since a valve moved, a
 pressure, an opening. With noise alone, the mean of n residuals has the variance 1/n. Rounding to steps q adds
 (q²/12)/(1 + c) if the rounded reading changes c times in the group: a constant rounding error does not
 average out. The sum of mean²/variance over g groups is χ² with g degrees of freedom.
@@ -47,7 +47,7 @@ class Pattern:
     mean: Array
     """(groups,) mean residual in units of noise."""
     count: Array
-    """(groups,) samples."""
+    """(groups,) number of samples."""
     log_p: float
     """−log₁₀ p: p is the probability that noise alone gives means as large as these."""
     strength: float

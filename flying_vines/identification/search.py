@@ -36,8 +36,8 @@ from flying_vines.physics.cause import Cause
 
 CLAIM_LEFT = 10.0
 MIN_GAIN = 0.02
-"""If the residuals are more than noise, a further cause must lower the score by more than the first value,
-and the error on unseen data by more than the second (a share)."""
+"""If the residuals are more than noise, a further cause must lower the score by more than `CLAIM_LEFT`, and
+the interval of the relative error reduction on unseen data must be above `MIN_GAIN`."""
 CLAIM_ON_BOUND = 10.0
 """A parameter on its bound shows that a cause is missing. A further cause that moves the parameter off its
 bound needs only this gain."""
@@ -73,7 +73,8 @@ used if the fits have several causes and even the best leaves more than noise: t
 next."""
 REACH, REACH_SHARE = 2000.0, 0.1
 """Assumed maximum by which an unfinished fit can still lower χ²: 2000 + 10 % of the best fit's reduction of
-the null model's χ². A fit that needs more than this to win is not completed."""
+the null model's χ². If the best fit leaves only noise, a fit that needs more than this to win is not
+completed."""
 OF_RANGE = 1e-3
 
 
@@ -190,7 +191,7 @@ class Search:
     def _exchanged(self, candidate: Candidate) -> list[Candidate]:
         """Fits of the candidate with one more cause, or with one of its causes replaced by another."""
         more = [candidate] if len(candidate.causes) < MAX_CAUSES else []
-        return self.further([*more, *self._vacancies(candidate)], EXCHANGES)
+        return self.further([*more, *self._with_one_removed(candidate)], EXCHANGES)
 
     def _may_gain(self, candidate: Candidate) -> bool:
         """True if a further cause may pay.
@@ -287,7 +288,7 @@ class Search:
                     continue
                 lowest = chosen
             if better is None and len(chosen.causes) > 1:
-                exchanged = self._leaders(self.further(self._vacancies(chosen)))
+                exchanged = self._leaders(self.further(self._with_one_removed(chosen)))
                 tried += exchanged
                 better = self._first_that_pays(exchanged, chosen)
                 leaders = sorted([*leaders, *exchanged], key=lambda c: (not c.possible, c.fit.chi2))
@@ -366,7 +367,7 @@ class Search:
             return candidate
         return self.settled(Candidate(self.problem, best))
 
-    def _vacancies(self, candidate: Candidate) -> list[Candidate]:
+    def _with_one_removed(self, candidate: Candidate) -> list[Candidate]:
         """The candidate without each of its causes in turn, not refitted, to add another cause instead."""
         point = candidate.fit.point.freed(self.keys)
         every = range(len(candidate.causes))

@@ -84,7 +84,7 @@ class Prepared(NamedTuple):
     weather: Array
     to_atmosphere: bool
     start: NDArray[np.intp]
-    """Samples with unknown initial pressures: the first, and each one after a gap in the record."""
+    """Samples with unknown initial pressures; see `_starts`."""
 
 
 class Made(NamedTuple):
@@ -283,11 +283,11 @@ def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> f
     walls = ((n.reservoir_heat, 1.0 / n.reservoir_per_L), (n.cv_heat, n.cv.flat_L))
     for wall_per_s in (heat_per_s(heat, volume_L) for heat, volume_L in walls):
         if wall_per_s > 0.0:
-            rates.append(_slaved_per_s(1.0 / wall_per_s))
+            rates.append(_resolved_heat_per_s(1.0 / wall_per_s))
     return max(rates)
 
 
-def _slaved_per_s(time_s: float) -> float:
+def _resolved_heat_per_s(time_s: float) -> float:
     """The rate to resolve for a time constant of heat exchange.
 
     With a time constant of a few milliseconds at most, the gas stays near ambient temperature: then the step

@@ -53,7 +53,7 @@ class Law(NamedTuple):
 
 
 def fit_law(pairs: Pairs) -> tuple[Law, list[CurveEstimate], Explanation]:
-    """The best law, its numbers with intervals, and the explained curve."""
+    """The best law; its first three numbers with intervals; its curve, hysteresis and residuals."""
     kPa, deg = pairs.pressure_kPa, pairs.angle_deg
     span, top = float(np.ptp(kPa)), float(np.ptp(deg))
     widest = 0.9 * span if pairs.unloads else 0.0

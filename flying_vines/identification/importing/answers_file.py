@@ -1,6 +1,7 @@
 """The answers file `NAME.import.toml` beside a recording: how to read it, and facts about the rig.
 
-It contains all guesses and answers. Edited values are used unchanged; missing values are guessed or asked.
+It contains all guesses and answers. Edited values are used unchanged. Missing values are guessed, or the user
+is asked for them.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ def answers_path(recording: Path) -> Path:
 
 
 def same_answers(one: Answers, other: Answers) -> bool:
-    """True if two answers are equal except for the reasons of the guesses."""
+    """True if two sets of answers are equal except for the reasons of the guesses."""
     a, b = msgspec.to_builtins((one, other))
     for column in [*a.get("columns", ()), *b.get("columns", ())]:
         column["why"] = ""
@@ -77,7 +78,7 @@ def same_answers(one: Answers, other: Answers) -> bool:
 
 
 def read_answers(path: Path) -> Answers:
-    """The answers in a file; empty if there is no such file. CaseError if it is wrong."""
+    """The answers in a file; empty if there is no such file. CaseError if the file is wrong."""
     if not path.exists():
         return Answers()
     text = read_text(path, CaseError)

@@ -299,7 +299,7 @@ def _points(word: str, meaning: str) -> float:
 
 
 def _copies(signals: Sequence[_Signal]) -> dict[int, int]:
-    """Columns that another column repeats in another unit, as a sensor's voltage beside its pressure."""
+    """For each column that repeats another one in another unit, such as a sensor's voltage: that one."""
     copies = {}
     for at, one in enumerate(signals):
         for other in signals[at + 1 :]:

@@ -109,7 +109,7 @@ def propose(path: Path, said: Answers, volume_L: Mapping[str, float] | None = No
             raise CaseError(f"{path}: two columns are {meaning}; write {IGNORED} for one of them")
     if not set(_PRESSURES) & set(meanings):
         raise CaseError(
-            f"{path}: no column looks like a pressure; say which is: --column N=cv_pressure:kPa"
+            f"{path}: no column looks like a pressure; name the column: --column N=cv_pressure:kPa"
             f"{_read_as(columns)}"
         )
     notes = list(table.remarks)
@@ -126,7 +126,7 @@ def propose(path: Path, said: Answers, volume_L: Mapping[str, float] | None = No
     runs = {} if questions else dict(_runs(table, answers, notes))
     if runs:
         questions += _doubtful_units(answers, said, runs)
-        runs = _drives(path, answers, runs, notes)
+        runs = _with_valves(path, answers, runs, notes)
         measured = "cv" if "cv_pressure" in next(iter(runs.values())) else "reservoir"
         for vessel, litres in (volume_L or {}).items():
             table_of = answers.rig.get(vessel or measured, {})
@@ -288,7 +288,7 @@ def _doubtful_units(answers: Answers, said: Answers, runs: Mapping[str, Run]) ->
             )
 
 
-def _drives(path: Path, answers: Answers, runs: dict[str, Run], notes: list[str]) -> dict[str, Run]:
+def _with_valves(path: Path, answers: Answers, runs: dict[str, Run], notes: list[str]) -> dict[str, Run]:
     """The runs with the valve columns that the case format needs; guesses the outlet and the source."""
     has = set(next(iter(runs.values())))
     setup, name = answers.setup, path.name
@@ -310,13 +310,13 @@ def _drives(path: Path, answers: Answers, runs: dict[str, Run], notes: list[str]
         return runs
     if "reservoir_pressure" in has and "cv_pressure" in has:
         raise CaseError(
-            f"{path}: no column is the inflation valve; say which is: --column N=evp_opening, or leave out "
+            f"{path}: no column is the inflation valve; name it: --column N=evp_opening, or leave out "
             f"one of the pressures: --column N={IGNORED}{_read_as(answers.columns)}"
         )
     if "cv_pressure" in has:
         if any(_rises(run["cv_pressure"]) for run in runs.values()):
             raise CaseError(
-                f"{path}: the chamber is filled, but no column looks like its pump or valve; say which is: "
+                f"{path}: the chamber is filled, but no column looks like its pump or valve; name it: "
                 f"--column N=evp_opening{_read_as(answers.columns)}"
             )
         notes.append(
