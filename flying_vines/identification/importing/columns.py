@@ -299,7 +299,10 @@ def _points(word: str, meaning: str) -> float:
 
 
 def _copies(signals: Sequence[_Signal]) -> dict[int, int]:
-    """For each column that repeats another one in another unit, such as a sensor's voltage: that one."""
+    """Columns that repeat another column in another unit, and the column that each repeats.
+
+    An example is a sensor's voltage beside its pressure.
+    """
     copies = {}
     for at, one in enumerate(signals):
         for other in signals[at + 1 :]:

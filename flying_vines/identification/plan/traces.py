@@ -1,9 +1,9 @@
 """Traces: the effect of each cause on the readings of a run, and their inner products.
 
 Each cause is simulated by the model of the diagnosis at several strengths, with the inputs of the run on the
-nominal rig. The difference from the baseline, in units of the sensors' noise, is its trace. The inner products
-of the traces contain everything that readings with independent noise can show. Those of a plan are sums over
-its runs:
+nominal rig. The difference from the baseline, in units of the sensors' noise, is its trace. The inner
+products of the traces contain everything that readings with independent noise can show. Those of a plan are
+sums over its runs:
 
     G = Σ traces · tracesᵀ
 
