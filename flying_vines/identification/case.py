@@ -220,7 +220,7 @@ def _long_enough(table: RunTable, time_s: Array, pressures: Sequence[Array]) -> 
     if readings.sum() < MIN_SAMPLES or span_s < MIN_S:
         raise CaseError(
             f"{table.path}: {readings.sum()} samples in {span_s:.3g} s are too few; a run needs at least "
-            f"{MIN_SAMPLES} in {MIN_S:g} s; record longer, or remove the file"
+            f"{MIN_SAMPLES} samples and {MIN_S:g} s; record longer, or remove the file"
         )
 
 

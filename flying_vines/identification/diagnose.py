@@ -96,7 +96,7 @@ def possible_causes(case: Case) -> list[Cause]:
 
 
 def _largest_kPa(case: Case) -> dict[Sensor, float]:
-    """The largest reading of each sensor, kPa gauge; 0 if there is none."""
+    """The largest reading of each sensor, positive or negative, as a size in kPa; 0 if there is none."""
     cv_kPa = np.concatenate([run.cv_kPa for run in case.runs])
     reservoir_kPa = np.concatenate([run.reservoir_kPa for run in case.runs])
     return {"cv": _largest(cv_kPa), "reservoir": _largest(reservoir_kPa)}

@@ -246,7 +246,7 @@ def _check_cv_absolute(rig: Rig, runs: Mapping[Path, RecordedRun]) -> None:
         rises |= _top(readings) > begin_kPa + 5.0
     if begins and never_below and rises:
         path, begin_kPa = next(iter(begins.items()))
-        raise _absolute(path, _CV, f"begins at {begin_kPa:.4g} and hardly falls below")
+        raise _absolute(path, _CV, f"begins at {begin_kPa:.4g} and hardly falls below that")
 
 
 def _check_reservoir_absolute(path: Path, run: RecordedRun, rig: Rig) -> None:

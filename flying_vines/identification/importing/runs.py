@@ -434,7 +434,7 @@ def _guessed_setup(said: Answers, answers: Answers) -> Iterator[ImportQuestion]:
     """Questions about outlet and source, with the guesses."""
     if said.setup.outlet is None and answers.setup.outlet is not None:
         text = (
-            "what the outlet does: shut (the vessel leaks), open, opens (where the pressure begins to fall), "
+            "what the outlet does: shut (the vessel leaks), open, opens (when the pressure begins to fall), "
             "or the time in s at which it opens"
         )
         yield ImportQuestion("setup.outlet", text, "", str(answers.setup.outlet))
