@@ -41,7 +41,7 @@ class Split:
 
     shown: FitProblem
     scored: tuple[BoolArray, ...]
-    """For each run, (n,)."""
+    """For each run (n,): True for the samples that are scored."""
 
 
 @dataclass(frozen=True)

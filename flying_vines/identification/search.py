@@ -109,7 +109,7 @@ class Search:
         return self._finished([(self.nulls[1], cause) for cause in self.catalogue])
 
     def _finished(self, pairs: Sequence[tuple[Candidate, Cause]], most: int = LEADERS) -> list[Candidate]:
-        """Fits of each base with its further cause, the best first; only the `most` leaders are completed.
+        """Fits of each base with its further cause, the best first; at most `most` fits are completed.
 
         If the fits have several causes and the best leaves more than noise, fewer are completed
         (`LEADERS_LEFT`). If the best fit is adequate, only fits close to it are completed.
