@@ -368,7 +368,7 @@ class FitProblem:
     def _curved(
         self, space: _Space, place: Array, jacobian: Jacobian, straight: Array, damping: float
     ) -> Array | None:
-        """The straight step, corrected for the model's curvature; None if the correction is too large or diverges."""
+        """The straight step, corrected for the model's curvature; None if that is too large or diverges."""
         if not len(jacobian.reduced):
             return straight
         along = space.clipped(place + straight) - place

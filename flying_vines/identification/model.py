@@ -2,11 +2,11 @@
 
 It uses the plant's right-hand side and its Runge-Kutta step (`physics.plant.tick.runge_kutta`). The plant
 takes at least one step for each tick of the firmware. Here, samples may be at any time, and a step is as long
-as the gas allows. With a hose, a step may be longer than the hose's time constant. While no valve moves and
-the outlet is shut, a step may cover several samples. The readings within a step, and the lag of a sensor, are
-computed from a cubic of time for the pressure. A step over an edge (the Venturi stalls, the control volume
-begins to stretch) is divided there. numba compiles this file. EVP is the inflation valve, DVP the valve that
-supplies the Venturi.
+as the gas allows. With a hose, a step may be longer than the hose's time constant. While no valve moves, the
+outlet is shut and ambient is constant, a step may cover several samples. The readings within a step, and the
+lag of a sensor, are computed from a cubic of time for the pressure. A step over an edge (the Venturi stalls,
+the control volume begins to stretch) is divided there. numba compiles this file. EVP is the inflation valve,
+DVP the valve that supplies the Venturi.
 """
 
 from __future__ import annotations
