@@ -22,7 +22,7 @@ SURELY = 4.0
 SURE_SIZE = 8.0
 """From 1 + 8/√n on, χ² per reading is larger than noise explains: more than five standard deviations."""
 ON_BOUND = 1e-6
-"""A parameter nearer than this share of its range to a bound is on the bound."""
+"""A parameter counts as on a bound if it is nearer to the bound than this share of its range."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,10 @@ class Candidate:
         return tuple(cause.name for cause in self.causes)
 
     def doubtful(self) -> list[int]:
-        """Indices of the causes whose parameters may be neutral, by the curvature of χ²."""
+        """Indices of the causes that are not certain (`SURELY`): all their parameters may be neutral.
+
+        The rise of χ² at a neutral value is estimated from the curvature of χ² at the fit.
+        """
         found = []
         spread = max(self.excess) * np.diag(self.covariance)
         for index, (cause, values) in enumerate(zip(self.causes, self.fit.point.values, strict=True)):
@@ -119,7 +122,7 @@ class Candidate:
 
     @cached_property
     def freedom(self) -> float:
-        """Penalty of the free rig numbers: −2 ln of prior at the fit times posterior width (Laplace)."""
+        """Penalty of the free rig numbers: −2 ln (prior density at the fit · posterior width), by Laplace."""
         deviation = self.fit.point.deviation
         if not deviation:
             return 0.0
@@ -153,7 +156,7 @@ class Candidate:
     def _sizes(self) -> tuple[float, float]:
         """Mean square of the residuals over that of noise, for control volume and reservoir.
 
-        It is 1 if chance explains the size.
+        A ratio that noise alone can give is set to 1.
         """
         sizes = []
         for row, (chi2, noise) in enumerate(zip(self.channels, self.problem.noise, strict=True)):

@@ -3,7 +3,8 @@
     case = read_case("cases/workshop")                  every CSV of the folder, and its rig.toml
     case = read_case("run.csv", rig="nominal.toml")     one run, and a rig from elsewhere
 
-Each assumption of the reader is a remark. Data that cannot be a recording of this rig raise a `CaseError`.
+Each assumption made while reading is listed in `Case.remarks`. Data that cannot be a recording of this rig
+raise a `CaseError`.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ Rows = NDArray[np.intp]
 
 RIG = "rig.toml"
 MIN_SAMPLES = 8
-"""Minimum number of readings. The shortest discharge that the paper prints has nine."""
+"""Minimum number of samples with a pressure. The shortest discharge in the phloSAR paper has nine."""
 MIN_S = 1.0
 _CV, _RESERVOIR = "cv_pressure_kPa", "reservoir_pressure_kPa"
 _INPUTS = ("evp_opening", "dvp_opening", "solenoid")
@@ -54,7 +55,8 @@ _ALSO_CALLED = {
     "ambient_pressure_kPa": "ambient" + _PRESSURE,
     "ambient_temperature_C": r"ambient_temperature\w*",
 }
-"""Other common names of a column. They raise an error, because a recorded column must not be ignored."""
+"""Other common names of each column, as regular expressions. A column with such a name is an error, because a
+recorded quantity must not be ignored."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +147,7 @@ def _read_run(path: Path, rig: Rig, remarks: list[str]) -> RecordedRun:
         )
     if reservoir_kPa is None and rig.pump is None:
         remarks.append(
-            f"{path.name}: the reservoir's pressure was not recorded; its first value is unknown, too"
+            f"{path.name}: the reservoir's pressure was not recorded; not even its first value is known"
         )
     inputs = {name: values for name in _INPUTS if (values := _held(table, name, rows, remarks)) is not None}
     discharge = not inputs
@@ -186,7 +188,7 @@ def _read_run(path: Path, rig: Rig, remarks: list[str]) -> RecordedRun:
 
 
 def _rows_in_time(table: RunTable, remarks: list[str]) -> Rows:
-    """The rows that are used: those with a time; of several rows with the same time, the last."""
+    """The rows that are used: rows with a time; of several rows with the same time, only the last."""
     time_s = table.numbers(TIME)
     rows = np.flatnonzero(~np.isnan(time_s))
     if len(rows) < len(time_s):
@@ -218,7 +220,7 @@ def _long_enough(table: RunTable, time_s: Array, pressures: Sequence[Array]) -> 
     if readings.sum() < MIN_SAMPLES or span_s < MIN_S:
         raise CaseError(
             f"{table.path}: {readings.sum()} samples in {span_s:.3g} s are too few; a run needs at least "
-            f"{MIN_SAMPLES} in {MIN_S:g} s; record longer, or remove the file"
+            f"{MIN_SAMPLES} samples and {MIN_S:g} s; record longer, or remove the file"
         )
 
 

@@ -96,7 +96,7 @@ def possible_causes(case: Case) -> list[Cause]:
 
 
 def _largest_kPa(case: Case) -> dict[Sensor, float]:
-    """The largest reading of each sensor, kPa gauge; 0 if there is none."""
+    """The largest reading of each sensor, positive or negative, as a size in kPa; 0 if there is none."""
     cv_kPa = np.concatenate([run.cv_kPa for run in case.runs])
     reservoir_kPa = np.concatenate([run.reservoir_kPa for run in case.runs])
     return {"cv": _largest(cv_kPa), "reservoir": _largest(reservoir_kPa)}
@@ -239,7 +239,7 @@ def _ranking(found: SearchResult, predictions: Sequence[Prediction], errors: Hel
             known[candidate.names] = unseen_error(candidate.problem, predictions, candidate.fit.point)
     return tuple(
         Tried(
-            named=tuple(Named(cause.name, _roughly(candidate, cause), None) for cause in candidate.causes),
+            named=tuple(Named(cause.name, _estimates(candidate, cause), None) for cause in candidate.causes),
             on_bound=candidate.on_bound,
             chi2_per_reading=candidate.fit.chi2 / candidate.problem.readings,
             score=found.score(candidate) - found.score(ranked[0]),
@@ -249,7 +249,7 @@ def _ranking(found: SearchResult, predictions: Sequence[Prediction], errors: Hel
     )
 
 
-def _roughly(candidate: Candidate, cause: Cause) -> dict[str, ParameterEstimate]:
+def _estimates(candidate: Candidate, cause: Cause) -> dict[str, ParameterEstimate]:
     """Parameters of one cause, with intervals from the curvature of χ²."""
     point = candidate.fit.point
     index = point.causes.index(cause)

@@ -24,7 +24,7 @@ class Compared:
     measured_kPa: Array
     """NaN where nothing was read."""
     baseline_kPa: Array
-    """The null model: the baseline, with its rig numbers refitted within their tolerances."""
+    """The null model: the baseline with nominal rig numbers, or with numbers refitted within tolerances."""
     extended_kPa: Array
     """With the causes that explain the data best; the null model again if there are none."""
     openings: Array

@@ -1,17 +1,18 @@
 """Fits the simulation to the readings of all runs at once; the valve inputs are as recorded.
 
-The fit minimises χ², the sum of squared residuals in units of the sensors' noise. It moves the parameters of
-the causes, the free rig numbers, and two initial pressures for each run (two more after each gap in its
-record).
+The fit minimises the cost: χ² (the sum of squared residuals in units of the sensors' noise) plus the prior
+terms. It moves the shared numbers, which are the same in all runs: the parameters of the causes and the free
+rig numbers. It also moves two initial pressures for each run (two more after each gap in its record).
 
-A rig number stays within its tolerance, with a uniform prior there. χ² uses a Gaussian prior of the same
-variance, so numbers that the data do not fix stay nominal. The typical value of a parameter is a prior too.
+A rig number stays within its tolerance, where its prior is uniform. The cost uses a Gaussian prior of the
+same variance, so a number that the data do not determine stays nominal. A parameter with a typical value also
+has a Gaussian prior.
 
 Each Levenberg-Marquardt step is solved exactly within the bounds (Stark & Parker 1995). It is corrected for
 the curvature of the model (geodesic acceleration, Transtrum & Sethna 2012), because χ² has long, narrow
 valleys where two causes resemble each other. The initial pressures have no bounds and may be many: they are
-eliminated from the linear system, and corrected after each step. The derivatives take most simulations, so
-they are used again while the model is nearly linear (chord method, Kelley 1995).
+eliminated from the linear system, and corrected after each step. Most simulations serve to compute the
+derivatives, so these are used again while the model is nearly linear (chord method, Kelley 1995).
 """
 
 from __future__ import annotations
@@ -39,11 +40,12 @@ THEN_STEPS = 2
 MAX_SEEDS = 3
 """If there are more seeds, only those with the lowest χ² are used."""
 MIN_GAIN, ROUGH_GAIN = 0.02, 0.1
-"""A fit ends before a step that should lower χ² by less, and after a step that lowers it by less. The second
-limit is multiplied by √(χ²/readings) if that is more than 1. `ROUGH_GAIN` is for fits that are only compared
-with each other."""
+"""Minimum gain of a step. A fit ends before a step that should lower the cost by less than `MIN_GAIN`. It
+also ends after a step that has lowered the cost by less than `MIN_GAIN`; if the cost is higher than the
+number of readings, this second limit is multiplied by √(cost/readings). Fits that are only compared with each
+other use `ROUGH_GAIN` instead."""
 DAMPING, HARDER, EASIER = 1e-3, 4.0, 0.1
-"""Damping of the first step, its factor after a step that fails, and after a good one."""
+"""Damping of the first step; factor for the damping after a failed step, and after a good step."""
 LEAST_DAMPING = 2.5e-6
 """If a step fails with less damping, the next damping is computed from this value."""
 MAX_TRIALS = 12
@@ -53,10 +55,10 @@ PROBE = 0.1
 MAX_STEP_CHANGE = 0.5
 """A step fails if the model's curvature changes it by more than this share: then it is too long."""
 SHORTER = 0.3
-"""Factor for a step of initial pressures that increases χ² on its own stretch."""
+"""Factor for a step of two initial pressures that increases χ² on their stretch (up to the next start)."""
 LINEAR = 0.05
-"""The derivatives are used again if the damping is low, and if the residuals differ from their linear
-prediction by less than this share of the gain in χ²."""
+"""The derivatives are used again if the damping of the next step is low, and if the squared difference
+between the residuals and their linear prediction is less than this share of the gain."""
 NO_EFFECT = 1e-6
 """A number has no effect at a point if, by the derivative, its whole range changes χ² by less than this."""
 CORRECTIONS = 2
@@ -72,7 +74,7 @@ MAX_DERIVATIVE = 1e12
 UNREAD_RESERVOIR_KPA = 600.0
 """Initial guess if the reservoir was not recorded."""
 _READINGS = 3
-"""Number of first readings whose mean is the initial guess of a pressure."""
+"""Number of first readings whose mean is the initial guess of a pressure; after a gap it is one reading."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +134,7 @@ few permille are the curvature of a finite step."""
 
 
 class Tangents:
-    """The directions in which a fit can change its residuals, and the residuals orthogonal to them.
+    """The directions in which a fit can change its residuals, and the residuals' part orthogonal to them.
 
     Args:
         free: (numbers,) False where a number is on its bound.
@@ -146,7 +148,12 @@ class Tangents:
         self._residual = self.orthogonal_part(residuals)
 
     def gain(self, trace: Sequence[Array], backwards: bool) -> float:
-        """Reduction of χ² if the residuals could also be changed along this trace, or backwards along it."""
+        """Reduction of χ² if the fit could also add a multiple of this trace to the residuals.
+
+        Args:
+            trace: for each run (2, n), a change of the residuals.
+            backwards: True if the multiple may be negative.
+        """
         own = self.orthogonal_part(trace)
         length = float(own @ own)
         whole = sum(float(np.vdot(t, t)) for t in trace)
@@ -269,7 +276,11 @@ class FitProblem:
         return covariance
 
     def begun(self, base: FitPoint, cause: Cause) -> Fit:
-        """The first steps of a fit with a further cause: its own parameters from each seed, then all."""
+        """The first steps of a fit with a further cause.
+
+        Some steps from each seed move only the parameters of this cause and the initial pressures. Then some
+        steps from the best of these fits move everything.
+        """
         starts = [self._well_begun(base.with_cause(cause, values)) for values in cause.seeds()]
         nearest = sorted(starts, key=lambda start: start[0])[:MAX_SEEDS]
         alone = (self.fit(start, FIRST_STEPS, moving=len(cause.parameters)) for _, start in nearest)
@@ -287,9 +298,9 @@ class FitProblem:
 
         Args:
             max_steps: maximum number of steps.
-            moving: only this many of the last parameters are moved; default: everything that is free.
+            moving: of the shared numbers, only this many of the last ones are moved; default: all.
             min_gain: see `MIN_GAIN`.
-            known: derivatives at a point near `start`, with the same numbers.
+            known: derivatives by the same numbers at a point near `start`.
         """
         space = _Space(self, start, moving)
         place = space.clipped(space.to_search(start))
@@ -297,7 +308,8 @@ class FitProblem:
         cost = chi2_of(residuals) + space.prior(place)
         if not np.isfinite(cost):
             return Fit(start, inf, inf, tuple(residuals))
-        # The step of initial pressures is not damped. If it were large, each later step would curve too much.
+        # Initial pressures are corrected first. Their step is not damped: if it were large, each later step
+        # would curve too much.
         initial_only = known or _Space(self, start, moving=0).jacobian(place, residuals)
         place, residuals = self._corrected(space, place, residuals, initial_only, MIN_GAIN)
         cost = chi2_of(residuals) + space.prior(place)
@@ -338,7 +350,7 @@ class FitProblem:
     ) -> tuple[Array, list[Array], float] | None:
         """A better place, its residuals, and the damping of the step; None if every trial failed.
 
-        It is `place` itself if a step with little damping should lower the cost by less than `min_gain`.
+        It returns `place` itself if a step with little damping should lower the cost by less than `min_gain`.
         """
         cost = chi2_of(residuals) + space.prior(place)
         little_damped = space.best_step(place, jacobian, min(damping, DAMPING))
@@ -361,7 +373,7 @@ class FitProblem:
     def _curved(
         self, space: _Space, place: Array, jacobian: Jacobian, straight: Array, damping: float
     ) -> Array | None:
-        """The best step, with the model's curvature along the straight one; None if that is too large."""
+        """The straight step, corrected for the model's curvature; None if that is too large or diverges."""
         if not len(jacobian.reduced):
             return straight
         along = space.clipped(place + straight) - place
@@ -374,9 +386,9 @@ class FitProblem:
     def _corrected(
         self, space: _Space, place: Array, residuals: list[Array], jacobian: Jacobian, enough: float
     ) -> tuple[Array, list[Array]]:
-        """The place and its residuals; initial pressures are corrected where χ² of their stretch falls.
+        """The place and its residuals, after corrections of the initial pressures that lower χ² of a stretch.
 
-        A long step of the shared numbers needs other initial pressures than its linear model says.
+        After a long step of the shared numbers, the best initial pressures differ from the linear prediction.
         """
         for _ in range(CORRECTIONS):
             if not np.isfinite(chi2_of(residuals)):
@@ -397,9 +409,9 @@ class FitProblem:
         return place, residuals
 
     def _well_begun(self, point: FitPoint) -> tuple[float, FitPoint]:
-        """Reset each pair of initial pressures to the first readings if that lowers χ²; (χ², point).
+        """χ² and the point, after a reset of initial pressures to the first readings where that lowers χ².
 
-        A fit without the true cause may have distorted them.
+        A fit without the true cause may have distorted the initial pressures.
         """
         there = self._by_start(self.residuals(point))
         read = self._by_start(self.residuals(replace(point, initial=self._read)))
@@ -415,7 +427,7 @@ class FitProblem:
 
 
 class _Space:
-    """The search space of a fit. Its vector: deviations, parameters, initial pressures run by run."""
+    """The search space of a fit. A place in it: deviations, parameters, initial pressures run by run."""
 
     def __init__(self, problem: FitProblem, start: FitPoint, moving: int | None = None) -> None:
         self._problem = problem
@@ -472,7 +484,7 @@ class _Space:
         return float(self._precision @ (place[: self._common] - self._typical) ** 2)
 
     def shortened(self, step: Array, shares: Array) -> Array:
-        """The step, shortened by this factor in each pair of initial pressures."""
+        """The step with its initial pressures shortened by these factors, one for each pair."""
         shorter = step.copy()
         shorter[self._common :] *= np.repeat(shares, 2)
         return shorter
@@ -540,7 +552,7 @@ class _Space:
         target = np.linalg.solve(lower, -gradient / scale)
         here = place[: self._common]
         bounds = self._low[: self._common], self._high[: self._common]
-        # Rounding errors would move a number that has no effect here as far as its bounds.
+        # Rounding errors would move a number without an effect here to one of its bounds.
         acts = np.diag(information) * (bounds[1] - bounds[0]) ** 2 > NO_EFFECT
         low, high = (np.where(acts, (bound - here) * scale, 0.0) for bound in bounds)
         solved = lsq_linear(

@@ -7,8 +7,8 @@ with every step of the firmware's regulator. If messages come less often, a rema
 firmware's clock, because the host's clock includes the delays of the link.
 
 Readings are used every few milliseconds; valve commands are used whenever they change. A reading must not be
-selected because a valve moved: the regulator moves valves because of its readings, so this would bias the
-noise. EVP is the inflation valve, DVP the valve that supplies the Venturi.
+selected because a valve moved: the regulator moves valves because of its readings, so such a selection would
+bias the noise. EVP is the inflation valve, DVP the valve that supplies the Venturi.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ READING_MS = 5
 PAUSE_MS = 300
 """A longer gap in the telemetry ends a run, because the state after it is unknown."""
 LEAD_MS = 1000
-"""Rest at the start of a run."""
+"""Length of the rest at the start of a run."""
 TAIL_MS = 5000
-"""Rest at the end of a run, in which the gas returns to ambient temperature."""
+"""Length of the rest at the end of a run, in which the gas returns to ambient temperature."""
 MAX_MS = 180_000
 """Maximum total length of the runs. Of a longer flight only every n-th run is used; a longer run is cut."""
 MAX_LOST = 0.01
@@ -94,7 +94,9 @@ def read_flight(path: Path | str, rig: Path | str | None = None) -> Case:
     remarks = [*_telemetry_remarks(path, stretches)]
     if log.unknown:
         total = len(log.telemetry) + log.unknown
-        remarks.append(f"{path.name}: {log.unknown} of {total} readings are incomplete and left out")
+        remarks.append(
+            f"{path.name}: {log.unknown} of {total} telemetry messages are incomplete and left out"
+        )
     if flight.damage:
         remarks.append(flight.damage)
     flown = [run for stretch in stretches for run in _from_rest(stretch)]

@@ -6,7 +6,7 @@ stretches of the run are held out instead.
 
 Every such fit starts from the nominal rig and from seeds of the causes. Otherwise information from the
 held-out data would leak into the fit. A second fit starts from the fit to all data. It is only used if the
-first one has ended in a local minimum, far above the second.
+first fit has ended in a local minimum, far above that of the second fit.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from flying_vines.identification.threads import mapped
 from flying_vines.physics.arrays import BoolArray
 
 FAR = 3.0
-"""Distance, in half widths of its interval, at which a parameter is tested."""
+"""A parameter is tested at this distance from its estimate, in half widths of its interval."""
 MIN_RISE = 4.0
 """A parameter is not determined if χ² rises by less than this at the distance `FAR`."""
 PINNED_STEPS = 4
 LOCAL_MINIMUM = 25.0
-"""A fit is in a local minimum if its cost is higher than that of the second fit by more than this."""
+"""The first fit is in a local minimum if its cost is higher than that of the second by more than this."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def held_out(problem: FitProblem, predictions: Sequence[Prediction], null: FitPo
 def unseen_error(problem: FitProblem, predictions: Sequence[Prediction], point: FitPoint) -> float:
     """A quick estimate of a candidate's error: two steps from its fit to all data.
 
-    It is only used for the table of candidates that were not chosen.
+    It is only used in the table of candidates, for those that were not chosen.
     """
     splits = [prediction.split for prediction in predictions]
     return float(nrmse(problem, quick_errors(problem, splits, point)))

@@ -2,10 +2,11 @@
 
 In the 95 % interval the cost (χ² plus priors) is less than 3.84 above its minimum (Wilks 1938). The curvature
 at the minimum gives the first guess. The interval is not symmetric if the likelihood profile is no parabola.
-It includes a plateau of the likelihood profile behind its end (`_plateau_end`).
+If the likelihood profile has a plateau beyond an end, the interval includes the plateau (`_plateau_end`).
 
-Residuals that are more than noise widen the interval. 3.84 is multiplied by a ratio of two variances of the
-parameter: from the residuals themselves, block by block (White 1982), over that from noise.
+Residuals that are more than noise widen the interval: 3.84 is multiplied by a ratio of two variances of the
+parameter. The first is computed from the residuals themselves, block by block (White 1982), the second from
+the noise.
 """
 
 from __future__ import annotations
@@ -28,15 +29,16 @@ NEAR_ENOUGH = 0.25
 MAX_FITS = 8
 STEPS = 6
 FLAT = 0.01
-"""If the rise is below this share of the limit, the next step may be up to 30 times as long, otherwise 3."""
+"""If the rise is below this share of the limit, the next step may be up to 30 times as long, otherwise up to
+3 times."""
 WALL = 5.0
 """If √rise is more than this many times √limit, the search bisects."""
 OF_A_RUN = 10
-"""Minimum number of blocks in a run. It is low, so that blocks are long: misfit of a model is correlated for
-longer than prediction errors."""
+"""Minimum number of blocks in a run. It is low, so that blocks are long: the misfit of a model is correlated
+over a longer time than prediction errors are."""
 PLATEAU = 3.0
-"""The likelihood profile has a plateau if it rises to less than this times the limit at twice the distance of
-its end. A parabola rises to four times the limit there."""
+"""The likelihood profile has a plateau if, at twice the distance of the interval's end from the estimate, it
+is below this many times the limit. A parabola is at four times the limit there."""
 EDGE_FITS = 6
 """Number of fits that bracket the far end of a plateau."""
 UNLIKELY = 0.025
@@ -68,7 +70,7 @@ class LikelihoodProfile:
 def widening(candidate: Candidate, jacobian: Jacobian) -> Array:
     """(numbers,) factor of `ABOVE` for each free rig number and parameter; 1 if the residuals are noise.
 
-    If they have no pattern but are larger than noise, their excess is the factor.
+    If the residuals have no pattern but are larger than noise, their excess is the factor.
     """
     covariance = candidate.covariance
     if candidate.adequate or not len(covariance):
@@ -98,8 +100,8 @@ def profile(
     cause = point.causes[index]
     parameter, best = cause.parameters[number], point.values[index][number]
     at = candidate.columns(index)[number]
-    # The curvature is zero if the parameter only changes the data in jumps.
     limit = ABOVE * float(wider[at])
+    # The curvature is zero if the parameter changes the data only in jumps.
     sd = float(np.sqrt(candidate.covariance[at, at] * wider[at])) or BLIND * parameter.range
     seen = {best: 0.0}
 
@@ -130,7 +132,7 @@ def _crossing(
 ) -> float:
     """The value at which a likelihood profile rises to `limit`, or the bound if that is nearer.
 
-    If the likelihood profile is a parabola, √χ² is linear. If not, the crossing is bracketed.
+    If the likelihood profile is a parabola, √rise is linear. If not, the crossing is bracketed.
     """
     outward = 1.0 if step > 0.0 else -1.0
     under, under_root = best, 0.0
@@ -168,9 +170,10 @@ def _plateau_end(
 ) -> float:
     """The far end of a plateau of the likelihood profile behind `end`; `end` if there is none that matters.
 
-    A parameter that acts in jumps has such a plateau: the data only show between which pressures the Venturi
-    stalls, and near one of them the noise may fit a little better. The plateau matters if it has more than
-    2.5 % of the likelihood. `width` is that of the interval without it.
+    A parameter that acts in jumps can have such a plateau. An example is the stall pressure of the Venturi:
+    the data only show between which two pressures it is, and noise makes χ² a little lower near one of the
+    two. The plateau matters if it has more than 2.5 % of the likelihood. `width` is the width of the interval
+    without the plateau.
     """
     height, far, over = inf, end, best + 2.0 * (end - best)
     while end not in (best, bound):

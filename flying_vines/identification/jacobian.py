@@ -1,9 +1,10 @@
 """Jacobian of the residuals, with the initial pressures eliminated.
 
-The simulation of a run starts anew after each gap, with two initial pressures. They only act on the stretch
-up to the next start, and almost linearly. So the residuals of each stretch, and their derivatives by all
-other numbers, are projected orthogonally to the effect of its two initial pressures (variable projection,
-Golub & Pereyra 2003). A fit with hundreds of starts stays a small problem.
+The simulation of a run starts anew after each gap, with two initial pressures. They act almost linearly, and
+almost only on the stretch up to the next start; only temperatures and the lag of a sensor are carried over to
+the next stretch. So the residuals of each stretch, and their derivatives by all other numbers, are projected
+orthogonally to the effect of its two initial pressures (variable projection, Golub & Pereyra 2003). A fit
+with hundreds of starts stays a small problem.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ class RunJacobian:
 
     Args:
         initial: (2, 2, n), derivatives of both channels by the initial pressures (reservoir, control volume).
-            One array serves all starts, because each start only acts on its own stretch.
+            One array serves all starts: each start is assumed to act only on its own stretch.
         residuals: (2, n).
         common: (numbers, 2, n), derivatives by the numbers that all runs share.
         start: (starts,) rising sample numbers at which stretches start; the first is 0.
@@ -61,7 +62,7 @@ class RunJacobian:
         return after
 
     def _products(self, columns: Array) -> Array:
-        """(columns, 2, starts): each column (2, n) times the derivatives, summed over each stretch."""
+        """(columns, 2, starts): each column (2, n) times `initial`, summed over each stretch."""
         if self.starts == 1:  # A matrix product takes a third of the time.
             return (columns.reshape(len(columns), -1) @ self._initial.reshape(2, -1).T)[:, :, None]
         products = np.stack([(columns * of_pressure).sum(axis=1) for of_pressure in self._initial], axis=1)
@@ -159,7 +160,7 @@ class Jacobian:
         return after
 
     def nonlinearity(self, step: Array, residuals: Sequence[Array]) -> float:
-        """Sum of squares by which the residuals after a step differ from `linear`."""
+        """Sum of squares of the difference between the residuals after a step and `linear`."""
         return float(np.sum((self.orthogonal_part(residuals) - self.linear(step)) ** 2))
 
     def curved(self, step: Array, probe: Sequence[Array], share: float) -> Jacobian:

@@ -1,11 +1,12 @@
-"""Simulates a recorded run with the plant, in as few steps as the gas allows.
+"""Simulates a recorded run with the plant, in as few integration steps as the gas allows.
 
-It uses the plant's right-hand side and its step (`physics.plant.tick.runge_kutta`). Differences from a tick
-of the firmware: samples may be at any time. Steps are as long as the gas allows; with a hose they may be
-longer than its time constant. While no valve moves and the outlet is shut, a step may cover several samples.
-The samples within a step, and the lag of a sensor, use a cubic of time for the pressure. A step over an
-edge (the Venturi stalls, the control volume begins to stretch) is divided there. numba compiles this file.
-EVP is the inflation valve, DVP the valve that supplies the Venturi.
+It uses the plant's right-hand side and its Runge-Kutta step (`physics.plant.tick.runge_kutta`). The plant
+takes at least one step for each tick of the firmware. Here, samples may be at any time, and a step is as long
+as the gas allows. With a hose, a step may be longer than the hose's time constant. While no valve moves, the
+outlet is shut and ambient is constant, a step may cover several samples. The readings within a step, and the
+lag of a sensor, are computed from a cubic of time for the pressure. A step over an edge (the Venturi stalls,
+the control volume begins to stretch) is divided there. numba compiles this file. EVP is the inflation valve,
+DVP the valve that supplies the Venturi.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ def pressurised(
     reservoir_K: float,
     cv_K: float,
 ) -> Floats:
-    """The state with other gauge pressures and gas temperatures; walls and openings stay as they are.
+    """The state with other gauge pressures and gas temperatures; wall temperatures and valve openings stay.
 
     With a pump, the reservoir of the state is at ambient pressure.
     """
@@ -183,7 +184,7 @@ def _seen_after(
     h: float,
     since_s: float,
 ) -> SensorMemory:
-    """The sensor `since_s` after the start of a step of `h`.
+    """The sensor's state `since_s` after the start of a step of `h`.
 
     The pressure is a cubic of time, with the rates `rate` and `end_rate` (kPa/s) at the ends of the step.
     """
@@ -208,7 +209,7 @@ def _read_within(
     last: tuple[float, float],
     out: Array,
 ) -> tuple[SensorMemory, SensorMemory]:
-    """Fill the readings at the samples of a step, except the first. Returns both sensors at its end.
+    """Fill the readings at the samples of a step, except the first. Returns both sensors' states at its end.
 
     `first` and `last` are the rates of both pressures (kPa/s) at the ends of the step.
     """
@@ -226,7 +227,7 @@ def _read_within(
 
 
 NOT_INLINED = (gas_after, runge_kutta, exponential_runge_kutta, rates, conditions)
-"""Not inlined by the compiler, because they are called from several places."""
+"""Functions that the compiler must not inline, because they are called from several places."""
 
 
 def run(
@@ -274,7 +275,7 @@ def run(
                 numbers, air, state, initial[started, 0], initial[started, 1], reservoir_K, cv_K
             )
             found = conditions(numbers, air, state)
-            # A sensor keeps its difference from the true pressure.
+            # At a new start, a lagging sensor keeps its difference from the true pressure.
             cv_late = cv_seen.lagged_kPa - cv_seen.true_kPa
             reservoir_late = reservoir_seen.lagged_kPa - reservoir_seen.true_kPa
             cv_seen = SensorMemory(found.line_kPa, found.line_kPa + cv_late, 0.0)

@@ -1,8 +1,9 @@
-"""The next experiment: the runs that separate the causes that the data leave possible.
+"""The next experiment: runs that separate the causes between which the data leave a doubt.
 
-If several causes explain the data equally well, the runs separate these. If a remainder is left, or nothing
-explains the data, they separate the further causes that lower χ² most. Each cause has the strength that fits
-these data best. Named causes are known to within their errors. Residuals of the best fit count as noise.
+If several causes explain the data equally well, the runs separate these causes. If a remainder is left, or
+nothing explains the data, the runs separate the further causes with the best scores. Each cause has the
+strength that fits these data best. The causes that are not in doubt stay in the rig, with their estimates and
+errors as priors. The noise is raised to the size of the best fit's residuals.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from flying_vines.physics.effects import NONE
 from flying_vines.physics.rig import with_numbers
 
 CANDIDATES = 4
-"""Number of further causes that an experiment after a remainder must separate."""
+"""Number of further causes to separate if a remainder is left."""
 
 
 def after_doubts(found: SearchResult, doubts: Mapping[str, Sequence[str]]) -> str:
@@ -98,9 +99,9 @@ def _values(candidate: Candidate, name: str) -> Values:
 
 
 def _known(base: Candidate, index: int) -> tuple[Cause, Values]:
-    """A cause of the base with its values. Their errors are the prior of its parameters.
+    """A cause of the base with its values. The errors of the values become the priors of the parameters.
 
-    The error of a parameter is at most that of a uniform distribution over its range.
+    An error is at most the standard deviation of a uniform distribution over the parameter's range.
     """
     cause, values = base.causes[index], base.fit.point.values[index]
     variance = max(base.excess) * np.diag(base.covariance)[base.columns(index)]
@@ -123,7 +124,7 @@ def _read(case: Case) -> tuple[bool, bool]:
 
 
 def _outlets(case: Case) -> tuple[str, ...]:
-    """Valves of the reservoir. A vessel alone counts as one without valves if no run has opened it."""
+    """Valves that a run may open. A reservoir alone counts as one without valves if no run has opened it."""
     opened = any(run.evp_opening.any() or run.dvp_opening.any() for run in case.runs)
     return OUTLETS if opened or case.rig.cv is not None else ()
 

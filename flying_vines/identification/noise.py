@@ -1,8 +1,8 @@
 """Noise of the sensors: as stated in the rig file, unless the data contradict it.
 
 The noise is independent from reading to reading, or has the correlation exp(−t/T) of a filter in the sensor.
-A converter rounds the readings. Rounding errors are noise if the pressure changes by more than a step from
-reading to reading. Otherwise they stay the same for many readings.
+A converter rounds the readings to steps. Rounding errors are noise if the pressure changes by more than one
+step from reading to reading. Otherwise they stay the same for many readings.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ MAX_OVER_RESIDUALS = 1.2
 """Maximum standard deviation of noise over the rms of the residuals, which include the model's errors."""
 _STEP_QUANTILE = 0.1
 _MANY_EQUAL = 0.5
-"""Readings are rounded if they have fewer levels than this share of their number."""
+"""Readings are rounded if the number of different values is below this share of the number of readings."""
 
 
 class SensorNoise(NamedTuple):
@@ -87,7 +87,7 @@ def stated_noise(rig: Rig, readings: Sequence[Array] = ()) -> Noise:
 
 
 def resolution(readings: Array) -> float:
-    """Smallest difference between readings, which are finite; infinite if all are equal."""
+    """Smallest difference between unequal readings; infinite if all are equal. They must be finite."""
     return float(np.min(np.diff(np.unique(readings)), initial=np.inf))
 
 
@@ -112,8 +112,8 @@ def measured_noise(
 
     Errors of the model hardly change the differences of successive readings, and the few readings at which a
     valve moves are left out. All other samples are used, and not only those with shut valves: a regulator
-    only leaves the valves shut while the noise happens to be small. If most differences are zero, the steps
-    are too coarse, and the stated noise is returned.
+    only leaves the valves shut while the noise happens to be small. If 80 % of the second differences are
+    zero, the steps of rounding are too coarse, and the stated noise is returned.
 
     Args:
         residuals: for each run (n,) kPa, NaN where nothing was read.
@@ -168,7 +168,7 @@ def _rms(residuals: Sequence[Array]) -> float:
 
 
 def _mean_square(differences: Sequence[Array]) -> tuple[float, int]:
-    """Mean square and number of differences; from the smaller ones, as if all were Gaussian."""
+    """Mean square of Gaussian differences, estimated from the smaller ones; and the number of differences."""
     size = np.concatenate(differences)
     size = np.sort(np.abs(size[np.isfinite(size)]))
     kept = size[: round(_KEPT * len(size))]

@@ -25,9 +25,9 @@ from flying_vines.identification.verdict import Verdict
 from flying_vines.record.reader import is_flight
 
 AHEAD = 2
-"""Queued cases for each process: no process waits for work, and not all cases must be in memory."""
+"""Running and queued cases for each process: no process waits for work, and few cases are in memory."""
 ANSWER_S = 5.0
-"""Timeout of a cluster."""
+"""Maximum time until the scheduler of a cluster answers."""
 CaseOutcome = Verdict | CaseError
 Job = tuple[Path, Case | Path | CaseError]
 """The path of a case, and the case itself, or the path to read it from, or the error from reading it."""
@@ -56,7 +56,7 @@ def diagnose_all(
     Args:
         cases: cases, or their paths.
         workers: number of processes; default: the number of cores that this process may use.
-        scheduler: address of a Dask scheduler, whose workers diagnose instead. This process reads the files.
+        scheduler: address of a Dask scheduler; its workers diagnose the cases. This process reads the files.
         rig: a rig file for all cases that are given as paths; default: each case has its own.
 
     Raises ClusterError if the cluster cannot be used.

@@ -1,8 +1,9 @@
 """Checks before any fit that the recorded columns can be what their names say.
 
 A recording is only refused if no rig can give it, not even a worn one. A possible rig has a reservoir of 20
-to 900 kPa and a control volume of -60 to 210 kPa. Its sensors have offsets up to 25 and 5 kPa, gains wrong by
-a fifth, and another noise than the rig file says. It is at any altitude, and its valves may be blocked.
+to 900 kPa and a control volume of -60 to 210 kPa. Its sensors have offsets up to 25 kPa (reservoir) and 5 kPa
+(control volume), gains wrong by a fifth, and another noise than the rig file says. It is at any altitude, and
+its valves may be blocked.
 
 Numbers in psi, bar or MPa are often also possible in kPa. They are refused only if their noise shows the
 other unit; if only one column looks wrong, the air flow must show it too. EVP is the inflation valve, DVP the
@@ -95,14 +96,14 @@ def check_shut(path: Path, name: str, run: RecordedRun, rig: Rig) -> None:
     if len(time_s) == 0 or rig.cv is None:
         return
     if name == "evp_opening":
-        # Below ambient pressure it may also fill through the solenoid or a leak.
+        # Below ambient pressure, the control volume may also fill through the solenoid or a leak.
         seen = bool(np.any(cv_kPa - np.maximum(np.minimum.accumulate(cv_kPa), 0.0) > 15.0))
         what = "the control volume fills"
     elif name == "dvp_opening":
         seen = bool((cv_kPa < -15.0).sum() > _GLITCHES)
         what = "the control volume is sucked below ambient pressure"
     else:
-        # Nothing else empties it as fast.
+        # Nothing else empties the control volume as fast.
         soon = np.searchsorted(time_s, time_s + 3.0 * _vent_s(rig, rig.cv.volume_L), side="right") - 1
         seen = bool(((cv_kPa > 20.0) & (cv_kPa[soon] < 0.25 * cv_kPa)).sum() > _GLITCHES)
         what = "the control volume empties as fast as through the open solenoid"
@@ -134,7 +135,7 @@ def _check_levels(path: Path, run: RecordedRun, rig: Rig) -> None:
         sensors = rig.sensors
         noise_kPa = sensors.cv_noise_std_kPa if channel is _CV else sensors.reservoir_noise_std_kPa
         if highest_kPa < _top(readings) <= _CYLINDER_KPA and _noise(run, channel).std < 3.0 * noise_kPa:
-            # A chamber at 300 kPa, or a cylinder. In hPa the noise would be ten times as large.
+            # Such low noise means kPa: a chamber at 300 kPa, or a cylinder. In hPa the noise would be larger.
             highest_kPa = _CYLINDER_KPA
         beyond = (readings > highest_kPa) | (readings < channel.lowest_kPa - 5.0 * noise_kPa)
         if not beyond.any():
@@ -245,7 +246,7 @@ def _check_cv_absolute(rig: Rig, runs: Mapping[Path, RecordedRun]) -> None:
         rises |= _top(readings) > begin_kPa + 5.0
     if begins and never_below and rises:
         path, begin_kPa = next(iter(begins.items()))
-        raise _absolute(path, _CV, f"begins at {begin_kPa:.4g} and hardly falls below")
+        raise _absolute(path, _CV, f"begins at {begin_kPa:.4g} and hardly falls below that")
 
 
 def _check_reservoir_absolute(path: Path, run: RecordedRun, rig: Rig) -> None:
@@ -329,7 +330,7 @@ def _absolute(path: Path, channel: _Channel, what: str) -> CaseError:
 
 
 def is_ambient(kPa: float) -> bool:
-    """True if this can be the absolute ambient pressure below 5 km, read with a sensor's offset."""
+    """True if this can be absolute ambient pressure at an altitude below 5 km, with a sensor's offset."""
     return 50.0 < kPa < 127.0
 
 

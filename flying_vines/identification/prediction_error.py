@@ -4,8 +4,8 @@ Errors are root mean squares relative to the measured range; both channels count
 run and the first 0.5 s after each gap are shown to every fit, to find the initial pressures; they are not
 scored.
 
-The interval of a gain is from a block bootstrap (Künsch 1989): errors of a simulation are correlated from
-sample to sample, but hardly from block to block.
+A gain is a relative reduction of the error. Its interval is from a block bootstrap (Künsch 1989): errors of a
+simulation are correlated from sample to sample, but hardly from block to block.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Split:
 
     shown: FitProblem
     scored: tuple[BoolArray, ...]
-    """For each run, (n,)."""
+    """For each run (n,): True for the samples that are scored."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Errors:
     squares: Array
     """(blocks, 2) sums of squared residuals, in units of noise."""
     count: Array
-    """(blocks, 2) readings."""
+    """(blocks, 2) number of readings."""
 
 
 class HeldOutErrors:
@@ -89,7 +89,10 @@ def in_odd_stretch(time_s: Array) -> BoolArray:
 
 
 def blocks(times_s: Sequence[Array], at_least: int = MIN_BLOCKS) -> list[NDArray[np.intp]]:
-    """For each run (n,) block numbers of its samples; `at_least` in all, if the readings are dense enough."""
+    """For each run (n,) the block numbers of its samples.
+
+    All runs together have `at_least` blocks or more, if the readings are dense enough.
+    """
     longest_s = min(BLOCK_S, sum(float(time_s[-1] - time_s[0]) for time_s in times_s) / at_least)
     found = []
     for time_s in times_s:
@@ -117,7 +120,7 @@ def _beginnings(time_s: Array, start: NDArray[np.intp]) -> BoolArray:
 
 
 def quick_errors(problem: FitProblem, splits: Sequence[Split], point: FitPoint) -> Errors:
-    """The errors of predictions from the shown data of each split, `STEPS` steps from a fit to all data."""
+    """The errors of predictions by quick fits to the shown data of each split: `STEPS` steps from `point`."""
     return errors(problem, splits, mapped(lambda split: split.shown.fit(point, STEPS).point, splits))
 
 

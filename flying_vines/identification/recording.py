@@ -1,4 +1,4 @@
-"""A recorded run of a rig; the error of a recording that cannot be used, and words for its texts."""
+"""A recorded run of a rig, and the error for a recording that cannot be used."""
 
 from __future__ import annotations
 
@@ -47,5 +47,5 @@ class RecordedRun:
     to_atmosphere: bool
     """No control volume: the inflation valve discharges to atmosphere."""
     after_gap: Array | None = None
-    """1 where the pressures do not follow from the sample before, as after a valve moved at an unknown
-    time, otherwise 0; None if nowhere."""
+    """1 at a sample whose pressures do not follow from the previous sample, for example because a valve
+    moved at an unknown time; otherwise 0. None if there is no such sample."""

@@ -1,7 +1,7 @@
 """Tests whether the residuals of a fit are noise. If not, finds the quantity on which they depend.
 
 If the model lacks an effect, successive residuals are correlated, and their sum of squares alone does not
-show it. So samples are put into groups by one feature: an interval of time, the time since a valve moved, a
+show that. So samples are put into groups by one feature: an interval of time, the time since a valve moved, a
 pressure, an opening. With noise alone, the mean of n residuals has the variance 1/n. Rounding to steps q adds
 (q²/12)/(1 + c) if the rounded reading changes c times in the group: a constant rounding error does not
 average out. The sum of mean²/variance over g groups is χ² with g degrees of freedom.
@@ -25,8 +25,8 @@ from flying_vines.physics.arrays import Array, BoolArray
 CHANNELS = ("control volume", "reservoir")
 STRETCHES_S = (0.1, 0.5, 2.5, 10.0)
 STRETCH_SAMPLES = 8
-"""A further stretch has this many samples, if it is longer than `STRETCHES_S`: some loggers read every few
-seconds."""
+"""For loggers that read only every few seconds: stretches of this many samples are also used, if they are
+longer than those of `STRETCHES_S`."""
 SINCE_S = (0.0, 0.025, 0.05, 0.08, 0.15, 0.3, 0.7, 1.5, 5.0, np.inf)
 MIN_SAMPLES = 4
 """Minimum samples in a group."""
@@ -47,7 +47,7 @@ class Pattern:
     mean: Array
     """(groups,) mean residual in units of noise."""
     count: Array
-    """(groups,) samples."""
+    """(groups,) number of samples."""
     log_p: float
     """−log₁₀ p: p is the probability that noise alone gives means as large as these."""
     strength: float
@@ -73,9 +73,9 @@ def patterns(problem: FitProblem, fit: Fit) -> list[Pattern]:
 
 
 def excess(found: Sequence[Pattern]) -> tuple[float, float]:
-    """For control volume and reservoir: how much larger slow residuals are than noise, as a ratio of squares.
+    """Mean square of the slow residuals over that of noise, at least 1; for control volume and reservoir.
 
-    It is 1 if they are noise. A wrong cause can then lower χ² this many times as much as with noise alone.
+    If it is above 1, a wrong cause can lower χ² this many times as much as with noise alone.
     """
     slow = [pattern for pattern in found if pattern.feature.startswith(IN_STRETCHES)]
     cv, reservoir = (
@@ -125,7 +125,7 @@ def _features(problem: FitProblem, fit: Fit) -> Iterator[tuple[str, str, Array, 
     yield "opening of the inflation valve", "", evp, _classes(evp)
     if all(run.ambient_C is not None for run in case.runs):
         ambient_C = np.concatenate([run.ambient_C for run in case.runs if run.ambient_C is not None])
-        yield "temperature around", "°C", ambient_C, _classes(ambient_C)
+        yield "ambient temperature", "°C", ambient_C, _classes(ambient_C)
     # Simulated, because a measured pressure has the same noise as the residual.
     simulated = problem.simulated(fit.point)
     for row, label in enumerate(("control volume's pressure", "reservoir's pressure")):

@@ -1,12 +1,15 @@
-"""Searches the causes that explain the data: none, then each alone, then several, until no further one pays.
+"""Searches for the causes that explain the data.
+
+It tries no cause, then each cause alone, then several causes, until no further cause pays.
 
 Rig numbers are free within their tolerances. The best candidates that leave only noise are also fitted with
-nominal rig numbers, and the data decide between both. The free fit gets a penalty: the logarithm of prior
-volume over posterior volume of these numbers.
+nominal rig numbers, and the score decides between the two fits. The fit with free rig numbers gets a penalty:
+the logarithm of prior volume over posterior volume of these numbers.
 
-A further cause pays if the score falls by `CLAIM`. If the residuals are more than noise, an effect is still
-missing, and a wrong cause can imitate a part of it. Then χ² is divided by the residuals' excess over noise
-(`residuals.excess`), and the interval of the gain on unseen data must be above `MIN_GAIN`.
+A further cause pays if it lowers the score by more than `CLAIM`. If the residuals are more than noise, an
+effect is still missing, and a wrong cause can imitate a part of it. Then χ² is divided by the residuals'
+excess over noise (`Candidate.excess`), `CLAIM_LEFT` replaces `CLAIM`, and the interval of the gain on unseen
+data must be above `MIN_GAIN`.
 """
 
 from __future__ import annotations
@@ -33,19 +36,20 @@ from flying_vines.physics.cause import Cause
 
 CLAIM_LEFT = 10.0
 MIN_GAIN = 0.02
-"""If the residuals are more than noise, a further cause must lower the score by more than the first value,
-and the error on unseen data by more than the second (a share)."""
+"""If the residuals are more than noise, a further cause must lower the score by more than `CLAIM_LEFT`, and
+the interval of the relative error reduction on unseen data must be above `MIN_GAIN`."""
 CLAIM_ON_BOUND = 10.0
-"""A parameter on its bound shows that a cause is missing. A cause that moves it off needs only this gain."""
+"""A parameter on its bound shows that a cause is missing. A further cause that moves the parameter off its
+bound needs only this gain."""
 MAX_CAUSES = 9
 FIRSTS = 5
-"""Number of best single causes that are tried with a second one: one may hide another."""
+"""Number of best single causes that are tried with a second cause: the very best one may be a wrong cause."""
 BEAM = 2
 """Number of best sets of two or more causes that are tried with a further one."""
 AHEAD = 2
 """If no further cause pays, this many more are added to the best sets: two effects may only pay together."""
 LEFT_TOGETHER = 0.05
-"""Maximum share of the slow residuals' squares that a set found with `AHEAD` leaves. Three wrong causes
+"""Maximum share of the slow residuals' squares that a set found with `AHEAD` may leave. Three wrong causes
 can imitate a part of an effect that the catalogue lacks, but rarely almost all of it."""
 SURE_OF_TWO = 1 / 3
 """Two causes may leave more than `LEFT_TOGETHER` if the interval of their gain on unseen data is above this
@@ -54,9 +58,9 @@ ROUNDS, LOWER = 5, 0.75
 """Maximum number of changes of a set that leaves more than noise. Each change must lower χ² to this share or
 less."""
 IMPOSSIBLE = 1.1
-"""Factor for the χ² of a fit outside the physical ranges, to compare it with fits inside."""
+"""Factor for the χ² of a fit with an `impossible` cause, to compare it with other fits."""
 BEGUN_STEPS = 5
-"""If a fit starts again from several points: number of steps from each, before the best one is chosen."""
+"""If a fit starts again from several points: number of steps from each point, before one is chosen."""
 IDLE = 1.01
 """A cause is idle if χ² rises by at most this factor without it."""
 NO_EFFECT = 1e-3
@@ -67,10 +71,12 @@ EXCHANGES = 5
 """Number of exchanges of one cause for another that are fitted: those with the lowest expected χ²."""
 LEADERS, LEADERS_LEFT = 6, 3
 """Number of fits that are completed: those with the lowest χ² after their first steps. The second value is
-for sets of several causes of which even the best leaves more than noise: they get a further cause next."""
+used if the fits have several causes and even the best leaves more than noise: then they get a further cause
+next."""
 REACH, REACH_SHARE = 2000.0, 0.1
 """Assumed maximum by which an unfinished fit can still lower χ²: 2000 + 10 % of the best fit's reduction of
-the null model's χ². A fit that needs more than this to win is not completed."""
+the null model's χ². If the best fit leaves only noise, a fit that needs more than this to win is not
+completed."""
 OF_RANGE = 1e-3
 
 
@@ -105,10 +111,10 @@ class Search:
         return self._finished([(self.nulls[1], cause) for cause in self.catalogue])
 
     def _finished(self, pairs: Sequence[tuple[Candidate, Cause]], most: int = LEADERS) -> list[Candidate]:
-        """Fits of each base with its further cause, the best first; only the `most` leaders are completed.
+        """Fits of each base with its further cause, the best first; at most `most` fits are completed.
 
-        With several causes that leave more than noise, fewer are completed (`LEADERS_LEFT`). If the best fit
-        is adequate, only fits close to it are completed.
+        If the fits have several causes and the best leaves more than noise, fewer are completed
+        (`LEADERS_LEFT`). If the best fit is adequate, only fits close to it are completed.
         """
         if not pairs:
             return []
@@ -125,11 +131,11 @@ class Search:
         return [Candidate(self.problem, fit) for fit in sorted(fits, key=lambda fit: fit.chi2)]
 
     def _off_bounds(self, fit: Fit) -> Fit:
-        """The fit. If a parameter is on its bound, the best of this fit and of fits that start elsewhere.
+        """The fit, or a better one from another start if one of several causes has a parameter on its bound.
 
-        A cause that was fitted without the others may have been driven to its bound. One start adds the
-        causes in reverse, the others are the seeds of each cause that is out of its physical range. Only the
-        best start is completed.
+        A parameter that was fitted without the later causes may have moved to its bound. One new start adds
+        the causes in reverse order, the others use the seeds of each `impossible` cause. Only the fit from
+        the best start is completed.
         """
         candidate = Candidate(self.problem, fit)
         if len(fit.point.causes) < 2 or not candidate.on_bound:
@@ -149,7 +155,7 @@ class Search:
         return first.fit.chi2 + REACH + REACH_SHARE * (self.null.fit.chi2 - first.fit.chi2)
 
     def _leaders(self, bases: Sequence[Candidate]) -> list[Candidate]:
-        """The best few, settled; the best first."""
+        """The best few of these candidates, each `settled`, the best first."""
         reach = self._reach(bases[0]) if bases else inf
         settled = mapped(self.settled, [base for base in bases[:FIRSTS] if base.fit.chi2 < reach])
         if not settled:
@@ -158,7 +164,7 @@ class Search:
         return sorted(settled, key=lambda c: (not c.possible, c.score_at(over)))
 
     def settled(self, candidate: Candidate) -> Candidate:
-        """The same causes, with nominal rig numbers if these explain the data as well.
+        """The same causes, with nominal rig numbers if they do not raise the score.
 
         A candidate that leaves more than noise keeps its rig numbers free.
         """
@@ -171,7 +177,8 @@ class Search:
     def further(self, bases: Sequence[Candidate], most: int | None = None) -> list[Candidate]:
         """Fits of the bases with one more cause, the best first; only the most promising are fitted.
 
-        `most`: at most this many, those with the lowest expected χ²; only the best of them is completed.
+        Args:
+            most: fit at most this many, those with the lowest expected χ², and complete only the best fit.
         """
         expected: dict[frozenset[str], float] = {}
         pairs: dict[frozenset[str], tuple[Candidate, Cause]] = {}
@@ -188,14 +195,14 @@ class Search:
     def _exchanged(self, candidate: Candidate) -> list[Candidate]:
         """Fits of the candidate with one more cause, or with one of its causes replaced by another."""
         more = [candidate] if len(candidate.causes) < MAX_CAUSES else []
-        return self.further([*more, *self._vacancies(candidate)], EXCHANGES)
+        return self.further([*more, *self._with_one_removed(candidate)], EXCHANGES)
 
     def _may_gain(self, candidate: Candidate) -> bool:
         """True if a further cause may pay.
 
-        This is so if the residuals are more than noise, a parameter is on its bound, or a cause promises
-        enough. With a parameter on its bound the expected gain says little: the further cause may move it
-        off.
+        This is so if the residuals are more than noise, a parameter is on its bound, or the expected gain of
+        a cause is large enough. With a parameter on its bound the expected gain says little, because the
+        further cause may move the parameter off its bound.
         """
         if not candidate.adequate or candidate.on_bound:
             return True
@@ -209,7 +216,7 @@ class Search:
         return {cause: self._promise(base.fit, tangents, cause) for cause in others}
 
     def _promise(self, base: Fit, tangents: Tangents, cause: Cause) -> float:
-        """Expected reduction of χ² if the cause's trace is scaled and everything else is refitted."""
+        """Expected reduction of χ² by a cause, if its effect is scaled and everything else is refitted."""
         parameter = cause.parameters[0]
         best = 0.0
         for values in cause.seeds():
@@ -229,7 +236,7 @@ class Search:
         return self._grown([*self.nulls, *bases, *leaders], bases[:FIRSTS], leaders, progress)
 
     def resumed(self, earlier: SearchResult, progress: Progress = silent) -> SearchResult:
-        """Go on from an earlier search of the same data, which assumed another sensor noise."""
+        """Continue an earlier search of the same data that assumed another sensor noise."""
         tried = [*self.nulls, *(c.in_units_of(self.problem) for c in earlier.tried if c.causes)]
         begun = self._fit(earlier.chosen.fit.point.freed(self.keys))
         chosen = self.settled(Candidate(self.problem, begun))
@@ -238,10 +245,10 @@ class Search:
         return self._grown([*tried, chosen], [chosen], [chosen], progress)
 
     def together(self, earlier: SearchResult, progress: Progress = silent) -> SearchResult:
-        """Go on from a result that leaves more than noise: many causes may only pay together.
+        """Continue from a result that leaves more than noise: many causes may only pay together.
 
-        The set with the lowest χ² gets a further cause, or another one in place of one of its own, until it
-        explains everything.
+        The set with the lowest χ² gets a further cause, or one of its causes is replaced by another. This is
+        repeated until the set explains everything, or χ² no longer falls to `LOWER`.
         """
         best = self._without_idle(min((c for c in earlier.tried if c.possible), key=_chi2))
         for _ in range(ROUNDS):
@@ -285,7 +292,7 @@ class Search:
                     continue
                 lowest = chosen
             if better is None and len(chosen.causes) > 1:
-                exchanged = self._leaders(self.further(self._vacancies(chosen)))
+                exchanged = self._leaders(self.further(self._with_one_removed(chosen)))
                 tried += exchanged
                 better = self._first_that_pays(exchanged, chosen)
                 leaders = sorted([*leaders, *exchanged], key=lambda c: (not c.possible, c.fit.chi2))
@@ -327,7 +334,7 @@ class Search:
         return next((leader for leader in leaders if self._pays(leader, chosen)), None)
 
     def _pays(self, more: Candidate, less: Candidate) -> bool:
-        """True if the further causes pay: on the data, and on unseen data if something remains."""
+        """True if `more` pays in comparison with `less`; if more than noise remains, also on unseen data."""
         if not more.possible:
             return False
         gain = less.score_at(more.excess) - more.score_at(more.excess)
@@ -364,9 +371,8 @@ class Search:
             return candidate
         return self.settled(Candidate(self.problem, best))
 
-    def _vacancies(self, candidate: Candidate) -> list[Candidate]:
-        """The candidate without each of its causes in turn, not refitted: another may take its place."""
-
+    def _with_one_removed(self, candidate: Candidate) -> list[Candidate]:
+        """The candidate without each of its causes in turn, not refitted, to add another cause instead."""
         point = candidate.fit.point.freed(self.keys)
         every = range(len(candidate.causes))
         return [Candidate(self.problem, self.problem.at(point.without(index))) for index in every]
@@ -393,7 +399,7 @@ def _chi2(candidate: Candidate) -> float:
 
 
 def _chi2_if_possible(candidate: Candidate) -> float:
-    """χ², larger if a parameter is out of its physical range."""
+    """χ², multiplied by `IMPOSSIBLE` if a cause is `impossible`."""
     return candidate.fit.chi2 * (1.0 if candidate.possible else IMPOSSIBLE)
 
 

@@ -12,7 +12,7 @@ RANKED = 8
 
 
 def show(verdict: Verdict, console: Console) -> None:
-    """Print the verdict in words, its evidence, and all candidates."""
+    """Print the verdict in words, its numbers, and the best candidates."""
     facts = Table.grid(padding=(0, 2))
     facts.add_column(style="bold")
     facts.add_column(overflow="fold")
@@ -75,7 +75,7 @@ def _percent(share: float) -> str:
 
 
 def _nearest(verdict: Verdict) -> str:
-    """The candidate that explains the largest part; empty if there is none."""
+    """A sentence about the candidate with the best evidence; empty if that is the baseline."""
     baseline = next((tried for tried in verdict.ranking if not tried.causes), None)
     if baseline is None:  # Its simulation diverged: there is no error to compare with.
         return ""
@@ -93,9 +93,7 @@ def _estimate(estimate: ParameterEstimate) -> str:
 
 
 def _ranking(verdict: Verdict) -> Table:
-    table = Table(
-        box=None, padding=(0, 2, 0, 0), title="All candidates, the best first", title_justify="left"
-    )
+    table = Table(box=None, padding=(0, 2, 0, 0), title="Candidates, the best first", title_justify="left")
     table.add_column("cause and parameters", overflow="fold")
     table.add_column("χ²/n", justify="right")
     table.add_column("unseen", justify="right")

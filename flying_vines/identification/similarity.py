@@ -1,15 +1,15 @@
 """Finds which causes these data can tell apart, whatever the verdict is.
 
-Each cause is added to the best fit with the value of its seed, or removed if the fit has it. The change of
-the readings, in units of noise, is its trace. Free initial pressures, and rig numbers within their
-tolerances, can imitate a part of a trace. That part is no evidence and is removed. F has one row for each rig
-number (its effect if it moves by one prior standard deviation, Λ = 1) and for each initial pressure (Λ = 0).
-The inner products of the remaining traces T are
+Each cause is added to the best fit, at the seed with the largest effect; a cause that the fit has is removed
+instead. The change of the readings, in units of noise, is the trace of the cause. Free initial pressures, and
+rig numbers within their tolerances, can imitate a part of a trace. That part is no evidence and is removed.
+The traces are the rows of T. F has one row for each rig number (its effect if it moves by one prior standard
+deviation, Λ = 1) and for each initial pressure (Λ = 0). The inner products of the remaining traces are
 
     G = T Tᵀ − T Fᵀ (F Fᵀ + Λ)⁻¹ F Tᵀ
 
-The root of a diagonal element shows how clearly the data show a cause. The cosine of two traces shows how
-similar two causes are.
+The square root of a diagonal element of G tells how clearly the data show a cause. The cosine of two traces
+tells how similar two causes are.
 """
 
 from __future__ import annotations

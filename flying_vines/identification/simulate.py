@@ -34,17 +34,19 @@ MAX_SMOOTH_S = 0.25
 """Maximum step from sample to sample, and over several samples between which no valve moves."""
 QUICK_S = 0.002
 _STEP = 0.25
-"""Step over the fastest time constant. Fourth-order Runge-Kutta then errs by 1e-5 of the remaining change."""
+"""Length of a step over the fastest time constant. Fourth-order Runge-Kutta then errs by 1e-5 of the change
+that remains."""
 _STEEP = 6.0
 """The flow through a valve by ISO 6358 is steep near equal pressures: steps resolve this many times its
-conductance. At the linear end of `compressible_flow` the slope is about 50 times: steps are still stable."""
+conductance. At the linear end of `compressible_flow` the slope is about 50 times the conductance; such steps
+are still stable."""
 
 GAP = 8.0
 """A longer time between samples, in median sampling intervals, is a gap."""
 MISSING = 1.7
 """A longer time between samples, in median sampling intervals, means a missing row if sampling is regular."""
 BUSY = 3
-"""The valves are busy if one has moved within this many samples."""
+"""The valves are busy if one moves within this many samples, before or after."""
 ON_TIME, ON_TIME_SHARE = 0.1, 0.8
 """Sampling is regular if 80 % of the intervals differ from the median by less than 10 %."""
 
@@ -82,7 +84,7 @@ class Prepared(NamedTuple):
     weather: Array
     to_atmosphere: bool
     start: NDArray[np.intp]
-    """Samples with unknown initial pressures: the first, and each one after a gap in the record."""
+    """Samples with unknown initial pressures; see `_starts`."""
 
 
 class Made(NamedTuple):
@@ -206,8 +208,8 @@ def _compiled() -> Callable[..., None]:
 
 
 def _sensor(sensor: Sensor) -> np.void:
-    # Converter steps have no derivative, and the noise hides them. The model does not know the time since the
-    # start of the run: `readings` adds the drift, and then applies the limits.
+    # The steps of an A/D converter have no derivative, and the noise hides them. The compiled model does not
+    # know the time since the start of the run: `readings` adds the drift, and then applies the limits.
     plain = replace(sensor, adc=None, drift_kPa_per_min=0.0, lowest_share=None, highest_share=None)
     return record(plain.numbers)
 
@@ -260,7 +262,7 @@ def _conductance_SL_per_s_kPa(law: Opening) -> float:
 def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> float:
     """The inverse of the fastest time constant that an explicit integrator must resolve.
 
-    The exchange between a hose and the control volume is not among them: its steps are exponential.
+    It leaves out the exchange between a hose and the control volume: an exponential integrator computes that.
     """
     n = numbers
     evp = _conductance_SL_per_s_kPa(n.evp.law)
@@ -281,13 +283,14 @@ def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> f
     walls = ((n.reservoir_heat, 1.0 / n.reservoir_per_L), (n.cv_heat, n.cv.flat_L))
     for wall_per_s in (heat_per_s(heat, volume_L) for heat, volume_L in walls):
         if wall_per_s > 0.0:
-            rates.append(_slaved_per_s(1.0 / wall_per_s))
+            rates.append(_resolved_heat_per_s(1.0 / wall_per_s))
     return max(rates)
 
 
-def _slaved_per_s(time_s: float) -> float:
+def _resolved_heat_per_s(time_s: float) -> float:
     """The rate to resolve for a time constant of heat exchange.
 
-    If it is some milliseconds, gas stays near ambient temperature: the step then only has to be stable.
+    With a time constant of a few milliseconds at most, the gas stays near ambient temperature: then the step
+    only has to be stable.
     """
     return _STEP / max(_STEP * time_s, min(time_s, QUICK_S))

@@ -207,7 +207,7 @@ def test_several_causes_are_mostly_one_only_if_it_makes_half_of_the_error(found:
     several = replace(mostly, share=0.12, remainder=None)
     assert in_words(several) == f"Several causes: {main} (12 %), cv_heating (9 %), hose (less than 1 %)."
     text = page_of(Diagnosed(found.case, several), "unseen", "run-1").text
-    assert "Without it 12 % of the removed squared error comes back" in " ".join(text.split())
+    assert "Without this cause 12 % of the removed squared error comes back" in " ".join(text.split())
     assert "need not add up to 100 %" in " ".join(text.split())
 
 

@@ -61,7 +61,7 @@ def test_a_dependence_on_the_temperature_is_found() -> None:
     (run,) = problem.case.runs
     assert run.ambient_C is not None
     found = patterns(problem, with_left(fit, 1, 0.4 * (run.ambient_C - 22.5)))
-    assert (found[0].channel, found[0].feature, found[0].unit) == ("reservoir", "temperature around", "°C")
+    assert (found[0].channel, found[0].feature, found[0].unit) == ("reservoir", "ambient temperature", "°C")
     assert np.corrcoef(found[0].centre, found[0].mean)[0, 1] > 0.9
     assert found[0].log_p > STRUCTURE
 
@@ -108,7 +108,7 @@ def test_without_a_thermometer_there_is_no_such_pattern() -> None:
     (run,) = problem.case.runs
     case = replace(problem.case, runs=(replace(run, ambient_C=None),))
     features = {pattern.feature for pattern in patterns(FitProblem(case, independent_noise(*NOISE_KPA)), fit)}
-    assert "temperature around" not in features and "opening of the inflation valve" in features
+    assert "ambient temperature" not in features and "opening of the inflation valve" in features
 
 
 def test_a_slow_logger_has_patterns_in_time_too() -> None:

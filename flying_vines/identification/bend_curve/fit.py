@@ -36,7 +36,7 @@ class BendCurveFit:
     dead_kPa: CurveEstimate
     scale_kPa: CurveEstimate
     law_rms_deg: float
-    """Residuals of the law."""
+    """Root mean square of the law's residuals, also if the law is not used."""
     follows_law: bool
     """True if the curve is the law's; False if the free curve is far better."""
     hysteresis_kPa: CurveEstimate | None

@@ -1,9 +1,9 @@
-"""A free rising curve for vines that do not follow the law: an S, a kink, a second dead zone.
+"""A free rising curve for a vine that does not follow the law: with an S, a kink, or a second dead zone.
 
-The curve is piecewise linear between evenly spaced pressures and never falls. A backlash of width h precedes
-it. For each h the pieces are a non-negative least-squares problem; h minimises the residuals. Its 95 %
-interval is a likelihood profile: the sum of squares stays below the limit of the F distribution. Correlated
-neighbouring residuals are counted with their effective number.
+The curve is piecewise linear between evenly spaced pressures and never falls. The pressure first passes a
+backlash of width h. For each h the pieces are a non-negative least-squares problem; h minimises the
+residuals. The 95 % interval of h is from its likelihood profile: the sum of squares stays below a limit that
+follows from the F distribution. Correlated neighbouring residuals are counted with their effective number.
 """
 
 from __future__ import annotations

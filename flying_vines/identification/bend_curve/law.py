@@ -27,7 +27,7 @@ from flying_vines.identification.bend_curve.sequence import (
 from flying_vines.physics.arrays import Array
 
 KNOTS = 10
-"""Linear pieces of the written curve. Their error is at most 1 % of the largest angle."""
+"""Number of linear pieces of the written curve. Their error is at most 1 % of the largest angle."""
 
 
 class Law(NamedTuple):
@@ -38,7 +38,7 @@ class Law(NamedTuple):
     dead_kPa: float
     """P_d, the pressure up to which the vine stays straight."""
     scale_kPa: float
-    """P_s; over this pressure the remaining bend falls by a factor e."""
+    """P_s, the rise of pressure over which the bend that remains to θ_max falls by a factor e."""
     hysteresis_kPa: float
     """h, the width of the backlash."""
 
@@ -53,7 +53,7 @@ class Law(NamedTuple):
 
 
 def fit_law(pairs: Pairs) -> tuple[Law, list[CurveEstimate], Explanation]:
-    """The best law, its numbers with intervals, and the explained curve."""
+    """The best law; its first three numbers with intervals; its curve, hysteresis and residuals."""
     kPa, deg = pairs.pressure_kPa, pairs.angle_deg
     span, top = float(np.ptp(kPa)), float(np.ptp(deg))
     widest = 0.9 * span if pairs.unloads else 0.0
@@ -93,7 +93,7 @@ def _estimates(law: Law, jacobian: Array, residual: Array) -> list[CurveEstimate
 
 def _curve(law: Law, max_kPa: float) -> tuple[tuple[float, float], ...]:
     reach = max(0.0, max_kPa - law.dead_kPa) / law.scale_kPa
-    # Pieces of about equal error: the density of the knots goes with the square root of the curvature.
+    # Pieces of about equal error: the density of the knots is proportional to the root of the curvature.
     over = -2.0 * np.log1p(np.expm1(-0.5 * reach) * np.arange(KNOTS + 1) / KNOTS)
     kPa = law.dead_kPa + law.scale_kPa * over
     return rounded(kPa, law.curve_deg(kPa))

@@ -57,7 +57,7 @@ class Pairs:
 
     @property
     def unloads(self) -> bool:
-        """True if there are enough pairs on a way down (three) to determine hysteresis."""
+        """True if at least three pairs are on a way down: then the hysteresis can be determined."""
         return int(np.sum(~self.rising)) >= 3
 
     @property

@@ -1,4 +1,4 @@
-"""Shared by both fits: the backlash along a sequence of pressures, and the correlation of residuals."""
+"""The backlash along a sequence of pressures, and the correlation of residuals: used by both fits."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """The answers file `NAME.import.toml` beside a recording: how to read it, and facts about the rig.
 
-It contains all guesses and answers. Edited values are used unchanged; missing values are guessed or asked.
+It contains all guesses and answers. Edited values are used unchanged. Missing values are guessed, or the user
+is asked for them.
 """
 
 from __future__ import annotations
@@ -28,14 +29,14 @@ class ImportSetup(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True
     """How the rig was driven. None: guess or ask."""
 
     outlet: Literal["shut", "open", "opens"] | float | None = None
-    """Outlet of a vessel that was recorded alone: shut (the vessel leaks), open from the start, opens when
-    the pressure begins to fall, or the opening time in s."""
+    """Outlet of a vessel that was recorded alone: `shut` (the vessel leaks), `open` (from the start), `opens`
+    (when the pressure begins to fall), or the time in s at which it opens."""
     source: Literal["pump", "reservoir"] | None = None
     """What fills the chamber, if no reservoir pressure was recorded."""
     sample_Hz: Positive | None = None
     """Sample rate of a file without a time column."""
     gas: str | None = None
-    """Its name in a rig.toml; air unless given."""
+    """Name of the gas, as in a rig.toml; default: air."""
 
 
 class Answers(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
@@ -58,9 +59,9 @@ class ImportQuestion(NamedTuple):
     """Used if nobody answers; empty if the answer is necessary."""
 
 
-def missing_line(recording: Path, question: ImportQuestion, kept: Path) -> str:
+def missing_line(recording: Path, question: ImportQuestion, answers: Path) -> str:
     """What is missing, and where to write it, on one line."""
-    where = f"write {question.key} in {kept}, or give {question.option}"
+    where = f"write {question.key} in {answers}, or give {question.option}"
     return one_line(f"{recording}: missing: {question.text}; {where}")
 
 
@@ -69,7 +70,7 @@ def answers_path(recording: Path) -> Path:
 
 
 def same_answers(one: Answers, other: Answers) -> bool:
-    """True if two answers are equal except for the reasons of the guesses."""
+    """True if two sets of answers are equal except for the reasons of the guesses."""
     a, b = msgspec.to_builtins((one, other))
     for column in [*a.get("columns", ()), *b.get("columns", ())]:
         column["why"] = ""
@@ -77,7 +78,7 @@ def same_answers(one: Answers, other: Answers) -> bool:
 
 
 def read_answers(path: Path) -> Answers:
-    """The answers in a file; empty if there is no such file. CaseError if it is wrong."""
+    """The answers in a file; empty if there is no such file. CaseError if the file is wrong."""
     if not path.exists():
         return Answers()
     text = read_text(path, CaseError)

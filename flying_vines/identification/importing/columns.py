@@ -103,7 +103,7 @@ class ImportedColumn(msgspec.Struct, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class _Signal:
-    """A column with what the tests of EVIDENCE need."""
+    """A column, with the properties that the tests of `EVIDENCE` use."""
 
     name: str
     values: Array
@@ -206,7 +206,7 @@ _UNNAMED = {"cv_pressure": 1.0, "reservoir_pressure": 1.0}
 
 
 def guess_columns(table: ForeignTable, given: Sequence[ImportedColumn] = ()) -> list[ImportedColumn]:
-    """What each column is; meanings and units of `given` columns stay."""
+    """Meaning and unit of each column; those of `given` columns stay."""
     fixed = {column.number: column for column in given}
     if unknown := sorted(n for n in fixed if not 1 <= n <= len(table.cells)):
         raise CaseError(f"{table.path}: there is no column {unknown[0]}; it has {len(table.cells)} columns")
@@ -299,7 +299,10 @@ def _points(word: str, meaning: str) -> float:
 
 
 def _copies(signals: Sequence[_Signal]) -> dict[int, int]:
-    """Columns that another column repeats in another unit, as a sensor's voltage beside its pressure."""
+    """Columns that repeat another column in another unit, and the column that each repeats.
+
+    An example is a sensor's voltage beside its pressure.
+    """
     copies = {}
     for at, one in enumerate(signals):
         for other in signals[at + 1 :]:
@@ -329,10 +332,11 @@ def _best_meanings(signals: Sequence[_Signal], scores: Mapping[tuple[int, str], 
 def _compare_pressures(
     signals: Sequence[_Signal], scores: dict[tuple[int, str], float], taken: Set[str]
 ) -> None:
-    """The higher of two pressures is the reservoir's. A single one is the chamber's if it is driven.
+    """Adds points: the higher of two pressures is the reservoir's. A single pressure may be of either vessel.
 
-    It is driven if there is a target or an inflation signal, and the pressure does not end far below its
-    start. If there is only one pressure, it is a reading, not a target.
+    It is the chamber's if there is a target or an inflation signal, it does not end far below its start, and
+    it does not fall while the valve is open. Otherwise it is the reservoir's. If a target would be the only
+    pressure of a file, it is read as one of these two instead.
     """
     pairs = ("cv_pressure", "reservoir_pressure")
     best = _best_meanings(signals, scores)
@@ -373,8 +377,8 @@ def _unit(
 ) -> tuple[str, str]:
     """The unit of a column and why; empty if its meaning has none.
 
-    The pressures without a unit (`unlabelled`, with their meanings) share one unit, probably one of the
-    others (`labelled`).
+    The pressures without a unit (`unlabelled`, with their meanings) share one unit: probably a unit that the
+    file names for another pressure (`labelled`).
     """
     quantity = QUANTITIES.get(meaning)
     if quantity is None or len(signal.readings) == 0:

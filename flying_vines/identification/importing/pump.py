@@ -12,18 +12,18 @@ from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.rig import Pump
 
 PUMP_TOLERANCE_PERCENT = 80.0
-"""Tolerance of both numbers: sensors, hoses and leaks change the rise as well."""
+"""Tolerance of free flow and stall pressure: sensors, hoses and leaks change the rise as well."""
 _SPAN_S = 0.3
 """Time over which a rise is measured: longer than a sample, so that noise matters less."""
-_FURTHEST = 3.0
+_MAX_STALL = 3.0
 """Maximum stall pressure, as a multiple of the highest recorded pressure."""
 
 
 def guessed_pump(runs: Sequence[Mapping[str, Array]], volume_L: float) -> dict[str, float]:
     """The numbers of `[pump]`, from runs with `time`, `cv_pressure` and `evp_opening` (the pump's signal).
 
-    Least squares of dP/dt = a u − b u P while the pump runs, a = α Q_max/V, b = a/P_max. A leak lowers both;
-    the tolerance covers this. Without a rise the numbers are those of a small pump.
+    Least squares of dP/dt = a u − b u P while the pump runs, a = α Q_max/V, b = a/P_max. A leak lowers
+    both numbers; the tolerance covers this. Without a rise the numbers are those of a small pump.
     """
     rows, rates, top_kPa = [], [], 0.0
     for run in runs:
@@ -43,6 +43,6 @@ def guessed_pump(runs: Sequence[Mapping[str, Array]], volume_L: float) -> dict[s
         (rise, falls), _ = nnls(np.array(rows), np.array(rates))
         if rise > 0.0:
             stall_kPa = rise / falls if falls > 0.0 else np.inf
-            numbers = rise * volume_L / ALPHA_KPA, min(max(stall_kPa, top_kPa), _FURTHEST * top_kPa)
+            numbers = rise * volume_L / ALPHA_KPA, min(max(stall_kPa, top_kPa), _MAX_STALL * top_kPa)
     flow, stall_kPa = (float(f"{number:.3g}") for number in numbers)
     return {"free_flow_SL_per_s": flow, "stall_pressure_kPa": stall_kPa}

@@ -109,7 +109,7 @@ def propose(path: Path, said: Answers, volume_L: Mapping[str, float] | None = No
             raise CaseError(f"{path}: two columns are {meaning}; write {IGNORED} for one of them")
     if not set(_PRESSURES) & set(meanings):
         raise CaseError(
-            f"{path}: no column looks like a pressure; say which is: --column N=cv_pressure:kPa"
+            f"{path}: no column looks like a pressure; name the column: --column N=cv_pressure:kPa"
             f"{_read_as(columns)}"
         )
     notes = list(table.remarks)
@@ -126,7 +126,7 @@ def propose(path: Path, said: Answers, volume_L: Mapping[str, float] | None = No
     runs = {} if questions else dict(_runs(table, answers, notes))
     if runs:
         questions += _doubtful_units(answers, said, runs)
-        runs = _drives(path, answers, runs, notes)
+        runs = _with_valves(path, answers, runs, notes)
         measured = "cv" if "cv_pressure" in next(iter(runs.values())) else "reservoir"
         for vessel, litres in (volume_L or {}).items():
             table_of = answers.rig.get(vessel or measured, {})
@@ -163,11 +163,11 @@ def is_foreign(path: Path) -> bool:
 
 
 def read_imported(path: Path, rig: Path | str | None = None) -> Case:
-    """The case in a file of any layout, by its kept answers. CaseError if an answer is missing."""
-    kept = answers_path(path)
-    proposal = propose(path, read_answers(kept))
+    """The case in a file of any layout, by its answers file. CaseError if an answer is missing."""
+    answers = answers_path(path)
+    proposal = propose(path, read_answers(answers))
     if proposal.missing:
-        raise CaseError(missing_line(path, proposal.missing[0]._replace(option=f"import {path}"), kept))
+        raise CaseError(missing_line(path, proposal.missing[0]._replace(option=f"import {path}"), answers))
     with TemporaryDirectory() as folder:
         write_case([proposal], Path(folder))
         try:
@@ -288,7 +288,7 @@ def _doubtful_units(answers: Answers, said: Answers, runs: Mapping[str, Run]) ->
             )
 
 
-def _drives(path: Path, answers: Answers, runs: dict[str, Run], notes: list[str]) -> dict[str, Run]:
+def _with_valves(path: Path, answers: Answers, runs: dict[str, Run], notes: list[str]) -> dict[str, Run]:
     """The runs with the valve columns that the case format needs; guesses the outlet and the source."""
     has = set(next(iter(runs.values())))
     setup, name = answers.setup, path.name
@@ -310,13 +310,13 @@ def _drives(path: Path, answers: Answers, runs: dict[str, Run], notes: list[str]
         return runs
     if "reservoir_pressure" in has and "cv_pressure" in has:
         raise CaseError(
-            f"{path}: no column is the inflation valve; say which is: --column N=evp_opening, or leave out "
+            f"{path}: no column is the inflation valve; name it: --column N=evp_opening, or leave out "
             f"one of the pressures: --column N={IGNORED}{_read_as(answers.columns)}"
         )
     if "cv_pressure" in has:
         if any(_rises(run["cv_pressure"]) for run in runs.values()):
             raise CaseError(
-                f"{path}: the chamber is filled, but no column looks like its pump or valve; say which is: "
+                f"{path}: the chamber is filled, but no column looks like its pump or valve; name it: "
                 f"--column N=evp_opening{_read_as(answers.columns)}"
             )
         notes.append(
@@ -434,7 +434,7 @@ def _guessed_setup(said: Answers, answers: Answers) -> Iterator[ImportQuestion]:
     """Questions about outlet and source, with the guesses."""
     if said.setup.outlet is None and answers.setup.outlet is not None:
         text = (
-            "what the outlet does: shut (the vessel leaks), open, opens (where the pressure begins to fall), "
+            "what the outlet does: shut (the vessel leaks), open, opens (when the pressure begins to fall), "
             "or the time in s at which it opens"
         )
         yield ImportQuestion("setup.outlet", text, "", str(answers.setup.outlet))
@@ -485,7 +485,7 @@ def _noise_kPa(readings: Sequence[Array]) -> float:
 
 
 def _fall_s(run: Run) -> float | None:
-    """Time constant through the fully open outlet; None if it is shut or the fall too short."""
+    """Time constant through the fully open outlet; None if the outlet is shut or the fall is too short."""
     there = np.isfinite(run["reservoir_pressure"])
     time_s, p = run["time"][there], run["reservoir_pressure"][there]
     opening = run["evp_opening"][there] if "evp_opening" in run else np.ones_like(p)

@@ -13,7 +13,7 @@ _MIN_SPAN = 0.1
 _MIN_NOISE = 12.0
 """Minimum distance in standard deviations of the noise."""
 _SMOOTH = 0.98
-"""Share of the steps between the other readings that must be smaller than half a spike."""
+"""Share of the steps between the other readings that must be smaller than half the smallest spike."""
 _MAX_SHARE = 0.1
 """If a larger share of the readings looks like spikes, none of them counts as a spike."""
 

@@ -80,13 +80,14 @@ STROKES = frozenset({"angle", "position", "displacement", "stroke", "speed", "rp
 FULL_SCALES = (1.0, 100.0, 255.0, 1023.0, 4095.0, 65535.0)
 _TYPICAL = {"reservoir_pressure": (600.0, 1.0), "ambient_pressure": (100.0, 0.1)}
 _TYPICAL_KPA = (50.0, 1.5)
-"""Largest reading of a pressure column, and the spread of its natural logarithm."""
+"""Typical largest reading of a pressure column, and the spread of its natural logarithm."""
 AMBIENT_KPA = 85.0, 106.0
 """Range of ambient pressure in laboratories, absolute."""
 _RESTS = 1.5
-"""Subtracted from the cost of a unit in which the readings rest at ambient pressure, as absolute sensors do.
+"""Subtracted from the cost of a unit in which the lowest readings are about ambient pressure.
 
-It is so small that a chamber that rests at 14 kPa is not read as 14 psi.
+An absolute sensor gives such readings. The value is so small that a chamber that rests at 14 kPa is not read
+as 14 psi.
 """
 _SAID = 4.0
 """Subtracted from the cost of a unit that the file names for another pressure."""
@@ -260,7 +261,7 @@ def psi_instead(time_s: Array, values: Array) -> str:
 
 
 def _discharge(time_s: Array, values: Array) -> tuple[float, float, float] | None:
-    """Misfit of a fall of pressure by the three laws, as a share of its time; None if there is no fall."""
+    """Misfit of the three laws to a fall of pressure, as a share of its duration; None without a fall."""
     there = np.isfinite(values) & np.isfinite(time_s)
     t, x = time_s[there], values[there]
     if len(x) < 12:

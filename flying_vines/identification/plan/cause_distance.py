@@ -1,14 +1,14 @@
-"""Distance of two causes on the runs of a plan: the χ² that remains if the wrong one is fitted.
+"""Distance of two causes on the runs of a plan: the χ² that remains if the wrong cause is fitted.
 
 Cause A is in the rig at its typical strength. Cause B is fitted to the noiseless readings: its strength, the
-rig numbers within their tolerances, and the initial pressures. The remaining Δχ² is the preference for A; its
-root is the distance in standard deviations. With traces (`traces`) instead of simulations, it is the distance
-between A's trace a and the polyline b through B's traces, with the best change ν of the rig numbers:
+rig numbers within their tolerances, and the initial pressures. The remaining Δχ² is the evidence for A; its
+square root is the distance in standard deviations. It can be computed from traces (`traces`) instead of
+simulations: from A's trace a, the polyline b through B's traces, and the best change ν of the rig numbers,
 
     Δχ² = min |a − b − Nν|² + |ν|²   within   |νᵢ| ≤ √3    (ν in standard deviations of a uniform prior)
 
-For any w ≥ 0 the unbounded minimum of |a − b − Nν|² + |ν|² + w Σ(νᵢ² − 3) is a lower bound of Δχ² that only
-needs a linear equation. The code uses the maximum of these bounds over a few w.
+For any w ≥ 0 the unbounded minimum of |a − b − Nν|² + |ν|² + w Σ(νᵢ² − 3) is a lower bound of Δχ², and
+follows from a linear equation. The code uses the maximum of these bounds over a few w.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class _Products(NamedTuple):
     following: Array
     """(traces - 1,) each with the next one."""
     slack: float
-    """Subtracted from distances: the 3 w of each rig number."""
+    """Subtracted from distances: 3 w for each rig number."""
 
 
 def cause_distances(layout: Layout, gram: Array) -> Array:
@@ -52,7 +52,7 @@ def cause_distances(layout: Layout, gram: Array) -> Array:
 
 
 def nearest(layout: Layout, gram: Array, there: int, fitted: int) -> float:
-    """The value of its first parameter with which the cause `fitted` is most similar to the cause `there`."""
+    """The value of the first parameter of `fitted` at which this cause is most similar to `there`."""
     values, first = layout.values[fitted], layout.first[fitted]
     rows = slice(first, first + len(values))
     distance = np.full(len(values), -np.inf)

@@ -1,7 +1,8 @@
 """Chooses the runs of a plan within limits of time and air.
 
-Runs are added one by one: each time the run with the largest gain per share of the scarcer limit. Then runs
-are exchanged while that improves the plan. The gain is the reduction of `open_pairs`.
+Runs are added one by one. Each time, the run with the largest gain for its use of the scarcer limit (time or
+air) is added. Then runs are exchanged while that improves the plan. The gain is the reduction of
+`open_pairs`.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class RecordingBudget:
         return total_SL
 
     def share(self, parts: Sequence[CandidatePart]) -> float:
-        """Used share of the scarcer limit; above 1 the runs do not fit."""
+        """Used share of the scarcer limit (time or air); above 1 the runs do not fit."""
         time = sum(part.seconds for part in parts) / self._seconds
         return max(time, self.air_SL(parts) / self._air_SL) - _ROUNDING
 
@@ -47,13 +48,14 @@ def in_order(parts: Iterable[CandidatePart]) -> list[CandidatePart]:
 
 
 def gram_of(layout: Layout, parts: Iterable[CandidatePart]) -> Array:
-    """G of several runs together."""
+    """The matrix G (see `traces`) of several runs together."""
     return sum((part.gram for part in parts), start=layout.nothing)
 
 
 def choose(layout: Layout, parts: Sequence[CandidatePart], budget: RecordingBudget) -> list[CandidatePart]:
     """The runs of a plan, in the order of recording; at most one length of each candidate."""
-    # Lowering the reservoir to a low start pressure can use all the air, so each lowest pressure is tried.
+    # Lowering the reservoir to a low start pressure can use all the air. So one plan is made for each lowest
+    # start pressure, and the best plan is used.
     lowest = sorted({part.kind.reservoir_kPa for part in parts})
     plans = [_chosen(layout, [p for p in parts if p.kind.reservoir_kPa >= low], budget) for low in lowest]
     return in_order(min(plans, key=lambda chosen: _open(layout, gram_of(layout, chosen)), default=[]))

@@ -1,4 +1,4 @@
-"""The distance of two causes by a full fit of the diagnosis; checks the distance from the traces.
+"""The distance of two causes by a full fit, as in a diagnosis. It checks the distance from the traces.
 
 The runs of a plan are simulated with cause A in the rig, without noise, with the inputs of the nominal rig.
 Cause B is fitted to them as in a diagnosis: its strength, the rig numbers within their tolerances, and all

@@ -1,8 +1,9 @@
 """The candidate runs of a plan. Each shows some part of the rig and has several possible lengths.
 
 Runs of commands are pressures over time: the service and its firmware can do them. Runs of openings move the
-valves one by one, without a regulator. They show most about the valves, but need a rig that accepts openings.
-Their times are from the nominal rig, so that a small vine is filled for a shorter time than a large vessel.
+valves one by one, without a regulator. These runs show the most about the valves, but need a rig that accepts
+openings. The times of the openings are calculated for the nominal rig: a small vine is filled for a shorter
+time than a large vessel.
 """
 
 from __future__ import annotations
@@ -32,11 +33,11 @@ MAX_KPA = 20.7
 FULL_KPA, HALF_KPA, LOW_KPA = 690.0, 400.0, 180.0
 """Reservoir pressures at the start of a run, gauge. A Venturi has its rated vacuum from about 600 kPa on."""
 GUARD = 1.6
-"""A valve closes early at this multiple of its target pressure, because the real rig is not nominal."""
+"""Inflation ends early at this multiple of the target pressure, because the real rig may fill faster."""
 LOW_SHARE = 0.5
 """Maximum pressure of the control volume, over that of the reservoir, in runs from a part-full reservoir."""
 MOST_SHARE = 0.8
-"""The same for all runs: near the supply pressure, filling takes very long."""
+"""The same ratio for all runs: near the supply pressure, filling takes very long."""
 OUTLETS = ("evp", "dvp")
 """Inflation valve and the valve of the Venturi."""
 REST_S, MAX_REST_S = 40.0, 1800.0
@@ -141,7 +142,7 @@ def _openings(rig: Rig, cv: ControlVolume, most_kPa: float, supplies: Supplies) 
     half_kPa = supplies.get("half", full_kPa)
 
     def fill(supply_kPa: float, opening: float, to_kPa: float, share: float = 1.0) -> Valves:
-        """Inflation to `to_kPa` on the nominal rig, or a share of it."""
+        """Inflation to `to_kPa` on the nominal rig, or for a share of that time."""
         return Valves(
             for_s=_samples(share * filling_s(rig, cv, supply_kPa, opening, to_kPa)),
             evp=opening,

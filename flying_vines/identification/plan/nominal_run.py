@@ -32,7 +32,7 @@ from flying_vines.simulation.scenario.run_kinds import FIRMWARE_HZ, RunKind
 
 
 def nominal_run(rig: Rig, kind: RunKind) -> RecordedRun:
-    """The recorded run without readings."""
+    """The run as a recording; its readings are only placeholders: 0, or NaN without a control volume."""
     samples = max(1, round(kind.length_s * kind.sample_rate_Hz))
     time_s = np.arange(samples) / kind.sample_rate_Hz
     valves = valves_of(kind, random.Random(0))

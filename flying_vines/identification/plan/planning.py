@@ -43,7 +43,7 @@ MAX_S = 60.0
 """Maximum length of a recommended run."""
 MAX_RUNS = 3
 MIN_FALL = 0.2
-"""A further run is recommended if it separates this many more pairs."""
+"""A further run is recommended if it reduces the number of open pairs (`_left`) by at least this."""
 _NOTHING: Mapping[str, Values] = {}
 _FULL_FIT = 2.0 * SETTLED
 """Below this Δχ² a full fit replaces the lower bound from the traces."""

@@ -1,13 +1,15 @@
 """Traces: the effect of each cause on the readings of a run, and their inner products.
 
-Each cause is simulated by the diagnosis at several strengths, with the inputs of the run on the nominal rig.
-The difference to the baseline, in units of the sensors' noise, is its trace. The inner products of the traces
-contain everything that readings with independent noise can show. Those of a plan are sums over its runs:
+Each cause is simulated by the model of the diagnosis at several strengths, with the inputs of the run on the
+nominal rig. The difference from the baseline, in units of the sensors' noise, is its trace. The inner
+products of the traces contain everything that readings with independent noise can show. Those of a plan are
+sums over its runs:
 
     G = Σ traces · tracesᵀ
 
 The two initial pressures of each run are free, so their effect is projected out of G run by run. The rig
-numbers are common to all runs: each one, moved by its standard deviation, has its own row in G.
+numbers and the parameters of known causes are the same in all runs. Each of them has a row in G: its effect
+if it moves by its standard deviation.
 """
 
 from __future__ import annotations
@@ -128,7 +130,7 @@ def layout_of(
 
 
 def parts_of(layout: Layout, candidate: CandidateRun, max_s: float = inf) -> list[CandidatePart]:
-    """A candidate at each of its lengths up to `max_s`; a rig that fills slowly can have runs of hours."""
+    """A candidate at each of its lengths up to `max_s`: on a rig that fills slowly, runs can take hours."""
     counts = [count for count in candidate.counts if candidate.make(count).length_s <= max_s]
     if not counts:
         return []

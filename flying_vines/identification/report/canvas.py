@@ -1,4 +1,4 @@
-"""Shared by all figures of a report: width, type, colours, and the data that they compare."""
+"""Shared by all figures of a report: width, fonts, colours, and the data that the figures compare."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from flying_vines.plots.style import BLUE, ORANGE, plain
 WIDTH_IN = 6.4
 BEFORE, AFTER = ORANGE, BLUE
 MEASURED = "#b4bac3"
-"""Light, as the points are broad and lie below the lines."""
+"""A light colour, because the points are large and lie behind the lines."""
 INK = "#33383f"
 _LEGEND = 52
-"""Characters per line."""
+"""Characters per line of a legend."""
 _TYPE: dict[Any, Any] = {
     "font.size": 8.5,
     "axes.titlesize": 8.5,
@@ -53,7 +53,7 @@ def typeset() -> Iterator[None]:
 
 
 def blank(height_in: float) -> Figure:
-    """An empty figure of the common width. It needs no closing."""
+    """An empty figure of the common width. It need not be closed."""
     return Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
 
 
@@ -71,7 +71,7 @@ def models(verdict: Verdict) -> str:
 
 
 def extended(model: str) -> str:
-    """The extended model in a legend."""
+    """The text of a legend for the extended model."""
     return fill(f"extended: {model}", _LEGEND, break_long_words=False)
 
 

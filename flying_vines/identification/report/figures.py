@@ -42,7 +42,7 @@ MAX_RANKED = 16
 _LABEL = 48
 """Characters in a line of a candidate's label."""
 SEEN = 5.0
-"""Standard deviations. A weaker trace has no reliable direction."""
+"""A trace shorter than this many standard deviations has no reliable direction."""
 ALIKE = 0.95
 _WRITTEN = 0.5
 _DARK = 0.7
@@ -60,7 +60,7 @@ def figures(verdict: Verdict) -> dict[str, Figure]:
 
     Returns:
         by name: `unseen`, `run-1`… (of `verdict.evidence.runs`, counted from 1), `residuals`,
-        `autocorrelation`, `dependence`, `ranking`, `profiles` (only where a cause was fitted) and
+        `autocorrelation`, `dependence`, `ranking`, `profiles` (only if the best fit has a cause) and
         `likeness`. Gauge pressures in kPa, residuals in standard deviations of the noise. The figures belong
         to no window and need not be closed: `figure.savefig("run.pdf")`.
     """
@@ -129,7 +129,7 @@ def _color(tried: Tried, verdict: Verdict) -> str:
     named = {named.cause for named in verdict.named}
     if set(tried.causes) == named:
         return AFTER
-    # Purple: it replaces exactly one named cause by an indistinguishable one.
+    # Purple: the candidate replaces exactly one named cause by an indistinguishable cause.
     others = set(tried.causes) - named
     alike = len(others) == 1 and others <= set(verdict.indistinguishable)
     return PURPLE if alike and len(tried.causes) == len(named) else GREY
@@ -170,7 +170,7 @@ def draw_ranking(verdict: Verdict) -> Figure:
 
 
 def draw_profiles(verdict: Verdict) -> Figure:
-    """χ² above its minimum over each parameter of the named causes, others refitted; with 95 % intervals."""
+    """χ² above its minimum over each parameter of the best fit, others refitted; with 95 % intervals."""
     profiles = verdict.evidence.profiles
     across = min(_MAX_ACROSS, max(2, len(profiles)))
     down = -(-len(profiles) // across)
@@ -218,7 +218,7 @@ def curve(profile: LikelihoodProfile) -> tuple[Array, Array]:
 
 
 def draw_similarity(verdict: Verdict) -> Figure:
-    """Cosine similarity of the traces of each two visible causes, and how clearly each cause shows."""
+    """Cosine similarity of the traces of each pair of visible causes, and how clearly each cause shows."""
     similarity = verdict.evidence.similarity
     order = by_similarity(similarity)
     count = len(order)

@@ -20,6 +20,7 @@ from flying_vines.identification.report.residual_figures import same, strongest
 from flying_vines.identification.report.templates import TEMPLATES, filled
 from flying_vines.identification.report.words import chance, labelled, signed
 from flying_vines.identification.residuals import CHANNELS, Pattern
+from flying_vines.identification.search import CLAIM_LEFT, CLAIM_ON_BOUND
 from flying_vines.identification.show import in_words
 from flying_vines.identification.simulate import rig_number_keys
 from flying_vines.identification.verdict import NONE, UNEXPLAINED, Verdict
@@ -28,6 +29,8 @@ _CONSTANTS = {
     "ABOVE": ABOVE,
     "ALIKE": ALIKE,
     "CLAIM": CLAIM,
+    "CLAIM_LEFT": CLAIM_LEFT,
+    "CLAIM_ON_BOUND": CLAIM_ON_BOUND,
     "NONE": NONE,
     "STRETCHES": STRETCHES,
     "STRUCTURE": STRUCTURE,
@@ -104,7 +107,7 @@ def _numbers(verdict: Verdict, case: Case) -> Iterator[dict[str, str]]:
         group, name = key.split(".")
         nominal = getattr(getattr(case.rig, group), name)
         fitted = "nominal"
-        # A fit moves a number by a share of it, so 0 stays 0.
+        # A fit changes a number by a share of the number, so 0 stays 0.
         if key in verdict.numbers and nominal != 0.0:
             moved = signed(f"{100.0 * (verdict.numbers[key] / nominal - 1.0):+.2f}")
             fitted = f"{verdict.numbers[key]:,.5g} ({moved} %)"

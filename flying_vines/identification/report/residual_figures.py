@@ -145,7 +145,7 @@ def strongest(verdict: Verdict) -> list[Pattern]:
     """
     evidence = verdict.evidence
     leading = evidence.after if verdict.cause == UNEXPLAINED else evidence.before
-    # Beyond p = 1e-300 the pattern with the largest means is the strongest.
+    # Of patterns with p below 1e-300, the one with the largest means is the strongest.
     ranked = sorted(leading, key=lambda p: (-min(p.log_p, 300.0), -float(p.count @ p.mean**2)))
     kinds: dict[tuple[str, str], Pattern] = {}
     for pattern in ranked:
@@ -159,7 +159,7 @@ def strongest(verdict: Verdict) -> list[Pattern]:
 
 
 def _kind(feature: str) -> str:
-    """The kind of a feature. Times since a valve opened and since it closed are one kind: one is shown."""
+    """The kind of a feature. Times since a valve opened and since it closed are one kind."""
     return feature.rsplit(maxsplit=1)[0] if feature.startswith(_SINCE) else feature
 
 

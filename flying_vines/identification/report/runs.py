@@ -1,4 +1,4 @@
-"""Figure of one run, measured and simulated: whole, and where the simulations differ most."""
+"""Figure of one run, measured and simulated; the stretch in which the simulations differ most is enlarged."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from flying_vines.physics.arrays import Array, BoolArray
 from flying_vines.plots.style import BLUE, GREEN, GREY
 
 _ZOOM = 0.09
-"""Share of a run in the enlarged part, with at least `_MIN_ZOOM_S` and `_MIN_SAMPLES`."""
+"""Share of a run that is enlarged, at least `_MIN_ZOOM_S` and `_MIN_SAMPLES`."""
 _MIN_ZOOM_S = 1.5
 _MIN_SAMPLES = 25
 _MARKED = "#f1f2f4"
@@ -38,7 +38,7 @@ def model_difference(run: Compared, noise_kPa: tuple[float, float], model: str) 
 
 
 def draw_run(run: Compared, noise_kPa: tuple[float, float], model: str) -> Figure:
-    """Pressures above openings: the whole run left, the stretch of the largest difference right.
+    """Pressures above openings: the whole run on the left, the enlarged stretch on the right.
 
     Args:
         noise_kPa: standard deviations of the noise of control volume and reservoir.

@@ -20,7 +20,7 @@ _UNITS = {
     "_L": "L",
     "_s": "s",
 }
-"""Unit by the ending of a name, the longest ending first."""
+"""Unit by the ending of a name. The first that fits counts, so `_kPa_per_s` stands before `_s`."""
 _HUGE = 1e6
 _RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 _CHANCE = 1.3

@@ -25,7 +25,7 @@ def write_report(verdict: Verdict, case: Case, folder: Path) -> list[Path]:
     Args:
         verdict: the result of `diagnose(case)`.
         case: the data of the verdict.
-        folder: gets `report.html`, which opens offline; `verdict.json`, as `diagnose --json` prints it; and
+        folder: gets `report.html`, which opens offline; `verdict.json`, the content of `diagnose --json`; and
             each of `figures` as an SVG file. Existing files of these names are replaced.
 
     Returns:
