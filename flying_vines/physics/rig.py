@@ -187,7 +187,8 @@ def rig_from(content: Mapping[str, Any]) -> Rig:
     replaced = [table for table in WITHOUT_PUMP if table in content] if "pump" in content else []
     if replaced:
         raise RigError(
-            f"a rig with a [pump] has no [{replaced[0]}], because the pump takes its place: remove one."
+            f"a rig with a [pump] has no [{replaced[0]}], because the pump takes its place: "
+            "remove one of the two."
         )
     if "cv" not in content and ("pump" in content or "hose" in content):
         raise RigError("a pump or a hose needs a control volume: add [cv] with its volume_L.")

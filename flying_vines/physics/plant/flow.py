@@ -126,7 +126,7 @@ class Iso6358:
             self.one_way,
         )
         plain = opening._replace(cracking_kPa=0.0)
-        # The flow is steepest in the laminar part, at standard temperature.
+        # At standard temperature. Over the downstream pressure, the flow is steepest in the laminar part.
         laminar = min(self.laminar_ratio, 0.999)
         steepest = max(1.0, choked_share(plain, 1.0, laminar) / (1.0 - laminar))
         return opening._replace(

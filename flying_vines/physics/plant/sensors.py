@@ -16,7 +16,7 @@ class Adc:
     """A converter behind a ratiometric sensor, whose output is 10 … 90 % of its supply over the span.
 
     code = round(V · divider / reference · 2^bits), at most 2^bits − 1. Without a divider the converter of the
-    Teensy LC ends at 3.3 V, where a sensor of 206.8 kPa gives 145 kPa and one of 1500 kPa 1050 kPa.
+    Teensy LC ends at 3.3 V. This is 145 kPa for a sensor with a span of 206.8 kPa, and 1050 kPa for 1500 kPa.
     """
 
     bits: int = 10
@@ -122,7 +122,7 @@ _SHORT = 0.02
 
 
 class SensorMemory(NamedTuple):
-    """State of a sensor: true and lagged pressure at the last reading, kPa, and its time since the start."""
+    """State of a sensor at the last reading: true and lagged pressure, kPa, and time since the start."""
 
     true_kPa: float
     lagged_kPa: float
