@@ -1,6 +1,6 @@
 """The firmware's regulator alone, with any tuning and in double precision.
 
-It is the C++ code of the firmware's core. `regulator.h` there describes it and its tuning.
+This is the C++ code of the firmware's core. The core's `regulator.h` describes the regulator and its tuning.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def _standard() -> dict[str, float]:
 
 
 def standard_tuning() -> dict[str, float]:
-    """All tuning values. They suit vines of 0.05 to 1 L and supplies of 100 to 690 kPa."""
+    """The standard tuning. It suits vines of 0.05 to 1 L and supplies of 100 to 690 kPa."""
     return dict(_standard())
 
 
