@@ -51,7 +51,7 @@ class Parameter:
     """Upper bound of real rigs. A fit that ends on a bound is evidence against the cause, unless the
     parameter has a prior (`typical`)."""
     seeds: tuple[float, ...]
-    """Starting values of fits, far enough apart that one of them converges."""
+    """Starting values of fits, spread so that the fit converges from at least one of them."""
     neutral: float | None
     """The value without effect; may be infinite. None if every value has an effect."""
     source: str
@@ -137,7 +137,7 @@ class Cause:
     """The difference in the rig, in plain words."""
     parameters: tuple[Parameter, ...]
     experiment: str
-    """A recording of about a minute that shows it best."""
+    """The experiment whose recording shows the cause best."""
     apply: Callable[..., Setup] | None = None
     needs: tuple[str, ...] = ()
     """Tables of the rig file without which the cause has no effect."""

@@ -77,7 +77,8 @@ def sonic_conductance_ratio(gas: GasProperties) -> float:
     """Sonic conductance of an opening for this gas, divided by its sonic conductance for air.
 
     The choked mass flow of an ideal nozzle is A p √(γ M/(R T)) (2/(γ+1))^((γ+1)/(2(γ−1))). The standard
-    volume flow is the mass flow over the density. The density is proportional to M, so √M becomes 1/√M.
+    volume flow is the mass flow divided by the standard density, which is proportional to M. So √M becomes
+    1/√M.
     """
     return _choked(gas) / _choked(AIR)
 

@@ -104,7 +104,7 @@ class FlightReplay:
     differences: list[str] = field(default_factory=list)
     """The differences, one sentence each."""
     damage: str = ""
-    """The reason why the log ends before the flight; empty if the log is complete."""
+    """The reason why the log ends before the end of the flight; empty if the log is complete."""
 
 
 def replay_flight(log: FlightLog, config: Config | None = None) -> FlightReplay:
@@ -148,7 +148,7 @@ def replay_flight(log: FlightLog, config: Config | None = None) -> FlightReplay:
 
 
 def _since_the_service_began(log: FlightLog) -> list[FlightLog]:
-    """All logs of one service run up to this one: the core's state depends on the earlier ones."""
+    """This log and all earlier logs of the same service run, because the core's state depends on them."""
     logs = [log]
     while before := start_of(logs[0]).continues:
         earlier = FlightLog(logs[0].folder.parent / before)

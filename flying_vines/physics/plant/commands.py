@@ -16,7 +16,7 @@ error is 1e-4 of the loss."""
 
 
 class Steps(NamedTuple):
-    """Steps of one valve: `value[i]` holds from `time_s[i]` until the next; the first also holds before."""
+    """Steps of one valve: `value[i]` holds from `time_s[i]` until the next; `value[0]` also holds before."""
 
     time_s: Array
     value: Array
@@ -42,7 +42,7 @@ def together(commands: Commands) -> tuple[Array, Array]:
     times = np.unique(np.concatenate([steps.time_s for steps in commands]))
     openings = np.empty((len(times), 3))
     for column, (time_s, value) in enumerate(commands):
-        # The first step of a valve also holds before it.
+        # The first value of a valve also holds before its time.
         openings[:, column] = value[np.maximum(0, np.searchsorted(time_s, times, side="right") - 1)]
     return times, openings
 

@@ -48,7 +48,7 @@ def _directed(law: Opening, upstream: float, downstream: float, theta: float) ->
 
 
 def choked_share(law: Opening, upstream: float, downstream: float) -> float:
-    """φ of ISO 6358."""
+    """φ of ISO 6358: the flow as a share of the choked flow."""
     if upstream <= downstream:
         return 0.0
     b = law.critical_pressure_ratio

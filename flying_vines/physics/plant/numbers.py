@@ -63,7 +63,7 @@ class PlantNumbers(NamedTuple):
     line_hole: Opening
     """A leak from the valve end of the tubing to ambient."""
     has_edges: bool
-    """True if the right-hand side has kinks or jumps, at which a step must end."""
+    """True if the rates have kinks or jumps, at which an integration step must end."""
     standing_per_s: float
     """Upper bound of the rate constants of reservoir, walls and valve lags, at any valve openings."""
 

@@ -29,7 +29,7 @@ class Plant:
 
     @property
     def tubing(self) -> Hose | None:
-        """The tube before the control volume: that of the effects, otherwise the rig's hose."""
+        """The tube before the control volume: the tubing of the effects, or else the hose of the rig."""
         return self.effects.tubing or self.rig.hose
 
     @property
@@ -68,7 +68,7 @@ class State(NamedTuple):
 class Held(NamedTuple):
     """Constant during one integration step: the targets of the valves, and the state of the Venturi.
 
-    The targets are also constant during one tick.
+    The targets, with the solenoid, are constant during a whole tick.
     """
 
     evp_target: float

@@ -27,7 +27,7 @@ class Setup:
         """This setup with these fields of `Effects`.
 
         If the existing effect has every parameter that the new one sets, only these parameters change. If
-        not, the new effect replaces the existing one.
+        not, the new effect replaces the existing one. A parameter is set if it differs from its default.
         """
         there = self.plant.effects
         merged = {name: _merged(getattr(there, name), part) for name, part in parts.items()}

@@ -2,7 +2,7 @@
 
 The targets of the valves are constant within a tick. The gas is integrated by classical Runge-Kutta, in as
 many equal steps as the fastest rate needs; after a jump the steps are finer. A step ends at a kink or jump of
-the right-hand side (a bending pouch becomes full, the Venturi stalls).
+the rates (a bending pouch becomes full, the Venturi stalls).
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ _EFFECTS: dict[str, dict[str, type]] = {
     name: {kind.__name__.lower(): kind for kind in get_args(hint) if kind is not types.NoneType}
     for name, hint in get_type_hints(Effects).items()
 }
-"""For each field of `Effects`: its possible types, by the `kind` of the file."""
+"""For each field of `Effects`: its possible types, by their `kind` in a rig file."""
 _POSITIVE = ("gain", "scale")
 DEFINED_IN = "defined_in"
 """Key of a cause's file or package, if it is from outside this project."""
@@ -49,8 +49,8 @@ DEFINED_IN = "defined_in"
 class TrueRig:
     """A nominal rig, and the causes and effects of the real one. `setup` is the real rig.
 
-    `effects` are those that are given one by one; they replace the likely ones of the same names. A cause
-    that sets parameters of an existing effect leaves the other parameters as they are (see
+    `effects` are those that the file gives one by one; they replace the likely ones of the same names. A
+    cause that sets parameters of an existing effect leaves the other parameters as they are (see
     `Setup.with_effects`).
     """
 

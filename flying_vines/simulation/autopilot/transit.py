@@ -1,4 +1,4 @@
-"""Bytes between the autopilot and its links: a mute loses them, a stall delays them."""
+"""Bytes between the autopilot and its links: a mute drops them, a stall delays them."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ class ScenarioRun:
     true_cv_kPa: Array
     true_reservoir_kPa: Array
     faults: str
-    """The fault that ended the run and vented the vine; empty if none."""
+    """The fault that vented the vine for the rest of the run; empty if none."""
 
 
 def simulate(rig: Rig | TrueRig, run: RunKind, seed: int = 1, *, index: int = 0) -> ScenarioRun:

@@ -241,7 +241,7 @@ class ProfileRun(Common, tag="profile", frozen=True, kw_only=True):
 
     def check(self) -> None:
         if len(self.segments) * self.repeat > MAX_PIECES:
-            raise ValueError(f"repeat: unrolls the profile to more than {MAX_PIECES} segments")
+            raise ValueError(f"repeat: makes a profile of more than {MAX_PIECES} segments")
         for index, segment in enumerate(self.segments):
             for key in ("to", "from"):
                 if getattr(segment, f"{key}_deg", None) is not None:
