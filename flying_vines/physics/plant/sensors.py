@@ -189,7 +189,7 @@ def lagged_kPa(
     x = dt_s / time_constant_s
     left = exp(-x)
     if x < _SHORT:
-        # The recursion below would lose digits.
+        # For such a short step the recursion below would lose digits.
         middle_kPa = 0.5 * (from_kPa + to_kPa) + (first - last) / 8.0
         return before_kPa * left + x / 6.0 * (from_kPa * left + 4.0 * middle_kPa * exp(-0.5 * x) + to_kPa)
     one = 1.0 + (left - 1.0) / x

@@ -52,7 +52,7 @@ _UNPOWERED = Inputs(0.0, 0.0, False)
 
 
 class SimulatedPhlosar:
-    """Firmware and plant, stepped together at 1 kHz. Time starts at 0; `advance` sets it.
+    """Firmware and plant, stepped together at 1 kHz. Time starts at 0 and moves with `advance`.
 
     `rig` alone: all typical effects, and sensors behind a 12-bit converter. `rig` with `effects`: only these
     effects, and ideal sensors with noise; `Effects()` is the paper's ideal rig, and fast. A `TrueRig`

@@ -42,7 +42,7 @@ class Regulator:
     def __init__(self, tuning: Tuning | None = None, *, cv_kPa: float = 0.0) -> None:
         self.tuning = standard_tuning() | dict(tuning or {})
         if unknown := self.tuning.keys() - _standard().keys():
-            raise ValueError(f"the regulator has no {', '.join(sorted(unknown))}")
+            raise ValueError(f"the regulator has no tuning value {', '.join(sorted(unknown))}")
         self._library = load()
         self._memory = ctypes.create_string_buffer(self._library.phlosar_regulator_size())
         self.address = ctypes.addressof(self._memory)
