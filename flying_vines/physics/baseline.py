@@ -1,4 +1,4 @@
-"""The baseline simulation: isothermal gas, Ohm's law of flow, affine valves, rigid volumes.
+"""The baseline simulation: isothermal gas, Ohm's law of flow, flow proportional to opening, rigid volumes.
 
     Q_e = u_e (P_r − P_cv) / R_evp      into the control volume
     Q_m = u_d P_r / R_dvp               motive air through the Venturi

@@ -1,7 +1,8 @@
-"""A cause: a named effect that the baseline lacks, its parameters, and its change of a rig.
+"""A cause is a named effect that the baseline lacks. It has parameters, and a function that changes a rig.
 
-`apply` takes a plant with its sensors, and the parameters by name, and returns the plant with the effect. The
-simulation and the fit both run that plant. To add a cause, add a file to `effects` with one `CAUSE` in it.
+This function is `apply`. It takes a setup (a plant with its sensors) and the parameters by name, and returns
+the setup with the effect. The simulation and the fit both run this setup. To add a cause, add a file to
+`effects` with one `CAUSE` in it.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ if TYPE_CHECKING:
 
     from flying_vines.physics.plant.commands import Commands
 
-BESIDE = 0.03
-"""Share of a parameter's range between its neutral value and a value with an effect."""
+OFF_NEUTRAL = 0.03
+"""Step from a parameter's neutral value to a value with an effect, as a share of the parameter's range."""
 Values = tuple[float, ...]
 Sensor = Literal["cv", "reservoir"]
 
 
 class CauseError(RigError):
-    """A cause from outside this project cannot be used; the text is one line with file and line number."""
+    """A cause from outside this project cannot be used. The text is one line: file, line if known, reason."""
 
 
 class ModelReadings(NamedTuple):
@@ -47,9 +48,10 @@ class Parameter:
     low: float
     """Lower bound of real rigs."""
     high: float
-    """Upper bound of real rigs. A fit that ends on a bound is evidence against the cause."""
+    """Upper bound of real rigs. A fit that ends on a bound is evidence against the cause, unless the
+    parameter has a prior (`typical`)."""
     seeds: tuple[float, ...]
-    """Starting values of fits, far enough apart that one of them converges."""
+    """Starting values of fits, spread so that the fit converges from at least one of them."""
     neutral: float | None
     """The value without effect; may be infinite. None if every value has an effect."""
     source: str
@@ -59,9 +61,9 @@ class Parameter:
     typical: tuple[float, float] | None = None
     """Prior: mean and standard deviation over rigs, on the search scale."""
     of_largest: tuple[Sensor, float] | None = None
-    """A sensor and a share: the bounds are also within ± this share of its largest reading.
+    """A sensor and a share: the bounds are also within ± this share of the sensor's largest reading.
 
-    The sensor of a vessel at low pressure has a small span, and so small errors.
+    A vessel at low pressure has a sensor with a small span, and so with small errors.
     """
 
     def __post_init__(self) -> None:
@@ -73,7 +75,7 @@ class Parameter:
             raise ValueError(f"{self.name}: needs seeds between low and high")
 
     def within_readings(self, largest_kPa: Mapping[Sensor, float]) -> Parameter:
-        """This parameter with its bounds for sensors with these largest readings, kPa; 0 if not recorded."""
+        """This parameter with bounds limited by the largest readings (kPa; 0: sensor not recorded)."""
         if self.of_largest is None or not largest_kPa[self.of_largest[0]]:
             return self
         most = self.of_largest[1] * largest_kPa[self.of_largest[0]]
@@ -110,10 +112,10 @@ class Parameter:
         return abs(self.to_search(value) - self.to_search(self.neutral))
 
     def with_effect(self, value: float) -> float:
-        """The value; if it is neutral, a value that is higher by `BESIDE` of the range."""
+        """The value. A neutral value is raised by the share `OFF_NEUTRAL` of the range."""
         if value != self.neutral:
             return value
-        return self.to_model(self.to_search(value) + BESIDE * self.range)
+        return self.to_model(self.to_search(value) + OFF_NEUTRAL * self.range)
 
     def prior_penalty(self, searched: float) -> float:
         """Squared distance from the prior's mean, in standard deviations."""
@@ -135,7 +137,7 @@ class Cause:
     """The difference in the rig, in plain words."""
     parameters: tuple[Parameter, ...]
     experiment: str
-    """A recording of about a minute that shows it best."""
+    """The experiment whose recording shows the cause best."""
     apply: Callable[..., Setup] | None = None
     needs: tuple[str, ...] = ()
     """Tables of the rig file without which the cause has no effect."""
@@ -144,8 +146,8 @@ class Cause:
     readings: Callable[[ModelReadings, Values], ModelReadings] | None = None
     """A further change of the readings; only used in fits."""
     law_of: str = ""
-    """Set if several causes describe the same thing, such as a leak: the name of this thing; otherwise empty.
-    A set of causes contains at most one of them."""
+    """Name of a thing that several causes describe by different laws, such as "a leak of the reservoir". A
+    set of causes has at most one of these causes. Empty if only this cause describes the thing."""
     defined_in: str = ""
     """File or package of a cause from outside this project."""
 
@@ -154,7 +156,7 @@ class Cause:
             raise ValueError(f"{self.name!r} is not a name of a cause: use letters, digits and _")
 
     def within_readings(self, largest_kPa: Mapping[Sensor, float]) -> Cause:
-        """This cause with its bounds for sensors with these largest readings, kPa; 0 if not recorded."""
+        """This cause with bounds limited by the largest readings (kPa; 0: sensor not recorded)."""
         return replace(self, parameters=tuple(p.within_readings(largest_kPa) for p in self.parameters))
 
     def excludes(self, other: Cause) -> bool:

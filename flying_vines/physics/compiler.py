@@ -38,8 +38,9 @@ class NoCompiler(ImportError):
 def compiled(function: F, not_inlined: tuple[Callable[..., Any], ...] = ()) -> F:
     """The function, compiled at its first call (some seconds; less than a second from the cache).
 
-    It takes numbers, tuples of numbers, arrays, and `record`s. The functions that it calls are inlined,
-    except `not_inlined`: large ones that are called from several places. Raises NoCompiler without numba.
+    The arguments may be numbers, tuples of numbers, arrays and `record`s. All functions that the function
+    calls are inlined, except those in `not_inlined`: large functions that are called from several places.
+    Raises NoCompiler without numba.
     """
     try:
         import numba
@@ -50,7 +51,7 @@ def compiled(function: F, not_inlined: tuple[Callable[..., Any], ...] = ()) -> F
     with _CONFIG_LOCK:
         before = config.CACHE_DIR
         try:
-            # numba reads this setting only here.
+            # numba reads this setting only during `njit`.
             config.CACHE_DIR = str(folder or before)
             entry = numba.njit(
                 _rebuilt(function, not_inlined), error_model="numpy", nogil=True, cache=folder is not None
@@ -136,7 +137,7 @@ def _part(function: FunctionType, not_inlined: tuple[Callable[..., Any], ...]) -
 
 
 def _called(function: Callable[..., Any]) -> dict[str, FunctionType]:
-    """This project's functions that the function calls, by their names in it."""
+    """The functions of this project that a function calls, by the names that it uses for them."""
     return {
         name: value
         for name, value in _globals(function).items()
@@ -154,7 +155,7 @@ def _content(function: Callable[..., Any]) -> Iterator[object]:
     """Everything that determines the machine code of a function and its callees."""
     code = function.__code__
     constants = tuple(constant for constant in code.co_consts if constant != function.__doc__)
-    # The cached code imports its modules by name.
+    # The module's name counts too: the cached code imports modules by name.
     yield function.__module__, code.co_code, constants, code.co_names, code.co_varnames
     for name, value in _globals(function).items():
         if not callable(value) or hasattr(value, "_fields"):
@@ -164,7 +165,7 @@ def _content(function: Callable[..., Any]) -> Iterator[object]:
 
 
 def _cache_folder(function: Callable[..., Any]) -> Path | None:
-    """Cache folder of a function, by the hash of its sources; None if no folder can be written."""
+    """Cache folder of a function, named by the hash of its `_content`; None if it cannot be written."""
     digest = hashlib.sha256(repr(list(_content(function))).encode())
     try:
         root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")

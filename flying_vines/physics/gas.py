@@ -1,6 +1,6 @@
 """The gas of a rig: its ratio of specific heats and its molar mass.
 
-One gas fills the whole rig. Ambient air that flows back into it is counted as the same gas.
+One gas fills the whole rig. Ambient air that flows back into the rig counts as the same gas.
 """
 
 from __future__ import annotations
@@ -74,10 +74,11 @@ def nozzle_critical_ratio(gamma: float) -> float:
 
 
 def sonic_conductance_ratio(gas: GasProperties) -> float:
-    """Sonic conductance with this gas over that with air, of the same opening.
+    """Sonic conductance of an opening for this gas, divided by its sonic conductance for air.
 
     The choked mass flow of an ideal nozzle is A p √(γ M/(R T)) (2/(γ+1))^((γ+1)/(2(γ−1))). The standard
-    volume flow is the mass flow over the density. The density is proportional to M, so √M becomes 1/√M.
+    volume flow is the mass flow divided by the standard density, which is proportional to M. So √M becomes
+    1/√M.
     """
     return _choked(gas) / _choked(AIR)
 

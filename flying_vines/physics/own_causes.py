@@ -23,7 +23,7 @@ ENTRY_POINTS = "flying_vines.causes"
 def read_causes(path: Path | str) -> tuple[Cause, ...]:
     """The causes that a Python file defines. The file is run.
 
-    Raises CauseError, one line with file and line number, if it cannot be read or has an error.
+    Raises CauseError if the file cannot be read or has an error.
     """
     path = Path(path)
     module = ModuleType(f"cause_file_{path.stem}")
@@ -61,7 +61,7 @@ def _loaded(point: EntryPoint) -> Cause:
 
 
 def _checked(cause: Cause, where: str) -> Cause:
-    """The cause. It is applied once to a default rig, so that errors appear now."""
+    """Returns the cause after applying it once to a default rig, so that its errors appear now."""
     if cause.apply is None:
         raise CauseError(f"{where}: cause {cause.name} needs apply=: a function that changes a rig")
     values = dict(zip([p.name for p in cause.parameters], cause.seeds()[0], strict=True))
@@ -70,7 +70,7 @@ def _checked(cause: Cause, where: str) -> Cause:
 
 
 def _located(error: BaseException, path: str) -> str:
-    """The error, with its last line in this file."""
+    """The error's text, with the last line of this file in the traceback."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == path]
     where = f"{path}:{lines[-1]}" if lines else path
     return f"{where}: {type(error).__name__}: {error}"

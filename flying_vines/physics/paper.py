@@ -3,8 +3,8 @@
 Equations have the paper's numbers, (1) to (8). Pressures are kPa gauge unless named otherwise, volumes
 litres, flows standard litres per second, flow resistances kPa·s/SL.
 
-The first argument of a function may be an array if its type says so. numpy is imported only for arrays: the
-companion computer, which only needs Eq. 4 and 8, works without it.
+The first argument of a function may be an array if its type is `Value`. numpy is imported only for arrays:
+the companion computer, which needs only Eq. 4, works without numpy.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ STANDARD_DENSITY_KG_PER_M3 = 1.2041
 def alpha_kPa() -> float:
     """α = ρ Rᵤ T / M, kPa (paper, below Eq. 1 and 3): the pressure that a standard litre adds to one litre.
 
-    By the gas law it is the pressure of the standard state. The equations below use `ALPHA_KPA`.
+    By the gas law, α equals the standard pressure. The equations below use `ALPHA_KPA`.
     """
     density = STANDARD_DENSITY_KG_PER_M3
     return density * GAS_CONSTANT_J_PER_MOL_K * STANDARD_TEMPERATURE_K / AIR_MOLAR_MASS_KG_PER_MOL / 1000.0
@@ -136,7 +136,7 @@ def sine_peak_rate_kPa_per_s(frequency_Hz: Value, amplitude_kPa: float) -> Value
 
     Args:
         frequency_Hz: ω, Hz.
-        amplitude_kPa: A, half of peak to peak, kPa. (What the paper calls A is peak to peak.)
+        amplitude_kPa: A, half of peak to peak, kPa. (The paper's A is peak to peak.)
     """
     return 2.0 * math.pi * amplitude_kPa * frequency_Hz
 
@@ -170,7 +170,7 @@ def cutoff_Hz(rate_kPa_per_s: Value, amplitude_kPa: float) -> Value:
 
     Args:
         rate_kPa_per_s: the greatest dP_cv/dt, kPa/s.
-        amplitude_kPa: A, half of peak to peak, kPa. (What the paper calls A is peak to peak.)
+        amplitude_kPa: A, half of peak to peak, kPa. (The paper's A is peak to peak.)
     """
     return rate_kPa_per_s / (2.0 * math.pi * amplitude_kPa)
 
@@ -186,8 +186,8 @@ def n_cycles(
 ) -> Value:
     """n = ½ (P_r0 / V_cv − R_v dP_cv/dt / α) V_r / ΔP_cv (paper, Eq. 8): cycles left.
 
-    It is negative below `min_reservoir_kPa`, where the reservoir cannot give the wanted rate. The control
-    volume is rigid, and the Venturi uses as much air as the inflation.
+    n is negative below `min_reservoir_kPa`, where the reservoir cannot give the wanted rate. Eq. 8 assumes a
+    rigid control volume, and a Venturi that uses as much air as the inflation.
 
     Args:
         reservoir_kPa: P_r0, kPa gauge.
@@ -218,8 +218,8 @@ def pouch_fill_SL(
 ) -> float:
     """V_cv (P_a + ΔP) / α, standard litres: the air for a pouch that is flat before each inflation.
 
-    A pouch is a bending pouch of the actuator. It is not in the paper: Sec. VI-B assumes a rigid control
-    volume.
+    The pouch is the part of the actuator that bends. The paper has no pouch: Sec. VI-B assumes a rigid
+    control volume.
 
     Args:
         swing_kPa: ΔP_cv, kPa gauge at the end of the inflation.

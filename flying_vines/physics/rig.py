@@ -62,7 +62,8 @@ class Solenoid:
 
 @dataclass(frozen=True)
 class Venturi:
-    """The vacuum pump. A supply of at least `rated_supply_kPa` (gauge) gives `full_vacuum_kPa`."""
+    """The vacuum pump. With DVP fully open, a supply of `rated_supply_kPa` (gauge) or more gives
+    `full_vacuum_kPa`."""
 
     full_vacuum_kPa: Annotated[float, msgspec.Meta(ge=0, le=STANDARD_PRESSURE_KPA)] = 55.0
     rated_supply_kPa: Positive = 600.0
@@ -113,8 +114,8 @@ class Rig:
     """A rig. `cv` is None if the reservoir discharges to atmosphere. With a `pump` the rig has no reservoir,
     EVP, DVP and Venturi: their numbers have no meaning.
 
-    `tolerance_percent` has the tolerances in the file, by keys such as `reservoir.volume_L`. `tolerance` also
-    gives the default for the other keys.
+    `tolerance_percent` has the tolerances that the file gives, by keys such as `reservoir.volume_L`. For
+    other keys `tolerance` returns the default.
     """
 
     reservoir: Reservoir = Reservoir()
@@ -187,7 +188,8 @@ def rig_from(content: Mapping[str, Any]) -> Rig:
     replaced = [table for table in WITHOUT_PUMP if table in content] if "pump" in content else []
     if replaced:
         raise RigError(
-            f"a rig with a [pump] has no [{replaced[0]}], because the pump takes its place: remove one."
+            f"a rig with a [pump] has no [{replaced[0]}], because the pump takes its place: "
+            "remove one of the two."
         )
     if "cv" not in content and ("pump" in content or "hose" in content):
         raise RigError("a pump or a hose needs a control volume: add [cv] with its volume_L.")

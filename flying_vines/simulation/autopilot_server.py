@@ -16,16 +16,16 @@ Script = Sequence[tuple[float, Callable[[FakeAutopilot], None]]]
 
 PACE_S = 0.01
 MAX_CLIENTS = 8
-"""Maximum TCP clients on all ports together, like the ports of an autopilot."""
+"""Maximum number of TCP clients on all TCP ports together, because an autopilot has few ports."""
 MAX_QUEUED_BYTES = 64 * 1024
 
 
 class AutopilotServer:
     """Connects an autopilot with a companion and a ground station on UDP, and with TCP clients.
 
-    Each peer has its own port of the autopilot, like the serial ports of a real one. UDP peers answer to the
-    sender's address. They need not listen yet: frames to a closed port are lost. A new TCP client gets the
-    port of a client that has left. The autopilot must be new; call `run` only once.
+    Each peer has its own port of the autopilot, as if it had its own serial port. UDP peers must answer to
+    the sender's address. They may start later: until then their frames are lost. A TCP client gets a free
+    port; this may be the port of a client that has left. The autopilot must be new; call `run` only once.
     """
 
     def __init__(
@@ -124,7 +124,7 @@ class AutopilotServer:
 
 
 class _UdpPeer(asyncio.DatagramProtocol):
-    """One UDP peer. Frames are sent even if nobody listens."""
+    """One UDP peer. Frames are sent even if the peer does not listen."""
 
     def __init__(self, server: AutopilotServer, link: str) -> None:
         self._server = server
@@ -139,7 +139,7 @@ class _UdpPeer(asyncio.DatagramProtocol):
         self._server.receive(self._link, data)
 
     def error_received(self, exc: Exception) -> None:
-        """Nobody listens yet: the frame is lost, as on a serial line without a receiver."""
+        """The peer does not listen: the frame is lost, as on a serial line without a receiver."""
 
     def send(self, frame: bytes) -> bool:
         if self._transport is None or self._transport.is_closing():

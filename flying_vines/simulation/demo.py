@@ -52,7 +52,7 @@ MIN_WIDTH_FOR_VINE = 110
 
 @dataclass
 class World:
-    """What a step can act on and check."""
+    """Everything that a step can act on and check."""
 
     config: Config
     autopilot: FakeAutopilot
@@ -63,7 +63,7 @@ class World:
     snapshot: Snapshot | None = None
 
     def decided(self, since: float, trigger: str, safety: str, reason: str = "", **what: object) -> bool:
-        """True if there was such a decision about a trigger since this time."""
+        """True if a decision since this time has this trigger, verdict and reason, and these details."""
         return any(
             d.t >= since
             and (d.trigger, d.safety) == (trigger, safety)
@@ -81,7 +81,7 @@ class World:
 
     @property
     def vented(self) -> bool:
-        """The plant's true state, not telemetry."""
+        """True if the vine is vented in the plant itself, and not only in telemetry."""
         return self.phlosar.cv_kPa < 1.0 and self.phlosar.drive.evp == 0.0
 
 
@@ -94,7 +94,7 @@ class Expectation:
     met: Callable[[World, float], bool]
     """Arguments: the world, and the start time of the step."""
     lasts: bool = False
-    """The condition must hold during the whole `within_s`."""
+    """True if the condition must hold during the whole `within_s`."""
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,9 @@ from missions.flight_result import FlightResult
 from missions.report import Report
 
 GROUND_S = 8.0
-"""Time before take-off, in which the service finds the autopilot and reads the mission."""
+"""Time before take-off, in which the core finds the autopilot and reads the mission."""
 LATE_S = 60.0
-"""The flight is stopped this long after its planned end."""
+"""The simulation ends this long after the planned end of the flight, even if the vehicle still flies."""
 TURN_S = 1.0
 
 
@@ -43,7 +43,7 @@ def fly(
     one with the configuration's numbers.
     """
     began = perf_counter()
-    # There is no person to arm the pneumatics.
+    # Nobody arms the pneumatics in a simulation.
     interlocks = msgspec.structs.replace(config.interlocks, armed_at_start=True)
     config = msgspec.structs.replace(config, interlocks=interlocks)
     autopilot = FakeAutopilot(kind, mission=items, home=home)

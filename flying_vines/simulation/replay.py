@@ -1,7 +1,8 @@
 """Feeds recordings to the core.
 
-`replay` feeds any recorded MAVLink stream; a simulated phloSAR answers. `replay_flight` feeds a flight log,
-which contains all input of the core, and compares all answers with those of the flight.
+`replay` feeds any recorded MAVLink stream; a simulated phloSAR answers the core. `replay_flight` feeds a
+flight log, which contains all input of the core. It compares the core's answers (messages, decisions,
+notices, …) with the answers in the log.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 from flying_vines.vehicle.mission.item import MissionItem
 
 GAP_S = 0.5
-"""Maximum time from the last event of a log to the start of its continuation. More: some input is missing."""
+"""Maximum time from the last event of a log to the start of the next log. After a longer time, some input is
+missing."""
 
 
 def replay(
@@ -57,7 +59,7 @@ def replay(
 
     Times of actions count from the first frame. `pace`: 1 is the recorded speed, 2 twice as fast, 0 as fast
     as possible. A frame with an earlier time than its predecessor gets the predecessor's time. If the core
-    requests a mission item, it gets the last recorded item with this number.
+    requests a mission item, it gets the latest item with this number so far.
     """
     world = SimulatedWorld(config, mission=mission, prior=prior, stored=StoredState(dict(parameters or {})))
     codec = MavlinkCodec(config.vehicle.system_id, config.vehicle.component_id)
@@ -98,15 +100,15 @@ class FlightReplay:
     compared: Counter[str] = field(default_factory=Counter)
     """Number of equal answers, by topic."""
     began: float = 0.0
-    """The start on the service's clock."""
+    """Start of the flight on the service's clock."""
     differences: list[str] = field(default_factory=list)
     """The differences, one sentence each."""
     damage: str = ""
-    """Why the log ends before the end of the flight; else empty."""
+    """The reason why the log ends before the end of the flight; empty if the log is complete."""
 
 
 def replay_flight(log: FlightLog, config: Config | None = None) -> FlightReplay:
-    """Feed a flight's input to a new core, and compare the answers.
+    """Feed a flight's input to a new core, and compare its answers with those of the flight.
 
     `config` replaces the flight's own configuration, to show its effect. Raises `LogError` if the log does
     not contain the start of the core.
@@ -146,7 +148,7 @@ def replay_flight(log: FlightLog, config: Config | None = None) -> FlightReplay:
 
 
 def _since_the_service_began(log: FlightLog) -> list[FlightLog]:
-    """All logs of one service run up to this one: the core's state depends on the earlier ones."""
+    """This log and all earlier logs of the same service run, because the core's state depends on them."""
     logs = [log]
     while before := start_of(logs[0]).continues:
         earlier = FlightLog(logs[0].folder.parent / before)
@@ -174,7 +176,7 @@ def _core(log: FlightLog, start: Start, config: Config | None) -> CrashSafeCore:
 
 
 def _answers(t: float, action: Action) -> list[tuple[str, object]]:
-    """The log entries that an action makes, if any."""
+    """The entry that the log would have for an action; empty if the replay does not compare it."""
     if isinstance(action, ToVehicle):
         action.message.pack(mavlink.MAVLink(None, srcSystem=action.system_id))
     entry = entry_of_action(t, action)

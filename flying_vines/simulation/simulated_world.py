@@ -54,7 +54,7 @@ class SimulatedWorld:
         stored: StoredState | None = None,
     ) -> None:
         self.core = Core(config, mission, prior, stored)
-        # By default the ideal plant, because it is fast.
+        # The default is the ideal plant, because it is fast.
         self.phlosar = phlosar or SimulatedPhlosar(
             effects=Effects(), reservoir_kPa=config.pneumatics.full_kPa
         )
@@ -96,7 +96,7 @@ class SimulatedWorld:
 
 
 class SimulatedFlight:
-    """A core between a simulated autopilot and phloSAR. Between two `run` calls you may act on either.
+    """A core between a simulated autopilot and phloSAR. You may act on both of them between two `run` calls.
 
     `from_autopilot` is the wire for the autopilot's frames; replace it to simulate errors.
     """
@@ -130,7 +130,7 @@ class SimulatedFlight:
         return done
 
     def stall(self, until_t: float) -> list[Action]:
-        """The companion computer pauses until `until_t`; then it receives all delayed messages together."""
+        """The companion computer pauses until `until_t`; then it receives the delayed messages together."""
         return self._exchange(until_t, self.world.stall(until_t))
 
     def _exchange(self, t: float, core_actions: Iterator[Action]) -> list[Action]:

@@ -55,7 +55,7 @@ MISHAPS = "\n".join(
         f"{', '.join(places)}:\n  {' · '.join(words)}"
         for words, places in groupby(PLACES, lambda place: [words_for(place, word) for word in PLACES[place]])
     ]
-    + ["any place:\n  well (repairs it)\nwell (repairs everything)"]
+    + ["any place:\n  well (repairs this place)\nwell (repairs everything)"]
 )
 
 
@@ -78,7 +78,10 @@ def inject_typed(phlosar: SimulatedPhlosar, line: str) -> str:
 
 
 async def type_to(obeyed: Callable[[str], str]) -> None:
-    """Pass typed lines to `obeyed` until the input ends. Returns at once without an input (as a service)."""
+    """Pass typed lines to `obeyed` until the input ends.
+
+    Returns at once if the standard input is not a terminal, pipe or socket, as in a service.
+    """
     kind = os.fstat(sys.stdin.fileno()).st_mode
     if not (sys.stdin.isatty() or stat.S_ISFIFO(kind) or stat.S_ISSOCK(kind)):
         return

@@ -103,7 +103,7 @@ def test_settings_reach_the_core() -> None:
         Firmware({"dead_man_ms": 301})
     with pytest.raises(ValueError, match="no setting tolerated_kPa"):
         Firmware({"tolerated_kPa": 0.5})
-    with pytest.raises(ValueError, match="regulator has no cv_limit_kPa"):
+    with pytest.raises(ValueError, match="regulator has no tuning value cv_limit_kPa"):
         Regulator({"cv_limit_kPa": 0.5})
 
 

@@ -185,7 +185,7 @@ def test_a_reader_of_the_nominal_rig_does_not_get_the_true_one(tmp_path: Path) -
         ("[cv]\n[causes.cv_leek]", "causes.cv_leek is not a cause: the causes are none, ambient_drop,"),
         ("[cv]\n[causes.cv_leak]", "causes.cv_leak.flow_resistance_kPa_s_per_SL is missing."),
         ("[cv]\n[causes.cv_leak]\nR = 3", "causes.cv_leak.R is not a parameter: the parameters are flow_"),
-        ("[cv]\n[causes.none]\nR = 3", "causes.none.R is not a parameter: it has none."),
+        ("[cv]\n[causes.none]\nR = 3", "causes.none.R is not a parameter: there are none."),
         (
             "[cv]\n[causes.cv_leak]\nflow_resistance_kPa_s_per_SL = -1",
             "causes.cv_leak: a flow resistance must be positive.",

@@ -137,7 +137,7 @@ PRBS = RUN + 'kind = "prbs"\nduration_s = 1\n'
             + 'kind = "profile"\nrepeat = 1000\nsegments = ['
             + '{ kind = "hold", for_s = 1 },' * 11
             + "]",
-            "runs[0].repeat: unrolls the profile to more than 10000 segments",
+            "runs[0].repeat: makes a profile of more than 10000 segments",
         ),
         (
             RUN + 'kind = "profile"\nsegments = [{ kind = "step", to_deg = 3 }]',

@@ -1,8 +1,8 @@
 """The effects that a rig may have and a diagnosis may name: one file each, with one `CAUSE`.
 
 A file has the effect on a plant and its sensors, the parameters with bounds and sources, and the experiment
-that shows the effect. The simulation, the fit and the rig file all use it. Names and definitions are those of
-the rig-data format.
+that shows the effect. The simulation, the fit and the rig file use these files. Names and definitions are
+those of the rig-data format.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def catalogue() -> tuple[Cause, ...]:
 def add_causes(causes: Iterable[Cause]) -> None:
     """Add causes to the catalogue of this process. Raises CauseError if a name is taken.
 
-    A cause that was added before from the same place is replaced.
+    A cause replaces an earlier added cause of the same name from the same file or package.
     """
     before, new = list(_added), list(causes)
     again = {(cause.name, cause.defined_in) for cause in new}

@@ -2,10 +2,10 @@
 
     Q = u C p₁ φ(p₂/p₁),   φ = 1 for p₂/p₁ ≤ b, else √(1 − ((p₂/p₁ − b)/(1 − b))²)
 
-Pressures are absolute. Above p₂/p₁ = 0.999 φ falls linearly to 0, as in MathWorks' "Orifice ISO 6358 (G)":
-with the root alone, the derivatives of an empty vessel's pressure would be noisy. C is chosen so that a fully
-open valve has the flow of Ohm's law from 690 to 0 kPa gauge at 101.325 kPa ambient. There is no backflow. ISO
-6358-1:2013.
+Pressures are absolute. Above p₂/p₁ = 0.999 φ falls linearly to 0, as in MathWorks' "Orifice ISO 6358 (G)".
+With the square root alone, a fit's derivatives of the pressure in an almost empty vessel would be noisy. C is
+chosen so that a fully open valve has the flow of Ohm's law from 690 to 0 kPa gauge at 101.325 kPa ambient.
+There is no backflow. ISO 6358-1:2013.
 """
 
 from __future__ import annotations

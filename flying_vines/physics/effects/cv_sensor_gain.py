@@ -1,4 +1,4 @@
-"""The control volume's sensor reads gain times the true pressure."""
+"""The control volume's sensor reads `gain` times the true pressure."""
 
 from __future__ import annotations
 

@@ -39,6 +39,6 @@ CAUSE = Cause(
             source="heat capacity times thermal resistance: 1 J/K · 2 K/W to 40 J/K · 40 K/W",
         ),
     ),
-    experiment="Hold the inflation valve open for minutes, from a cold start, into the open outlet.",
+    experiment="From a cold start, hold the inflation valve open for minutes, with the outlet open.",
     apply=apply,
 )

@@ -1,5 +1,5 @@
 """The inflation valve (EVP) has backlash of full width w: its opening stays within w/2 of the command, and
-only moves when it must. A command of 0 shuts it and resets the backlash.
+only moves when it must. A command of 0 shuts the valve and resets the backlash.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The flow resistance of the inflation valve (EVP) and its supply line is scale times the nominal one."""
+"""The inflation valve (EVP) and its supply line have `scale` times the nominal flow resistance."""
 
 from __future__ import annotations
 

@@ -36,7 +36,8 @@ CAUSE = Cause(
             seeds=(0.02,),
             neutral=0.0,
             logarithmic=True,
-            # A volume on its lower bound is no evidence against a hose: perhaps only its resistance matters.
+            # With a prior, a volume on its bound is no evidence against the hose. This is intended: there are
+            # hoses of which only the resistance matters.
             typical=(log(0.0126), log(3.0)),
             source="from 8 cm of 4 mm bore (little effect) to a second vessel of 10 L; typical: 1 m, ×÷ 3",
         ),

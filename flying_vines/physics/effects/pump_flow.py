@@ -1,4 +1,4 @@
-"""The pump's free flow is scale times the nominal one."""
+"""The pump's free flow is `scale` times the nominal flow."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ CAUSE = Cause(
             seeds=(1.0,),
             neutral=1.0,
             logarithmic=True,
-            source="from a worn pump or half its voltage to the largest pump of a series",
+            source="from a worn pump, or one at half voltage, to the largest pump of a series",
         ),
     ),
     experiment="Run the pump into the empty control volume from rest, several times.",

@@ -1,4 +1,4 @@
-"""The pump's stall pressure is scale times the nominal one."""
+"""The pump's stall pressure is `scale` times the nominal pressure."""
 
 from __future__ import annotations
 

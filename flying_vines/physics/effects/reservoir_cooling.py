@@ -30,7 +30,7 @@ CAUSE = Cause(
             neutral=0.0,
             logarithmic=True,
             source=(
-                "stuffed with fine wire, conduction d²/(π² a) across 2 mm of air: 0.02 s; a 2 L bottle with "
+                "full of fine wire, with conduction d²/(π² a) over 2 mm of air: 0.02 s; a 2 L bottle with "
                 "natural convection: about 10 s; a 50 L cylinder: minutes"
             ),
         ),

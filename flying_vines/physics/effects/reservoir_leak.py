@@ -22,7 +22,7 @@ CAUSE = Cause(
             seeds=(3e3, 3e5),
             neutral=float("inf"),
             logarithmic=True,
-            source="from a hole of 2 mm (100) to a bottle tight for a month (1e8)",
+            source="from a hole of 2 mm (100) to a bottle that is tight for a month (1e8)",
         ),
     ),
     experiment="Fill the reservoir, shut all valves, and record its pressure for a minute.",

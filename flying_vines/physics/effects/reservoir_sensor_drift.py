@@ -1,4 +1,4 @@
-"""The reservoir's sensor drifts: its offset changes in a straight line from the start of the recording."""
+"""The reservoir's sensor drifts: its offset changes linearly from the start of the recording on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The reservoir's sensor reads gain times the true pressure."""
+"""The reservoir's sensor reads `gain` times the true pressure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The volume of the reservoir is scale times the nominal one."""
+"""The volume of the reservoir is `scale` times the nominal volume."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a duty cycle to the current of a coil: voltage drop of the driver, and warming of the copper.
+"""Current of a valve's coil at a duty cycle, with the driver's voltage drop and the warming of the copper.
 
     i = u (V_s − V_d) / (R (1 + a (T − 293.15 K)) + R_d)        share of full command = i / i_full
     C dT/dt = i² R(T) − (T − T_a) / R_th
@@ -55,7 +55,7 @@ def current_A(coil: Coil, duty: float, temperature_K: float) -> float:
 def temperature_after_K(
     coil: Coil, temperature_K: float, current: float, ambient_K: float, dt_s: float
 ) -> float:
-    """The coil's temperature `dt_s` later, with constant current and resistance (exact for these)."""
+    """The coil's temperature `dt_s` later; exact if current and resistance are constant."""
     warmer_K = current * current * resistance_ohm(coil, temperature_K) * coil.thermal_resistance_K_per_W
     if coil.thermal_resistance_K_per_W == 0.0:
         return ambient_K

@@ -11,11 +11,12 @@ from flying_vines.physics.compiler import compiled
 from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion, backlash, dead_zone
 
 HEATED_PART = 0.02
-"""A warming valve's loss is constant over this share of its time constant. The error is 1e-4 of the loss."""
+"""The opening that a warming valve loses is computed once for this share of its heating time constant. The
+error is 1e-4 of the loss."""
 
 
 class Steps(NamedTuple):
-    """Steps of one valve: `value[i]` holds from `time_s[i]` until the next; the first also holds before."""
+    """Steps of one valve: `value[i]` holds from `time_s[i]` until the next; `value[0]` also holds before."""
 
     time_s: Array
     value: Array
@@ -41,7 +42,7 @@ def together(commands: Commands) -> tuple[Array, Array]:
     times = np.unique(np.concatenate([steps.time_s for steps in commands]))
     openings = np.empty((len(times), 3))
     for column, (time_s, value) in enumerate(commands):
-        # The first step of a valve also holds before it.
+        # The first value of a valve also holds before its time.
         openings[:, column] = value[np.maximum(0, np.searchsorted(time_s, times, side="right") - 1)]
     return times, openings
 
@@ -53,9 +54,9 @@ def followed(
     solenoid: SolenoidTiming | None,
     until_s: float,
 ) -> Commands:
-    """The openings after delays, backlash, dead zones and heating, up to `until_s`, at exact times.
+    """The openings up to `until_s`: the commands after delays, backlash, dead zones and heating.
 
-    The integrator adds the lags.
+    Their times are not rounded to ticks. The integrator adds the lags.
     """
     return Commands(
         _moved(commands.evp, evp, until_s) if evp else commands.evp,
@@ -81,7 +82,7 @@ def _moved(commands: Steps, motion: ValveMotion, until_s: float) -> Steps:
 def _heated(time_s: Array, driven: Array, value: Array, motion: ValveMotion, until_s: float) -> Steps:
     """Openings of a valve whose coil warms up; `driven` are its commands, before backlash and dead zone.
 
-    The last opening holds until `until_s`. The loss is constant over parts that are short against the
+    The last opening holds until `until_s`. The loss is computed for parts that are short against the
     heating's time constant.
     """
     lasts_s = np.diff(time_s, append=max(until_s, time_s[-1]))
@@ -101,7 +102,7 @@ def _heated(time_s: Array, driven: Array, value: Array, motion: ValveMotion, unt
 
 
 def moved_openings(commands: Array, backlash_width: float, dead_opening: float) -> Array:
-    """Openings of a valve with backlash and a dead zone, which is shut at first."""
+    """Openings of a valve that has backlash and a dead zone, and is shut at first."""
     moved = np.empty(len(commands))
     held = 0.0
     for i in range(len(commands)):

@@ -1,8 +1,8 @@
 """The compiled plant: a whole run in one call, for fits, benchmarks and batches of rigs.
 
 `replay` runs a plant with given openings. The closed loop with the firmware's regulator is
-`flying_vines.simulation.phlosar.closed_loop.closed_loop`. Both return a `CompiledRun`. Needs numba: pip
-install 'flying-vines[analysis]'.
+`flying_vines.simulation.phlosar.closed_loop.closed_loop`. Both functions return a `CompiledRun` and
+need numba: pip install 'flying-vines[analysis]'.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ def replay(
     """Run the plant from `state` (default: `at_rest`) with the commands `openings`.
 
     `openings` has a row for every tick of `TICK_S`: EVP 0…1, DVP 0…1, solenoid 0 or 1. Sensors are perfect by
-    default, and have no noise without a `seed`. `initial` and the results are those of `Simulator`. The table
-    has a row for the start of every `record_every`-th tick.
+    default, and have no noise without a `seed`. `initial` means the same as in `Simulator`, and the results
+    are the same. The table has a row for the start of every `record_every`-th tick.
     """
     commands = np.ascontiguousarray(openings, np.float64)
     if commands.ndim != 2 or commands.shape[1] != 3:
@@ -74,7 +74,7 @@ def replay(
 
 
 def batch(run: Callable[[T], R], items: Iterable[T], *, threads: int = 1) -> list[R]:
-    """`run` of each item, in several threads: compiled runs release the GIL.
+    """Calls `run` for each item, in several threads: compiled runs release the GIL.
 
     batch(lambda plant: replay(plant, openings), plants, threads=4)
     """
@@ -97,7 +97,10 @@ def named(table: Table) -> NDArray[np.void]:
 
 
 def weather_of(plant: Plant, n_ticks: int, tick_s: float) -> Table:
-    """Ambient air at the start of each tick and at the end of the last: kPa absolute, temperature ratio."""
+    """Ambient air at the start of each tick and at the end of the last: kPa absolute, temperature ratio.
+
+    Steady air has a single row.
+    """
     ambient = plant.ambient
     if isinstance(ambient, Steady):
         return np.array([[ambient.pressure_kPa, ambient.temperature_K / STANDARD_TEMPERATURE_K]])

@@ -1,4 +1,4 @@
-"""A leak's flow as any function of pressure: a curve of straight lines, which the compiled plant can read.
+"""A leak's flow as any function of pressure. It becomes a curve of straight lines for the compiled plant.
 
 rig.with_effects(cv_leak_curve=curve_of(lambda p_kPa: 1e-4 * max(0.0, p_kPa - 12.0) ** 0.5))
 """
@@ -13,7 +13,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 PIECES = 64
-"""Straight lines of a curve. They end at up_to · (i/PIECES)², so they are shorter near ambient pressure."""
+"""Number of straight lines in a curve. They end at up_to · (i/PIECES)², so the first ones are short."""
 
 
 class CurveNumbers(NamedTuple):
@@ -26,7 +26,7 @@ class CurveNumbers(NamedTuple):
 
 
 def curve_SL_per_s(curve: CurveNumbers, gauge_kPa: float) -> float:
-    """Flow out; below ambient pressure the same flow in. Beyond its end the last line continues."""
+    """Flow out; below ambient pressure the same flow comes in. Beyond the curve its last line continues."""
     pressure = abs(gauge_kPa)
     piece = min(int(PIECES * math.sqrt(pressure / curve.up_to_kPa)), PIECES - 1)
     unit = curve.up_to_kPa / PIECES**2
@@ -68,8 +68,8 @@ def curve_of(flow_SL_per_s: Callable[[float], float], up_to_kPa: float = 200.0) 
     """The curve of a function from gauge pressure in kPa to flow in SL/s (20 °C, 101.325 kPa).
 
     The function is called at 65 pressures from 0 to `up_to_kPa`, closer together near 0. Beyond them the
-    last line continues; below ambient pressure the same flow comes in. ValueError if its flow at 0 is not 0,
-    or falls.
+    last line continues; below ambient pressure the same flow comes in. ValueError if the flow at 0 kPa
+    is not 0, or if the flow falls anywhere.
     """
     return Curve(tuple((p, float(flow_SL_per_s(p))) for p in _ends_kPa(up_to_kPa)))
 

@@ -1,7 +1,7 @@
-"""A long Runge-Kutta step of a plant with tubing, whatever the tubing's time constant is.
+"""A Runge-Kutta step of a plant with tubing. The step may be longer than the tubing's time constant.
 
-The tick of the plant does not need it, because its steps resolve the tubing. A fit with a short hose does: a
-hose of 3 kPa·s/SL and 3 mL comes into balance within 0.1 ms.
+`tick` does not need this step, because it makes its own steps as short as the tubing requires. A fit with a
+short hose needs it: a hose of 3 kPa·s/SL and 3 mL has a time constant of 0.09 ms.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from flying_vines.physics.plant.volume import pressure_and_volume
 
 
 def tubing_per_s(numbers: PlantNumbers, air: Air, state: Floats, held: Held) -> tuple[float, float]:
-    """The rate at which tubing and control volume balance, and d(p V)/dp of the control volume in L.
+    """The rate constant of the balance of tubing and control volume; d(p V)/dp of the control volume, L.
 
-    The rate is 0 without tubing.
+    The rate constant is 0 without tubing.
     """
     if not numbers.has_tubing:
         return 0.0, 0.0
@@ -46,9 +46,10 @@ def exponential_runge_kutta(
 ) -> Floats:
     """A Runge-Kutta step with tubing of any time constant; the last arguments are from `tubing_per_s`.
 
-    The slow variables are the sums over tubing and control volume: of their air, and of their p V. The flow
-    between the two cancels in a sum, so no step loses air. The fast variable is the air in the tubing minus
-    its share `kappa` of p V in balance. It decays exponentially (ETDRK4, Cox & Matthews 2002).
+    The slow variables are two sums over tubing and control volume: the sum of their air, and the sum of their
+    p V. The flow between tubing and control volume cancels in a sum, so no step loses air. The fast variable
+    is the air in the tubing minus its value in balance, which is `kappa` times the sum of p V. The fast
+    variable decays exponentially (ETDRK4, Cox & Matthews 2002).
     """
     s0, s1, s2, s3, s4, s5, s6, s7, s8, s9 = state
     decay = per_s * dt_s

@@ -48,7 +48,7 @@ def _directed(law: Opening, upstream: float, downstream: float, theta: float) ->
 
 
 def choked_share(law: Opening, upstream: float, downstream: float) -> float:
-    """φ of ISO 6358."""
+    """φ of ISO 6358: the flow as a share of the choked flow."""
     if upstream <= downstream:
         return 0.0
     b = law.critical_pressure_ratio
@@ -126,7 +126,7 @@ class Iso6358:
             self.one_way,
         )
         plain = opening._replace(cracking_kPa=0.0)
-        # The flow is steepest in the laminar part, at standard temperature.
+        # At standard temperature. Over the downstream pressure, the flow is steepest in the laminar part.
         laminar = min(self.laminar_ratio, 0.999)
         steepest = max(1.0, choked_share(plain, 1.0, laminar) / (1.0 - laminar))
         return opening._replace(

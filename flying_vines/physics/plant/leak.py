@@ -1,4 +1,4 @@
-"""The laws of leaks, and all leaks of one volume to ambient together:
+"""The laws of leaks, and the total leak of one volume to ambient:
 
     Q = (p − p_a) (1/R + (p + p_a)/C) + the flow of an orifice + a curve over p − p_a
 
@@ -41,7 +41,7 @@ ORIFICE_CRITICAL_RATIO = 0.5
 
 
 def orifice(sonic_conductance_SL_per_s_kPa: float, gas: GasProperties = AIR) -> Iso6358:
-    """A hole in a wall. Its critical ratio changes with the gas as that of an ideal nozzle."""
+    """A hole in a wall. For another gas, its critical ratio is scaled like that of an ideal nozzle."""
     share = nozzle_critical_ratio(gas.gamma) / nozzle_critical_ratio(AIR.gamma)
     return Iso6358(sonic_conductance_SL_per_s_kPa, ORIFICE_CRITICAL_RATIO * share)
 
@@ -54,7 +54,7 @@ class Leak(NamedTuple):
     orifice: Opening = Opening()
     curve: CurveNumbers = CurveNumbers()
     steepest_SL_per_s_kPa: float = 0.0
-    """Maximum change of the flow per kPa."""
+    """Maximum change of the flow per kPa of pressure."""
 
 
 def leak_SL_per_s(leak: Leak, p: float, ambient_kPa: float, ratio: float, ambient_ratio: float) -> float:

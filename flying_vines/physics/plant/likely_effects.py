@@ -19,7 +19,7 @@ SOLENOID = Iso6358(3.65e-3)
 
 
 def likely_effects(*, pouch: bool = True) -> Effects:
-    """The probable effects. With a pouch the control volume must be larger than 0.01 L, its flat volume.
+    """The probable effects. With a pouch the control volume must be larger than the flat pouch (0.01 L).
 
     The 2 L reservoir leaks 6 % of its gauge pressure in two minutes.
     """

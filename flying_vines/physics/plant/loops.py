@@ -52,11 +52,12 @@ def run_openings(
 ) -> Floats:
     """The final state. Each row of `commands` (EVP, DVP, solenoid) is one tick.
 
-    Valves and sensors are settled at the start.
-
+    At the start, sensors are settled, backlash is that of a shut valve, and coils are at ambient temperature.
     `start` are the commands before the run, for the solenoid and for valves with a delay. A row of `table` is
-    filled every `every` ticks. `weather` (kPa absolute, temperature ratio) has a row for the start of each
-    tick and one for the end, `noise` (CV, reservoir) one for each tick; if they are constant, they have a
+    filled every `every` ticks.
+
+    `weather` (kPa absolute, temperature ratio) has a row for the start of each tick, and one for the end of
+    the last tick. `noise` (CV, reservoir) has a row for each tick. Constant weather and no noise have a
     single row.
     """
     s0, s1, s2, s3, s4, s5, s6, s7, s8, s9 = state

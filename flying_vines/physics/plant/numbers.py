@@ -1,4 +1,4 @@
-"""A plant as plain numbers, for the right-hand side.
+"""A plant as plain numbers, for its differential equations in `rates`.
 
 An effect that the plant does not have gets neutral numbers. So the functions of `rates` and `tick` are the
 same for every plant, and numba can compile them.
@@ -64,9 +64,9 @@ class PlantNumbers(NamedTuple):
     line_hole: Opening
     """A leak from the valve end of the tubing to ambient."""
     has_edges: bool
-    """True if the right-hand side has kinks or jumps, at which a step must end."""
+    """True if the rates have kinks or jumps, at which an integration step must end."""
     standing_per_s: float
-    """Upper bound of the rate constants that do not depend on valve openings and volume."""
+    """Upper bound of the rate constants of reservoir, walls and valve lags, at any valve openings."""
 
 
 def numbers_of(plant: Plant, tick_s: float) -> PlantNumbers:
@@ -160,5 +160,5 @@ def _valve(
 
 
 def heat_per_s(heat: Heat, volume_L: float) -> float:
-    """Rate constant of the heat exchange between wall and gas at half an atmosphere."""
+    """Upper bound of the rate constants of heat exchange (gas and wall), at half an atmosphere or more."""
     return heat.per_air / ALPHA_KPA + heat.fixed / (0.5 * ALPHA_KPA * volume_L) + heat.wall_per_s

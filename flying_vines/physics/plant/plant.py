@@ -29,7 +29,7 @@ class Plant:
 
     @property
     def tubing(self) -> Hose | None:
-        """The tube before the control volume: that of the effects, otherwise the rig's hose."""
+        """The tube before the control volume: the tubing of the effects, or else the hose of the rig."""
         return self.effects.tubing or self.rig.hose
 
     @property
@@ -40,7 +40,7 @@ class Plant:
 
     @property
     def cv_volume_L(self) -> float:
-        """Nominal volume at ambient pressure. Without a control volume 1 L, into which nothing flows."""
+        """Nominal volume of the control volume; 1 L, into which nothing flows, if the rig has none."""
         return 1.0 if self.rig.cv is None else self.rig.cv.volume_L
 
 
@@ -66,7 +66,10 @@ class State(NamedTuple):
 
 
 class Held(NamedTuple):
-    """Constant during one tick: the targets of the valves, and the state of the Venturi."""
+    """Constant during one integration step: the targets of the valves, and the state of the Venturi.
+
+    The targets, with the solenoid, are constant during a whole tick.
+    """
 
     evp_target: float
     dvp_target: float

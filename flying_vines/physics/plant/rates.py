@@ -1,14 +1,15 @@
-"""The right-hand side: all flows, and the change of the state.
+"""The differential equations of the plant: all flows, and the rate of the state.
 
     dn/dt     = ΣQ                                          air of each volume, SL
-    dE/dt     = γ α Σθ Q + q + (γ−1) (V − V_min) dp_a/dt    where gas has a temperature of its own, kPa·L/s
+    dE/dt     = γ α Σθ Q + q + (γ−1) (V − V_min) dp_a/dt    if the gas has its own temperature, kPa·L/s
     q         = (α n / τ + (γ−1) hA · 293.15 K) (θ_w − θ)   kPa·L/s
     C_w dT_w/dt = −q/(γ−1) + h_o A_o (T_a − T_w)
     dx/dt     = (target − x) / τ                            valves with lag
 
-Every flow has the temperature of its source; throttling does not change it (ideal gas). In the reservoir
-E = p V. In the control volume E = p V + (γ−1) · (work on wall and ambient), see `volume.py`. So only a change
-of ambient pressure adds a work term.
+Every flow has the temperature of its source, because throttling does not change the temperature of an ideal
+gas. (`Wall.inflow_at_ambient` is an exception.) In the reservoir E = p V. In the control volume
+E = p V + (γ−1) · (work on wall and ambient), see `volume.py`. So only a change of ambient pressure adds a
+work term.
 
 These are plain functions over tuples of numbers, so that `compiled` can compile them.
 """
@@ -225,7 +226,7 @@ def edges(numbers: PlantNumbers, air: Air, at_s: float, state: Floats) -> tuple[
 
 
 def quickest_per_s(numbers: PlantNumbers, air: Air, state: Floats, held: Held) -> float:
-    """Upper bound of the fastest rate constant (1/s) in a tick from here; it sets the step size."""
+    """Upper bound of the fastest rate constant (1/s) in a tick from this state on. It sets the step size."""
     if not numbers.has_cv:
         return numbers.standing_per_s
     through = max(state[7], held.evp_target) * numbers.evp.law.steepest_SL_per_s_kPa

@@ -16,7 +16,7 @@ class Adc:
     """A converter behind a ratiometric sensor, whose output is 10 … 90 % of its supply over the span.
 
     code = round(V · divider / reference · 2^bits), at most 2^bits − 1. Without a divider the converter of the
-    Teensy LC ends at 3.3 V, where a sensor of 206.8 kPa gives 145 kPa and one of 1500 kPa 1050 kPa.
+    Teensy LC ends at 3.3 V. This is 145 kPa for a sensor with a span of 206.8 kPa, and 1050 kPa for 1500 kPa.
     """
 
     bits: int = 10
@@ -122,7 +122,7 @@ _SHORT = 0.02
 
 
 class SensorMemory(NamedTuple):
-    """State of a sensor: true and lagged pressure at the last reading, kPa, and its time since the start."""
+    """State of a sensor at the last reading: true and lagged pressure, kPa, and time since the start."""
 
     true_kPa: float
     lagged_kPa: float
@@ -189,7 +189,7 @@ def lagged_kPa(
     x = dt_s / time_constant_s
     left = exp(-x)
     if x < _SHORT:
-        # The recursion below would lose digits.
+        # For such a short step the recursion below would lose digits.
         middle_kPa = 0.5 * (from_kPa + to_kPa) + (first - last) / 8.0
         return before_kPa * left + x / 6.0 * (from_kPa * left + 4.0 * middle_kPa * exp(-0.5 * x) + to_kPa)
     one = 1.0 + (left - 1.0) / x

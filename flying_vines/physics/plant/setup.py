@@ -27,7 +27,7 @@ class Setup:
         """This setup with these fields of `Effects`.
 
         If the existing effect has every parameter that the new one sets, only these parameters change. If
-        not, the new effect replaces it.
+        not, the new effect replaces the existing one. A parameter is set if it differs from its default.
         """
         there = self.plant.effects
         merged = {name: _merged(getattr(there, name), part) for name, part in parts.items()}
@@ -35,7 +35,7 @@ class Setup:
 
 
 def perfect(rig: Rig, effects: Effects | None = None) -> Setup:
-    """The rig with these effects (default: none) and perfect sensors with the rig's noise."""
+    """The rig with these effects (default: none). Its sensors have the rig's noise and no other error."""
     return Setup(
         Plant(rig, effects or Effects()),
         Sensor(206.84, noise_std_kPa=rig.sensors.cv_noise_std_kPa),
@@ -44,7 +44,7 @@ def perfect(rig: Rig, effects: Effects | None = None) -> Setup:
 
 
 def changed(part: Any) -> dict[str, Any]:
-    """Fields of a description that differ from their defaults."""
+    """The fields of a dataclass that differ from their defaults."""
     return {f.name: v for f in fields(part) if (v := getattr(part, f.name)) != f.default}
 
 

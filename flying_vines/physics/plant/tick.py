@@ -2,7 +2,7 @@
 
 The targets of the valves are constant within a tick. The gas is integrated by classical Runge-Kutta, in as
 many equal steps as the fastest rate needs; after a jump the steps are finer. A step ends at a kink or jump of
-the right-hand side (a bending pouch becomes full, the Venturi stalls).
+the rates (a bending pouch becomes full, the Venturi stalls).
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from flying_vines.physics.plant.valve_response import (
 )
 
 _MAX_STEP = 2.3
-"""Maximum step in fastest time constants; Runge-Kutta is stable up to 2.8."""
+"""Maximum step, in units of the fastest time constant. Runge-Kutta is stable up to 2.8."""
 _SHORT_STEP = 0.25
-"""A step below this, in fastest time constants, needs no refinement."""
+"""A step below this, in units of the fastest time constant, needs no refinement."""
 _FINER = 3
 """Refinement factor after a valve jump, a solenoid switch, or an edge."""
 _FINE_TICKS = 3
@@ -40,7 +40,7 @@ _ARRIVED = 1e-9
 _GRAZE = 1e-7
 """A change of sign by less than this (kPa, kPa·L) does not count as crossing an edge."""
 _MAX_PARTS = 3
-"""How often a tick may be divided at edges: the number of edges of a plant."""
+"""Maximum number of times that a tick is divided at edges: a plant has three edges."""
 
 
 class ValveMemory(NamedTuple):
@@ -115,11 +115,11 @@ def tick(
             after = runge_kutta(numbers, air, done_s, state, held, part_s)
             found = edges(numbers, air, done_s + part_s, after)
             share = _first_crossing(seen, found)
-            # Runge-Kutta over a jump is only as accurate as Euler.
+            # Runge-Kutta over a jump is only as accurate as Euler: repeat the step up to the edge.
             if share < 1.0 and divided < _MAX_PARTS:
                 divided += 1
                 fine_ticks = _FINE_TICKS
-                # Just beyond the edge, so that the next step is on the other side.
+                # The step ends just beyond the edge, so that the next step begins on the other side.
                 part_s *= min(1.0, share + 1e-6)
                 after = runge_kutta(numbers, air, done_s, state, held, part_s)
                 found = edges(numbers, air, done_s + part_s, after)
@@ -175,7 +175,7 @@ def runge_kutta(
 ) -> Floats:
     """The classical Runge-Kutta step of the gas; openings with a lag are exact.
 
-    It is written out because loops would be slower.
+    The stages are written out because loops would be slower.
     """
     h = dt_s / 2.0
     s0, s1, s2, s3, s4, s5, s6, s7, s8, s9 = state

@@ -11,8 +11,8 @@
     kind = "iso6358"
     sonic_conductance_SL_per_s_kPa = 4.95e-4
 
-Without `[causes]` and `[effects]` it is a plain rig file: the real rig is nominal. An empty `[causes]` means
-that a diagnosis has found no cause.
+Without `[causes]` and `[effects]` this is a plain rig file: the real rig is nominal. An empty `[causes]`
+means that a diagnosis has found no cause.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _EFFECTS: dict[str, dict[str, type]] = {
     name: {kind.__name__.lower(): kind for kind in get_args(hint) if kind is not types.NoneType}
     for name, hint in get_type_hints(Effects).items()
 }
-"""For each effect: its types, by kind."""
+"""For each field of `Effects`: its possible types, by their `kind` in a rig file."""
 _POSITIVE = ("gain", "scale")
 DEFINED_IN = "defined_in"
 """Key of a cause's file or package, if it is from outside this project."""
@@ -49,8 +49,9 @@ DEFINED_IN = "defined_in"
 class TrueRig:
     """A nominal rig, and the causes and effects of the real one. `setup` is the real rig.
 
-    `effects` are those that are given one by one; they replace the likely ones of the same names. A cause
-    only changes its own parameters of an existing effect.
+    `effects` are those that the file gives one by one; they replace the likely ones of the same names. A
+    cause that sets parameters of an existing effect leaves the other parameters as they are (see
+    `Setup.with_effects`).
     """
 
     nominal: Rig = field(default_factory=Rig)
@@ -178,7 +179,7 @@ def _caused(made: Setup, name: str, parameters: Mapping[str, float]) -> Setup:
             raise RigError(f"{where}.{parameter} is missing.")
     try:
         caused = cause.put_into(made, parameters)
-        # The cause may have moved numbers of the rig out of their range.
+        # The cause may have set a number of the rig outside its range.
         msgspec.convert(asdict(caused.plant.rig), Rig)
         return caused
     except msgspec.ValidationError:
@@ -248,7 +249,7 @@ def _numbers(value: Any, where: str) -> dict[str, float]:
 
 
 def _listed(names: Sequence[str]) -> str:
-    return f"the parameters are {', '.join(names)}" if names else "it has none"
+    return f"the parameters are {', '.join(names)}" if names else "there are none"
 
 
 def _as_text(parameters: Mapping[str, float]) -> str:

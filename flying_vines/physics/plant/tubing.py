@@ -1,7 +1,8 @@
 """The tube between the valves and the control volume: a small volume and a resistance.
 
-The valves and the pressure sensor are at its near end. Its gas is at ambient temperature (assumption: the
-wall is large for so little gas), and Q = (P_line − P_cv) / R flows into the control volume.
+The valves and the pressure sensor are at one end of the tube, the control volume is at the other. The gas in
+the tube is at ambient temperature (assumption: the wall is large for so little gas). The flow into the
+control volume is Q = (P_line − P_cv) / R.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""How a valve follows its command; and a solenoid's delays.
+"""How a valve follows its command, and the delays of a solenoid.
 
-Delay, backlash, dead zone, heating and lag act in this order. The first four change once a tick of the
-firmware; delays are whole ticks. The lag dx/dt = (target − x) / τ is exact for any step.
+Delay, backlash, dead zone, heating and lag act in this order. In `tick` the first four change once per tick
+of the firmware, and delays are whole ticks. (Fits use the exact times of `commands.followed`.) The lag is
+exact for any step: dx/dt = (target − x) / τ.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ class ValveMotion:
 
     `backlash_width` is the full width of the backlash as a share of full command; a command of 0 shuts the
     valve and resets the backlash. `dead_opening` is the command up to which the valve stays shut. A driven
-    coil warms up, dw/dt = (u − w) / `heating_time_s`, and the valve loses the share w · `heating_share`.
+    coil warms up: dw/dt = (u − w) / `heating_time_s`. The valve then loses the share w · `heating_share` of
+    its opening.
     """
 
     delay_s: float = 0.0
@@ -43,7 +45,7 @@ CLIPPARD_DVP = ValveMotion(delay_s=0.004, backlash_width=0.1, dead_opening=0.3, 
 
 @dataclass(frozen=True)
 class SolenoidTiming:
-    """Delays of a solenoid: it only switches after the command has lasted for this time."""
+    """Delays of a solenoid: it switches after the command has lasted for this time."""
 
     opening_s: float = 0.0
     closing_s: float = 0.0
@@ -58,7 +60,7 @@ HUAMEI_12V = SolenoidTiming(opening_s=0.010, closing_s=0.020)
 
 
 def backlash(held: float, command: float, width: float) -> float:
-    """The play operator: the value within width/2 of the command that is nearest to `held`."""
+    """The play operator: of all values within width/2 of the command, the one nearest to `held`."""
     if command <= 0.0:
         return 0.0
     half = width / 2.0

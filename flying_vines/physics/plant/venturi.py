@@ -1,4 +1,4 @@
-"""The Venturi: its vacuum and its suction, and their dependence on the supply.
+"""The Venturi: its vacuum and its suction flow, and how both depend on the supply.
 
 The Venturi of the baseline gives P_vac = full_vacuum · u_d · min(1, P_r / rated_supply) at any suction flow.
 """
@@ -35,10 +35,10 @@ class Ejector:
     """Effects of a Venturi. With the defaults it is the Venturi of the baseline.
 
     `stall_supply_kPa`: below this supply (gauge) P_vac = 0.
-    `nozzle_conductance_SL_per_s_kPa`: the nozzle in series with the supply valve, which then follows ISO
+    `nozzle_conductance_SL_per_s_kPa`: the nozzle in series with the supply valve, which must then follow ISO
     6358. The vacuum follows the pressure before the nozzle: P_vac = full_vacuum · min(1, P_n / rated_supply).
-    `free_suction_per_motive`: suction without vacuum, as a share of the motive flow. It falls linearly to 0
-    at full vacuum: Q = Q_free (1 − vacuum at the port / P_vac).
+    `free_suction_per_motive`: suction flow Q_free without vacuum, as a share of the motive flow. The suction
+    flow falls linearly to 0 at full vacuum: Q = Q_free (1 − vacuum at the port / P_vac).
     `passage_resistance_kPa_s_per_SL`: resistance for flow beyond Q_free, and for backflow.
     `scales_with_ambient`: thin air gives less vacuum, P_vac · p_a / 101.325.
 
@@ -78,7 +78,8 @@ class Ejector:
 COVAL_VR09 = Ejector(
     nozzle_conductance_SL_per_s_kPa=1.185e-3, free_suction_per_motive=0.6, scales_with_ambient=True
 )
-"""0.9 mm nozzle (45.7 SLPM from 643 kPa absolute), free suction 0.4 to 0.8 of the consumption. Assumption."""
+"""A nozzle of 0.9 mm: 45.7 SLPM from 643 kPa absolute. Assumption: free suction is 0.6 of the consumption,
+within the usual 0.4 to 0.8."""
 
 
 def nozzle_supply(
@@ -88,7 +89,7 @@ def nozzle_supply(
 
     Two openings in series, each with Q = C √(p₁² − p₂²), which is ISO 6358 with b = 0:
     Q² = (p₁² − p_a²) / (1/C_v² + 1/C_n²), p_n² = p_a² + Q²/C_n². b = 0 is an assumption: the flow at 690 kPa
-    is 7 % lower than with b = 0.3, but the law is smooth down to zero pressure.
+    is 6 % lower than with b = 0.3, but the law is smooth down to zero pressure.
     """
     if valve_SL_per_s_kPa <= 0.0 or supply_kPa_abs <= ambient_kPa:
         return 0.0, ambient_kPa
@@ -123,7 +124,7 @@ def supply(
         )
         motive /= sqrt(ratio)
         vacuum = min(1.0, (before - ambient_kPa) / venturi.rated_supply_kPa)
-    # The Venturi reaches the same ratio of lowest to ambient pressure at any altitude.
+    # The lowest pressure that the Venturi reaches is the same share of ambient pressure at any altitude.
     if venturi.scales_with_ambient:
         vacuum *= ambient_kPa / STANDARD_PRESSURE_KPA
     return motive, venturi.full_vacuum_kPa * vacuum
@@ -141,7 +142,8 @@ def outlet_SL_per_s(
 ) -> float:
     """Flow out of the control volume (absolute pressure `p`) through the open solenoid and the ejector.
 
-    Both flows are equal, which gives the pressure between them. With an ohmic solenoid both are linear.
+    Solenoid and ejector have the same flow; this condition gives the pressure between them. With an ohmic
+    solenoid both flows are linear in this pressure.
     """
     if venturi.unlimited:
         return flow_SL_per_s(solenoid, p, ambient_kPa - vacuum_kPa, ratio, ambient_ratio)
@@ -174,10 +176,13 @@ def _elliptic(
     vacuum_kPa: float,
     free: float,
 ) -> float:
-    """The flow where the ISO 6358 law with m = 1/2, an ellipse in r, crosses the line of the ejector."""
+    """The flow that solenoid and ejector have in common, if the solenoid follows ISO 6358 with m = 1/2.
+
+    r is the pressure between solenoid and ejector, divided by p. Over r, the solenoid's flow is an ellipse
+    and the ejector's flow is a line. Both cross at the result.
+    """
     b, laminar = solenoid.critical_pressure_ratio, solenoid.laminar_ratio
-    # The line, start + slope · r, has a kink at ambient pressure. r is the pressure between solenoid and
-    # ejector, divided by p.
+    # The ejector's flow is start + slope · r. It has a kink at ambient pressure.
     if vacuum_kPa <= 0.0 or (
         p > ambient_kPa and flow_SL_per_s(solenoid, p, ambient_kPa, ratio, ambient_ratio) > free
     ):
@@ -242,7 +247,7 @@ def _port(
 ) -> float:
     """The pressure between solenoid and ejector at which both flows are equal."""
     a, b = ambient_kPa - vacuum_kPa, p
-    # The line of the ejector has a kink at ambient pressure: find the side with the root.
+    # The ejector's flow has a kink at ambient pressure: find the side with the root.
     if a < ambient_kPa < b:
         if (
             _surplus(venturi, solenoid, ambient_kPa, p, ratio, ambient_kPa, ambient_ratio, vacuum_kPa, free)

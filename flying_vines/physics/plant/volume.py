@@ -1,11 +1,11 @@
 """Shape of the control volume: rigid, compliant, or a bending pouch that first fills at ambient pressure.
 
-The state of the gas is E = p V + g W. W = ∫ p dV is the work on wall and ambient since the smallest volume.
-g is γ − 1 for gas with its own temperature, and 0 for isothermal gas. E is the state because its rate is
-continuous; the rate of p V jumps when a pouch becomes full.
+The state of the gas is E = p V + g W. W = ∫ p dV is the work on wall and ambient, from the smallest volume
+on. g is γ − 1 for gas with its own temperature, and 0 for isothermal gas. E is the state, and not p V,
+because the rate of E is continuous. The rate of p V jumps when a pouch becomes full.
 
-`numbers(volume_L, g)` converts each shape to a pouch, for `pressure_and_volume`. A compliant or rigid shape
-is a pouch whose flat and full volumes are equal.
+`numbers(volume_L, g)` converts each shape to the numbers of a pouch, for `pressure_and_volume`. A compliant
+or rigid shape is a pouch whose flat volume equals its full volume.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ class Chamber(NamedTuple):
     per_kPa: float
     g: float
     flat_edge_L: float
-    """E / p_a at the kink where the pouch becomes flat; below 0 without a kink."""
+    """E / p_a at which the pouch becomes flat; below 0 without this kink."""
     full_edge_L: float
+    """E / p_a at which the pouch becomes full; below 0 without this kink."""
 
 
 def pressure_and_volume(chamber: Chamber, energy: float, ambient_kPa: float) -> tuple[float, float]:

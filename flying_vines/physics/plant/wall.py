@@ -22,7 +22,7 @@ _PER_K = 1.0 / STANDARD_TEMPERATURE_K
 
 
 COOLING_K = (GAMMA - 1.0) * STANDARD_TEMPERATURE_K
-"""(γ−1) T of air. If a small share flows out, the rest cools by this times the share (adiabatic)."""
+"""(γ−1) T of air. If a small share s of the gas flows out adiabatically, the rest cools by s times this."""
 
 
 def heat_capacity_J_per_K(kPa_abs: Number, volume_L: float) -> Number:
@@ -33,7 +33,7 @@ def heat_capacity_J_per_K(kPa_abs: Number, volume_L: float) -> Number:
 class HeatRates(NamedTuple):
     """dg/dt = −gas_per_s (g − w), dw/dt = wall_per_s (g − w) − outer_per_s w.
 
-    The gas is g K colder than ambient air, the wall w K.
+    The gas is g kelvins colder than ambient air, and the wall is w kelvins colder.
     """
 
     gas_per_s: float
@@ -47,9 +47,9 @@ class Heat(NamedTuple):
     own_temperature: bool = False
     """False for isothermal gas."""
     per_air: float = 0.0
-    """kPa·L/s for each SL of gas and each 293.15 K between wall and gas."""
+    """Heat flow in kPa·L/s for each SL of gas and each 293.15 K between wall and gas."""
     fixed: float = 0.0
-    """kPa·L/s for each 293.15 K between wall and gas."""
+    """Heat flow in kPa·L/s for each 293.15 K between wall and gas."""
     per_capacity_K_per_J: float = 0.0
     """Inverse heat capacity of the wall; 0: the wall is at ambient temperature."""
     outer_conductance_W_per_K: float = 0.0

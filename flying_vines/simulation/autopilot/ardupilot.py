@@ -48,11 +48,11 @@ _REACHED_WITH_TEXT = {16, 17, 18, 19, 82}
 
 
 class ArduPilotMission:
-    """One navigation command and, in parallel, a queue of DO commands.
+    """Runs one navigation command and, in parallel, a queue of DO commands.
 
-    The first DO item after a navigation command starts in the same loop, before the next navigation command.
-    The others follow one by one, after the status text of that navigation command. Item 0 is home and never
-    runs.
+    When a navigation command ends, the next DO item and the next navigation command start in the same loop,
+    the DO item first. The other DO items between the two navigation commands follow one by one, after the
+    status text of the second navigation command. Item 0 is home and never runs.
     """
 
     def __init__(self, host: Host) -> None:
@@ -101,7 +101,8 @@ class ArduPilotMission:
             self._leg = None
 
     def disarmed(self) -> None:
-        # ArduPilot resets and restarts the mission on the ground; a payload item at the start runs twice.
+        # After disarming, ArduPilot resets the mission and starts it again on the ground. A DO item at its
+        # beginning then runs twice.
         first = self._host.items[1] if len(self._host.items) > 1 else None
         self._start()
         if first is not None and not is_nav(first.command) and first.command != JUMP:
@@ -212,7 +213,7 @@ class ArduPilotMission:
             self._host.text(f"Winch: lowering {item.params[2]:4.1f}m to {item.params[2]:4.1f}m")
         if item.command in _DO_REACHED:
             if not in_nav_loop:
-                # ArduPilot verifies the item one loop later, so the text is sent first.
+                # ArduPilot verifies the item one loop later, so its text is sent before MISSION_ITEM_REACHED.
                 self._host.flush()
             self._host.reached(seq)
 

@@ -49,7 +49,7 @@ _WARNING, _INFO = 4, 6
 _GCS = 6
 _LINKS = 255
 _MAX_LOGGED = 10_000
-"""Maximum entries of the logs of executed items: more than any mission, but bounded for flights of days."""
+"""Maximum entries in each log of executed items: more than a mission has. The oldest ones are removed."""
 _MAVLINK_CAMERA, _CAMERA_ITEMS = 5, (202, 203)
 
 _MISSION_MESSAGES = frozenset(
@@ -71,8 +71,8 @@ class FakeAutopilot:
     """A simulated ArduCopter or PX4 copter, seen from a companion computer and a ground station.
 
     Sans-IO: pass received bytes to `receive`, call `advance`, and send the frames that it returns. Times are
-    seconds of any monotonic clock; the first one is the start. Stimuli (`arm`, `set_rc`, …) act at the latest
-    time so far, or at the start.
+    seconds of any monotonic clock; the first time is the start. Stimuli (`arm`, `set_rc`, …) act at the
+    latest time so far, or at the start.
 
     At the start the vehicle has been up for 30 s, so its boot is visible only after `reboot`.
     """
@@ -100,8 +100,8 @@ class FakeAutopilot:
                 ArduPilot item 0 is home.
             links: get heartbeats from the start; other links appear with their first message.
             receiver: the RC input; default on PX4: overrides by a ground station.
-            rc_failsafe_mode: mode after RC loss in flight; None: no change. PX4 without a receiver of its
-                own never changes its mode.
+            rc_failsafe_mode: mode after RC loss in flight; None: no change. PX4 without a receiver on its
+                own driver never changes its mode after RC loss.
             parameters: values that differ from the factory's, e.g. PX4's MIS_COMMAND_TOUT.
             signing_key: 32 bytes. With a key the autopilot signs, and accepts only signed messages, except on
                 a link "usb".
@@ -170,8 +170,8 @@ class FakeAutopilot:
 
     @property
     def reports_rc_loss(self) -> bool:
-        """True if RC loss is reported: ArduPilot by its failsafe, PX4 by its health report about an own
-        receiver."""
+        """True if RC loss is reported: by ArduPilot's failsafe, or by PX4's health report about a receiver on
+        its own driver."""
         rc = self._rc
         return rc.failsafe if isinstance(rc, ArduPilotRc) else rc.has_driver and not rc.reported_good
 
@@ -316,9 +316,9 @@ class FakeAutopilot:
     def lose_rc(self, how: RcLoss | None = None, preset: Mapping[int, int] | None = None) -> None:
         """Lose the RC link; default: the receiver's most common kind of loss.
 
-        "frozen": RC_CHANNELS continues with the last values. "jump": it continues with the receiver's
-        failsafe values, with `preset` (channel: µs). "silent": RC_CHANNELS stops. Raises `ValueError` if this
-        receiver has no such loss.
+        "frozen": RC_CHANNELS continues with the last values. "jump": it continues with usual failsafe values,
+        or with the values in `preset` (channel: µs). Channels that are missing in `preset` keep their last
+        value. "silent": RC_CHANNELS stops. Raises `ValueError` if this receiver has no such loss.
         """
         self._rc.lose(how, preset)
 
@@ -327,7 +327,7 @@ class FakeAutopilot:
         self._rc.restore()
 
     def reboot(self) -> None:
-        """Restart on the ground: silent for 1.25 s. All learnt state is lost, but not the mission."""
+        """Restart on the ground: silent for 1.25 s. Mission and parameters survive; learnt state is lost."""
         self.scheduler.clear()
         self._running = False
         for port in self._ports.values():
@@ -356,7 +356,7 @@ class FakeAutopilot:
             self.scheduler.at(self._ready_s + _ORIGIN_S, self._tell_home)
 
     def report_health(self) -> None:
-        """PX4 reports its health for another reason than RC. A report about RC then comes up to 2 s later."""
+        """PX4 reports its health for a reason other than RC. A report about RC may then be up to 2 s late."""
         if not isinstance(self._rc, ArduPilotRc):
             self._rc.report()
 
@@ -506,7 +506,7 @@ class FakeAutopilot:
 
     @property
     def _continuing_text(self) -> str:
-        """The end of ArduPilot's failsafe text if it stays in its mode."""
+        """The end of ArduPilot's failsafe text if ArduPilot stays in its mode; else empty."""
         in_flight = self.armed and self.flight.airborne
         if self._failsafe_mode is not None or not in_flight or self.mode.name not in ("AUTO", "GUIDED"):
             return ""

@@ -23,7 +23,7 @@ SET_MODE, SET_CURRENT, REBOOT, START_MISSION, ARM = 176, 224, 246, 300, 400
 GET_HOME, REQUEST_CAPABILITIES = 410, 520
 GET_MESSAGE_INTERVAL, SET_MESSAGE_INTERVAL, REQUEST_MESSAGE = 510, 511, 512
 
-# Payload commands that the autopilot carries out itself: servos, relays, grippers.
+# Payload commands that the autopilot carries out itself: servos, relays, grippers, cameras.
 PAYLOAD: dict[AutopilotKind, frozenset[int]] = {
     "ardupilot": frozenset({178, 181, 182, 183, 184, 203, 206, 211, 218, 42600}),
     "px4": frozenset({178, 187, 203, 206, 211, 2000, 2001, 2003}),

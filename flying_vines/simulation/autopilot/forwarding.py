@@ -1,4 +1,4 @@
-"""Forwards messages between links: at once on ArduPilot, through a buffer of two on PX4."""
+"""Forwards messages between links: at once on ArduPilot, through a buffer of two messages on PX4."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Forwarder:
     """Sends frames unchanged on other links, if both links take part in forwarding.
 
     PX4 sends one forwarded message per loop of a link, here every 10 ms as on a slow link. Frames that arrive
-    while its buffer is full are lost.
+    while the link's buffer is full are lost.
     """
 
     def __init__(self, kind: AutopilotKind, scheduler: Scheduler, send: Callable[[str, bytes], None]) -> None:

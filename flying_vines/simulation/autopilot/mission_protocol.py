@@ -50,7 +50,7 @@ class _Upload:
 
 @dataclass(slots=True)
 class _Download:
-    """A download from PX4: receiver, next item, and time of the last request."""
+    """A download from PX4: its receiver, the next item, and the time of the last request."""
 
     partner: tuple[int, int]
     next_seq: int
@@ -166,7 +166,7 @@ class MissionStorage:
             self._request_item()
 
     def _handle_ack(self, link: str, message: Any) -> None:
-        """The uploader may cancel. ArduPilot ignores that and continues its requests."""
+        """The uploader may cancel. ArduPilot ignores the cancellation and continues its requests."""
         upload = self._upload
         if upload is None or self._kind == "ardupilot" or message.type != CANCELLED:
             return
@@ -240,7 +240,7 @@ class MissionStorage:
             self.items = self._incoming
             self._change()
         else:
-            # Sent only to the uploader.
+            # ArduPilot sends this text only to the uploader.
             self._send(upload.link, mavlink.MAVLink_statustext_message(_INFO, b"Flight plan received"))
         self._ack(upload.link, upload.system, upload.component, ACCEPTED)
 
@@ -255,7 +255,10 @@ class MissionStorage:
         return AUTOPILOTS[self._kind].store(item)
 
     def _is_expected(self, link: str, message: Any) -> bool:
-        """PX4 sends the next item, or the last one again. Any other request ends the transfer."""
+        """True if PX4 answers this request: it is for the next item, or again for the last one.
+
+        A request for any other item ends the transfer.
+        """
         now_s, transfer = self._scheduler.now_s, self._download
         if (
             transfer is None

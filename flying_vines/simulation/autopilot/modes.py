@@ -52,7 +52,7 @@ def modes_of(kind: AutopilotKind) -> dict[str, FlightMode]:
 
 
 def mode_named(kind: AutopilotKind, name: str) -> FlightMode:
-    """The mode of this name; PX4 accepts AUTO, GUIDED and LOITER, too. Raises `ValueError`."""
+    """The mode of this name. AUTO, GUIDED and LOITER also name modes of PX4. Raises `ValueError`."""
     modes = modes_of(kind)
     key = name.upper()
     if kind == "px4":
@@ -63,7 +63,7 @@ def mode_named(kind: AutopilotKind, name: str) -> FlightMode:
 
 
 def mode_numbered(kind: AutopilotKind, custom: int) -> FlightMode | None:
-    """The mode with that custom_mode number, None if there is none."""
+    """The mode with this custom_mode number, or None."""
     return next((mode for mode in modes_of(kind).values() if mode.custom == custom), None)
 
 

@@ -70,7 +70,7 @@ _FACTORY = {
     "SYS_AUTOSTART": 4001.0,
 }
 _READ_ONLY = {"SYSID_THISMAV", "MAV_SYS_ID", "MIS_TOTAL", "STAT_BOOTCNT", "STAT_RUNTIME"}
-"""Only the autopilot changes these; PARAM_SET of one is answered with the old value."""
+"""Only the autopilot changes these. The answer to PARAM_SET is their old value."""
 
 
 class _RawValue(mavlink.MAVLink_param_value_message):  # type: ignore[misc]

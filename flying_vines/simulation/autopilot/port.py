@@ -13,7 +13,7 @@ COMPANION, GCS, USB = "companion", "gcs", "usb"
 """Names of links."""
 KNOWN = frozenset(message_class.msgname for message_class in mavlink.mavlink_map.values())
 PX4_EXTRA_MESSAGES = frozenset({"UNKNOWN_371"})
-"""FUEL_STATUS is in PX4's dialect but not in this one: PX4 forwards it."""
+"""FUEL_STATUS, which PX4 forwards. It is in PX4's dialect, but not in ardupilotmega."""
 _SIGNING_EPOCH_S = 1_420_070_400
 _RADIO_STATUS = {109, 166}
 
@@ -30,9 +30,10 @@ class PortStream:
 class Port:
     """A link of the autopilot.
 
-    Each port has its own MAVLink sequence. `active`: it has received a message; `has_gcs`: also a ground
-    station's heartbeat. With a `key` it signs its messages. It then accepts unsigned messages only
-    on USB, and RADIO and RADIO_STATUS on all ports. A port named "companion" is PX4's MAV_1 in onboard mode.
+    Each port has its own MAVLink sequence. `active`: the port has received a message. `has_gcs`: the port has
+    received a ground station's heartbeat. With a `key` the port signs its messages, and accepts unsigned
+    messages only on USB; unsigned RADIO and RADIO_STATUS are accepted on all ports. A port named "companion"
+    is PX4's MAV_1 in onboard mode.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Runs a mission like PX4: every DO item is sent as a command to all components."""
+"""Runs a mission like PX4: DO items are sent as commands, most of them to all components."""
 
 from __future__ import annotations
 
@@ -54,10 +54,10 @@ class _Sent:
 class CommandSender:
     """Sends commands and repeats them with rising confirmation until they are acknowledged.
 
-    As recorded, the first repeat comes after 1 s and two more after 0.5 s each. An acknowledgement counts for
-    the oldest command of this number, which stays in the list until its next repeat is due. So of two equal
-    commands the second is repeated although it was acknowledged, and an acknowledgement may end the repeats
-    of a lost command.
+    As recorded, the first repeat comes after 1 s and two more after 0.5 s each. An acknowledged command stays
+    in the list until its next repeat would be due. An acknowledgement counts for the oldest command of its
+    number in the list. So of two equal commands the second is repeated although it was acknowledged, and an
+    acknowledgement may end the repeats of a lost command.
     """
 
     def __init__(self, scheduler: Scheduler, send: Callable[[CommandLong, int], None]) -> None:
@@ -90,10 +90,11 @@ class CommandSender:
 
 
 class Px4Mission:
-    """One index over all items, including DO items.
+    """Runs all items, including DO items, one after the other.
 
-    Items 211 (gripper) and 42600 (winch) stop the mission for `command_timeout_s` (MIS_COMMAND_TOUT), even if
-    they are acknowledged. Other DO items end at once, so of a burst only the last one is reported as reached.
+    Commands 211 (gripper) and 42600 (winch) stop the mission for `command_timeout_s` (MIS_COMMAND_TOUT), even
+    if they are acknowledged. Other DO items end at once, so of several DO items in a row only the last one
+    is reported as reached.
     """
 
     def __init__(self, host: Host, sender: CommandSender, command_timeout_s: Callable[[], float]) -> None:
@@ -115,7 +116,7 @@ class Px4Mission:
             total = TOTAL_BEFORE_FIRST_UPLOAD
         state = self._state if self._host.items else NO_MISSION
         mode = _SUBMODE_IN_MISSION if in_mission_mode else _SUBMODE_SUSPENDED
-        # After a jump PX4 reports the item before the jump, until the next item is reached.
+        # After a jump or a change of the current item, PX4 reports the old item until an item is reached.
         seq = self._seq if self._stale_seq is None else self._stale_seq
         return MissionStatus(seq, total, state, mode)
 
@@ -166,7 +167,7 @@ class Px4Mission:
         leg, had_arrived = self._leg, self._leg.arrived
         leg.update(self._host.scheduler.now_s, self._host.armed)
         if leg.item.command in (LAND, RETURN):
-            # Reported as reached above the landing place, before the descent.
+            # PX4 reports these items as reached above the landing place, before the descent.
             if leg.arrived and not had_arrived:
                 self._host.reached(leg.item.seq)
         elif leg.done:
@@ -226,7 +227,7 @@ class Px4Mission:
             self._pictures |= item.command == _START_PICTURES
             if reached:
                 self._host.reached(item.seq)
-        # The queue between navigator and MAVLink keeps only the last `_QUEUE` commands.
+        # PX4's queue between navigator and MAVLink keeps only the last `_QUEUE` commands.
         for item in burst[-_QUEUE:]:
             first = item.params[0]
             target = int(first) if item.command in _TO_PARAM1 and 0.0 <= first < 256.0 else 0

@@ -28,7 +28,7 @@ def _loss(receiver: Receiver, how: RcLoss | None) -> RcLoss:
 
 
 class ArduPilotRc:
-    """Reports RC loss by its failsafe, if its parameters allow it.
+    """RC input of ArduPilot. The failsafe reports RC loss if FS_THR_ENABLE and RC_OPTIONS allow it.
 
     Without pulses the failsafe starts after RC_FS_TIMEOUT. If a receiver in failsafe sends preset values,
     only a low throttle shows the loss. `failsafe_changed(on)` is called when the failsafe begins and ends.
@@ -83,7 +83,7 @@ class ArduPilotRc:
 
     @property
     def _detects_loss(self) -> bool:
-        """True if its parameters let it detect this loss."""
+        """True if ArduPilot's parameters let it detect this loss."""
         if not self._parameter("FS_THR_ENABLE"):
             return False
         if self.receiver.lost == "jump":
@@ -116,9 +116,10 @@ class ArduPilotRc:
 
 
 class Px4Rc:
-    """Reports RC loss by its health report: late, and at most every 2 s.
+    """RC input of PX4. PX4 reports RC loss in its health report: late, and at most every 2 s.
 
-    `reported_good` is that report; it is true only with a receiver on PX4's own driver.
+    `reported_good`: True if the last report said that RC is good. It is always False without a receiver on
+    PX4's own driver.
     `failsafe_changed(on)` is called when the failsafe begins and ends.
     """
 
@@ -180,7 +181,7 @@ class Px4Rc:
             self.receiver.has_rssi = self._good
 
     def report(self) -> None:
-        """Health has changed: report it now, or as soon as the minimum time is over."""
+        """Report the health now, or as soon as the minimum time since the last report is over."""
         if self._report_due is not None:
             return
         wait_s = self._reported_s + REPORTS_APART_S - self._scheduler.now_s

@@ -35,9 +35,9 @@ class Receiver:
     """Converts sticks and overrides to channel values.
 
     `values_us` are the autopilot's channels: the sticks; during a loss the last values ("frozen") or the
-    receiver's failsafe values ("jump"); empty before the first pulse and in a "silent" loss. Channels
-    overridden by a ground station (RC_CHANNELS_OVERRIDE) have its values. On PX4, overrides are a separate RC
-    input while they arrive.
+    receiver's failsafe values ("jump"); empty before the first pulse and in a "silent" loss. Channels that a
+    ground station overrides (RC_CHANNELS_OVERRIDE) have the values of the override. PX4 with a receiver on
+    its own driver ignores overrides (see `Px4Rc`).
     """
 
     def __init__(self, kind: AutopilotKind, present: bool = True, source: RcSource | None = None) -> None:
@@ -48,7 +48,7 @@ class Receiver:
         self.lost: RcLoss | None = None
         self.overridden = False
         self.updates = 0
-        """Number of received overrides; PX4 sends its channels once per override."""
+        """Number of received overrides. While overridden, PX4 sends RC_CHANNELS at most once per override."""
         self.has_rssi = True
         """CRSF reports the link quality, but not during a loss."""
         self._received_us: tuple[int, ...] = tuple(self.sticks_us)
@@ -69,7 +69,7 @@ class Receiver:
         return tuple(values_us)
 
     def move(self, channel: int, us: int) -> None:
-        """Move a stick or switch. During a loss it becomes visible when RC returns."""
+        """Move a stick or switch. During a loss the autopilot gets the new value when RC returns."""
         if not 1 <= channel <= CHANNELS:
             raise ValueError(f"RC channel must be 1 to {CHANNELS}, not {channel}")
         if not 0 <= us <= 65535:

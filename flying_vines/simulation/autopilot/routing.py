@@ -1,4 +1,4 @@
-"""Routes messages to links, learnt from the senders on each link."""
+"""Routes messages to links. The routes are learnt from the senders on each link."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _CAPACITY = 20
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """Links to forward a message to, and True if the autopilot handles it itself."""
+    """Links to forward a message to; `local`: the autopilot handles the message itself."""
 
     forward: tuple[str, ...]
     local: bool
@@ -35,14 +35,14 @@ class Routes:
             self._link_of[address] = link
 
     def decide(self, source: str, system: int, component: int) -> Route:
-        """For a message from link `source` to (system, component), where 0 means all."""
+        """The route of a message from link `source` to (system, component), where 0 means all."""
         ours = system in (0, self._system_id)
         local = ours and component in (0, AUTOPILOT_COMPONENT)
         if local and system and component:
             return Route((), True)
         forward = self._links(source, self._filter(system, component, ours))
         if not forward and ours and self._kind == "ardupilot":
-            # Trap: ArduPilot itself handles messages for an unknown component.
+            # A quirk: ArduPilot itself handles messages for an unknown component of its system.
             local = True
         return Route(forward, local)
 

@@ -1,4 +1,4 @@
-"""Interfaces of a mission runner and of the autopilot around it."""
+"""The interface of a mission runner, and the interface of the autopilot that uses the runner."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Host(Protocol):
         """Send a status text to all links that get texts."""
 
     def reached(self, seq: int) -> None:
-        """Set MISSION_ITEM_REACHED. It is sent at the end of the loop, so the last one of a loop wins."""
+        """Set MISSION_ITEM_REACHED. Only the last one of a loop is sent, at the end of the loop."""
 
     def executed(self, item: MissionItem) -> None:
         """A DO item was executed."""

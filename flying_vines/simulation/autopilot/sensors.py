@@ -100,5 +100,5 @@ def position_target(now: AutopilotSnapshot) -> Any | None:
 
 
 def ping(now: AutopilotSnapshot) -> Any:
-    """PX4's own PING request, once per second."""
+    """A PING request of the autopilot; its sequence number is the time since boot in s."""
     return mavlink.MAVLink_ping_message(int(now.boot_s * 1e6), int(now.boot_s) & 0xFFFFFFFF, 0, 0)

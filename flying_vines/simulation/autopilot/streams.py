@@ -18,7 +18,7 @@ _NAMED_VALUE_FLOAT = 251
 _NAME_BYTES = 9
 _TIMESYNC_S = 10.0
 
-# Default rates of PX4: on the onboard link as recorded, on the others those of its "normal" mode.
+# Default rates of PX4: on the companion's link as recorded, on other links those of PX4's "normal" mode.
 _ONBOARD_HZ = {telemetry.ATTITUDE: 98.0, telemetry.MISSION_CURRENT: 1.0, _NAMED_VALUE_FLOAT: 10.0}
 _NORMAL_HZ = {
     telemetry.ATTITUDE: 15.0,
@@ -63,7 +63,7 @@ class StreamSender:
             self.every(port, telemetry.TIMESYNC, _TIMESYNC_S, first_s)
 
     def activate(self, port: Port) -> None:
-        """A message was received on the port: start PX4's default streams."""
+        """The port has received a message. On PX4 the first message starts the port's default streams."""
         if port.active:
             return
         port.active = True
@@ -109,8 +109,7 @@ class StreamSender:
             self._send(port, message)
 
     def take_value(self, message: Any) -> None:
-        """A NAMED_VALUE_FLOAT that PX4 received: PX4 streams the latest one as its own, with a shorter
-        name."""
+        """Take a received NAMED_VALUE_FLOAT. PX4 streams the latest one as its own, with a shorter name."""
         self._named_value = message
         self._named_values += 1
 

@@ -1,4 +1,4 @@
-"""Messages about the vehicle's state, as both autopilots fill them."""
+"""Messages about the vehicle's state, with the content that each autopilot gives them."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _NO_RSSI = 255
 
 
 class Px4MissionCurrent(mavlink.MAVLink_mission_current_message):  # type: ignore[misc]
-    """MISSION_CURRENT with the plan ids that PX4 appends; this dialect does not have them."""
+    """MISSION_CURRENT with the plan ids that PX4 appends. pymavlink's ardupilotmega dialect lacks them."""
 
     def __init__(self, status: MissionStatus, mission_id: int) -> None:
         super().__init__(status.seq, status.total, status.state, status.mode)

@@ -1,4 +1,4 @@
-"""Bytes between the autopilot and its links: a mute loses them, a stall delays them."""
+"""Bytes between the autopilot and its links: a mute drops them, a stall delays them."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Transit:
             self._sent.append((link, frame))
 
     def delays(self, link: str, data: bytes) -> bool:
-        """True if received bytes wait here for the end of a stall."""
+        """Store received bytes if their link is stalled both ways. True if they were stored."""
         stall = self._stalls.get(link)
         if stall is None or not stall.both_ways:
             return False
@@ -54,7 +54,7 @@ class Transit:
         return True
 
     def end_stalls(self) -> list[tuple[str, bytes]]:
-        """End the stalls whose time is over. Returns their received bytes; their frames go out first."""
+        """End the stalls whose time is over, and return their received bytes. Their frames are sent first."""
         received = []
         for link, stall in list(self._stalls.items()):
             if self._scheduler.now_s >= stall.until_s:

@@ -2,7 +2,7 @@
 
 At 1 kHz the firmware's own regulator reads the sensors and commands the valves, as in `SimulatedPhlosar`. But
 there is no serial protocol, and the firmware's faults are not simulated: the caller must check the table for
-too high pressures. Needs numba: pip install 'flying-vines[analysis]'.
+pressures that are too high. Needs numba: pip install 'flying-vines[analysis]'.
 """
 
 from __future__ import annotations
@@ -101,7 +101,8 @@ def run_regulated(
     every: int,
     table: Table,
 ) -> Floats:
-    """Returns the final state. `drives` stores EVP, DVP, solenoid and setpoint of each tick for the delays.
+    """Returns the final state. `drives` stores EVP, DVP, solenoid and setpoint of each tick: delayed valves
+    need the earlier ones.
 
     EVP: inflation valve. DVP: the Venturi's supply valve. The other parameters are as in `run_openings`.
     """
@@ -125,7 +126,7 @@ def run_regulated(
         while order < len(orders) and orders[order, 0] <= index:
             target_kPa, rate_kPa_per_s = orders[order, 1], orders[order, 2]
             order += 1
-            # As in the firmware: the regulator starts at the last reading.
+            # As in the firmware, the regulator starts at the reading of the tick before.
             if not regulating:
                 regulator_begin(regulator, cv_kPa if index == 0 else cv_before_kPa)
             regulating = target_kPa == target_kPa

@@ -1,7 +1,7 @@
 """Loads the firmware's C++ core as a shared library.
 
 Prebuilt libraries for the usual Linux computers need no compiler. Each has a digest of its sources. If the
-sources have changed, and on other computers, the library is compiled into the user's cache. `python -m
+sources have changed, or on another computer, the library is compiled into the user's cache. `python -m
 flying_vines.simulation.phlosar.core_library` renews the prebuilt ones with the compiler of the package
 `ziglang`: pip install 'flying-vines[firmware]'.
 """

@@ -17,9 +17,9 @@ from flying_vines.physics.baseline import Inputs
 from flying_vines.simulation.phlosar.core_library import Openings, Outputs, load
 
 CV_SENSOR_SPAN_kPa = 206.84
-"""Span of the fitted sensor, independent of the firmware's settings: 30 psi."""
+"""Span of the built-in sensor, independent of the firmware's settings: 30 psi."""
 RESERVOIR_SENSOR_SPAN_kPa = 1500.0
-"""Span of the fitted sensor: 15 bar."""
+"""Span of the built-in sensor: 15 bar."""
 _BUILD = b"1.1 host"
 _FULL_SCALE = 65535
 _SUPPLY_COUNTS = 59578
@@ -40,7 +40,7 @@ class SettingRow(NamedTuple):
 
 @cache
 def setting_rows() -> dict[str, SettingRow]:
-    """The firmware's settings by name, in its order."""
+    """The firmware's settings by name, in the firmware's order."""
     library = load()
     rows: dict[str, SettingRow] = {}
     while row := library.phlosar_setting_row(len(rows)):
@@ -52,7 +52,7 @@ def setting_rows() -> dict[str, SettingRow]:
 class Firmware:
     """One board from power-up on. Call `step` at 1 kHz; `now_us` must not decrease.
 
-    `step` takes the readings of the fitted sensors, which are out of range if a wire is broken. `settings`
+    `step` takes the readings of the built-in sensors, which are out of range if a wire is broken. `settings`
     has the values that differ from the standard. `directly` bypasses converter and drivers: the firmware
     reads pressures, and `step` returns the openings as in telemetry. Settings that the host changed survive a
     reset. Bytes before the first step are lost, as on a booting board. Raises `ValueError` for unknown or

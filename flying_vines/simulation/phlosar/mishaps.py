@@ -19,9 +19,9 @@ from flying_vines.physics.plant.numbers import PlantNumbers, ValveNumbers
 OPEN_SHARE = -0.125
 """Reading of a ratiometric 0.5 … 4.5 V sensor at 0 V, as a share of its span."""
 SHORTED_SHARE = 1.125
-"""Reading of this sensor at its supply voltage of 5 V."""
+"""Reading of the same sensor at its supply voltage, 5 V."""
 _STUB_L = 0.004
-"""Volume that stays at the valves when the hose comes off; only for a rig without tubing."""
+"""Volume that stays at the valves when the hose comes off or is kinked; only for a rig without tubing."""
 WATCHDOG_MS = 256
 """The watchdog resets a hanging board after this time."""
 _SONIC_SL_PER_S_KPA_MM2 = 1.27e-3
@@ -48,12 +48,12 @@ class SensorReading(NamedTuple):
     """A standard normal number."""
 
 
-# Sensors. Readings are limited to the voltage range of the wire.
+# Sensors. `SimulatedPhlosar` limits the readings to the voltage range of the wire.
 
 
 @dataclass(frozen=True)
 class Stuck:
-    """It repeats its last reading."""
+    """The sensor repeats its last good reading."""
 
     def read(self, reading: SensorReading) -> float:
         return reading.last_good_kPa
@@ -61,7 +61,7 @@ class Stuck:
 
 @dataclass(frozen=True)
 class Drifting:
-    """Its error grows with time."""
+    """The sensor's error grows with time."""
 
     kPa_per_s: float
 
@@ -79,7 +79,7 @@ class Open:
 
 @dataclass(frozen=True)
 class Shorted:
-    """Short circuit to its supply."""
+    """Short circuit to the sensor's supply."""
 
     def read(self, reading: SensorReading) -> float:
         return inf
@@ -100,7 +100,7 @@ class Noisy:
 
 @dataclass(frozen=True)
 class Gain:
-    """Its reading is multiplied by `factor`; 0: dead sensor."""
+    """The reading is multiplied by `factor`; 0: dead sensor."""
 
     factor: float
 
@@ -197,7 +197,10 @@ class Heated:
 
 @dataclass(frozen=True)
 class Unpowered:
-    """No power: no communication; springs close all valves, the outlet too. It boots when power returns."""
+    """No power: no communication, and springs close all valves, the outlet too.
+
+    The board boots when power returns.
+    """
 
 
 @dataclass(frozen=True)
@@ -337,7 +340,7 @@ def _stuck(valve: ValveNumbers, mishap: StuckAt | None) -> ValveNumbers:
 
 
 def _parted(numbers: PlantNumbers) -> PlantNumbers:
-    """Valves and actuator without a connection."""
+    """The plant's numbers without the connection between valves and actuator."""
     if numbers.has_tubing:
         return numbers._replace(line_SL_per_s_kPa=0.0)
     cv = numbers.cv
@@ -354,7 +357,7 @@ def _parted(numbers: PlantNumbers) -> PlantNumbers:
 
 
 def _with_hole(own: Leak, hole: Opening, at_kPa: float) -> Leak:
-    """The leaks and one more hole; two orifices become one with the same flow at this pressure."""
+    """The leaks and one more hole; two orifices become one with the same flow at `at_kPa` (gauge)."""
     steepest = own.steepest_SL_per_s_kPa + hole.steepest_SL_per_s_kPa
     if hole.ohmic:
         ohmic = own.ohmic_SL_per_s_kPa + hole.conductance_SL_per_s_kPa

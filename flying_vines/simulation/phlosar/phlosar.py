@@ -52,14 +52,14 @@ _UNPOWERED = Inputs(0.0, 0.0, False)
 
 
 class SimulatedPhlosar:
-    """Firmware and plant, stepped together at 1 kHz. Time starts at 0; `advance` sets it.
+    """Firmware and plant, stepped together at 1 kHz. Time starts at 0 and moves with `advance`.
 
     `rig` alone: all typical effects, and sensors behind a 12-bit converter. `rig` with `effects`: only these
     effects, and ideal sensors with noise; `Effects()` is the paper's ideal rig, and fast. A `TrueRig`
     specifies everything. `firmware` has settings for the simulated firmware, or is a board.
 
-    To simulate a hardware failure, call `inject`; or set it in `mishaps`, e.g. `phlosar.mishaps.evp =
-    StuckAt(1.0)`: it acts from the next `advance` on. Set it to None to repair it.
+    To simulate a hardware failure, call `inject`, or set a field of `mishaps`, such as `phlosar.mishaps.evp =
+    StuckAt(1.0)`. The failure acts from the next `advance` on. Set the field to None to repair the part.
 
     Equal seeds, bytes and times give equal bytes and pressures. `reservoir_kPa` and `cv_kPa` are the true
     pressures. The firmware reads them with noise. The control volume's sensor is at the valve end of
@@ -93,7 +93,7 @@ class SimulatedPhlosar:
         noise = partial(random.Random(f"mishaps of {seed}").gauss, 0.0, 1.0)
         self._cv_sensor = _SensorChannel(setup.cv_sensor, cv_kPa, noise)
         self._reservoir_sensor = _SensorChannel(setup.reservoir_sensor, reservoir_kPa, noise)
-        # At time 0 the board has booted and receives.
+        # At time 0 the board has booted and can receive.
         self._step_firmware()
 
     @property
@@ -139,9 +139,10 @@ class SimulatedPhlosar:
         return b"".join(sent)
 
     def inject(self, place: str, kind: MishapKind | None) -> None:
-        """Apply a mishap at a place now; a lasting one is stored in `mishaps`. `kind` None repairs the place.
+        """Apply a mishap at a place. `kind` None repairs the place.
 
-        Raises `ValueError` if this place cannot have it.
+        A lasting mishap is stored in `mishaps` and acts from the next `advance` on. Others act at once.
+        Raises `ValueError` if this place cannot have this mishap.
         """
         check_place(place, kind)
         match kind:
@@ -171,7 +172,8 @@ class SimulatedPhlosar:
     def heat_reservoir(self, kelvin: float) -> None:
         """Heat bottle and gas by `kelvin`.
 
-        An isothermal model cannot be heated. It gets air instead, for the same rise of the pressure.
+        The gas of an isothermal model cannot be heated. This model gets air instead, so that the pressure
+        rises by the same amount.
         """
         now = self._conditions
         ratio = 1.0 + kelvin / now.reservoir_K
@@ -235,7 +237,7 @@ class SimulatedPhlosar:
         self.drive = self.firmware.step(self._steps * STEP_US, cv_kPa, reservoir_kPa)
 
     def _reset_by_watchdog(self) -> bool:
-        """Reset a hanging board if its watchdog time is over. Returns True if so."""
+        """Reset a hanging board if its watchdog time is over. True if the board was reset."""
         if self._hangs_until is None or self._steps < self._hangs_until:
             return False
         self.mishaps.board = self._applied.board = self._hangs_until = None
@@ -272,8 +274,8 @@ class _SensorChannel:
 
 
 def _with_stub(numbers: PlantNumbers, state: State, now: Conditions) -> State:
-    """Splits the control volume's air into line and actuator if the model now has a line volume. Merges both
-    if it no longer has one."""
+    """Divides the control volume's air between line and actuator if the model now has a line. Puts the line's
+    air back into the actuator if the model no longer has a line."""
     ratio = now.ambient_K / STANDARD_TEMPERATURE_K
     into_SL = -state.line_air_SL
     if numbers.has_tubing:
@@ -299,7 +301,8 @@ class PtyPhlosar:
 
     `path` is the port to open: `symlink` if given (an old link is replaced; other files raise
     `FileExistsError`), else /dev/pts/N. After `close` another terminal may get the same N. Hosts may close
-    and reopen the port. Unread bytes are dropped and counted. Use as a context manager, or call `close`.
+    and reopen the port. Bytes that do not fit into the terminal's buffer are dropped and counted. Use as a
+    context manager, or call `close`.
     """
 
     def __init__(
@@ -334,7 +337,7 @@ class PtyPhlosar:
         """Close the terminal, as if unplugged."""
         if self._ours < 0:
             return
-        # Remove the link first, because it could soon point to a foreign terminal.
+        # Remove the link first: after the close, another terminal may get the same name.
         if self._symlink is not None:
             with contextlib.suppress(OSError):
                 if str(self._symlink.readlink()) == self._terminal:

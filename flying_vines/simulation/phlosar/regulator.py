@@ -1,6 +1,6 @@
 """The firmware's regulator alone, with any tuning and in double precision.
 
-It is the C++ code of the firmware's core. `regulator.h` there describes it and its tuning.
+This is the C++ code of the firmware's core. The core's `regulator.h` describes the regulator and its tuning.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def _standard() -> dict[str, float]:
 
 
 def standard_tuning() -> dict[str, float]:
-    """All tuning values. They suit vines of 0.05 to 1 L and supplies of 100 to 690 kPa."""
+    """The standard tuning. It suits vines of 0.05 to 1 L and supplies of 100 to 690 kPa."""
     return dict(_standard())
 
 
@@ -42,7 +42,7 @@ class Regulator:
     def __init__(self, tuning: Tuning | None = None, *, cv_kPa: float = 0.0) -> None:
         self.tuning = standard_tuning() | dict(tuning or {})
         if unknown := self.tuning.keys() - _standard().keys():
-            raise ValueError(f"the regulator has no {', '.join(sorted(unknown))}")
+            raise ValueError(f"the regulator has no tuning value {', '.join(sorted(unknown))}")
         self._library = load()
         self._memory = ctypes.create_string_buffer(self._library.phlosar_regulator_size())
         self.address = ctypes.addressof(self._memory)

@@ -1,4 +1,4 @@
-"""Simulates a rig in a scenario, and records it like a real rig.
+"""Simulates the runs of a scenario on a rig, and records them like runs of a real rig.
 
     scenario = load_scenario("case")                        a file, or an example by its name
     run = simulate(rig, scenario.runs[0], seed=1)           one run, as arrays

@@ -28,7 +28,7 @@ ValveCommand = Callable[[float, float], Inputs]
 """Openings as a function of time (s) and the control volume's reading (kPa). Called once per sample."""
 
 _SLACK_S = 1e-9
-"""Tolerance, so that a change at the time of a sample acts in this sample."""
+"""Tolerance for rounding, so that a change at the time of a sample acts in this sample."""
 _VENTURI_LEVELS = (0.0, 0.5, 1.0)
 
 
@@ -66,12 +66,12 @@ def valves_of(run: RunKind, pattern: random.Random) -> ValveCommand | None:
 
 
 def chirp_cycles(run: ChirpRun, t_s: float) -> float:
-    """Number of cycles of a chirp: the integral of its frequency."""
+    """Number of cycles of a chirp until `t_s`: the integral of its frequency."""
     ratio = run.to_Hz / run.from_Hz
     if run.sweep == "linear" or math.isclose(ratio, 1.0, rel_tol=1e-9):
         return run.from_Hz * t_s + 0.5 * (run.to_Hz - run.from_Hz) * t_s**2 / run.duration_s
-    octaves = math.log(ratio)
-    return run.from_Hz * run.duration_s / octaves * math.expm1(octaves * t_s / run.duration_s)
+    log_ratio = math.log(ratio)
+    return run.from_Hz * run.duration_s / log_ratio * math.expm1(log_ratio * t_s / run.duration_s)
 
 
 def _swing(low_kPa: float, high_kPa: float, cycles: Callable[[float], float]) -> SetpointOverTime:
@@ -138,7 +138,7 @@ class _RandomValves:
 
     def _next(self, full: bool) -> Inputs:
         run, pattern, last = self._run, self._pattern, self._drive
-        # Always draw all numbers, so that one reading does not change all later openings.
+        # All three numbers are always drawn, so that one reading does not change all later openings.
         vent = pattern.random() < run.vent_share
         venturi = pattern.choice(_VENTURI_LEVELS)
         level = pattern.choice([other for other in run.levels_opening if other != last.evp or last.solenoid])

@@ -17,7 +17,7 @@ _MIN_SPAN_KPA = 40.0
 
 
 def draw_runs(runs: Sequence[ScenarioRun], path: Path, title: str) -> None:
-    """Draw each run into a PNG: pressures, openings and reservoir over time."""
+    """Draw all runs into one PNG: pressures, openings and reservoir over time."""
     across = min(_MAX_ACROSS, len(runs))
     down = -(-len(runs) // across)
     figure = plt.figure(

@@ -18,7 +18,8 @@ _OF_THE_ERROR = 0.4
 _HOLDS_OF_FULL_OPENING = 1.5
 """Error from which the valves open fully, as a multiple of the maximum pressure change in one sample."""
 _TOLERATED_HOLDS = 0.09
-"""Error above the setpoint up to which the solenoid stays shut, as a multiple of the same change."""
+"""Excess over the setpoint up to which the solenoid stays shut, as a multiple of the maximum pressure change
+in one sample."""
 
 
 def tuning_for(rig: Rig, cv: ControlVolume, reservoir_kPa: float, sample_rate_Hz: int) -> Tuning:

@@ -1,9 +1,9 @@
 """Simulates a run: the firmware's regulator at 1 kHz, the plant, its sensors, and a recorder.
 
-Valve commands change only at recorded samples, with the rounding of the file. So the recorded openings,
+Valve commands change only at recorded samples, and are rounded as in the file. So the recorded openings,
 replayed through the same plant, give the true pressures again. At `sample_rate_Hz = 1000` each step of the
-firmware is a sample; at lower rates `regulation` tunes the regulator. A recorded reading is the one that the
-firmware used.
+firmware is a sample; at lower rates `regulation` tunes the regulator. A recorded reading is the reading that
+the firmware used.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from flying_vines.simulation.scenario.run_kinds import FIRMWARE_HZ, RunKind
 from flying_vines.simulation.scenario.scenario import Scenario, ScenarioError
 
 OPENING_DIGITS = 4
-"""Decimal places of valve commands and of the file."""
+"""Decimal places of valve commands, in the simulation and in the file."""
 _LIMIT_KPA = 200.0
 _READINGS_OVER = 3
-"""Overpressure is this number of readings above the limit in a row, as in the firmware."""
+"""Number of consecutive readings above the limit that count as overpressure, as in the firmware."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +40,8 @@ class ScenarioRun:
     """The recorded run, one element per sample; gauge pressures.
 
     An opening holds until the next sample. `command_kPa` is NaN without regulation. The control volume's
-    pressures are NaN if the rig has none, the reservoir's if the rig has a pump. A real rig cannot measure
-    the true pressures.
+    pressures are NaN if the rig has no control volume. The reservoir's pressures are NaN if the rig has a
+    pump. A real rig cannot measure the true pressures.
     """
 
     label: str
@@ -55,7 +55,7 @@ class ScenarioRun:
     true_cv_kPa: Array
     true_reservoir_kPa: Array
     faults: str
-    """The fault that ended the run and vented the vine; empty if none."""
+    """The fault that vented the vine for the rest of the run; empty if none."""
 
 
 def simulate(rig: Rig | TrueRig, run: RunKind, seed: int = 1, *, index: int = 0) -> ScenarioRun:
@@ -67,7 +67,8 @@ def simulate(rig: Rig | TrueRig, run: RunKind, seed: int = 1, *, index: int = 0)
         seed: of all random numbers.
         index: the run's index in its scenario, so that runs with the same seed differ.
 
-    Raises `ScenarioError` if the run needs a control volume and the rig has none.
+    Raises `ScenarioError` if the run needs a control volume and the rig has none, or if the run needs the
+    regulator and the rig has a pump.
     """
     rig = rig if isinstance(rig, TrueRig) else TrueRig(rig)
     nominal, setup = rig.nominal, rig.setup
@@ -188,7 +189,7 @@ class _ClosedLoop:
 
     def sample(self, t_s: float, reading: _Reading) -> tuple[float, Inputs]:
         wanted_kPa = self._command(t_s)
-        # The serial protocol sends single precision.
+        # The serial protocol sends setpoints in single precision.
         self._wanted_kPa = float(np.float32(wanted_kPa))
         return wanted_kPa, self._step(reading)
 

@@ -17,7 +17,7 @@ MOST_KPA = 150.0
 """Maximum setpoint, gauge: the control volume's sensor range minus a margin for overshoot."""
 FIRMWARE_HZ = 1000
 _NO_CURVE = BendCurve(((0.0, 0.0), (1.0, 0.0)))
-"""An unused bend curve: profiles in scenarios are in kPa."""
+"""A bend curve that is never used, because profiles in scenarios are in kPa."""
 
 Pressure = Annotated[float, Meta(ge=0, le=MOST_KPA)]
 OpeningFraction = Annotated[float, Meta(ge=0, le=1)]
@@ -142,11 +142,11 @@ class ChirpRun(_Swinging, tag="chirp", frozen=True, kw_only=True):
 
 
 class PrbsRun(_Lasting, tag="prbs", frozen=True, kw_only=True):
-    """Random levels, each held for a random time; determined by the seed.
+    """Random levels, each held for a random time. The seed determines levels and times.
 
-    The regulator follows `levels_kPa`. `levels_opening` are valve openings without regulation: `vent_share`
-    of the openings vent instead, with the Venturi shut, half or fully open. Above `most_kPa` no opening
-    inflates.
+    The regulator follows `levels_kPa`. `levels_opening` are openings of the EVP without regulation. A share
+    `vent_share` of them are vents instead, with the DVP shut, half or fully open. From `most_kPa` on the EVP
+    stays shut.
     """
 
     levels_kPa: tuple[Pressure, ...] = ()
@@ -169,7 +169,7 @@ class PrbsRun(_Lasting, tag="prbs", frozen=True, kw_only=True):
 
 
 class DischargeRun(_Lasting, tag="discharge", frozen=True, kw_only=True):
-    """One valve stays open without regulation. Air from the EVP leaves by the solenoid."""
+    """One valve stays open without regulation. The solenoid is open if this valve is the EVP."""
 
     valve: Literal["evp", "dvp"] = "evp"
     opening: Annotated[float, Meta(gt=0, le=1)] = 1.0
@@ -205,7 +205,7 @@ class Valves(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 class OpeningsRun(Common, tag="openings", frozen=True, kw_only=True):
     """Valve openings over time, without regulation.
 
-    If some end early because of `until_kPa`, the last ones hold until the planned end.
+    If entries end early because of `until_kPa`, the last entry holds until the planned end of the run.
     """
 
     valves: Annotated[tuple[Valves, ...], Meta(min_length=1, max_length=10_000)]
@@ -241,7 +241,7 @@ class ProfileRun(Common, tag="profile", frozen=True, kw_only=True):
 
     def check(self) -> None:
         if len(self.segments) * self.repeat > MAX_PIECES:
-            raise ValueError(f"repeat: unrolls the profile to more than {MAX_PIECES} segments")
+            raise ValueError(f"repeat: makes a profile of more than {MAX_PIECES} segments")
         for index, segment in enumerate(self.segments):
             for key in ("to", "from"):
                 if getattr(segment, f"{key}_deg", None) is not None:

@@ -47,7 +47,7 @@ def load_scenario(source: Path | str) -> Scenario:
 
 
 def parse_scenario(text: str, source: str) -> Scenario:
-    """Check a scenario's text; errors name it as `source`."""
+    """Check a scenario's text. Errors name the text by `source`."""
     content = parsed(text, source, ScenarioError)
     for key in not_finite(content):
         raise ScenarioError(f"{source}: {dotted(key)}: is not a finite number")

@@ -10,7 +10,7 @@ from flying_vines.simulation.scenario.run import OPENING_DIGITS, ScenarioRun
 
 RIG = "rig.toml"
 TRUE_RIG = "truth.toml"
-"""Readers of cases ignore it: a diagnosis must not know the answer."""
+"""Readers of cases ignore this file, because a diagnosis must not know the true rig."""
 _COLUMNS: dict[str, Callable[[float], str]] = {
     "time_s": lambda x: f"{x:.3f}",
     "command_kPa": lambda x: "" if math.isnan(x) else _plain(x, 3),
@@ -27,7 +27,7 @@ class CaseFolderError(ValueError):
 
 
 def csv_text(run: ScenarioRun) -> str:
-    """A run as CSV. Without a control volume or a reservoir there is no column for its pressure."""
+    """A run as CSV, without the pressure of a control volume or reservoir that the rig does not have."""
     names = [
         name for name in _COLUMNS if "pressure" not in name or not math.isnan(float(getattr(run, name)[0]))
     ]
@@ -52,7 +52,7 @@ def write_case(
         runs: the recorded runs.
         rig_toml: the assumed rig.
         folder: the case folder.
-        true_rig_toml: the true rig, if it differs; written under another name.
+        true_rig_toml: the true rig, if it differs from the assumed one; its file is `TRUE_RIG`.
     """
     folder.mkdir(parents=True, exist_ok=True)
     names = case_files(runs)
