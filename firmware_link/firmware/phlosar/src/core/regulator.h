@@ -23,13 +23,14 @@ constexpr Real kVenturiLeastSupply_kPa = Real(100.0);
 struct Tuning {
     Real filter_s = Real(0.003);
     Real slope_filter_s = Real(0.008);
-    // If the predicted pressure is farther below the setpoint, the inflation valve opens fully, within
+    // If the predicted pressure is below the setpoint by more than this, the inflation valve opens fully, within
     // `opening_s`. A faster opening would overfill a small vine before the sensor shows the flow.
     Real on_off_error_kPa = Real(1.5);
     Real opening_s = Real(0.12);
     // Prediction time while filling: delay and lag of valve, sensor and filters.
     Real filling_lead_s = Real(0.03);
-    // On 690 kPa. A lower supply needs more, because choked flow is proportional to the absolute pressure.
+    // Gain at a supply of 690 kPa. A lower supply needs a higher gain, because choked flow is proportional to the
+    // absolute pressure.
     Real proportional_per_kPa = Real(0.03);
     Real integral_per_kPa_s = Real(1.5);
     // Maximum of the integral, above the largest dead zone.
