@@ -126,7 +126,7 @@ def demonstration() -> Robot:
 
 
 def load(path: Path) -> Robot:
-    """The robot in a robot file. `ConfigError`: one line that names file, line and key."""
+    """The robot in a robot file. Raises `ConfigError` with one line that names file, line and key."""
     return parse(read_text(path, ConfigError), str(path))
 
 

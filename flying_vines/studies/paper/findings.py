@@ -26,7 +26,7 @@ def findings(rows: tuple[PaperRow, ...]) -> tuple[str, ...]:
         f"{ours['frequency.tc4.rate']:.0f} kPa/s. The high-fidelity plant rises at "
         f"{ours['inflation.tc1.rate_likely']:.0f} kPa/s in TC1 and at "
         f"{ours['inflation.tc2.rate_likely']:.0f} kPa/s in TC2. In TC2 the paper measured 49.5 kPa/s, if "
-        "it was faster than Eq. 4. So the plant agrees with TC4 and TC2, but not with TC1.",
+        "the pressure rose faster than by Eq. 4. So the plant agrees with TC4 and TC2, but not with TC1.",
         "A is called the amplitude, but must be peak to peak: as an amplitude it would need "
         f"{ours['frequency.tc4.flow_if_amplitude']:.0f} SLPM in TC4 through a valve that is rated for "
         f"{paper['frequency.tc4.flow_if_amplitude']:g} SLPM. Eq. 5 and 7 hold for half of A.",

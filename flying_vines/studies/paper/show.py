@@ -21,7 +21,7 @@ def show(rows: tuple[PaperRow, ...], findings: tuple[str, ...], console: Console
     console.print(
         f"{counts['agrees']} agree, {counts['differs']} differ, {counts['undecided']} cannot be decided. "
         "Ours is (e) the paper's equation, (d) its printed data, (p) the baseline plant and (h) the "
-        "high-fidelity plant in closed loop, (t) its text."
+        "high-fidelity plant in closed loop, (t) the paper's text."
     )
     console.print("\nWhat disagrees in the paper itself", style="bold")
     for number, finding in enumerate(findings, 1):
