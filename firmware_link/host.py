@@ -180,7 +180,7 @@ class HostSession:
     def __init__(self, repeat_s: float = 0.02, first_nonce: int = 1) -> None:
         self.state = SessionState.CLOSED
         self.welcome: Welcome | None = None
-        """The answer of the firmware that is (or was last) READY."""
+        """The firmware's answer in the latest successful handshake."""
         self.telemetry: Telemetry | None = None
         """The latest telemetry since the port was opened."""
         self.telemetry_gaps = 0

@@ -105,7 +105,7 @@ class SerialPort:
         try:
             _, connection = await asyncio.shield(opening)
         except asyncio.CancelledError:
-            # The thread that opens the port cannot be stopped. Close the port when it is open.
+            # The thread that opens the port cannot be stopped. Close the port once it is open.
             opening.add_done_callback(_close_again)
             raise
         assert isinstance(connection, _Connection)

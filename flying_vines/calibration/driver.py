@@ -182,7 +182,7 @@ class CalibrationDriver:
 
 
 def result_of(task: EvaluationTask) -> object:
-    """The task's result, or its exception: a failed evaluation ends only its stage."""
+    """The task's result, or its exception: a failed evaluation does not end the calibration."""
     try:
         return task.run()
     except Exception as error:

@@ -31,7 +31,7 @@ DETECTED = (0.95, 0.85)
 
 
 def vents(readings: Readings) -> Iterator[tuple[Array, Array]]:
-    """Time since the outlet opened and pressure, for each vent of a vine that held its pressure."""
+    """(time since the outlet opened, pressure) of each vent that began at a held pressure."""
     venting = readings.solenoid & (readings.evp == 0.0) & (readings.dvp == 0.0) & ~readings.regulating
     for rows in readings.stretches(venting):
         begin, t_s = rows.start, readings.t_s

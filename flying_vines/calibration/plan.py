@@ -182,7 +182,7 @@ def _derived(
 
     Limits (except a longer `max_bent_s`), losses and interlocks are the user's. Volume and leak of the vine
     are still unknown, so physics checks of the volume accept a factor of `VOLUME_FACTOR` or more, and
-    `vine_leak` only warns. All other checks vent the vine as in flight.
+    `vine_leak` only warns. All other checks act as in flight.
     """
     checks = config.checks
     cv_L = config.pneumatics.cv_volume_L

@@ -45,7 +45,7 @@ from flying_vines.vine.intent import Intent
 
 READY = (
     "The vine will bend: propellers off, nobody near it, nothing in its way, the bottle full.\n"
-    "Press Enter to begin. Ctrl-C ends it at any time and vents the vine."
+    "Press Enter to begin. Ctrl-C ends the calibration at any time and vents the vine."
 )
 RATE = "telemetry_Hz"
 EVERY_STEP_HZ = 1000.0
@@ -59,7 +59,8 @@ async def calibrate(
 ) -> CalibrationRun | None:
     """Calibrate the rig on the configured ports; None if the person does not agree.
 
-    Raises `CalibrateError`, `SettingsError` if the board does not answer, those of `load_context`, `OSError`.
+    Raises `CalibrateError`, `SettingsError` if the board does not answer, the errors of `load_context`, or
+    `OSError`.
 
     Args:
         save: save the proposed settings in the firmware.

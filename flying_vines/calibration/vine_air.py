@@ -331,7 +331,7 @@ def _compliance(vine: VineAir) -> MeasuredQuantity:
 
 
 def _staircase(vine: VineAir) -> Chart:
-    """A chart of the air that each inflation took against its pressure."""
+    """The chart: air that the inflations took, over the vine's pressure."""
     known, bins = vine.known, vine.balance.bins
     others = [name for name in bins.columns if name not in ("volume", "growth", "pouch", "refill")]
     rest_kPa = vine.balance.without(*others)
