@@ -27,7 +27,7 @@ _INTERRUPTS = ("pit_isr", "usb_isr")
 _SYSTICK = ("(anonymous namespace)::guard()", "systick_isr")
 """The first one that exists is used. On a Teensy 4 it calls the second one."""
 _SAVED = {"v6S-M": 36, "v7E-M": 108}
-"""Bytes of registers that an interrupt saves, padded to a multiple of 8, by architecture (M0+, M7)."""
+"""Bytes of registers that an interrupt saves, plus 4 for the stack's alignment, by architecture (M0+, M7)."""
 _THROUGH_A_REGISTER = {
     r"^pit_isr|every_millisecond|beginCycles|^teensy::inplace_function<": (r"vtable<void>.*_FUN",),
     r"vtable<void>.*_FUN": (r"::step\(\)$",),

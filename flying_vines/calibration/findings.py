@@ -122,7 +122,7 @@ class SettingProposal:
     setting: str
     value: float
     relative: bool
-    """The value is added to the present setting."""
+    """True if the value is added to the present setting."""
     why: str
 
 

@@ -122,7 +122,7 @@ class CalibrationPlan:
 
     @property
     def max_seconds(self) -> float:
-        """The time if every movement has to be repeated."""
+        """The time if every stage is repeated as often as possible."""
         return self.seconds + sum(
             stage.max_repeats * sum(move.seconds + self.hold_s for move in stage.again)
             for stage in self.stages

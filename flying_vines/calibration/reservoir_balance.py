@@ -173,7 +173,7 @@ class _BalanceFit:
         self._target = np.concatenate([read, expected, [0.0, 0.0]])
 
     def solved(self, heat: Array | None) -> tuple[Array, Array]:
-        """The best linear parameters, and the residual with the prior of the heat parameters."""
+        """The best linear parameters, and the residuals; the last three are those of the heat parameters."""
         design = self._design(heat)
         best = np.linalg.lstsq(design, self._target, rcond=None)[0]
         unusual = np.zeros(3) if heat is None else (self._usual - heat) / _HEAT_SD
