@@ -293,7 +293,8 @@ def _why_not(name: str, error: OSError | ValueError) -> str:
         )
     if code in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK):
         return (
-            f"{name} is in use by another program (a serial monitor, ModemManager, or a second copy of this)"
+            f"{name} is in use by another program (a serial monitor, ModemManager, or a second copy of this"
+            " program)"
         )
     return f"{name} could not be opened: {getattr(error, 'strerror', None) or error}"
 

@@ -5,8 +5,8 @@
 The stack's bound comes from the machine code, so it also covers Teensy's core and the compiler's library. A
 function's frame is all the stack that the function itself uses. The program needs the deepest chain of frames
 from `setup` or `loop`. Each interrupt adds its own chain and the registers that the processor saves, as if
-every interrupt occurred during the one before. Code without a bound is refused:
-recursion, frames of unknown size, and calls through a register to functions that are not listed here.
+every interrupt occurred during the one before. Code without a bound is refused: recursion, frames of unknown
+size, and calls through a register to functions that are not listed here.
 
 Needs the standard library and the cross compiler's binutils.
 """

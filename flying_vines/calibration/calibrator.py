@@ -468,7 +468,7 @@ class Calibrator:
 
 
 def _angle_deg(text: str) -> float | None:
-    """NaN if it is skipped; None if the text is not an angle."""
+    """NaN for an empty text, which skips the angle; None if the text is not an angle."""
     if not text.strip():
         return math.nan
     try:

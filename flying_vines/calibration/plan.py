@@ -102,7 +102,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class CalibrationPlan:
-    """`config` is the derived configuration that moves the vine, `user_config` the user's own."""
+    """`config`: the user's configuration with the calibration's movements; `user_config`: without them."""
 
     stages: tuple[Stage, ...]
     config: Config

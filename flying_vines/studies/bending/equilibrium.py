@@ -1,8 +1,8 @@
 """A vine's bend over its actuator's pressure: the balance of the actuator's pull and the body's resistance.
 
 The pull of the actuator falls with its contraction, and the body needs more pull for more bend. So each
-pressure has one bend, which rises with the pressure. Gravity is left out: it matters little for a light vine
-(Kübler et al. 2023).
+pressure has one bend. The bend rises with the pressure, until a soft film stretches faster than the actuator
+shortens. Gravity is left out: it matters little for a light vine (Kübler et al. 2023).
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ class Fpam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="fpam", 
     """Angle between threads and axis, as attached. From 54.7° on the tube does not shorten."""
     strength_N_per_mm: Size
     stiffness_N: Annotated[float, Meta(ge=0, le=1e5)] = 0.0
-    """Elastic force over contraction: at a contraction of 0.1 the force is a tenth of it."""
+    """Elastic force divided by contraction: at a contraction of 0.1 the force is a tenth of this number."""
 
     @property
     def length_m(self) -> float:

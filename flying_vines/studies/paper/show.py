@@ -15,7 +15,7 @@ STYLES = {"agrees": "green", "differs": "red", "undecided": "yellow"}
 
 
 def show(rows: tuple[PaperRow, ...], findings: tuple[str, ...], console: Console) -> None:
-    """Print the table, the contradictions within the paper, and the reasons of disagreeing rows."""
+    """Print the table, the contradictions within the paper, and the reasons why rows do not agree."""
     console.print(_table(rows))
     counts = Counter(row.verdict for row in rows)
     console.print(
@@ -32,7 +32,7 @@ def show(rows: tuple[PaperRow, ...], findings: tuple[str, ...], console: Console
 
 
 def reasons(rows: tuple[PaperRow, ...]) -> dict[str, list[str]]:
-    """For each note, the quantities that disagree for this reason."""
+    """For each note, the quantities that differ or cannot be decided for this reason."""
     found: dict[str, list[str]] = {}
     for row in rows:
         if row.verdict != "agrees":

@@ -73,7 +73,7 @@ def _flow_law(laws: Sequence[LawFit]) -> str:
 
 def _experiment(found: Discharges) -> str:
     return (
-        f"To separate heat, leak, R_v and law of flow: {found.recommended.in_words()} In its rests the "
+        f"To separate heat, leak, R_v and law of flow: {found.recommended.in_words()} In the rests the "
         "reading rises if the gas had cooled, jumps if the sensor is in the flow, and stays if the valve "
         "settles."
     )
