@@ -84,8 +84,8 @@ class FrameDecoder:
     def frames(self, data: bytes) -> list[tuple[bytes, bytes | None]]:
         """(bytes on the wire, payload) of everything that ends within `data`, in order.
 
-        The payload is None if the bytes are not a frame. Bytes that are longer than any frame are returned
-        as b"".
+        The payload is None if the bytes are not a frame. If there are more bytes than in any frame, only
+        their end is returned, or b"".
         """
         ended: list[tuple[bytes, bytes | None]] = []
         *ends, rest = data.split(FRAME_END)
