@@ -24,7 +24,8 @@ from firmware_link.protocol import (
 )
 
 BOOT_ID = 1
-"""An actuator has no boot id, so this one never changes. After a restart it reports that it is vented."""
+"""An actuator has no boot id, so this one never changes. After a restart the actuator reports that it is
+vented."""
 _CLOCK_MS = 1 << 32
 
 

@@ -11,7 +11,7 @@ ANSWER_WITHIN_S = 3.0
 
 
 class AnswerCheck:
-    """Checks for an answer to our greeting, each time after the port was opened."""
+    """Checks, after each opening of the port, that our greeting is answered."""
 
     def __init__(self) -> None:
         self._opened_s: float | None = None

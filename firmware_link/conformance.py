@@ -30,7 +30,7 @@ class Device(Protocol):
         """The true pressure in the vine, gauge."""
 
     def receive(self, data: bytes) -> None:
-        """Bytes for the device."""
+        """Take bytes that the host sent."""
 
     def advance(self, t: float) -> bytes:
         """Simulate until `t` (seconds, from 0). Returns the bytes that the device sends until then."""

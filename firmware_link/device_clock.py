@@ -11,7 +11,8 @@ from enum import Enum
 
 REORDERED_MS = 100
 """If the board's clock goes back by at most this, messages were only reordered. A restart sets the clock to
-zero. It would look the same only if the board were then silent for as long as it had run before."""
+zero. So a restart looks like reordering only if the board is then silent for about as long as it had run
+before."""
 FORGETS = 0.25
 """Seconds by which a difference between the clocks decays in each second. So a board that stalled once counts
 as current again. A board whose clock runs at less than three quarters of ours always counts as stale."""
@@ -29,9 +30,9 @@ class ClockVerdict(Enum):
 
     NEW = "new"
     OLD = "old"
-    """A repeat, or reordered."""
+    """A repeated message, or one that was overtaken by a newer one."""
     LEAPT = "leapt"
-    """Too far ahead. If the next message continues from its time, that one is NEW."""
+    """The clock is more than `LEAP_S` ahead. If the next message continues from this time, it is NEW."""
     BACK = "back"
     """The board restarted."""
 

@@ -1,8 +1,8 @@
 """Finds a board by its USB ids, independent of the name of its port.
 
-A port's name depends on the order in which boards were plugged in. A board that restarts while a program
-still has its old port open gets another name. The ids and the serial number do not change. Equal boards have
-the same ids, but different serial numbers.
+A port's name depends on the order in which boards were plugged in. If a board restarts while a program still
+has its old port open, the new port has another name. The ids and the serial number do not change. Equal
+boards have the same ids, but different serial numbers.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class UsbBoard:
 
 
 def present_ports(ports: Ports | None = None) -> list[ListPortInfo]:
-    """What `ports` finds (default: this machine's ports), by name; nothing if they cannot be read."""
+    """The ports that `ports` finds (default: this machine's), sorted by name; none if they cannot be read."""
     try:
         return sorted((ports or comports)(), key=lambda port: str(port.device))
     except (OSError, TypeError, ValueError):

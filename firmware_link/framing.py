@@ -2,9 +2,9 @@
 
     frame = COBS(payload + CRC-16 of the payload, high byte first) + 0x00
 
-The CRC is CRC-16/CCITT-FALSE (polynomial 0x1021, start 0xFFFF); that of b"123456789" is 0x29B1. Its high byte
-comes first, so the CRC over payload and CRC together is zero. With COBS a zero byte occurs only at the end of
-a frame. So a receiver that starts in the middle of a frame is synchronised at the next zero.
+The CRC is CRC-16/CCITT-FALSE (polynomial 0x1021, start 0xFFFF). The CRC of b"123456789" is 0x29B1. The high
+byte comes first, so the CRC over payload and CRC together is zero. With COBS a zero byte occurs only at the
+end of a frame. So a receiver that starts in the middle of a frame is synchronised at the next zero.
 """
 
 from __future__ import annotations
@@ -84,8 +84,8 @@ class FrameDecoder:
     def frames(self, data: bytes) -> list[tuple[bytes, bytes | None]]:
         """(bytes on the wire, payload) of everything that ends within `data`, in order.
 
-        The payload is None if the bytes are not a frame. If they are too many for a frame, b"" stands
-        for them.
+        The payload is None if the bytes are not a frame. If there are more bytes than in any frame, only
+        their end is returned, or b"".
         """
         ended: list[tuple[bytes, bytes | None]] = []
         *ends, rest = data.split(FRAME_END)

@@ -1,7 +1,7 @@
 """The host's session with the firmware: a pure state machine without port and clock.
 
 After any interruption (a closed port, a restarted firmware, a refusal) the session vents. Only a new command
-ends this: the hardware must not resume an old command.
+ends the vent: the hardware must not resume an old command.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class Ready:
 
 @dataclass(frozen=True, slots=True)
 class FirmwareReset:
-    """The firmware restarted. The command is dropped, and the session greets again."""
+    """The firmware restarted. The command is dropped. `Ready` follows once the new handshake is done."""
 
     reason: str
 
@@ -124,8 +124,9 @@ PLAUSIBLE_KPA = {
     "reservoir_kPa": (-262.6, 2262.6),
     "setpoint_kPa": (-54.7, 474.7),
 }
-"""Minimum and maximum that the firmware can report at the widest settings of its sensors: the span, 10.625 %
-on both sides, and the zero. A setpoint starts at the reading."""
+"""Minimum and maximum that the firmware can report with the widest settings of its sensors: the span and
+10.625 % of the span beyond each end, plus the zero. A setpoint starts at the vine's pressure, so its range is
+the same."""
 IMPLAUSIBLE_IN_A_ROW = 2
 """One in 65536 corrupted frames passes the CRC by chance. So a single implausible frame is not a fault."""
 _HELLO_PERIOD_S = 0.5
@@ -141,7 +142,7 @@ _EARLY_S = 1e-4
 
 
 class _ClockSample(NamedTuple):
-    """A ping. Samples sort by round trip: the shortest is the most precise."""
+    """The result of one ping. Samples sort by round trip: the shortest is the most precise."""
 
     round_trip_s: float
     at_s: float
@@ -179,7 +180,7 @@ class HostSession:
     def __init__(self, repeat_s: float = 0.02, first_nonce: int = 1) -> None:
         self.state = SessionState.CLOSED
         self.welcome: Welcome | None = None
-        """The answer of the firmware that is (or was last) READY."""
+        """The firmware's answer in the latest successful handshake."""
         self.telemetry: Telemetry | None = None
         """The latest telemetry since the port was opened."""
         self.telemetry_gaps = 0
@@ -215,7 +216,7 @@ class HostSession:
         return self._number
 
     def telemetry_age(self, t: float) -> float:
-        """Seconds since the board made its latest telemetry, by its clock; infinite without telemetry."""
+        """Age of the latest telemetry in seconds, by the board's clock; infinite without telemetry."""
         return math.inf if self._telemetry_s is None else t - self._telemetry_s
 
     def opened(self, t: float) -> None:
@@ -244,7 +245,7 @@ class HostSession:
         return [*first, self._current_message()]
 
     def clear_faults(self, t: float, mask: Fault) -> list[HostMessage]:
-        """Request to unlatch the faults in `mask`; empty while not READY. The session still vents."""
+        """Request to unlatch the faults in `mask`; empty while not READY. A vent continues."""
         return [ClearFaults(int(mask) & 0xFFFF)] if self.state is SessionState.READY else []
 
     def tick(self, t: float) -> list[HostMessage]:

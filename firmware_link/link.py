@@ -21,8 +21,8 @@ class FirmwareLink:
     """Communicates with the firmware at `where`, a port or a board. `run` reconnects after every loss.
 
     `on_event` gets the events. `on_state(up, why)` is called when the port opens or closes, when the firmware
-    does not answer on it, and when it answers again. Both are called from the event loop. When `run` is
-    cancelled it vents the actuator. Example:
+    does not answer on it, and when it answers again. Both functions are called from the event loop. When
+    `run` is cancelled, it vents the actuator. Example:
 
         async def bend() -> None:
             def on_event(event: HostEvent) -> None:

@@ -1,7 +1,8 @@
-"""The messages between host and firmware: one definition for both sides.
+"""The messages between host and firmware, in both directions. The firmware's copy is `core/messages.cpp`.
 
 A frame's payload is type (u8), sequence (u8, per direction, wraps), body; everything is little-endian.
-Pressures are kPa gauge. `docs/serial-protocol.md` describes the same, with golden vectors.
+Pressures are kPa gauge. `docs/serial-protocol.md` describes the same messages. Golden vectors test both
+copies.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class Mode(IntEnum):
 
 
 class Fault(IntFlag):
-    """Why the firmware vents by itself. Each bit latches until `ClearFaults`."""
+    """The reasons for which the firmware vents by itself. Each bit latches until `ClearFaults`."""
 
     NONE = 0
     DEAD_MAN = 1 << 0
@@ -138,7 +139,7 @@ class Hello(_Body):
 class Setpoint(_Body):
     """Host to device: regulate to `target_kPa` at `rate_kPa_per_s` or slower, for `ttl_ms`.
 
-    `number` counts the host's commands. Telemetry has the number of the last accepted one.
+    `number` counts the host's commands. Telemetry has the number of the last accepted command.
     """
 
     TYPE: ClassVar[int] = 0x02
@@ -152,7 +153,7 @@ class Setpoint(_Body):
 
 @dataclass(frozen=True, slots=True)
 class Vent(_Body):
-    """Host to device: close the inflation valve, open the solenoid. Always accepted."""
+    """Host to device: close the inflation valve, and open the solenoid. Always accepted."""
 
     TYPE: ClassVar[int] = 0x03
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<H")
@@ -289,8 +290,8 @@ class Telemetry(_Body):
 
     `number` is that of the last accepted setpoint or vent, 0 before the first. `setpoint_kPa` is the
     regulator's present setpoint on its way to the target, 0 outside REGULATE. While `faults` has a sensor's
-    fault, its pressure is the last valid reading. Openings are 0…65535 on the wire. EVP: inflation valve.
-    DVP: valve that supplies the Venturi.
+    fault, the pressure of this sensor is its last valid reading. Openings are 0…65535 on the wire. EVP:
+    inflation valve. DVP: valve that supplies the Venturi.
     """
 
     TYPE: ClassVar[int] = 0x82

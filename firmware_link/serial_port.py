@@ -15,7 +15,8 @@ from serial_asyncio_fast import SerialTransport, create_serial_connection
 from firmware_link.find import BoardNotFoundError, Ports, UsbBoard
 
 RETRY_S = 0.2
-"""Time between two tries; one takes about 1 ms of processor time. A lost board must be back within 1 s."""
+"""Time between two tries. A try takes about 1 ms of processor time. A board that is plugged in again must be
+connected within 1 s."""
 _CLOSING_S = 0.5
 STALE_S = 0.25
 """Data that waits longer is dropped, because a setpoint is valid only for this time."""
@@ -70,7 +71,7 @@ class SerialPort:
         return True
 
     async def run(self) -> None:
-        """Keep the port open until cancelled. It is closed when this returns."""
+        """Keep the port open until cancelled; then close it."""
         while True:
             name = str(self.where)
             try:
@@ -104,7 +105,7 @@ class SerialPort:
         try:
             _, connection = await asyncio.shield(opening)
         except asyncio.CancelledError:
-            # The thread that opens the port cannot be stopped. Close the port when it is open.
+            # The thread that opens the port cannot be stopped. Close the port once it is open.
             opening.add_done_callback(_close_again)
             raise
         assert isinstance(connection, _Connection)
@@ -117,7 +118,7 @@ class SerialPort:
             self._report(False, f"{name} was lost: {why}")
         finally:
             self._end(connection)
-            # A driver may keep an unplugged port for a long time. Do not wait for it.
+            # A driver may keep an unplugged port for a long time. Do not wait longer.
             await asyncio.wait([connection.gone], timeout=_CLOSING_S)
 
     def _came_up(self, connection: _Connection, name: str) -> None:
@@ -292,7 +293,8 @@ def _why_not(name: str, error: OSError | ValueError) -> str:
         )
     if code in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK):
         return (
-            f"{name} is in use by another program (a serial monitor, ModemManager, or a second copy of this)"
+            f"{name} is in use by another program (a serial monitor, ModemManager, or a second copy of this"
+            " program)"
         )
     return f"{name} could not be opened: {getattr(error, 'strerror', None) or error}"
 

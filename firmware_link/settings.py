@@ -15,8 +15,9 @@ _MAX_TRIES = 10
 class SettingsExchange:
     """Requests one setting after another until all are known, then makes `changes` (by name).
 
-    Send the messages of `due` whenever the session is READY. It repeats unanswered requests. It is finished
-    when `done` or `problem` is set. It changes nothing if one of the changes is unknown or out of range.
+    Send the messages of `due` whenever the session is READY. Unanswered requests are repeated. The exchange
+    is finished when `done` or `problem` is set. If one of the changes is unknown or out of range, none is
+    made.
     """
 
     def __init__(self, changes: Mapping[str, float] | None = None) -> None:
@@ -77,7 +78,10 @@ class SettingsExchange:
         return next(setting for setting in self.settings if setting.name == name)
 
     def _check_changes(self) -> str:
-        """Why this firmware cannot make one of the changes; else empty. Rounds them to 32-bit floats."""
+        """The reason why this firmware cannot make one of the changes; else empty.
+
+        Rounds the new values to 32-bit floats.
+        """
         names = [setting.name for setting in self.settings]
         for name, value in self._changes.items():
             if name not in names:

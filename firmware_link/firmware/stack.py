@@ -1,12 +1,12 @@
-"""What the sketch needs of each board: flash, memory, and the deepest stack.
+"""The flash, memory and stack that the sketch needs on each board.
 
     stack.py [--json] teensy40/phlosar.elf ...
 
 The stack's bound comes from the machine code, so it also covers Teensy's core and the compiler's library. A
-function's frame is all the stack that the function itself uses. The deepest chain of frames from `setup` or
-`loop` is what the program needs. Each interrupt adds the registers that the processor saves and its own
-chain; every interrupt is assumed to interrupt the one before. Code without a bound is refused: recursion,
-frames of unknown size, and calls through a register to anything but the functions that are listed here.
+function's frame is all the stack that the function itself uses. The program needs the deepest chain of frames
+from `setup` or `loop`. Each interrupt adds its own chain and the registers that the processor saves, as if
+every interrupt occurred during the one before. Code without a bound is refused: recursion, frames of unknown
+size, and calls through a register to functions that are not listed here.
 
 Needs the standard library and the cross compiler's binutils.
 """
@@ -27,7 +27,7 @@ _INTERRUPTS = ("pit_isr", "usb_isr")
 _SYSTICK = ("(anonymous namespace)::guard()", "systick_isr")
 """The first one that exists is used. On a Teensy 4 it calls the second one."""
 _SAVED = {"v6S-M": 36, "v7E-M": 108}
-"""Bytes of registers that an interrupt saves, padded to a multiple of 8, by architecture (M0+, M7)."""
+"""Bytes of registers that an interrupt saves, plus 4 for the stack's alignment, by architecture (M0+, M7)."""
 _THROUGH_A_REGISTER = {
     r"^pit_isr|every_millisecond|beginCycles|^teensy::inplace_function<": (r"vtable<void>.*_FUN",),
     r"vtable<void>.*_FUN": (r"::step\(\)$",),
@@ -36,7 +36,7 @@ _THROUGH_A_REGISTER = {
     r"^flash_write|^eeprom_write_byte": (),  # code that it copied to the stack and that pushes nothing
     r"^__aeabi_|^__gnu_": (),  # jumps within the routine
 }
-"""Which functions a call through a register can reach (patterns of names), by the name of the caller."""
+"""Patterns of the functions that a call through a register can reach, by a pattern of the caller's name."""
 
 _LAST = "_reboot_Teensyduino_"
 """Starts the bootloader and never returns, so its stack does not matter."""
@@ -194,7 +194,7 @@ def _functions(listing: str) -> dict[int, ImageFunction]:
 
 
 def _read(function: ImageFunction, mnemonic: str, operands: str) -> None:
-    """What one instruction adds to a function's frame and branches."""
+    """Add one instruction's share to the function's frame and branches."""
     veneer = _VENEER.search(function.name) is not None
     stem = mnemonic.removesuffix(".w")
     if stem in ("push", "vpush") or (stem in ("stmdb", "vstmdb") and operands.startswith("sp!")):
@@ -260,7 +260,9 @@ def _show(needs: Needs) -> None:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="What the sketch needs of each board.")
+    parser = argparse.ArgumentParser(
+        description="Flash, memory and stack that the sketch needs on each board."
+    )
     parser.add_argument("elf", type=Path, nargs="+")
     parser.add_argument("--json", action="store_true", help="one JSON object, for programs")
     arguments = parser.parse_args()

@@ -27,7 +27,7 @@ LATE_S = 1.0
 """Added to a movement's time before the vine is vented."""
 VENT_TIMEOUT_S = 15.0
 VENTED_KPA = 1.0
-"""Above the sensor's zero."""
+"""Below this pressure the vine counts as vented."""
 PERSON_TIMEOUT_S = 900.0
 """Maximum time for a person to change a hose or to fill a reservoir."""
 PRECISION = {"levels": ("cv_volume_L", 0.04), "valve": ("evp_flow_resistance_kPa_s_per_SL", 0.05)}
@@ -98,7 +98,7 @@ class CalibrationProgress:
     share: float
     """Done share of the whole calibration, 0…1."""
     left_s: float
-    """As planned, without repeats."""
+    """Remaining time, as planned without repeats."""
     doing: str
 
 
@@ -314,7 +314,7 @@ class Calibrator:
             if not self._air_lasts(sum(move.air_kPa for move in stage.again)):
                 self._out.append(
                     Message(
-                        f"{stage.title}: not precise enough, but the bottle has too little air to repeat it"
+                        f"{stage.title}: not precise enough, but the bottle has too little air for a repeat"
                     )
                 )
                 return
@@ -425,12 +425,15 @@ class Calibrator:
         if not self._air_lasts(air_kPa):
             assert self._snapshot is not None
             has_kPa, needs_kPa = self._snapshot.reservoir_kPa, self._needed_kPa(air_kPa)
-            raise _Stopped(f"the bottle holds {has_kPa:.0f} kPa, and this needs {needs_kPa:.0f}: fill it")
+            raise _Stopped(f"the bottle holds {has_kPa:.0f} kPa, but {needs_kPa:.0f} are needed: fill it")
 
     # Ending.
 
     def _problem(self, now: Snapshot) -> str:
-        """Why the calibration cannot go on; else empty. In the first stages the zero may still be wrong."""
+        """The reason why the calibration cannot go on; empty if it can.
+
+        Until the zero has been measured, a wrong zero is no reason.
+        """
         if now.firmware != "ready":
             return f"phloSAR {now.firmware}"
         wrong = dict(now.safe_state)
@@ -465,7 +468,7 @@ class Calibrator:
 
 
 def _angle_deg(text: str) -> float | None:
-    """NaN if it is skipped; None if the text is not an angle."""
+    """NaN for an empty text, which skips the angle; None if the text is not an angle."""
     if not text.strip():
         return math.nan
     try:

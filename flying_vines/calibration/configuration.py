@@ -59,7 +59,7 @@ def _up_to(max_kPa: float, curve: Sequence[tuple[float, float]]) -> Sequence[tup
 
 
 def is_precise(finding: MeasuredQuantity) -> bool:
-    """True if it may replace the assumed value."""
+    """True if the measured value may replace the assumed one."""
     value, low, high = finding.value, finding.low, finding.high
     if value is None or low is None or high is None:
         return False
@@ -96,7 +96,7 @@ def _holds(text: str, config: Config) -> bool:
 def calibrated(text: str, source: str, found: Sequence[ConfigurationChange], day: str) -> tuple[str, str]:
     """As `with_changes`, and a sentence if the measured curve was written only as a comment.
 
-    That is so if the configuration would be invalid with the measured curve, for example because a profile
+    The curve becomes a comment if the configuration would be invalid with it, for example because a profile
     has an angle that the vine cannot reach.
     """
     try:

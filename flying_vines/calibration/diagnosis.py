@@ -34,7 +34,8 @@ class CalibrationDiagnosis:
     rig: Path | None
     """The rig file with the causes found; None if none was found."""
     helps: bool
-    """True if the causes improve the cycles left: they predict unseen data, and they change the air use."""
+    """True if the causes improve the estimate of the cycles left: they lower the error on unseen data, and
+    they change the air that a cycle takes."""
 
 
 def diagnosed(

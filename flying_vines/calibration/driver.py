@@ -61,7 +61,7 @@ class UserConfiguration:
 
 @dataclass(frozen=True)
 class CalibrationContext:
-    """What is known of the rig beyond its configuration."""
+    """The rig file of the configuration, and the state that `run` has stored for it."""
 
     prior: RigPrior | None = None
     rig_text: str = ""
@@ -73,9 +73,9 @@ class CalibrationContext:
 
 
 def load_context(user: UserConfiguration) -> tuple[Config, CalibrationContext]:
-    """The configuration as `run` would fly it, with the saved parameters and the rig file.
+    """The configuration as `run` would use it: with the stored parameters and the rig file.
 
-    Raises `ParameterFileError`, `SigningKeyError` or `RigError`, each with a text of one line.
+    Raises `ParameterFileError`, `SigningKeyError` or `RigError`, each with a text of one line, or `OSError`.
     """
     path, config = user.path, user.config
     if path is None:
@@ -116,7 +116,7 @@ class CalibrationRun:
 
     outcome: CalibrationOutcome
     pneumatics: PneumaticsConfig
-    """From the rig file if the configuration names one."""
+    """The rig file's numbers if the configuration names a rig file."""
     interrupted: bool
     firmware: Mapping[str, float]
     """Proposed settings."""
@@ -169,7 +169,7 @@ class CalibrationDriver:
             self._outputs.popleft()
 
     def outcome(self, folder: Path, log_problem: str) -> CalibrationOutcome:
-        """Call it after the end."""
+        """Call it after the calibration has ended."""
         calibrator = self.calibrator
         assert calibrator.ended is not None
         return CalibrationOutcome(
@@ -182,7 +182,7 @@ class CalibrationDriver:
 
 
 def result_of(task: EvaluationTask) -> object:
-    """The task's result, or its exception: a failed evaluation ends only its stage."""
+    """The task's result, or its exception: a failed evaluation does not end the calibration."""
     try:
         return task.run()
     except Exception as error:

@@ -20,7 +20,8 @@ class StageRecording:
     plan: CalibrationPlan
     stage: str
     readings: Readings
-    """Since the reservoir was last filled or the vine exchanged; in `empty` and `zero`, those of the rest."""
+    """Since the reservoir was filled, or the vine was replaced or put back. In the stages `empty` and `zero`
+    only those of `rest_s`."""
     findings: Findings
     ambient_kPa: float
     """Absolute; NaN if it is unknown."""

@@ -122,7 +122,7 @@ class SettingProposal:
     setting: str
     value: float
     relative: bool
-    """The value is added to the present setting."""
+    """True if the value is added to the present setting."""
     why: str
 
 
@@ -182,5 +182,5 @@ class Findings:
 
 
 def _renewed(before: Iterable[Any], now: Iterable[Any], name: str) -> tuple[Any, ...]:
-    """The newest of each name; in the order of their first appearance."""
+    """The newest item of each name, in the order in which the names first appeared."""
     return tuple(({getattr(x, name): x for x in before} | {getattr(x, name): x for x in now}).values())

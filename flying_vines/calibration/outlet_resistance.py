@@ -1,9 +1,9 @@
 """Resistance of the outlet, from the fall of the vine's pressure after it opens.
 
-    R = ∫ P dt / n        n = V_cv P_0 / α: the air in the vine above ambient pressure
+    R = ∫ P dt / n        n = V_cv P_0 / α: the air that leaves the vine
 
-over a vent from P_0 to zero without the Venturi: a mean over the whole fall. The time that the outlet needs
-to open does not count.
+over a vent from P_0 to zero without the Venturi. R is a mean over the whole fall. The time that the outlet
+needs to open does not count.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ DETECTED = (0.95, 0.85)
 
 
 def vents(readings: Readings) -> Iterator[tuple[Array, Array]]:
-    """Time since the outlet opened and pressure, for each vent of a vine that held its pressure."""
+    """(time since the outlet opened, pressure) of each vent that began at a held pressure."""
     venting = readings.solenoid & (readings.evp == 0.0) & (readings.dvp == 0.0) & ~readings.regulating
     for rows in readings.stretches(venting):
         begin, t_s = rows.start, readings.t_s

@@ -32,7 +32,7 @@ LEVELS = 3
 ROUNDS, ROUNDS_AGAIN = 3, 2
 LEVELS_AGAIN, VALVE_AGAIN = 3, 1
 RAMP_S = 0.5
-"""From one level to the next."""
+"""Time of a rise from one level to the next."""
 RATES_KPA_PER_S = (4.0, 60.0, 15.0, 60.0, 30.0)
 """Rates of inflation. Slow inflations measure where the valve starts to open, fast ones its gain."""
 LOW_SHARE = 0.25
@@ -71,7 +71,10 @@ class CalibrationRequest:
 
 @dataclass(frozen=True)
 class Movement:
-    """Runs a profile of the derived configuration, then vents the vine. Air in kPa of the reservoir."""
+    """Runs a profile of `CalibrationPlan.config`, then vents the vine.
+
+    `air_kPa`: expected fall of the reservoir's pressure.
+    """
 
     profile: str
     seconds: float
@@ -80,7 +83,7 @@ class Movement:
 
 @dataclass(frozen=True)
 class Stage:
-    """One stage of the calibration. Air in kPa of the reservoir, as expected."""
+    """One stage of the calibration. `air_kPa`: expected fall of the reservoir's pressure."""
 
     name: str
     title: str
@@ -99,7 +102,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class CalibrationPlan:
-    """`config` is the derived configuration that moves the vine, `user_config` the user's own."""
+    """`config`: the user's configuration with the calibration's movements; `user_config`: without them."""
 
     stages: tuple[Stage, ...]
     config: Config
@@ -119,7 +122,7 @@ class CalibrationPlan:
 
     @property
     def max_seconds(self) -> float:
-        """The time if every movement has to be repeated."""
+        """The time if every stage is repeated as often as possible."""
         return self.seconds + sum(
             stage.max_repeats * sum(move.seconds + self.hold_s for move in stage.again)
             for stage in self.stages
@@ -179,7 +182,7 @@ def _derived(
 
     Limits (except a longer `max_bent_s`), losses and interlocks are the user's. Volume and leak of the vine
     are still unknown, so physics checks of the volume accept a factor of `VOLUME_FACTOR` or more, and
-    `vine_leak` only warns. All other checks vent the vine as in flight.
+    `vine_leak` only warns. All other checks act as in flight.
     """
     checks = config.checks
     cv_L = config.pneumatics.cv_volume_L
@@ -249,7 +252,7 @@ def _stages(
         return not request.only or name in request.only
 
     def movement(profile: str, volume: float = 1.0) -> Movement:
-        """`volume`: of the filled vessel, relative to the vine."""
+        """`volume`: volume that is filled, relative to that of the vine."""
         move = moves[profile]
         air_kPa = volume * prior.rise.mean * move.rise_kPa + prior.flat.mean
         return Movement(profile, move.duration_s, air_kPa)
@@ -270,7 +273,7 @@ def _stages(
     if request.bottle_empty and wanted("empty"):
         does = "read the bottle's sensor while it is empty and open; then you fill it"
         yield Stage("empty", "Bottle's zero", does, EMPTY_S, rest_s=EMPTY_S)
-    # All other stages need the zero.
+    # All later stages need the zero.
     yield Stage("zero", "Zero", "read the vented vine's sensor", SETTLE_S + ZERO_S, rest_s=SETTLE_S + ZERO_S)
     if wanted("bottle_leak"):
         does = "watch the bottle while no air is used"

@@ -1,7 +1,7 @@
 """A calibration of a real rig: the service on the configured ports, a recorder, and a person.
 
-Nothing moves before the person agrees. However it ends, the vine is vented and the firmware's telemetry rate
-is set back.
+Nothing moves before the person agrees. At any end of the calibration, the vine is vented and the firmware's
+telemetry rate is set back.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ from flying_vines.vine.intent import Intent
 
 READY = (
     "The vine will bend: propellers off, nobody near it, nothing in its way, the bottle full.\n"
-    "Press Enter to begin. Ctrl-C ends it at any time and vents the vine."
+    "Press Enter to begin. Ctrl-C ends the calibration at any time and vents the vine."
 )
 RATE = "telemetry_Hz"
 EVERY_STEP_HZ = 1000.0
 """Rate of the regulator's steps."""
 MIN_BAUD = 460_800
-"""For telemetry at `EVERY_STEP_HZ`."""
+"""Minimum baud rate for telemetry at `EVERY_STEP_HZ`."""
 
 
 async def calibrate(
@@ -59,7 +59,8 @@ async def calibrate(
 ) -> CalibrationRun | None:
     """Calibrate the rig on the configured ports; None if the person does not agree.
 
-    Raises `CalibrateError`, `SettingsError` if the board does not answer, those of `load_context`, `OSError`.
+    Raises `CalibrateError`, `SettingsError` if the board does not answer, the errors of `load_context`, or
+    `OSError`.
 
     Args:
         save: save the proposed settings in the firmware.
@@ -91,7 +92,10 @@ async def _run(
     terminal: CalibrationTerminal,
     stopped: asyncio.Event,
 ) -> CalibrationOutcome:
-    """`stopped` ends it. The flight's folder is made in `parent`; `OSError` if that fails."""
+    """`stopped` ends the calibration.
+
+    The flight's folder is made in `parent`. Raises `OSError` if that fails.
+    """
     recorder = Recorder(parent, flight_start(plan, context), plan.config.log.least_free_MB)
     calibrator = Calibrator(plan)
     tasks: set[asyncio.Task[None]] = set()
@@ -118,7 +122,8 @@ async def _run(
     def take(action: Action) -> None:
         driver.actions.append(action)
         if isinstance(action, KeepDisarmed) and context.state is not None:
-            # Nothing else is stored, because the service does not fly the user's configuration.
+            # Parameters, learned air and faults are not stored: the service runs with the derived
+            # configuration, not with the user's.
             tasks.add(asyncio.create_task(store(context.state, action.disarmed)))
 
     driver = CalibrationDriver(
@@ -148,7 +153,7 @@ async def _run(
 
 
 async def _pass(serving: asyncio.Task[None], tasks: set[asyncio.Task[None]]) -> None:
-    """Wait for a step. Raises the error that ended the service or one of the tasks."""
+    """Wait for one step at most. Raises the error that ended the service or one of the tasks."""
     ended, _ = await asyncio.wait([serving, *tasks], timeout=STEP_S)
     for task in ended:
         task.result()
@@ -162,7 +167,7 @@ async def every_step(
     """In this context the firmware sends telemetry at `EVERY_STEP_HZ`, if the line is fast enough.
 
     Yields the firmware's settings. Raises SettingsError if no firmware answers, or once `stopped`. `warn`
-    receives a sentence if the rate stays as it is, or if it cannot be set back.
+    receives a sentence if the line is too slow, or if the rate cannot be set back.
     """
     known = await exchange_settings(address, {}, stopped)
     before_Hz = next(setting.value for setting in known if setting.name == RATE)
@@ -186,7 +191,7 @@ async def every_step(
 
 
 def carries_every_step(address: Address) -> bool:
-    """True if a port has no baud rate of its own (USB, pseudo-terminal, network), or a fast one."""
+    """True if the port has a fast baud rate, or none that limits it (USB, pseudo-terminal, network)."""
     if not isinstance(address, SerialAddress) or address.baud >= MIN_BAUD:
         return True
     port = Path(address.path).resolve()

@@ -1,17 +1,18 @@
-"""Mass and heat balance of the reservoir: how much air each consumer took, from the reservoir's pressure.
+"""Mass and heat balance of the reservoir: its pressure shows how much air each consumer took.
 
 Each consumer j has a parameter θ_j and a column F_j(t). The column is the fall of the reservoir's pressure
 that the consumer has caused up to time t, per unit of θ_j, for gas at ambient temperature. But outflow cools
-the gas, and the cold wall recovers slowly. ϑ and ϑ_w are the deviations of gas and wall from ambient
-temperature, divided by it. p is the absolute pressure that the gas would have at ambient temperature:
+the gas, and the cold wall recovers slowly. ϑ and ϑ_w are the temperatures of gas and wall, as relative
+deviations from ambient temperature. p is the absolute pressure that the gas would have at ambient
+temperature:
 
     P_r = P_0 − Σ θ_j F_j + p ϑ
     dϑ/dt = −(γ−1) (1+ϑ)/p Σ θ_j dF_j/dt − a (ϑ − ϑ_w)
     dϑ_w/dt = b (ϑ − ϑ_w) − c ϑ_w                           a, b, c: `Wall.rates`
 
 The model is linear in the θ_j, in P_0 and in both temperatures at the start. It is nonlinear in the two
-conductances and the heat capacity of the wall; the usual values of a bottle are their prior. All are fitted
-together to means over `BIN_S`.
+conductances and the heat capacity of the wall; the usual values of a bottle are their prior. All parameters
+are fitted together to means over `BIN_S`.
 """
 
 from __future__ import annotations
@@ -31,16 +32,18 @@ from flying_vines.supply.rig_prior import Prior, bottle_wall
 
 BIN_S = 0.2
 BLOCK = 25
-"""Bins (5 s). Residuals that are alike within a block widen the intervals."""
+"""Bins of a block (5 s). Residuals that are alike within a block widen the intervals."""
 MIN_SD_KPA = 1e-3
 _HEAT_SD = np.array([0.6, 0.4, 0.6])
-"""Prior of ln conductance, ln capacity, ln outer conductance."""
+"""Prior standard deviations of ln conductance, ln capacity and ln outer conductance of the wall."""
 _HEAT_RANGE = 4.0
-"""Bound of the same logarithms around the usual values. A very large conductance is isothermal gas."""
+"""Maximum deviation of these logarithms from their usual values. With a very large conductance the gas is
+isothermal."""
 _START_SD = np.array([0.03, 0.02])
-"""Prior of ϑ and ϑ_w at the start: a reservoir that was just filled is warm."""
+"""Prior standard deviations of ϑ and ϑ_w at the start: a reservoir that was just filled is warm."""
 ISOTHERMAL_CHI2 = 10.0
-"""The model without heat is used if its χ² is higher by less: three heat parameters also fit some noise."""
+"""The isothermal model is used if its χ² is higher by less than this: the three heat parameters of the other
+model also fit some noise."""
 _ROUNDS = 3
 """Iterations of the gas temperature: the mass depends on it, and the cooling on the mass."""
 _STEP = 1e-4
@@ -56,7 +59,8 @@ class Bins:
     columns: Mapping[str, Array]
     """Cumulative, kPa per unit of the parameter."""
     counts: BoolArray
-    """Bins that are fitted. In the others the gas of the vine is still warm, and its air is not known."""
+    """True for bins that are fitted. In the other bins the vine's gas is still warm, so its pressure does not
+    show the amount of air."""
     noise_kPa: float
     """Standard deviation of a mean."""
 
@@ -88,7 +92,10 @@ class Balance:
 
 
 def binned(readings: Readings, columns: Mapping[str, Array], counts: BoolArray, noise_kPa: float) -> Bins:
-    """Means of rows. A bin is fitted if all its rows count. `noise_kPa`: of a single reading."""
+    """The readings as bins. A bin is fitted if `counts` is True in all its rows.
+
+    `noise_kPa`: standard deviation of a single reading.
+    """
     index = np.floor((readings.t_s - readings.t_s[0]) / BIN_S).astype(int)
     rows = np.bincount(index)
     used = rows > 0
@@ -166,14 +173,14 @@ class _BalanceFit:
         self._target = np.concatenate([read, expected, [0.0, 0.0]])
 
     def solved(self, heat: Array | None) -> tuple[Array, Array]:
-        """The best linear parameters, and the residual with the prior of the heat parameters."""
+        """The best linear parameters, and the residuals; the last three are those of the heat parameters."""
         design = self._design(heat)
         best = np.linalg.lstsq(design, self._target, rcond=None)[0]
         unusual = np.zeros(3) if heat is None else (self._usual - heat) / _HEAT_SD
         return best, np.concatenate([self._target - design @ best, unusual])
 
     def chi2(self, heat: Array | None) -> float:
-        """χ² with that of the priors."""
+        """χ² of the readings and of the priors."""
         residual = self.solved(heat)[1]
         return float(residual @ residual)
 

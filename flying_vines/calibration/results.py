@@ -1,9 +1,9 @@
 """The results of a calibration on the terminal and as files, in the folder `calibration` of its flight.
 
 findings.json        every quantity with its interval; the typed angles; the proposals for the firmware
-calibrated.toml      the user's configuration with the measured values; profile-before.toml: as it was
+calibrated.toml      the user's configuration with the measured values; profile-before.toml: without them
 calibration.html     table and pictures in one page; each picture as SVG and PNG beside it
-measured-rig.toml    the measured numbers as a rig file; rig.toml: with the causes that the diagnosis names
+measured-rig.toml    the measured numbers as a rig file; rig.toml: also the causes that the diagnosis names
 diagnosis/           the report of the diagnosis
 """
 
@@ -40,7 +40,7 @@ RIG_KEYS = {
     "evp_flow_resistance_kPa_s_per_SL": "evp.flow_resistance_kPa_s_per_SL",
     "dvp_flow_resistance_kPa_s_per_SL": "dvp.flow_resistance_kPa_s_per_SL",
 }
-"""Keys of a rig file by the names of the findings and of `[pneumatics]`."""
+"""Keys of a rig file. The names on the left are those of the findings and of the keys in `[pneumatics]`."""
 NUMBERS = tuple(f"pneumatics.{name}" for name in RIG_KEYS)
 NOISE = {"cv_noise_kPa": "cv_noise_std_kPa", "reservoir_noise_kPa": "reservoir_noise_std_kPa"}
 
@@ -71,7 +71,7 @@ def write_results(
     changed = list(changes(findings, user.config.limits.max_kPa))
     for finding in findings.findings:
         if finding.key in NUMBERS and finding.value is not None and not is_precise(finding):
-            terminal.warn(f"{finding.what}: not precise enough; the configuration keeps its value")
+            terminal.warn(f"{finding.what}: not precise enough; the configuration keeps the old value")
     if changed and user.config.pneumatics.rig:
         changed = [*_instead_of_rig(user.config.pneumatics.rig, run.pneumatics, changed), *changed]
     numbers = with_numbers(user.config, changed).pneumatics
@@ -94,7 +94,7 @@ def write_results(
 
 
 def rig_text(numbers: PneumaticsConfig, findings: Findings) -> str:
-    """A rig file with the measured numbers (`numbers`), and their intervals as tolerances."""
+    """A rig file with the measured numbers (`numbers`), their intervals as tolerances, and the noise."""
     rig = nominal_rig(numbers)
     noise = {}
     for name, key in NOISE.items():
@@ -183,7 +183,7 @@ def _instead_of_rig(
     name: str, pneumatics: PneumaticsConfig, changed: list[ConfigurationChange]
 ) -> Iterator[ConfigurationChange]:
     """Clears `pneumatics.rig`, and copies the numbers of the rig file that were not measured."""
-    yield ConfigurationChange("pneumatics", "rig", "", "it would have priority over these numbers")
+    yield ConfigurationChange("pneumatics", "rig", "", "a rig file would have priority over these numbers")
     measured = {change.name for change in changed}
     for key in RIG_KEYS:
         if key not in measured:

@@ -53,9 +53,9 @@ def calibrate(
     terminal: CalibrationTerminal,
     rig: Path | None,
 ) -> CalibrationRun:
-    """Calibrate the rig of a file, or one with all typical effects.
+    """Calibrate the rig of a rig file; without a file, a rig with all typical effects.
 
-    Raises `CalibrateError`, `RigError` or `OSError`.
+    Raises `CalibrateError`, the errors of `load_context`, or `OSError`.
     """
     if request.vessel_L is not None:
         raise CalibrateError("--vessel-L needs a person who changes a hose; it does not work with --fake")
@@ -148,7 +148,7 @@ def _run(
 
 
 class _RecordedWorld(SimulatedWorld):
-    """A simulated world whose recorder gets the same events and actions as that of the service."""
+    """A simulated world that records the same events and actions as the service does."""
 
     def __init__(
         self, config: Config, phlosar: SimulatedPhlosar, context: CalibrationContext, recorder: Recorder

@@ -104,7 +104,7 @@ class CalibrationTerminal:
         return not stopped.is_set()
 
     def show(self, output: StageBegan | Message | StageResult | Ended) -> None:
-        """Print one or several lines."""
+        """Print an output of the calibrator."""
         say = self._bar.console.print
         match output:
             case StageBegan(stage, index, of):
@@ -208,7 +208,8 @@ def findings_table(findings: Findings) -> Table:
 
 
 def _is_news(finding: MeasuredQuantity, shown: MeasuredQuantity | None) -> bool:
-    """True if it is now measured, clearly different, or twice as precise as the line shown before."""
+    """True if the value is measured for the first time, clearly different from the shown one, or twice as
+    precise."""
     if shown is None or shown.value is None or finding.value is None:
         return shown is None or shown.value != finding.value
     if shown.low is None or shown.high is None or finding.low is None or finding.high is None:

@@ -2,10 +2,10 @@
 
     ∫ Q dt = G Σ max(0, x − u₀) p_r dt       over an inflation from one settled pressure to another
 
-x is the commanded opening after a play of width w. A shut valve is at the lower end of the play: it opens
-with the command, and closes only when the command has fallen by w. The left side is the air between two
-settled pressures (`vine_air`), so lag and delay of the valve and warm gas in between do not matter. A choked
-flow is proportional to the absolute supply pressure p_r. Slow inflations determine u₀, fast ones G.
+Q is the flow, u₀ the start and G the gain. x is the commanded opening after a play of width w: x follows a
+rising command at once, and a falling command only after it has fallen by w. The left side is the air between
+two settled pressures (`vine_air`), so lag and delay of the valve and warm gas in between do not matter.
+Choked flow is proportional to the absolute supply pressure p_r. Slow inflations determine u₀, fast ones G.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ MIN_INFLATIONS = 4
 STARTS = np.arange(0.0, 0.7, 0.001)
 PLAYS = np.arange(0.0, 0.26, 0.01)
 PLAY_PRIOR = (0.07, 0.06)
-"""Mean and standard deviation."""
+"""Mean and standard deviation of w."""
 AIR_SD = 0.01
 """Relative standard deviation of the air of an inflation."""
 PRESSURE_SD_KPA = 0.03
@@ -104,7 +104,7 @@ def inflations(readings: Readings, vine: VineAir) -> Iterator[SettledInflation]:
 
 
 def after_play(command: Array, widths: Array) -> Array:
-    """Opening above the lower end of the play, for each width of it: (rows commanded above 0, widths).
+    """x for each width of the play: (rows with a command above 0, widths).
 
     A command of 0 resets the play.
     """
@@ -185,7 +185,7 @@ def _refined(
     if start_sd > MAX_START_SD:
         return "the inflations were too much alike to separate start and gain"
     gain, full = float(np.exp(q[2])), float(np.exp(q[2]) * (1.0 - q[1]))
-    # The errors of start and gain are correlated: the flow of the open valve is known better than either.
+    # The errors of start and gain are correlated, so the flow of the fully open valve has a smaller error.
     along = np.array([0.0, -1.0 / (1.0 - q[1]), 1.0])
     return ValveFit(
         Estimate(float(q[1]), float(np.hypot(start_sd, START_SD))),

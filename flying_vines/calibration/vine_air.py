@@ -3,12 +3,13 @@
 While the outlet is shut, the vine's pressure shows how much air is in it. A rise dP takes, in kPa of the
 reservoir,
 
-    dF = V_cv/V_r dP        V_cv = V (1 + k p_a + 2 k P)  of a volume V (1 + k P)
+    dF = V_cv/V_r dP        V_cv = V (1 + k p_a + 2 k P)
 
-So the fit gives the effective volume V_cv (with the tube, as a mean from 0 to the top pressure) and its
-growth with pressure. A pouch (the bending chamber of the vine) takes air before its pressure rises: the first
-inflation fills it from flat, later ones replace what venting has let out. With a rigid vessel of known volume
-in place of the vine, the same ratio gives the reservoir's volume V_r.
+if the vine's volume is V (1 + k P). p_a is ambient pressure. So the fit gives the effective volume V_cv (with
+the tube, as a mean from 0 to the top pressure) and its growth with pressure. A pouch (the bending chamber of
+the vine) takes air before its pressure rises: the first inflation fills it from flat, later inflations
+replace the air that a vent let out. With a rigid vessel of known volume in place of the vine, the ratio
+V_cv/V_r gives the reservoir's volume V_r.
 """
 
 from __future__ import annotations
@@ -37,13 +38,14 @@ LEAK_OFFSET_KPA_PER_S = 0.05
 """Prior of the part of a leak that is not proportional to gauge pressure (sensor's zero, choked flow)."""
 MIN_VENTURI_S = 0.15
 VENTURI_OFFSET_KPA = 100.0
-"""The same for the Venturi: a choked flow is proportional to the absolute pressure."""
+"""Prior of c in the Venturi's flow, which is proportional to P + c: choked flow is proportional to the
+absolute pressure."""
 NO_EFFECT_SD = 1e-9
 """Prior standard deviation that removes a parameter."""
 GAIN_SD = 0.01
 """Relative standard deviation of the ratio of both sensors' gains."""
 RESERVOIR_ZERO_SD_KPA = 8.0
-"""Standard deviation of the zero of the reservoir's sensor, if it was not measured."""
+"""Standard deviation of the zero of the reservoir's sensor. A measured zero is not subtracted here."""
 VINE_LEAK_SD = 0.03
 """Relative standard deviation of the vine's leak: the regulator has an error, and the pressure at the valves
 differs from that at the leak."""
@@ -77,8 +79,8 @@ class AirInputs:
         """Relative standard deviation of a flow that is proportional to the reservoir's pressure."""
         return hypot(self.relative_sd, RESERVOIR_ZERO_SD_KPA / (at_kPa + self.ambient_kPa))
 
-    def share_at_full(self, at_kPa: float) -> float:
-        """Choked flow from the full reservoir, relative to that at a lower pressure."""
+    def full_flow_ratio(self, at_kPa: float) -> float:
+        """Choked flow from the full reservoir, relative to the flow from a reservoir at `at_kPa`."""
         return (self.pneumatics.full_kPa + self.ambient_kPa) / (at_kPa + self.ambient_kPa)
 
 
@@ -297,7 +299,7 @@ def venturi(vine: VineAir, ran_s: float) -> MeasuredQuantity:
     took = np.diff(bins.columns["venturi_offset"], prepend=0.0)
     at_kPa = float(np.sum(took * bins.reservoir_kPa) / np.sum(took))
     rate = vine.balance.weighted_sum({"venturi": at_kPa, "venturi_offset": 1.0})
-    flow = rate.times(vine.SL_per_kPa * vine.known.share_at_full(at_kPa), vine.known.flow_sd(at_kPa))
+    flow = rate.times(vine.SL_per_kPa * vine.known.full_flow_ratio(at_kPa), vine.known.flow_sd(at_kPa))
     return inverse(finding, p.full_kPa, flow, f"with the nozzle; measured at {at_kPa:.0f} kPa")
 
 
@@ -318,7 +320,7 @@ def _resistance(finding: MeasuredQuantity, at_kPa: float, flow: Estimate) -> Mea
 
 
 def _compliance(vine: VineAir) -> MeasuredQuantity:
-    """k of V (1 + k P)."""
+    """k of the vine's volume V (1 + k P)."""
     finding = MeasuredQuantity("cv_compliance_per_kPa", "vine's growth with pressure", "1/kPa")
     top, ambient = vine.known.top_kPa, vine.known.ambient_kPa
     growth, mean = vine.balance.values["growth"], vine.balance.values["volume"].value
@@ -329,7 +331,7 @@ def _compliance(vine: VineAir) -> MeasuredQuantity:
 
 
 def _staircase(vine: VineAir) -> Chart:
-    """A chart of the air that each inflation took against its pressure."""
+    """The chart: air that the inflations took, over the vine's pressure."""
     known, bins = vine.known, vine.balance.bins
     others = [name for name in bins.columns if name not in ("volume", "growth", "pouch", "refill")]
     rest_kPa = vine.balance.without(*others)
@@ -339,7 +341,7 @@ def _staircase(vine: VineAir) -> Chart:
     base_kPa = float("nan")
     pouch, refill = bins.columns["pouch"], bins.columns["refill"]
     holding = np.diff(bins.columns["vine_leak"], prepend=0.0) > 0.0
-    # In a bin in which a vent begins or goes on, the pressure is a mean of before and after.
+    # Bins in which the pressure falls are left out: the vine did not hold their mean pressure.
     falls = np.diff(bins.cv_kPa) < -0.05 * bins.cv_kPa[:-1]
     holding &= ~(np.append(falls, False) | np.append(False, falls))
     for k in np.flatnonzero(bins.counts):

@@ -19,7 +19,8 @@ from flying_vines.calibration.readings import Readings
 from flying_vines.physics.arrays import Array
 
 MAX_WANDER = 4.0
-"""Maximum standard deviation of the block means of a pressure at rest, relative to that of noise."""
+"""Maximum standard deviation of the block means of a steady pressure, relative to the one that noise alone
+would cause."""
 BLOCKS = 10
 MIN_CV_ZERO_KPA = 0.05
 """Smaller zeros are not proposed."""
@@ -28,12 +29,12 @@ UNSTEADY = "the reading changed: do not touch the vine, and open the bottle full
 
 
 def noise_kPa(column: Array) -> float:
-    """Standard deviation of a reading, from differences of neighbours: slow changes do not count."""
+    """Standard deviation of the noise, from differences of successive readings. Slow changes do not count."""
     return float(np.std(np.diff(column))) / sqrt(2.0)
 
 
 def mean_at_rest(column: Array) -> tuple[Estimate, bool]:
-    """The mean, and True if the pressure was steady: the means of blocks differ only by the noise."""
+    """The mean, and True if the pressure was steady (`MAX_WANDER`)."""
     parts = np.array([np.mean(part) for part in np.array_split(column, BLOCKS)])
     spread = float(np.std(parts, ddof=1))
     steady = spread <= MAX_WANDER * max(noise_kPa(column), 1e-3) / sqrt(len(column) / BLOCKS)

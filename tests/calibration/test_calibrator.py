@@ -101,7 +101,7 @@ def test_too_little_air_is_refused_before_anything_moves() -> None:
     world = PaperWorld(plan(CONFIG, BLIND), reservoir_kPa=70.0)
     world.run()
     assert world.ended is not None and world.ended.outcome == "refused"
-    assert "the bottle holds 70 kPa, and this needs" in world.ended.sentence
+    assert "the bottle holds 70 kPa, but " in world.ended.sentence
     assert not any(isinstance(intent, StartProfile) for intent in world.asked)
 
 

@@ -268,7 +268,7 @@ void send_message(Input& input, Board& board) {
     send(board, payload, 2 + body);
 }
 
-// Sends what a correct host sends, mostly: a greeting, a clearing of all faults, and a valid setpoint.
+// Sends messages like a host: a greeting, a clearing of all faults, and a setpoint that is valid in most cases.
 void send_command(Input& input, Board& board) {
     const uint8_t hello[] = {1, 0, kProtocolVersion, 1, 2, 3, 4};
     const uint8_t clear[] = {4, 1, 0xFF, 0xFF};

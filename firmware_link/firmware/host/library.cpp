@@ -16,7 +16,7 @@ inline void* operator new(size_t, Firmware* where) noexcept { return where; }
 // Digest of the sources of this library.
 EXPORTED const char* phlosar_sources() { return PHLOSAR_SOURCES; }
 
-// Size of a board in memory, aligned to 8 bytes.
+// Size of the memory for a board. The memory must be aligned to 8 bytes.
 EXPORTED size_t phlosar_size() { return sizeof(Firmware); }
 
 // Starts a board in memory of `phlosar_size` bytes. `build` must outlive it.

@@ -1,6 +1,6 @@
-// The core on an emulated processor: reads the file `inputs`, runs boards with it, and writes `outputs`.
+// The core on an emulated processor: reads the file `inputs`, runs boards with these inputs, and writes `outputs`.
 //
-// tests/firmware/emulated.py writes the first file and reads the second. All numbers are little-endian.
+// tests/firmware/emulated.py writes `inputs` and reads `outputs`. All numbers are little-endian.
 
 #include <stddef.h>
 #include <stdint.h>
@@ -80,7 +80,7 @@ void make_step(Firmware& firmware, Inputs& inputs, host::File& file) {
         instructions::ticks([&] { counted_step(&firmware, now_us, &readings, &told); });
     const uint32_t take_ticks = instructions::ticks(
         [&] { sent_size = counted_take(&firmware, sent, most < sizeof sent ? most : sizeof sent); });
-    // A real board also asks only while it does not regulate.
+    // A real board, too, asks for unsaved settings only while it does not regulate.
     uint8_t image[Settings::kImageSize];
     const bool unsaved = firmware.mode() != Mode::kRegulate && firmware.unsaved(image);
 

@@ -2,7 +2,7 @@
 
 An inflated actuator bulges and becomes shorter. Each kind is described by its bulge, 0…1, from barely filled
 to its free shape without load. Force, length, volume and film stretch are closed forms of the bulge; force
-over contraction is not. The functions below convert one to the other.
+over contraction is not. So the functions below search for the bulge that gives a contraction or a force.
 
 All kinds satisfy virtual work: the work of the gas p dV goes into the load and the film, p dV = −F dL + dU.
 So F = (dU − p dV)/dL at constant pressure.
@@ -50,7 +50,7 @@ class BendingActuator(Protocol):
 
     @property
     def strength_N_per_mm(self) -> float:
-        """Maximum film tension of its seams."""
+        """Film tension at which the film or a seam tears."""
 
     def state(self, pressure_kPa: ArrayLike, bulge: ArrayLike) -> ActuatorState:
         """State at a gauge pressure and a bulge in (0, 1]: more bulge is less force and more contraction."""

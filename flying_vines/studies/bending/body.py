@@ -6,11 +6,11 @@ wall carries the moment. N is the axial force in the wall, κ the curvature, ν 
 
     M = N r (ν − sin ν cos ν) / (2 (sin ν − ν cos ν)),    N = 2 E t r² κ (sin ν − ν cos ν)
 
-Before it wrinkles, M = π E t r³ κ. Wrinkling starts at M = N r/2, and the tube folds at M = N r. Without an
-actuator N = π r² p, which gives the known π p r³/2 and π p r³. An actuator that pulls with F at a distance d
-from the axis gives the moment F d and reduces N to π r² p − F. So the tube folds at F = π p r³/(r + d), well
-before F = π p r² would crush it. The actuator alone does not fold the tube, because its pull falls with
-contraction.
+Before the wall wrinkles, M = π E t r³ κ. Wrinkling starts at M = N r/2, and the tube folds at M = N r.
+Without an actuator N = π r² p, which gives the known moments π p r³/2 and π p r³. An actuator that pulls with
+F at a distance d from the axis gives the moment F d and reduces N to π r² p − F. So the tube folds at
+F = π p r³/(r + d), well before F = π p r² would crush it. But an actuator's pull falls as it contracts, so
+the actuator alone does not fold the tube.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """A vine's bend over its actuator's pressure: the balance of the actuator's pull and the body's resistance.
 
 The pull of the actuator falls with its contraction, and the body needs more pull for more bend. So each
-pressure has one bend, which rises with the pressure. Gravity is left out: it matters little for a light vine
-(Kübler et al. 2023).
+pressure has one bend. The bend rises with the pressure, until a soft film stretches faster than the actuator
+shortens. Gravity is left out: it matters little for a light vine (Kübler et al. 2023).
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ class BendingCurve:
     def tip_load_N(self) -> Array:
         """The load across the tip that folds the bent vine at its base, in the worst direction.
 
-        It is conservative: the actuator's pull is constant here, but in reality it falls as the vine gives
-        way.
+        This load is conservative: the actuator's pull is constant here, but in reality the pull falls as the
+        vine gives way.
         """
         return self.vine.body.tip_load_N(self.vine.actuator.length_m, self.force_N)
 
@@ -174,7 +174,7 @@ def _limits(found: BendingCurve) -> Sequence[Limit]:
             f"{float(body.tip_load_N(length)):.3g} N",
         )
         if load > 0.0
-        else Limit("collapse", None, "the base only folds under a load, and tip_load_N is 0", True),
+        else Limit("collapse", None, "the base folds only under a load, and tip_load_N is 0", True),
         met("axial", found.force_N, body.axial_N, f"a pull of {body.axial_N:.3g} N crushes the body"),
         met(
             "contraction",

@@ -1,11 +1,12 @@
 """The fabric pneumatic artificial muscle (fPAM): a tube of bias-cut fabric, a McKibben without a braid.
 
 The threads have a constant length and an angle α to the axis, so the tube shortens as it widens. With α₀ and
-r₀ as attached, virtual work with V = π r₀² L₀ (1−ε) (1 − (1−ε)² cos² α₀)/sin² α₀ gives F = π r₀² p [a (1−ε)²
-− b], a = 3/tan² α₀, b = 1/sin² α₀ (Chou and Hannaford 1996; review: Tondu 2012). It is zero at ε = 1 − 1/(√3
-cos α₀): 18.4 % from 45°, a third from 30°. So fabric cut at 45° is stretched before it is attached,
-which makes α₀ smaller. The elastic force of the coated fabric is linear here, as in models of the fPAM
-(Naclerio and Hawkes 2020). Measure its stiffness: that of the examples is a guess.
+r₀ as attached and the contraction ε, virtual work with V = π r₀² L₀ (1−ε) (1 − (1−ε)² cos² α₀)/sin² α₀ gives
+F = π r₀² p [a (1−ε)² − b], a = 3/tan² α₀, b = 1/sin² α₀ (Chou and Hannaford 1996; review: Tondu 2012). The
+force is zero at ε = 1 − 1/(√3 cos α₀): 18.4 % for α₀ = 45°, a third for 30°. So fabric cut at 45° is
+stretched before it is attached, which makes α₀ smaller. The elastic force of the coated fabric is linear
+here, as in models of the fPAM (Naclerio and Hawkes 2020). Measure its stiffness: the stiffness of the example
+is a guess.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class Fpam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag="fpam", 
     """Angle between threads and axis, as attached. From 54.7° on the tube does not shorten."""
     strength_N_per_mm: Size
     stiffness_N: Annotated[float, Meta(ge=0, le=1e5)] = 0.0
-    """Elastic force over contraction: at a contraction of 0.1 the force is a tenth of it."""
+    """Elastic force divided by contraction: at a contraction of 0.1 the force is a tenth of this number."""
 
     @property
     def length_m(self) -> float:

@@ -1,8 +1,9 @@
 """The series pouch motor: two flat films sealed into bending pouches, which shorten as they fill.
 
-Each inflated film is an arc of half angle θ and length s. With the chord L = s sin θ/θ and the area between
-the arcs s² (θ − sin θ cos θ)/(2 θ²), virtual work gives F = p w s cos θ/θ. The force is zero at θ = 90°,
-where an inextensible film (s = L₀) has shortened by 1 − 2/π = 36.3 % (Niiyama et al. 2015, "Pouch motors").
+Each inflated film is an arc of half angle θ and length s. With the chord L = s sin θ/θ, the area between the
+arcs s² (θ − sin θ cos θ)/(2 θ²) and the width w, virtual work gives F = p w s cos θ/θ. The force is zero at
+θ = 90°, where a pouch of inextensible film (s = L₀, the flat length) has shortened by 1 − 2/π = 36.3 %
+(Niiyama et al. 2015, "Pouch motors").
 
 The film tension T = p s/(2 θ) has no bound as the pouch becomes flat, so an inextensible film would have an
 unlimited force even at a low pressure. A real film stretches: s = L₀ (1 + T/(E t)).

@@ -32,7 +32,7 @@ class Rating(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Solution(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A way to supply or regulate pressure. None: no value (the paper gives none for regulators)."""
+    """A way to supply or regulate pressure. None: no value, as for the air supply of a regulator."""
 
     label: str
     cost: Rating

@@ -132,7 +132,7 @@ class Evaluation:
 def evaluate(robot: Robot, parts: PartsChoice) -> Evaluation:
     """Evaluate a choice of parts for a robot.
 
-    Inflation, bandwidth, operating time and cycles are the paper's Eq. 3, 4, 7 and 8. The paper has no model
+    Operating time, inflation, bandwidth and cycles are the paper's Eq. 3, 4, 7 and 8. The paper has no model
     of deflation; see `_deflation_curve`.
     """
     fill_kPa = min(robot.fill_kPa, *_limits_kPa(parts))

@@ -141,7 +141,7 @@ class PartsChoice:
 
     def __post_init__(self) -> None:
         if (self.dvp is None) != (self.venturi is None):
-            raise ValueError("a Venturi needs a DVP, and a DVP a Venturi")
+            raise ValueError("a Venturi needs a DVP, and a DVP needs a Venturi")
 
     @property
     def reservoir_volume_L(self) -> float:

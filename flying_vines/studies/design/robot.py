@@ -17,8 +17,8 @@ from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
 from flying_vines.studies.design.toml_reader import decode
 
 # The bounds keep every result finite.
-PositiveNumeral = Annotated[float, Meta(ge=1e-6, le=1e6)]
-NotNegativeNumber = Annotated[float, Meta(ge=0, le=1e6)]
+PositiveFloat = Annotated[float, Meta(ge=1e-6, le=1e6)]
+NotNegativeFloat = Annotated[float, Meta(ge=0, le=1e6)]
 
 
 class PartNames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -43,18 +43,18 @@ class Robot(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """
 
     name: str
-    cv_volume_L: PositiveNumeral
-    pressure_kPa: PositiveNumeral
-    payload_kg: PositiveNumeral
+    cv_volume_L: PositiveFloat
+    pressure_kPa: PositiveFloat
+    payload_kg: PositiveFloat
     cv_kind: Literal["rigid", "pouch"] = "rigid"
-    frequency_Hz: PositiveNumeral | None = None
+    frequency_Hz: PositiveFloat | None = None
     wave: Literal["triangle", "sine"] = "triangle"
-    inflation_rate_kPa_per_s: PositiveNumeral | None = None
-    deflation_rate_kPa_per_s: PositiveNumeral | None = None
-    peak_to_peak_kPa: PositiveNumeral | None = None
-    least_cycles: NotNegativeNumber = 0.0
-    fill_kPa: PositiveNumeral = 690.0
-    other_mass_kg: NotNegativeNumber = 0.0
+    inflation_rate_kPa_per_s: PositiveFloat | None = None
+    deflation_rate_kPa_per_s: PositiveFloat | None = None
+    peak_to_peak_kPa: PositiveFloat | None = None
+    least_cycles: NotNegativeFloat = 0.0
+    fill_kPa: PositiveFloat = 690.0
+    other_mass_kg: NotNegativeFloat = 0.0
     ambient_kPa: Annotated[float, Meta(ge=20, le=120)] = STANDARD_PRESSURE_KPA
     parts: PartNames = PartNames()
 
@@ -126,7 +126,7 @@ def demonstration() -> Robot:
 
 
 def load(path: Path) -> Robot:
-    """The robot in a robot file. `ConfigError`: one line that names file, line and key."""
+    """The robot in a robot file. Raises `ConfigError` with one line that names file, line and key."""
     return parse(read_text(path, ConfigError), str(path))
 
 

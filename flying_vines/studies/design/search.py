@@ -49,7 +49,10 @@ def performance(evaluation: Evaluation, by: Performance) -> float:
 
 
 def front(evaluations: Sequence[Evaluation], by: Performance = "cycles") -> list[Evaluation]:
-    """The Pareto front among evaluations that meet all requirements, lightest first; one of equal ones."""
+    """The Pareto front among the evaluations that meet all requirements, lightest first.
+
+    Of equal evaluations only the first is in it.
+    """
     meeting = [evaluation for evaluation in evaluations if not evaluation.shortfalls]
     meeting.sort(key=lambda evaluation: (evaluation.mass_kg, -performance(evaluation, by)))
     found: list[Evaluation] = []

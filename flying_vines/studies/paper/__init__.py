@@ -1,4 +1,4 @@
-"""Reproduces the paper "phloSAR": compares every number and curve that it prints with ours.
+"""Reproduces the paper "phloSAR": compares every number and curve of the paper with our number or curve.
 
     comparison = compare()
     comparison.rows         the table
@@ -6,8 +6,9 @@
     as_json(comparison)     both, for other programs
     figures.draw(comparison.curves, folder)     the pictures (needs matplotlib)
 
-"Ours" is the paper's equation, or a plant with the firmware's regulator: the baseline, or the high-fidelity
-plant, which is like a probable real rig.
+"Ours" is calculated by the paper's equations or from its printed data, or simulated. The simulated plants are
+the baseline, and the high-fidelity plant with the probable effects of a real rig. In closed loop they have
+the firmware's regulator.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ def compare(bench: Bench | None = None, likely: Bench = LIKELY) -> PaperComparis
     Args:
         bench: rig, effects, sensors and regulator; default: the nominal rig. Each test sets its volumes and
             pressures.
-        likely: the same for the high-fidelity plant.
+        likely: the bench of the high-fidelity plant.
     """
     found = curves(bench, likely)
     rows = table(found)

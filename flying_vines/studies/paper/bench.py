@@ -1,8 +1,8 @@
 """The paper's bench in closed loop: the firmware's regulator and a plant.
 
-There are no frames and no host. The regulator gets the command at every step, as on the paper's bench, where
-the microcontroller generated it. The firmware's limits are left out, because the vine's limits (30 kPa, 200
-kPa/s) would end every test of the paper. Compiled: it needs numba.
+There are no serial frames and no host. The regulator gets the command at every step, as on the paper's bench,
+where the microcontroller generated the command. The firmware's limits are left out, because the vine's limits
+(30 kPa, 200 kPa/s) would prevent most tests of the paper. The loop is compiled, so it needs numba.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ AT_ONCE_KPA_PER_S = 1e6
 """Setpoint rate, so fast that a step stays a step."""
 
 SETTLE_S, MEASURE_S = 3.0, 3.0
-"""Settling time that is cut off a sine response, in whole cycles; minimum time that remains of it."""
+"""Maximum time that is cut off the start of a sine response, and minimum time that is kept; both are rounded
+to whole cycles."""
 
 FIXED_SOURCE = Reservoir(volume_L=1e9)
 """A supply with a constant pressure (Sec. V-C)."""
@@ -152,7 +153,7 @@ def follow_sine(
     peak_to_peak_kPa: float,
     reservoir_kPa: float,
 ) -> Trace:
-    """The response to a sine that starts at its minimum, 0 kPa (Sec. V-C), in whole cycles (to 0.5 ms).
+    """The response to a sine that starts at its minimum, 0 kPa (Sec. V-C), in whole cycles to within 0.5 ms.
 
     Settling cycles are cut off, and at least one cycle remains. A slow command that completes no cycle within
     `SETTLE_S` is recorded from its start.

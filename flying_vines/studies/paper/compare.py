@@ -23,7 +23,7 @@ STEP_TEST_S = 2.5
 """Long enough for TC1 to TC3 to settle. The paper does not state the length of its time series."""
 
 NEAR_KPA = 1.0
-"""A step has arrived if it is nearer to its target than this. There the paper's on-off control ends."""
+"""A step response has arrived once it is this near to its target, where the paper's on-off control ends."""
 
 DISCHARGE_STEP_S = 0.05
 
@@ -90,15 +90,15 @@ class StepResponse:
     slower_kPa_per_s: float
     """The measured rate, if the paper's error means slower than the model."""
     window_if_faster_s: float
-    """Length of the paper's time series by its errors, if both curves are ramps and the measured ramp is
-    faster."""
+    """Length of the paper's time series that follows from the paper's two errors, if both curves are ramps
+    and the measured ramp is faster."""
     window_if_slower_s: float
     """The same, if the measured ramp is slower."""
     trace: Trace
     rate_kPa_per_s: float
-    """Mean rate of the plant until it has arrived, or to the end."""
+    """Mean rate of the plant until the pressure has arrived, or to the end of the test."""
     rise_s: float
-    """Time until it has arrived; NaN if longer than `STEP_TEST_S`."""
+    """Time until the pressure has arrived; NaN if longer than `STEP_TEST_S`."""
     overshoot_kPa: float
     nrmse_percent: float
     """Error of the plant against the paper's two straight lines over `STEP_TEST_S`, relative to ΔP_cv."""
@@ -242,7 +242,7 @@ def discharge(name: str, label: str, reservoir_volume_L: float, likely: Bench) -
         model_kPa = paper.discharge_kPa(time_s, initial_kPa, with_tau_s)
         return 100.0 * rms(pressure_kPa - model_kPa) / initial_kPa
 
-    # The logger's period is the shortest distance of two points.
+    # The logger's period is the shortest time between two points.
     grid_s = np.arange(0.0, measured.x[-1] + 0.01, np.diff(measured.x).min())
     plant_s, plant_kPa = plant_discharge(resistance, reservoir_volume_L, initial_kPa, float(measured.x[-1]))
     at_points = np.interp(measured.x, plant_s, plant_kPa)
@@ -303,11 +303,11 @@ def likely_discharge(bench: Bench, volume_L: float, initial_kPa: float, samples:
     """Discharge of the high-fidelity plant to atmosphere through the EVP, kPa gauge.
 
     Args:
-        bench: its effects; its wall is that of one 2 L bottle.
+        bench: gives the effects. Their wall is the wall of one 2 L bottle.
         volume_L: volume of all bottles.
         initial_kPa: start pressure, kPa gauge.
         samples: number of pressures, one every `DISCHARGE_STEP_S`.
-        closed: resistance of the valve over that of the rated valve.
+        closed: resistance of the partly closed valve, divided by its rated resistance.
     """
     effects = bench.effects
     law, wall = effects.evp_law, effects.reservoir_wall
@@ -372,7 +372,7 @@ def step_response(bench: Bench, test: Condition, flow_resistance_kPa_s_per_SL: f
 
 
 def window_s(model_rise_s: float, speed_ratio: float, nrmse: float) -> float:
-    """The time for which two ramps to one target were compared, from their nRMSE, s.
+    """The time over which two ramps to the same target were compared, from their nRMSE, s.
 
     NaN if this would be less than the rise time of the slower ramp.
 
@@ -495,7 +495,7 @@ def cycles(bench: Bench, flow_resistance_kPa_s_per_SL: float) -> CycleComparison
         *(plant_cycle(bench.with_cv(volume_L), p, swing_kPa, frequency) for p in plant_kPa), strict=True
     )
     cost_kPa, part = np.array(costs), np.array(reached)
-    # A cycle that does not reach its swing does not count.
+    # A cycle that reaches less than 95 % of its swing does not count.
     per_kPa = np.where(part >= 0.95, 1.0 / cost_kPa, 0.0)
     left = np.concatenate(([0.0], np.cumsum(np.diff(plant_kPa) * 0.5 * (per_kPa[1:] + per_kPa[:-1]))))
     return CycleComparison(

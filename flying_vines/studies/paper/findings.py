@@ -21,20 +21,20 @@ def findings(rows: tuple[PaperRow, ...]) -> tuple[str, ...]:
         "Sec. V-B states the errors of the inflation speed without their sign. TC1 agrees with Eq. 4 to "
         "0.24 %, although Eq. 4 leaves out a back pressure that alone gives 5 %; TC2 and TC3, both with 1 L, "
         "differ by 45 %.",
-        "TC1 and TC4 have the same volume and supply. TC1 rose at "
+        "TC1 and TC4 have the same volume and supply. In TC1 the pressure rose at "
         f"{paper['frequency.tc4.rate']:.0f} kPa/s; the cut-off that is drawn for TC4 means "
         f"{ours['frequency.tc4.rate']:.0f} kPa/s. The high-fidelity plant rises at "
         f"{ours['inflation.tc1.rate_likely']:.0f} kPa/s in TC1 and at "
         f"{ours['inflation.tc2.rate_likely']:.0f} kPa/s in TC2. In TC2 the paper measured 49.5 kPa/s, if "
-        "it was faster than Eq. 4. So the plant agrees with TC4 and TC2, but not with TC1.",
+        "the pressure rose faster than by Eq. 4. So the plant agrees with TC4 and TC2, but not with TC1.",
         "A is called the amplitude, but must be peak to peak: as an amplitude it would need "
         f"{ours['frequency.tc4.flow_if_amplitude']:.0f} SLPM in TC4 through a valve that is rated for "
         f"{paper['frequency.tc4.flow_if_amplitude']:g} SLPM. Eq. 5 and 7 hold for half of A.",
         "TC5's supply is stated twice, as 345 kPa and as a fixed source of 690 kPa. By Eq. 4 and 7 the drawn "
         f"cut-off of 0.323 Hz belongs to 690 kPa ({ours['frequency.tc5_690.cutoff_eq4']:.3f} Hz), not to "
-        f"345 kPa ({ours['frequency.tc5_345.cutoff_eq4']:.3f} Hz). Around the cut-off the plant on 345 kPa "
-        "lies below the measured gain, on 690 kPa above it. Up to three cut-offs the high-fidelity plant "
-        f"differs by {ours['frequency.tc5_345.rms_band_likely']:.1f} dB on 345 kPa and by "
+        f"345 kPa ({ours['frequency.tc5_345.cutoff_eq4']:.3f} Hz). Around the cut-off the baseline plant on "
+        "345 kPa lies below the measured gain, on 690 kPa above it. Up to three cut-offs the high-fidelity "
+        f"plant differs by {ours['frequency.tc5_345.rms_band_likely']:.1f} dB on 345 kPa and by "
         f"{ours['frequency.tc5_690.rms_band_likely']:.1f} dB on 690 kPa: choked flow and warm gas compensate "
         "the lower supply. So the measurement fits 345 kPa, but Eq. 4 with the drawn cut-off fits 690 kPa.",
         "The measured cut-offs, 1.6 and 0.22 Hz, are where the gain falls below 1. The −3 dB points are "

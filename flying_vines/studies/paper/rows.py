@@ -45,13 +45,13 @@ class PaperRow:
     quantity: str
     unit: str
     paper: float | None
-    """Stated by the paper, or computed from its numbers; None if it has none."""
+    """Stated by the paper, or computed from its numbers; None if the paper has no number."""
     paper_to: float | None
     """The upper end if the paper gives a range."""
     ours: float | None
     """None if we do not compute it."""
     by: By
-    """Source of our number: the paper's equation, its printed data, a plant in closed loop, its text."""
+    """Source of our number: the paper's equation, printed data or text, or one of the simulated plants."""
     verdict: RowVerdict
     place: str
     note: str
@@ -62,7 +62,10 @@ class PaperRow:
 
     @property
     def relative_difference(self) -> float | None:
-        """(ours − paper) / paper; for a range, from its nearer end, and 0 within. None if one is missing."""
+        """(ours − paper) / paper; for a range, from its nearer end, and 0 within.
+
+        None if a number is missing, if the paper's number is 0, or if the ratio has no meaning.
+        """
         if not self.comparable or self.paper is None or self.ours is None or self.paper == 0.0:
             return None
         if self.paper_to is not None:

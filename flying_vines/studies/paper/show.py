@@ -15,13 +15,13 @@ STYLES = {"agrees": "green", "differs": "red", "undecided": "yellow"}
 
 
 def show(rows: tuple[PaperRow, ...], findings: tuple[str, ...], console: Console) -> None:
-    """Print the table, the contradictions within the paper, and the reasons of disagreeing rows."""
+    """Print the table, the contradictions within the paper, and the reasons why rows do not agree."""
     console.print(_table(rows))
     counts = Counter(row.verdict for row in rows)
     console.print(
         f"{counts['agrees']} agree, {counts['differs']} differ, {counts['undecided']} cannot be decided. "
         "Ours is (e) the paper's equation, (d) its printed data, (p) the baseline plant and (h) the "
-        "high-fidelity plant in closed loop, (t) its text."
+        "high-fidelity plant in closed loop, (t) the paper's text."
     )
     console.print("\nWhat disagrees in the paper itself", style="bold")
     for number, finding in enumerate(findings, 1):
@@ -32,7 +32,7 @@ def show(rows: tuple[PaperRow, ...], findings: tuple[str, ...], console: Console
 
 
 def reasons(rows: tuple[PaperRow, ...]) -> dict[str, list[str]]:
-    """For each note, the quantities that disagree for this reason."""
+    """For each note, the quantities that differ or cannot be decided for this reason."""
     found: dict[str, list[str]] = {}
     for row in rows:
         if row.verdict != "agrees":

@@ -1,4 +1,5 @@
-// The settings in the board's memory. With room for two copies, a power cut while storing keeps the older one.
+// The settings in the board's memory. If it has room for two copies, a power cut while storing damages only the
+// copy that is being written.
 #pragma once
 
 #include <stddef.h>
@@ -11,7 +12,7 @@ namespace settings_memory {
 // reports the damage. Returns the number of bytes: 0 if nothing was ever stored.
 size_t load(uint8_t* image);
 
-// Overwrites the older copy.
+// Overwrites the older copy, or the only one.
 void store(const uint8_t* image);
 
 }  // namespace settings_memory

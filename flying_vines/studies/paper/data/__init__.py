@@ -1,7 +1,7 @@
 """Data of the paper "phloSAR": the curves of its figures, and the numbers of its text.
 
-The CSV files have every number of Fig. 3 and 5, unchanged, one curve each. `stated.toml` has the numbers of
-the text, with their place. The paper does not print the time series of Fig. 4 and 6 as numbers.
+The CSV files have every number of Fig. 3 and 5, unchanged, one file for each curve. `stated.toml` has the
+numbers of the text, with their place. The paper does not print the time series of Fig. 4 and 6 as numbers.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ CURVES = (
 
 
 class PaperDataError(ValueError):
-    """The paper does not print this, or a file is damaged; the text is one sentence."""
+    """The paper has no such curve or test condition, or a file is damaged; the text is one sentence."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Stated:
 
 @dataclass(frozen=True)
 class Condition:
-    """TC1 to TC5, as stated (Sec. V-B, V-C)."""
+    """One of the test conditions TC1 to TC5, as stated (Sec. V-B, V-C)."""
 
     name: str
     swing_kPa: float
@@ -76,7 +76,7 @@ class Condition:
 
 
 def curve(name: str) -> PrintedCurve:
-    """The printed curve with a name from `CURVES`. PaperDataError for another name."""
+    """The printed curve with a name from `CURVES`. Raises PaperDataError for another name."""
     if name not in CURVES:
         raise PaperDataError(f"the paper prints no curve {name!r}; it prints {', '.join(CURVES)}.")
     return parse_curve(name, resources.files(__name__).joinpath(f"{name}.csv").read_text(encoding="utf-8"))
@@ -101,7 +101,7 @@ def stated() -> Mapping[str, Stated]:
 
 
 def condition(name: str) -> Condition:
-    """The test condition `tc1` … `tc5`. PaperDataError for another name."""
+    """The test condition `tc1` … `tc5`. Raises PaperDataError for another name."""
     table = _tables().get(name, {})
     if "swing_kPa" not in table:
         raise PaperDataError(f"the paper has no test condition {name!r}; it has tc1 to tc5.")

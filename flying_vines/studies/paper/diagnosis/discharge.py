@@ -1,8 +1,9 @@
 """The paper's three discharges as a case for `identification`, and their diagnosis.
 
 A case has one rig, but the paper has reservoirs of 4 and 2 litres, and a valve in two settings. Only flow
-over volume matters in a discharge: a run with 4 litres is a run with 2 litres and half the opening. So
-openings are not commands here, and causes that change how a valve follows a command are not tested.
+over volume matters in a discharge: a run with 4 litres is equivalent to a run with 2 litres and half the
+opening. So openings are not commands here, and causes that change how a valve follows a command are not
+tested.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ RESERVOIR = 1
 BOTTLE_L = 2.0
 VOLUME_L = {"4L_highRv": 4.0, "4L_lowRv": 4.0, "2L_lowRv": 2.0}
 STEP_KPA = 1.222
-"""All 57 readings differ by multiples of this: a 15 bar sensor with a 10-bit converter."""
+"""All 57 readings differ by multiples of this, about the step of a 15 bar sensor with a 10-bit converter."""
 RIG = Rig(cv=None, sensors=Sensors(reservoir_noise_std_kPa=STEP_KPA / sqrt(12.0)))
 
 _LIMITS = {
@@ -70,7 +71,8 @@ SECOND = (
     "reservoir_leak",
     "reservoir_sensor_offset",
 )
-"""Causes that are tested together with R_v: each changes the slopes at the start and the end differently."""
+"""Causes that are tested together with R_v. Each of them changes the slope at the start by another factor
+than the slope at the end."""
 _EXACT = 1e3
 """Weight of a first reading that is taken as exact."""
 

@@ -40,7 +40,7 @@ SENSOR_LINE = Cause(
 
 
 def _settling(commands: Commands, x: Values) -> Commands:
-    """The commands with the additional opening since the start, in steps."""
+    """The commands with an additional opening that decays from the start on, in steps."""
     share, time_constant_s = x
     evp = commands.evp
     stairs_s = np.linspace(0.0, SETTLED * time_constant_s, _STAIRS + 1)

@@ -39,7 +39,7 @@ SUPPLY_KPA = {"tc4": _FIXED_KPA, "tc5": condition("tc5").reservoir_kPa}
 OTHER_SUPPLY_KPA = {**SUPPLY_KPA, "tc5": _FIXED_KPA}
 """The same, but with the TC5 supply that the text below the list gives."""
 BASE = Rig(cv=ControlVolume(1.0))
-"""The default rig. Its valves and outlet replace the data that the paper does not state."""
+"""The default rig. Its valves and outlet are assumed where the paper states no data."""
 
 SETTLE_S = 1.0
 MEASURE_S = 1.5

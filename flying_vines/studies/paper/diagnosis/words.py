@@ -35,9 +35,9 @@ def _named(found: Discharges) -> str:
     alone = sorted(found.scale_alone.values())
     return (
         f"Discharges: air leaves faster than with the paper's R_v. The best R_v is {scale.estimate:.2f} "
-        f"({scale.low:.2f} … {scale.high:.2f}) of it: {rated_SLPM / scale.estimate:.1f} SLPM at 690 kPa, "
-        f"where the EVP is rated for {stated()['evp.flow'].value:g}. The series alone give {alone[0]:.2f} "
-        f"to {alone[-1]:.2f}, which is wider than this interval. With each series predicted from the others, "
+        f"({scale.low:.2f} … {scale.high:.2f}) of the paper's: {rated_SLPM / scale.estimate:.1f} SLPM at 690 "
+        f"kPa, where the EVP is rated for {stated()['evp.flow'].value:g}. Fits to single series give "
+        f"{alone[0]:.2f} to {alone[-1]:.2f}, a wider range. With each series predicted from the others, "
         f"the error falls from {errors.nrmse_before:.1%} to {errors.nrmse_after:.1%} of the range "
         f"(by {errors.gain[0]:.0%} to {errors.gain[1]:.0%}). A smaller reservoir has the same "
         "effect: weigh it full of water."
@@ -73,7 +73,7 @@ def _flow_law(laws: Sequence[LawFit]) -> str:
 
 def _experiment(found: Discharges) -> str:
     return (
-        f"To separate heat, leak, R_v and law of flow: {found.recommended.in_words()} In its rests the "
+        f"To separate heat, leak, R_v and law of flow: {found.recommended.in_words()} In the rests the "
         "reading rises if the gas had cooled, jumps if the sensor is in the flow, and stays if the valve "
         "settles."
     )
@@ -88,7 +88,7 @@ def _responses(responses: Responses) -> tuple[str, ...]:
     return (
         "Frequency responses: the baseline under the paper's regulator is "
         f"{_dB(null.rms_dB)} dB rms off TC4 and TC5, {_dB(null.band_rms_dB)} up to three cut-offs. The "
-        "baseline lacks the flat tail of the measured gains. A minimum gain of "
+        "baseline lacks the flat tail of the measured gains. A floor, a minimum gain of "
         f"{floor.best[FLOOR]:g}, from drift in an FFT over few cycles, predicts each test from the other to "
         f"{_dB(floor.unseen_dB)} dB; a tube between sensor and vessel to {_dB(tube.unseen_dB)}; the best "
         f"single cause of the catalogue, {best.label}, to {_dB(best.unseen_dB)}. The paper states "

@@ -1,4 +1,4 @@
-// What differs between the chips of the Teensys, for teensyduino.cpp.
+// The functions that differ between the chips of the Teensys, for teensyduino.cpp.
 #pragma once
 
 #include <stdint.h>
@@ -42,7 +42,7 @@ void prepare_for_bootloader();
 }  // namespace chip
 
 // The valve pins as plain outputs: EVP and DVP low, solenoid high (open). A macro, because it also runs before the
-// RAM is set up, and the compiler may place a function there.
+// RAM is set up, and the compiler may place a function in RAM.
 #define PHLOSAR_VENT(mux)                            \
     do {                                             \
         CORE_PIN9_PORTCLEAR = CORE_PIN9_BITMASK;     \

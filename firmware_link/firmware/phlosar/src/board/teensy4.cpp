@@ -21,8 +21,8 @@ constexpr uint32_t kGpio = 5;
 #define PHLOSAR_WATCHDOG(halves)                                                                              \
     static_cast<uint16_t>(WDOG_WCR_WT(halves) | WDOG_WCR_SRS | WDOG_WCR_WDA | WDOG_WCR_WDE | WDOG_WCR_WDBG)
 
-// The watchdog's shortest time, 0.5 s, is too long. So SysTick vents if the watchdog is not fed for 250 ms, because
-// the step hangs or is too slow.
+// The watchdog's shortest time, 0.5 s, is too long. So SysTick vents if the watchdog is not fed for 250 ms. Then the
+// step hangs or is too slow.
 constexpr uint32_t kMaxUnfed_ms = 250;
 volatile uint32_t unfed_ms = 0;
 volatile bool guarding = false;

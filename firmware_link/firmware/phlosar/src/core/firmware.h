@@ -17,12 +17,12 @@
 
 namespace phlosar {
 
-// What is known when the board starts.
+// The data with which the board starts.
 struct Boot {
     // Differs after every reset.
     uint32_t boot_id;
     bool by_watchdog;
-    // The memory: bytes from `unsaved`, erased bytes, or damaged bytes.
+    // Content of the settings' memory: bytes from `unsaved`, erased bytes, or damaged bytes.
     const uint8_t* stored;
     size_t stored_size;
 };

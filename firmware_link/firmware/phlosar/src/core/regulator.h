@@ -1,10 +1,10 @@
 // The paper's pressure regulator, adapted to real valves: on-off far from the setpoint, PID near it.
 //
 // A real inflation valve has a dead zone, a delay and play. A solenoid lets out air for a while after it is told
-// to close. So the regulator uses the pressure that is predicted for the time when the valves have followed. The
-// integral learns the opening at which air begins to flow, and keeps it while the valve is shut. Near the
-// setpoint air goes in by puffs, each just large enough to pass the setpoint. The Venturi costs air, so it runs
-// only if venting without it is too slow.
+// to close. So the regulator uses the pressure that is predicted for the time when the valves have followed their
+// commands. The integral learns the opening at which air begins to flow, and keeps it while the valve is shut.
+// Near the setpoint air goes in by puffs, each just large enough to pass the setpoint. The Venturi costs air, so
+// it runs only if venting without it is too slow.
 #pragma once
 
 #include "real.h"
@@ -23,13 +23,14 @@ constexpr Real kVenturiLeastSupply_kPa = Real(100.0);
 struct Tuning {
     Real filter_s = Real(0.003);
     Real slope_filter_s = Real(0.008);
-    // If the predicted pressure is farther below the setpoint, the inflation valve opens fully, within
+    // If the predicted pressure is below the setpoint by more than this, the inflation valve opens fully, within
     // `opening_s`. A faster opening would overfill a small vine before the sensor shows the flow.
     Real on_off_error_kPa = Real(1.5);
     Real opening_s = Real(0.12);
     // Prediction time while filling: delay and lag of valve, sensor and filters.
     Real filling_lead_s = Real(0.03);
-    // On 690 kPa. A lower supply needs more, because choked flow is proportional to the absolute pressure.
+    // Gain at a supply of 690 kPa. A lower supply needs a higher gain, because choked flow is proportional to the
+    // absolute pressure.
     Real proportional_per_kPa = Real(0.03);
     Real integral_per_kPa_s = Real(1.5);
     // Maximum of the integral, above the largest dead zone.
@@ -43,15 +44,16 @@ struct Tuning {
     Real puff_overtakes_kPa = Real(0.25);
     // How long the solenoid lets air out after it is told to close.
     Real venting_lead_s = Real(0.02);
-    // Tolerated excess over the setpoint. The part above it is integrated over time. Air is let out when the
-    // integral exceeds `patience_kPa_s`: after a fill the gas cools, and the pressure falls by itself.
+    // Tolerated excess over the setpoint. A larger excess is not vented at once, because after a fill the gas cools
+    // and the pressure falls by itself. The part above the tolerance is integrated over time, and air is let out
+    // when the integral exceeds `patience_kPa_s`.
     Real tolerated_kPa = Real(0.3);
     Real patience_kPa_s = Real(0.06);
     // After a vent the gas warms, and the pressure rises by itself. Filling waits for this time.
     Real warming_s = Real(0.15);
     // An error is ignored if the moving setpoint reaches the pressure within this time.
     Real waiting_s = Real(0.3);
-    // The Venturi starts only above the first error and stops below the second.
+    // The Venturi starts only if the pressure is above the setpoint by the first value, and stops below the second.
     Real active_error_kPa = Real(3.0);
     Real passive_error_kPa = Real(1.0);
     // Minimum time of venting without the Venturi before the Venturi may start.

@@ -9,7 +9,7 @@
 namespace phlosar {
 
 // Counts of the converter's three channels, full scale 65535. All have the same divider, so a sensor's voltage
-// over its supply voltage is a ratio of counts. The converter's reference does not matter.
+// divided by its supply voltage is a ratio of counts. The converter's reference does not matter.
 struct Readings {
     uint16_t cv;
     uint16_t reservoir;
