@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 
 class BackgroundWriter(Generic[T]):
-    """Passes data to `put` in a thread, in order. The first `OSError` ends it: see `error`."""
+    """Passes data to `put` in a thread, in order. After the first `OSError` (`error`) it drops all data."""
 
     def __init__(self, put: Callable[[list[T]], None], max_size: int) -> None:
         """`max_size`: the maximum total size of the queue. `write` refuses data beyond it."""

@@ -52,7 +52,7 @@ class LinkWatch:
         return self.monitor.statistics(self.t, self._link.dropped_bytes)
 
     async def run(self, show: Callable[[Sequence[LinkEvent]], None], over: Callable[[], bool]) -> None:
-        """Run until `over`; `show` gets what was received, in order, at every tick."""
+        """Run until `over`. At every tick `show` gets the new frames and notes, in order."""
         opening = asyncio.create_task(self._link.run())
         try:
             while not over() and not opening.done():

@@ -66,8 +66,8 @@ _LINKS = ("flying_vines.vehicle.mavlink.link", "firmware_link.serial_port")
 class Service:
     """A core between two real links. The `watchers` get each event and its actions afterwards.
 
-    `stored` and `signing` are what the last run has stored. `persistent` has the files for the next run;
-    without it nothing is stored.
+    `stored` is the state that the last run stored. `signing` has the signing key; None: no signing.
+    `persistent` has the files for the next run; None: nothing is stored.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class Service:
         self._stored = stored or StoredState()
         self._persistent = persistent
         self._unwritten: dict[str, Callable[[], None]] = {}
-        """Functions that write the changed states, by state."""
+        """A function to write each changed state, by the state's name."""
         self._changed = asyncio.Event()
         self._signing = signing
         self._synchronised = bool(synchronised())
@@ -142,7 +142,7 @@ class Service:
         return next(action for action in actions if isinstance(action, Decision) and action.trigger == by)
 
     async def run(self) -> None:
-        """Serve until `stop`. If it is cancelled, the firmware's dead-man vents the vine."""
+        """Serve until `stop`. If this task is cancelled, the firmware's dead-man vents the vine."""
         if self._stored.disarmed:
             self.say(Severity.WARNING, "pneumatics disarmed before restart: arm them")
         for reason in self._stored.latched.values():
@@ -266,7 +266,7 @@ class Service:
         try:
             for message in self._mavlink.decode(data):
                 self._feed(VehicleMessage(now, message))
-        except Exception as error:  # not by `_contained`, which would take a tenth of this function's time
+        except Exception as error:  # `_contained` would take a tenth of this function's time
             self.failed("vehicle bytes", error, needed=True)
 
     def _vehicle_stranger(self, data: bytes, enter: Callable[[], None]) -> None:
@@ -302,7 +302,7 @@ class Service:
         self._feed(LinkChanged(self.now, "firmware", up, why))
 
     def _report_unread(self) -> None:
-        """Report an ignored sender, which may be the autopilot. Once: strangers must not fill the log."""
+        """Report an ignored sender once: it may be the autopilot, but strangers must not fill the log."""
         sender = unread_from(self._vehicle)
         if sender and not self._unread_reported:
             self._unread_reported = True
@@ -328,7 +328,7 @@ class Service:
         return actions
 
     def notify_watchers(self) -> None:
-        """Give the watchers the events since the last call. No setpoint waits for a watcher."""
+        """Give the watchers the events since the last call. The setpoints of these events are already out."""
         unpublished, self._unpublished = self._unpublished, []
         for watcher in tuple(self._watchers):
             try:

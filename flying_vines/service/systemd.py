@@ -1,4 +1,4 @@
-"""Sends systemd's notifications: the service is ready, its loop runs, its status, and that it stops.
+"""Notifies systemd: the service is ready, its loop runs, its status has changed, it stops.
 
 The service's loop sends the notifications at its ticks. If it hangs, systemd's watchdog restarts the service.
 Nothing is sent if systemd did not start the service.
@@ -16,7 +16,7 @@ from flying_vines.core.snapshot import Snapshot
 from flying_vines.core.watcher import Watcher
 
 PER_WATCHDOG = 4
-"""Messages per watchdog time; one or two may be late."""
+"""Messages in each watchdog time. So one or two of them may be late."""
 STATUS_S = 1.0
 
 

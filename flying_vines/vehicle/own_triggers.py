@@ -46,7 +46,8 @@ class OwnTrigger:
     def take(self, t: float, message: MavlinkMessage) -> Trigger | None:
         """A trigger when the condition begins to hold. Call it with each message of our autopilot.
 
-        A condition that holds already at the first message, or after `GAP_S` without one, moves nothing.
+        If the condition holds already at the first message, or at the first one after `GAP_S` without any,
+        there is no trigger.
         """
         held = self._held or t - self._took_at > GAP_S
         self._held, self._took_at = bool(self._condition.holds(t, message)), t

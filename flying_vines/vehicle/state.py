@@ -59,8 +59,8 @@ VehicleEvent = Rebooted | AutopilotFound | Ambiguous
 class VehicleState:
     """The state of one vehicle, from the messages of its autopilot only.
 
-    With `system_id` 0 it is the vehicle of the only autopilot on the link. Ground stations, gimbals and other
-    companions do not count.
+    With `system_id` 0 it is the vehicle of the first autopilot on the link, unless a second autopilot appears
+    within `CHOOSING_S`. Ground stations, gimbals and other companions do not count.
     """
 
     def __init__(self, system_id: int = 0) -> None:

@@ -20,8 +20,8 @@ class BendCurve:
     (a dead zone), the angle maps to the lowest of them. The pairs are those of an inflation; during a
     deflation each angle has a pressure lower by `hysteresis_kPa`.
 
-    Raises `ValueError` with a sentence if there are fewer than two pairs, if the pressures do not rise, if
-    an angle falls, or if the hysteresis is not narrower than the curve.
+    Raises `ValueError` with a sentence if there are fewer than two pairs, if a value is not finite, if the
+    pressures do not rise, if an angle falls, or if the hysteresis is negative or not narrower than the curve.
     """
 
     def __init__(self, pairs: Sequence[tuple[float, float]], hysteresis_kPa: float = 0.0) -> None:
@@ -63,7 +63,7 @@ class BendCurve:
     def toward_kPa(self, wanted_kPa: float, bent_kPa: float) -> float:
         """The gauge pressure that brings the vine from bend `bent_kPa` to bend `wanted_kPa`.
 
-        At least 0: with a wide hysteresis some bend remains, and only the vine's stiffness removes it.
+        It is never negative. So with a wide hysteresis some bend remains at 0 kPa.
         """
         return wanted_kPa if wanted_kPa > bent_kPa else max(0.0, wanted_kPa - self.hysteresis_kPa)
 

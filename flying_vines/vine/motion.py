@@ -10,7 +10,7 @@ from flying_vines.vine.curve import BendCurve
 from flying_vines.vine.profile import HoldFor, Ramp, Segment, Sine, Step, ends_kPa, top_kPa
 
 AT_REST_KPA = 0.5
-"""Gauge; below it a vine is straight."""
+"""Gauge. At or below this pressure a vine counts as straight."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +119,7 @@ class _Path:
         self._rate_kPa_per_s = rate_kPa_per_s
         self._max_kPa = max_kPa
         self._bent_kPa = bent_kPa
-        """The bend after the segments, as in `BendCurve.bent_kPa`."""
+        """The bend after the segments so far, as in `BendCurve.bent_kPa`."""
         self.pieces: list[tuple[float, float, Callable[[float], float]]] = []
         self.t = 0.0
         self.at_kPa = self.peak_kPa = start_kPa

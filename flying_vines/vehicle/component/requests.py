@@ -77,7 +77,7 @@ class Requests:
         Args:
             t: now, in seconds.
             message: one of `MESSAGES`, of any sender.
-            system_id: that of our vehicle.
+            system_id: the system id of our vehicle.
         """
         kind = message.get_type()
         if kind == "PING":
