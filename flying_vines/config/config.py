@@ -416,7 +416,7 @@ def _invalid_values(config: Config) -> Iterator[tuple[Key, str]]:
 
 
 def _impossible_profiles(config: Config, curve: BendCurve) -> Iterator[tuple[Key, str]]:
-    """The profiles that cannot be flattened, leave the bend curve or the pressure limit, or are too fast."""
+    """The profiles that cannot be unrolled, exceed the bend curve or the pressure limit, or are too fast."""
     for name, profile in config.profiles.items():
         key = ("profiles", name)
         try:

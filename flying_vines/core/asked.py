@@ -25,7 +25,7 @@ def trigger_of(asked: Asked, config: Config, armed: bool, bench: bool) -> Trigge
     if by == "calibration":
         seen_at = t
     elif seen_at is None or seen_at > t:
-        # Unknown, or by the clock before a restart of this computer: the person saw no fault of this run.
+        # No `seen_at`, or one from before a restart of this computer: the person saw no fault of this run.
         seen_at = -math.inf
     if isinstance(intent, ClearLatchedFaults) and seen_at == -math.inf:
         problem = problem or "the request does not say which state the person saw"

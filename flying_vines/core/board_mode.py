@@ -19,7 +19,7 @@ class BoardMode:
     def note(self, made_at: float, mode: Mode, commanded: Mode) -> None:
         """The board was in `mode` when it made a message, at `made_at` on our clock.
 
-        In FAULT mode the board vents, as VENT commands.
+        A board in FAULT mode vents, so FAULT is also right after a VENT command.
         """
         if mode is commanded or (mode is Mode.FAULT and commanded is Mode.VENT):
             self._commanded = None

@@ -148,7 +148,7 @@ class Core:
         self._waiting_reported: PendingBend | None = None
         """The waiting bend in the latest text to the ground station."""
         self._triggered_at = 0.0
-        """When a person or the mission last requested the present motion."""
+        """When the present motion was last requested. A hold by safety is no request."""
         self._pneumatics_armed = config.interlocks.armed_at_start and not stored.disarmed
         self._bench_until = -math.inf
         self._requested_at = -math.inf
@@ -378,7 +378,7 @@ class Core:
         self._safety.triggered()
 
     def _carry_out_without_air(self, t: float, intent: Intent, trigger: Trigger) -> Ruling | None:
-        """Carry out or refuse an intent that takes no air. Returns None for an intent that takes air."""
+        """Carry out or refuse an intent that takes no air. Returns None for an intent that may take air."""
         match intent:
             case ClearLatchedFaults() | ArmPneumatics() | StartBench() if not trigger.by_person:
                 return Ruling("refused", "only a person may do that")

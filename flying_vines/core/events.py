@@ -27,7 +27,7 @@ class VehicleMessage:
 
 @dataclass(frozen=True, slots=True)
 class FirmwareMessage:
-    """A message of the phloSAR's firmware."""
+    """A message of the actuator's firmware."""
 
     t: float
     message: protocol.Message
@@ -69,7 +69,7 @@ class Asked:
     made_at: float | None = None
     """When it was requested, on the same clock as `t`; None: at `t`."""
     seen_at: float | None = None
-    """The `t` of the snapshot that the person saw. A request of page or broker clears no newer fault."""
+    """The `t` of the snapshot that the person saw. Page and broker clear no fault that appeared later."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """A part of the service raised an unexpected error."""
+    """A part of the program raised an unexpected error."""
 
     t: float
     part: str

@@ -55,7 +55,7 @@ class PendingBendTracker:
             self._stopped_by = why
 
     def refused(self, kind: str, why: str) -> None:
-        """A request was refused while nothing moved. Only the switch still requests, by its position."""
+        """A request was refused while nothing moved. Only a bend of the switch stays requested."""
         if kind == "switch":
             self._asker, self._stopped_by, self._done_at = kind, f"refused: {why}", None
 

@@ -69,7 +69,7 @@ class SafetyInputs(NamedTuple):
     moving: bool = False
     """The vine is held or moved under pressure."""
     moving_s: float = 0.0
-    """Time since a person or the mission requested the present motion. A hold by safety is no request."""
+    """Time since the present motion was requested. A hold by safety is no request."""
     physics: Mapping[str, str] = MappingProxyType({})
     """A sentence for each physics check that found a fault."""
     internal_error: bool = False

@@ -128,7 +128,7 @@ class SupplyMonitor:
     def _update_cycles_left(self, t: float, faults: Container[str]) -> str:
         """Predict the cycles left after every flown cycle, and every `CYCLES_EVERY_S`.
 
-        Returns the event that changed them, as text; empty if none.
+        Returns the event that changed the cycles left, as text; empty without an event.
         """
         reservoir, cycles = self.reservoir, self._cycles
         lost = any(name in faults for name in AIR_LOSSES)
@@ -142,7 +142,7 @@ class SupplyMonitor:
         return event or ""
 
     def _low_reservoir(self, threshold: float) -> str:
-        """The text when the cycles left fall below the threshold; not again until they were well above it."""
+        """The text when the cycles left fall below the threshold; the next one only after a clear rise."""
         cycles = self.cycles_left
         if cycles is None or cycles.lost:
             return ""
@@ -154,7 +154,10 @@ class SupplyMonitor:
         return ""
 
     def _changed(self, t: float) -> str:
-        """The learned air as text, after new cycles or an event; empty otherwise or until `KEEP_EVERY_S`."""
+        """The learned air as text, if it must be stored now; else empty.
+
+        It must be stored after new cycles or an event, at most once in `KEEP_EVERY_S`.
+        """
         reservoir = self.reservoir
         if reservoir.measured_cycles == self._kept_cycles or t < self._kept_at + KEEP_EVERY_S:
             return ""

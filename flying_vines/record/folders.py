@@ -50,7 +50,7 @@ TRY_AGAIN_S = 2.0
 MORE_ROOM_MB = 10.0
 """A log that has stopped continues only with this much free space above `least_free_MB` (hysteresis)."""
 MAX_CHUNKS = 36_000
-"""Maximum number of chunks in a log: about five hours. The log's summary then takes 50 MB of memory. A new
+"""Maximum number of chunks in a log: about five hours, and 50 MB of memory for the summary. Then a new
 folder starts, even in flight."""
 _MAVLINK = (NUMBERS[MAVLINK_IN], NUMBERS[MAVLINK_OUT])
 

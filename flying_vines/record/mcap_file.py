@@ -1,7 +1,7 @@
 """The MCAP file of a flight. It is readable while it grows, and if it is cut off or damaged.
 
-Messages are in compressed chunks, each with a checksum. Schemas and channels are both in the first chunk and
-in the summary at the end, so damage at one place leaves one copy intact.
+Messages are in compressed chunks, each with a checksum. Schemas and channels are in the first chunk, and
+again in the summary at the end. So damage at one place leaves one copy intact.
 """
 
 from __future__ import annotations

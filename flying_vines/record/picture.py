@@ -36,7 +36,7 @@ DRAWN_WIDTH = 0.085
 MIN_CHANGE_DEG = 3.0
 """The vine is drawn again only if its angle has changed by at least this."""
 SETTLED = 5
-"""The median of this many snapshots is drawn."""
+"""The drawn angle is the median of this many snapshots."""
 
 
 def draw_flight(log: FlightLog, path: Path, title: str | None = None) -> None:

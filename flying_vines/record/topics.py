@@ -72,14 +72,14 @@ class Start:
     believed: dict[str, Any]
     """The rig of `[pneumatics]`, as tables of a rig file."""
     continues: str
-    """The folder that this run of the service wrote before this one; empty in its first folder."""
+    """The previous folder of this run of the service; empty in its first folder."""
     latched: dict[str, str] = field(default_factory=dict)
     """The faults of the previous run that nobody has cleared, by name."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mavlink:
-    """A MAVLink message: its frame, and under the type's name the fields of a type that this project uses."""
+    """A MAVLink message: its frame and, if this project uses the type, its fields under the type's name."""
 
     t: float
     name: str

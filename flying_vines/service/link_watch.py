@@ -38,7 +38,7 @@ class LinkWatch:
         """The state of the port, and of the board on it."""
         self._opened = self.port
         self.clean_since: LinkStatistics | None = None
-        """The counts when the firmware last answered: earlier bad frames do not count."""
+        """The statistics at the latest handshake. Bad frames before it do not count."""
         self._received: list[LinkEvent] = []
         self._began = asyncio.get_running_loop().time()
         self._link = open_link(address, self._bytes, self._state)

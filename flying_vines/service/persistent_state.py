@@ -78,7 +78,7 @@ class PersistentState:
 
     @property
     def disarmed(self) -> bool:
-        """True if the pneumatics were disarmed and not armed again. Raises `OSError` if it is not known."""
+        """True if the pneumatics were disarmed and not armed again. Raises `OSError` if it cannot be read."""
         try:
             self.disarming.stat()  # `exists` returns False for an unreadable folder from Python 3.14 on
         except (FileNotFoundError, NotADirectoryError):
@@ -134,7 +134,7 @@ class PersistentState:
         return page_token.read_or_make(self.page_token) if config.page.needs_token else ""
 
     def read_signing(self, config: Config) -> tuple[Signing | None, str]:
-        """The configured signing, and a sentence if its stored clock is damaged. Raises `SigningKeyError`."""
+        """The configured signing, and a sentence if the stored clock is damaged. Raises `SigningKeyError`."""
         if not config.vehicle.signing_key:
             return None, ""
         key = read_key(self.config_file.parent / config.vehicle.signing_key)

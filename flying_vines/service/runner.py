@@ -29,8 +29,8 @@ SNAPSHOT_S = 0.05
 NEWS_S = 0.2
 """Interval of the checks for news of the log and the links, without a live view."""
 SWITCH_S = 0.0005
-"""Maximum time that the recorder's thread keeps the interpreter while the loop waits for it. With Python's
-default of 5 ms the loop would wait until the end of a step of the recorder, because each step is shorter."""
+"""Maximum time that the recorder's thread keeps the interpreter while the loop waits for it. Python's default
+of 5 ms is longer than any step of the recorder. So the loop would wait until the end of the step."""
 
 
 @dataclass(frozen=True)

@@ -52,13 +52,13 @@ from flying_vines.vehicle.own_triggers import messages_of, own_triggers
 from flying_vines.vine.intent import Asker, Intent
 
 FLUSH_S = 0.3
-"""After a stop: time to send the last status text and the vent."""
+"""Time after a stop to send the vent and the queued status texts."""
 REFUSALS_EVERY_S = 60.0
 SNAPSHOT_S = 0.1
 RESTART_S = 1.0
 """Wait before a failed task is started again."""
 DISPLAY_MESSAGES = ("NAMED_VALUE_FLOAT", "FUEL_STATUS")
-"""Messages that are only displayed."""
+"""Messages that ground stations only display. An error in one of them does not vent the vine."""
 _LINKS = ("flying_vines.vehicle.mavlink.link", "firmware_link.serial_port")
 """Modules whose callbacks are needed to move the vine."""
 
@@ -118,7 +118,7 @@ class Service:
         return asyncio.get_running_loop().time()
 
     def stop(self) -> None:
-        """Vent, send a notice, and end."""
+        """Vent the vine and end."""
         self._stopping.set()
 
     def say(self, severity: Severity, text: str) -> None:

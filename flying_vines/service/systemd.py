@@ -1,6 +1,6 @@
 """Notifies systemd: the service is ready, its loop runs, its status has changed, it stops.
 
-The service's loop sends the notifications at its ticks. If it hangs, systemd's watchdog restarts the service.
+The service's loop sends the notifications. If the loop hangs, systemd's watchdog restarts the service.
 Nothing is sent if systemd did not start the service.
 """
 
@@ -30,7 +30,7 @@ def service_manager(environment: MutableMapping[str, str] = os.environ) -> tuple
 
 
 class ServiceManager(Watcher):
-    """Sends datagrams without waiting. A datagram that was not accepted is sent again at the next tick."""
+    """Sends datagrams without waiting. READY and WATCHDOG are sent again at each tick until accepted."""
 
     def __init__(self, address: str, watchdog_s: float) -> None:
         # The name of an abstract socket begins with a zero byte; the environment has @ instead.

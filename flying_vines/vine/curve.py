@@ -2,8 +2,8 @@
 
 Film and fabric rub, so an angle has a lower pressure during deflation than during inflation. The model is a
 play operator (backlash), the simplest Prandtl-Ishlinskii operator. A bend is given as the pressure that
-makes it during inflation: `bent_kPa`. A higher pressure bends the vine further. A lower pressure, down to
-`hysteresis_kPa` below it, changes nothing. Below that the vine straightens.
+makes it during inflation: `bent_kPa`. A pressure above `bent_kPa` bends the vine further. A pressure that is
+lower by at most `hysteresis_kPa` changes nothing. A still lower pressure straightens the vine.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class BendCurve:
     def toward_kPa(self, wanted_kPa: float, bent_kPa: float) -> float:
         """The gauge pressure that brings the vine from bend `bent_kPa` to bend `wanted_kPa`.
 
-        It is never negative. So with a wide hysteresis some bend remains at 0 kPa.
+        This pressure is never negative. So with a wide hysteresis some bend remains at 0 kPa.
         """
         return wanted_kPa if wanted_kPa > bent_kPa else max(0.0, wanted_kPa - self.hysteresis_kPa)
 

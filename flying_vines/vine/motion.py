@@ -23,7 +23,7 @@ class Motion:
     name: str
     started_at: float
     pieces: tuple[tuple[float, float, Callable[[float], float]], ...]
-    """(begin_s, end_s, pressure as a function of the seconds since begin_s)."""
+    """Begin and end in seconds since `started_at`, and the pressure as a function of the time since begin."""
     start_kPa: float
     aim_kPa: float
     """Target of the first segment that is not a hold; for a sine, its second value."""
