@@ -19,7 +19,7 @@ _Key = tuple[object, ...]
 
 
 class CommandReceiver:
-    """Turns each COMMAND_LONG and COMMAND_INT into one trigger, and acknowledges every repeat."""
+    """Turns a COMMAND_LONG or COMMAND_INT into a trigger. Only acknowledges a repeat, unless it deflates."""
 
     def __init__(self, rules: Rules, component_id: int) -> None:
         self._rules = rules

@@ -46,7 +46,7 @@ class OwnTrigger:
     def take(self, t: float, message: MavlinkMessage) -> Trigger | None:
         """A trigger when the condition begins to hold. Call it with each message of our autopilot.
 
-        If the condition holds already at the first message, or at the first one after `GAP_S` without any,
+        If the condition already holds at the first message, or at the first message after a gap of `GAP_S`,
         there is no trigger.
         """
         held = self._held or t - self._took_at > GAP_S

@@ -128,7 +128,7 @@ class Streams:
         """The essential messages that were requested and do not arrive, although other messages do."""
         if t - self._received_at > SILENT_S:
             return []
-        # Count from the last first request of these messages, so that one text names all missing messages.
+        # Count from the time when all of these had been requested, so that one text names all missing ones.
         asked = max(t if s.wanted_since is None else s.wanted_since for s in self._essential.values())
         since = max(asked, self._received_since)
         return [

@@ -43,7 +43,7 @@ NAMED_COMMANDS = set(COMMAND_OF_NAME.values())
 
 ASK_AGAIN_S = 0.2
 GIVE_UP_S = 0.8
-"""ArduPilot answers within 6 ms."""
+"""Maximum wait for the params of an item. ArduPilot answers within 6 ms."""
 SAME_SCRIPT_ITEM_S = 3.0
 """A text and a script's params are of one item only if they come within this time. Measured: a script on the
 autopilot sends the params 5 to 17 ms after the text. Our script repeats unacknowledged params for 2 s."""

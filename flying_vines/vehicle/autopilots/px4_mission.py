@@ -35,12 +35,12 @@ REACHED_WITHIN_S = 3.0
 """PX4 repeats MISSION_ITEM_REACHED every second. A report counts up to this time after the command."""
 GRIPPER, WINCH = 211, 42600
 TIMEOUT_S = 60.0
-"""For a gripper and a winch PX4 waits for MIS_COMMAND_TOUT before it reports them as reached."""
+"""`REACHED_WITHIN_S` of a gripper and a winch: PX4 waits for MIS_COMMAND_TOUT before it reports them."""
 REPEATED_WITHIN_S = 2.5
 """A second report for an item within this time is a repeat, even after another item's report."""
 MAX_PAST = 8
 HISTORY_S = 2.0
-"""A report within this time after our first message may be a repeat of an older one."""
+"""A report within this time after the first message that we received may be a repeat of an older report."""
 
 
 @dataclass(slots=True)
@@ -199,7 +199,7 @@ class Px4Watch(MissionWatch):
         return ran_seq > seq and not self._flies_between(seq, ran_seq)
 
     def _nearest(self, execution: Execution) -> int | None:
-        """The matching item nearest to the current one; the later of two that are equally near."""
+        """The seq of the matching item nearest to the current one; of two equally near items, the later."""
         if execution.seq is not None:
             return execution.seq
         seqs = [item.seq for item in self._cache.alike(execution.command, execution.params or ())]
