@@ -255,11 +255,11 @@ class Files:
         return self._mcap.chunks
 
     def add(self, entry: RawEntry) -> None:
-        number, self.latest, what = entry
+        number, self.latest, content = entry
         time_ns = self._unix_ns(self.latest)
         self._mcap.add(number, time_ns, encoded(entry))
         if number in _MAVLINK:
-            self._tlog.write(time_ns // 1000, bytes(what))
+            self._tlog.write(time_ns // 1000, bytes(content))
 
     def sync(self) -> None:
         self._mcap.flush()

@@ -218,22 +218,22 @@ def entry_of_state(state: Snapshot | Start) -> RawEntry:
 
 
 def encoded(entry: RawEntry) -> bytes:
-    number, t, what = entry
+    number, t, content = entry
     if number in (_IN, _OUT):
-        return _mavlink(t, bytes(what))
-    if isinstance(what, Asked):
-        return _without_nulls(_encode(_with_kind(what)))
-    data = _encode(what)
-    if not hasattr(what, "t"):
+        return _mavlink(t, bytes(content))
+    if isinstance(content, Asked):
+        return _without_nulls(_encode(_with_kind(content)))
+    data = _encode(content)
+    if not hasattr(content, "t"):
         rest = data[1:]
         data = b'{"t":' + _encode(t) + (b"" if rest == b"}" else b",") + rest
     return _without_nulls(data)
 
 
-def _with_kind(what: Asked) -> dict[str, Any]:
+def _with_kind(asked: Asked) -> dict[str, Any]:
     """The fields of a request and the name of its intent's type."""
-    plain: dict[str, Any] = msgspec.to_builtins(what)
-    plain["intent"] = {"kind": name_of(type(what.intent)), **plain["intent"]}
+    plain: dict[str, Any] = msgspec.to_builtins(asked)
+    plain["intent"] = {"kind": name_of(type(asked.intent)), **plain["intent"]}
     return plain
 
 

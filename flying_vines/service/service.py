@@ -199,14 +199,14 @@ class Service:
             await self._changed.wait()
             self._changed.clear()
             while self._unwritten:
-                what, write = self._unwritten.popitem()
+                state, write = self._unwritten.popitem()
                 try:
                     await asyncio.to_thread(write)
                 except (parameter_file.ParameterFileError, PersistentStateError) as error:
-                    self.say(Severity.WARNING, f"{what} not saved: {error}")
+                    self.say(Severity.WARNING, f"{state} not saved: {error}")
 
-    def _store(self, what: str, write: Callable[[], None]) -> None:
-        self._unwritten[what] = write
+    def _store(self, state: str, write: Callable[[], None]) -> None:
+        self._unwritten[state] = write
         self._changed.set()
 
     async def _store_signing_clock(self) -> None:

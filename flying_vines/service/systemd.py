@@ -55,10 +55,10 @@ class ServiceManager(Watcher):
         if news and self._send(f"STATUS={status}"):
             self._status, self._status_at = status, snapshot.t
 
-    def _send(self, what: str) -> bool:
+    def _send(self, message: str) -> bool:
         try:
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as ours:
-                ours.sendto(what.encode(), self._address)
+                ours.sendto(message.encode(), self._address)
         except OSError:
             return False
         return True

@@ -44,7 +44,7 @@ class OwnTrigger:
         self._held, self._took_at = True, -math.inf
 
     def take(self, t: float, message: MavlinkMessage) -> Trigger | None:
-        """A trigger when the condition begins to hold. Call it with each message of our autopilot.
+        """A trigger when the condition begins to hold. Call it with each of the `messages` of our autopilot.
 
         If the condition already holds at the first message, or at the first message after a gap of `GAP_S`,
         there is no trigger.

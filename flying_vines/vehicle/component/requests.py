@@ -1,6 +1,7 @@
 """Requests that every component must answer: identity, messages, message rates, pings.
 
-Answers go to the sender of the request. `vehicle/commands.py` answers all other commands.
+Acknowledgements, pings and TIMESYNC answers are addressed to the sender of the request. `vehicle/commands.py`
+answers all other commands.
 """
 
 from __future__ import annotations
