@@ -190,7 +190,7 @@ class Folders:
         return files
 
     def _make_folder(self) -> Path:
-        """Make a folder named by the present local time. Names of the same second sort in order of time."""
+        """Make a folder named by the present local time. Folders of the same second sort in order of time."""
         stamp = time.strftime("%Y-%m-%d_%H-%M-%S")
         for suffix in ("", *(f"_{n:03}" for n in range(2, 1000))):
             folder = self._parent / (stamp + suffix)

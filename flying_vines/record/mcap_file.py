@@ -38,11 +38,11 @@ _CRC_BYTES = 4
 
 
 class McapFile:
-    """Writes to a binary file. Each `flush` ends a chunk. Times are unix time in ns, in any order."""
+    """Writes to a binary file. Each `flush` ends a chunk. Times are unix time in ns; they need not rise."""
 
     def __init__(self, file: BinaryIO, topics: Sequence[Topic], library: str) -> None:
         self.chunks = 0
-        """Number of chunks. Each takes memory until the summary is written."""
+        """Number of chunks. Each chunk takes memory until the summary is written."""
         self._sequence = 0
         self._writer = Writer(file, compression=CompressionType.ZSTD)
         self._writer.start(library=library)

@@ -1,4 +1,4 @@
-"""One text to the pilot for a dead link, instead of one for each loss that it causes.
+"""One text to the pilot for a dead link, instead of a text for each loss that the dead link causes.
 
 When the link fails, RC, the altitude and the autopilot are lost one after another. They also return one after
 another.

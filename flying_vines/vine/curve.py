@@ -1,6 +1,6 @@
 """Bend angle against actuator pressure, as calibrated, with hysteresis.
 
-Film and fabric rub, so an angle has a lower pressure during deflation than during inflation. The model is a
+Film and fabric rub, so an angle needs a lower pressure during deflation than during inflation. The model is a
 play operator (backlash), the simplest Prandtl-Ishlinskii operator. A bend is given as the pressure that
 makes it during inflation: `bent_kPa`. A pressure above `bent_kPa` bends the vine further. A pressure that is
 lower by at most `hysteresis_kPa` changes nothing. A still lower pressure straightens the vine.
@@ -16,9 +16,9 @@ from collections.abc import Callable, Sequence
 class BendCurve:
     """A rising, piecewise linear curve through calibrated pairs (gauge kPa, degrees).
 
-    Below the first pair and above the last the curve is flat. If several pressures give one angle
-    (a dead zone), the angle maps to the lowest of them. The pairs are those of an inflation; during a
-    deflation each angle has a pressure lower by `hysteresis_kPa`.
+    The curve is flat below the first pair and above the last pair. If several pressures give one angle
+    (a dead zone), the angle maps to the lowest of them. The pairs are of an inflation. During a deflation
+    the pressure for each angle is lower by `hysteresis_kPa`.
 
     Raises `ValueError` with a sentence if there are fewer than two pairs, if a value is not finite, if the
     pressures do not rise, if an angle falls, or if the hysteresis is negative or not narrower than the curve.
@@ -56,7 +56,7 @@ class BendCurve:
 
         Args:
             pressure_kPa: present gauge pressure.
-            before_kPa: the bend before, in the same form.
+            before_kPa: the previous bend, in the same form.
         """
         return min(max(before_kPa, pressure_kPa), pressure_kPa + self.hysteresis_kPa)
 

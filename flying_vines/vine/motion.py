@@ -1,4 +1,4 @@
-"""A motion of the vine: planned from segments, judged by safety, followed until the next one."""
+"""A motion of the vine: planned from segments, judged by safety, followed until the next motion."""
 
 from __future__ import annotations
 

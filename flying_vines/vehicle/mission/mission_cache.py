@@ -15,9 +15,9 @@ RETRY_S = 0.8
 MAX_ATTEMPTS = 6
 TRY_AGAIN_S = 20.0
 QUIET_BEFORE_READING_S = 0.5
-"""The total changes during an upload. Reading waits until the total is stable."""
+"""The number of items changes during an upload. Reading waits until it is stable for this time."""
 SAME_CHANGE_S = 5.0
-"""If the mission was read within this time, a new total that agrees with it is not a change."""
+"""If the mission was read within this time, a new total that agrees with the items read is not a change."""
 MAX_ITEMS = 5000
 
 
