@@ -19,7 +19,10 @@ _Key = tuple[object, ...]
 
 
 class CommandReceiver:
-    """Turns a COMMAND_LONG or COMMAND_INT into a trigger. Only acknowledges a repeat, unless it deflates."""
+    """Turns a COMMAND_LONG or COMMAND_INT into a trigger.
+
+    A repeat gets only an acknowledgement, unless it deflates the vine.
+    """
 
     def __init__(self, rules: Rules, component_id: int) -> None:
         self._rules = rules

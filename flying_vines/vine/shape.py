@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 STRAIGHT_RAD = 1e-6
-"""Below this angle the formula of an arc loses precision, so its limit for small angles is used."""
+"""Below this angle the formula of an arc loses precision. Then an approximation for small angles is used."""
 
 
 class AxisPoint(NamedTuple):

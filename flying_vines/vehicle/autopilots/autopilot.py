@@ -129,7 +129,7 @@ class Autopilot:
         return f"have it send {message} {rate_Hz} times a second"
 
     def store(self, item: MissionItem) -> MissionItem:
-        """The item as the autopilot would store and return it. Raises `MissionRefused` if it would refuse."""
+        """The item as the autopilot would store and return it. Raises `MissionRefused` for a refused item."""
         return item
 
     def waits_for(self, item: MissionItem) -> bool:
