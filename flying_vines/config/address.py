@@ -37,7 +37,7 @@ class NetworkAddress:
     host: str
     port: int
     peer: str = ""
-    """Only datagrams from this address are read (udpin); empty: from all."""
+    """`udpin` reads only datagrams from this address; empty: from all addresses."""
 
     @property
     def on_loopback(self) -> bool:

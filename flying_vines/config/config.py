@@ -43,7 +43,7 @@ ITEM_COMMANDS = {
     "aux_function": 218,
     "user_1": 31010,
 }
-"""MAVLink commands that carry a vine item, by the name that the configuration uses for them."""
+"""MAVLink commands that may carry a vine item, by their names in the configuration."""
 
 _TOPIC_LEVEL = re.compile(r"[\w.-]{1,64}", re.ASCII)
 
@@ -102,7 +102,7 @@ class FirmwareConfig(_Table, frozen=True):
 
     @property
     def is_phlosar(self) -> bool:
-        """Only a phloSAR has a reservoir to estimate and a firmware to calibrate."""
+        """True for a phloSAR: only it has a reservoir to estimate and a firmware to calibrate."""
         return self.kind == PHLOSAR
 
 
@@ -126,7 +126,7 @@ class SwitchConfig(_Table, frozen=True):
 
 
 class ItemConfig(_Table, frozen=True):
-    """Rule: what a mission item or command does with the vine."""
+    """A rule: what a mission item or command does with the vine."""
 
     command: str | int | tuple[str | int, ...]
     match: dict[Param, float] = {}
@@ -203,7 +203,7 @@ class LossesConfig(_Table, frozen=True):
 
 
 class PneumaticsConfig(_Table, frozen=True):
-    """The rig's numbers for the reservoir estimate. Defaults: the paper's demonstration.
+    """The rig's numbers for the reservoir estimate. The defaults are those of the paper's demonstration.
 
     EVP: inflation valve. DVP: the Venturi's supply valve.
     """
@@ -331,7 +331,7 @@ def load(path: Path) -> Config:
 
 
 def rig_named(config: Config, config_file: Path | None) -> Path | None:
-    """The rig file that a configuration names, or None. Relative paths start from the file's folder."""
+    """The rig file that a configuration names, or None. A relative path starts from `config_file.parent`."""
     return config_file.parent / config.pneumatics.rig if config_file and config.pneumatics.rig else None
 
 
@@ -367,7 +367,7 @@ def parse(text: str, source: str, recorded: bool = False) -> Config:
 
 
 def _drop_old_settings(raw: dict[str, Any], text: str, source: str) -> None:
-    """Ignores settings of earlier versions, unless they request what is no longer possible."""
+    """Ignores settings of earlier versions. Raises `ConfigError` if one requests a removed behaviour."""
     raw.pop("calibration", None)
     losses = raw.get("losses")
     wanted = losses.pop("on_autopilot_loss", "vent") if isinstance(losses, dict) else "vent"
@@ -416,7 +416,7 @@ def _invalid_values(config: Config) -> Iterator[tuple[Key, str]]:
 
 
 def _impossible_profiles(config: Config, curve: BendCurve) -> Iterator[tuple[Key, str]]:
-    """The profiles that cannot be flattened, leave the bend curve or the pressure limit, or are too fast."""
+    """The profiles that cannot be unrolled, exceed the bend curve or the pressure limit, or are too fast."""
     for name, profile in config.profiles.items():
         key = ("profiles", name)
         try:
@@ -490,7 +490,7 @@ def _broker_contradictions(mqtt: MqttConfig) -> list[tuple[str, str]]:
         found.append(("prefix", "is empty: give the first level of the topics"))
     for key in ("password_file", "ca_file", "certificate_file", "key_file"):
         if (file := getattr(mqtt, key)) and not file.startswith("/"):
-            found.append((key, f"'{file}': give an absolute path, from / on"))
+            found.append((key, f"'{file}': give an absolute path, which begins with /"))
         if file and key != "password_file" and mqtt.broker and not tls:
             found.append((key, "needs TLS: the broker's address must begin with mqtts://"))
     if mqtt.password_file and not mqtt.username:

@@ -10,7 +10,8 @@ from tempfile import mkstemp
 def put(path: Path, text: str) -> None:
     """Write to a temporary file, sync it to the disk, and then replace `path` with it.
 
-    Creates a missing folder. Raises `OSError` if a step fails. Before the last step `path` is unchanged.
+    Creates a missing folder. Raises `OSError` if a step fails; then `path` is unchanged, unless only the sync
+    of its folder failed.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     number, temporary = mkstemp(dir=path.parent, prefix=f".{path.name}.")

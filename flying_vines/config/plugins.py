@@ -24,8 +24,8 @@ def find(group: Group, name: str, key: str, *needs: str) -> Callable[..., Any]:
     """The entry point `name` of the group `flying_vines.GROUP`: a class or function, to call with settings.
 
     The object that it makes must have the attributes `needs`. Raises `PluginError`, which names the `key` of
-    the configuration, if no package or several have this name, or if it cannot be imported. The returned
-    function raises the same error if the call fails, or if an attribute is missing.
+    the configuration, if no package or several have this name, or if the entry point cannot be imported. The
+    returned function raises the same error if the call fails, or if an attribute is missing.
     """
     from importlib.metadata import entry_points
 
@@ -63,10 +63,11 @@ def installed(group: Group) -> list[str]:
 
 
 def with_own_segments(profile: Any, built_in: Collection[str]) -> tuple[Any, dict[int, list[Any]]]:
-    """A raw profile with placeholders for segments of installed packages, and the segments for each of them.
+    """Replaces a raw profile's segments of installed packages by placeholders.
 
-    Such a segment is a function from its settings to built-in segments. It runs here, once. A kind that is
-    not installed is left as it is. Raises `PluginError`.
+    Returns the profile, and the built-in segments for each placeholder, by its index. A package makes them
+    from the segment's settings; it is called here, once. A segment whose kind is not installed stays as it
+    is. Raises `PluginError`.
     """
     raw = profile.get("segments") if isinstance(profile, dict) else None
     segments: list[Any] = raw if isinstance(raw, list) else []

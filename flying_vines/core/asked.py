@@ -10,12 +10,12 @@ from flying_vines.vehicle.triggers import Trigger, only_deflates
 from flying_vines.vine.intent import ACTS_WITHIN_S, COMMAND_OF, ClearLatchedFaults
 
 PAGE_COMMANDS = ("clear_faults", "arm", "start_bench")
-"""The page may send these commands without bench mode, and always all commands that only deflate the vine.
-While the vehicle is armed, `start_bench` is refused."""
+"""The page may send these commands without bench mode. Any command that only deflates the vine is always
+allowed. While the vehicle is armed, `start_bench` is refused."""
 
 
 def trigger_of(asked: Asked, config: Config, armed: bool, bench: bool) -> Trigger:
-    """The trigger for a request. Its `problem` is a reason to refuse it.
+    """The trigger for a request. If the request must be refused, `problem` of the trigger is the reason.
 
     `armed`: the vehicle is armed. `bench`: bench mode is on.
     """
@@ -25,7 +25,7 @@ def trigger_of(asked: Asked, config: Config, armed: bool, bench: bool) -> Trigge
     if by == "calibration":
         seen_at = t
     elif seen_at is None or seen_at > t:
-        # Unknown, or from before this computer started: the person has seen no fault of this run.
+        # No `seen_at`, or one from before a restart of this computer: the person saw no fault of this run.
         seen_at = -math.inf
     if isinstance(intent, ClearLatchedFaults) and seen_at == -math.inf:
         problem = problem or "the request does not say which state the person saw"

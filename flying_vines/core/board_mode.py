@@ -6,7 +6,7 @@ from firmware_link.protocol import Mode
 
 
 class BoardMode:
-    """Call `note` for each telemetry message. Times are by the board's clock."""
+    """Call `note` for each telemetry message."""
 
     def __init__(self) -> None:
         self._commanded: Mode | None = None
@@ -17,7 +17,10 @@ class BoardMode:
         self._commanded = None
 
     def note(self, made_at: float, mode: Mode, commanded: Mode) -> None:
-        """The board was in `mode` at `made_at`. In FAULT mode it vents by itself."""
+        """The board was in `mode` when it made a message, at `made_at` on our clock.
+
+        A board in FAULT mode vents, so FAULT is also right after a VENT command.
+        """
         if mode is commanded or (mode is Mode.FAULT and commanded is Mode.VENT):
             self._commanded = None
             return

@@ -89,14 +89,15 @@ AT_ONCE_S = 0.05
 VENTING = (VentVine, DisarmPneumatics, StopBench)
 MOVING = (StartProfile, BendTo, SetPressure)
 _BY_PILOT_OR_SAFETY = {"switch", *UNREQUESTED}
-"""Triggers of the pilot's own switch and of safety. All others come from another person or the mission."""
+"""Triggers of the pilot's own switch and of safety. All others come from another person, the mission or an
+installed package."""
 
 _SENSOR_TEXTS = {
     "cv_kPa": "vine sensor reads",
     "reservoir_kPa": "bottle sensor reads",
     "setpoint_kPa": "{actuator} setpoint is",
 }
-"""By telemetry field: the start of the text about a value that no sensor can have."""
+"""By telemetry field: the start of the text about an impossible value."""
 
 _RESPONSE_TEXTS = {
     "serial": "its dead-man vents",
@@ -145,9 +146,9 @@ class Core:
         self._motion: Motion | None = None
         self._pending_bend = PendingBendTracker()
         self._waiting_reported: PendingBend | None = None
-        """The state in the latest text to the ground station."""
+        """The waiting bend in the latest text to the ground station."""
         self._triggered_at = 0.0
-        """When a person or the mission last requested the present motion."""
+        """When the present motion was last requested. A hold by safety is no request."""
         self._pneumatics_armed = config.interlocks.armed_at_start and not stored.disarmed
         self._bench_until = -math.inf
         self._requested_at = -math.inf
@@ -377,7 +378,7 @@ class Core:
         self._safety.triggered()
 
     def _carry_out_without_air(self, t: float, intent: Intent, trigger: Trigger) -> Ruling | None:
-        """Carry out or refuse an intent that takes no air. Returns None for an intent that takes air."""
+        """Carry out or refuse an intent that takes no air. Returns None for an intent that may take air."""
         match intent:
             case ClearLatchedFaults() | ArmPneumatics() | StartBench() if not trigger.by_person:
                 return Ruling("refused", "only a person may do that")
@@ -435,7 +436,7 @@ class Core:
         self._drive(t)
 
     def _clear_faults(self, t: float, seen_at: float = math.inf) -> bool:
-        """Clear what a person may clear. Returns True if there was a fault, cleared or not."""
+        """Clear the faults that a person may clear. Returns True if there was any loss or fault before."""
         now = self._conditions(t)
         had_faults = bool(self._safety.reasons)
         cleared = self._safety.clear(now, seen_at)
@@ -582,7 +583,7 @@ class Core:
             self._notice(t, Severity.NOTICE, f"waiting for: {waiting.awaited}")
 
     def _note_rc_use(self, t: float) -> None:
-        """Note if RC is in use. A loss of RC counts only while RC is in use."""
+        """Note whether RC is in use. A loss of RC counts only while RC is in use."""
         armed = self._vehicle.state.armed
         if self._vehicle.rc.problem(t) is None:
             self._rc_in_use |= armed or self._on_bench or self.config.interlocks.bench_mode
@@ -621,7 +622,7 @@ class Core:
         if self._firmware.implausible is None:
             return None
         field, value_kPa = self._firmware.implausible
-        # The log cannot hold infinity. A replayed flight must give the same text.
+        # The log cannot hold infinity, and a replayed flight must give the same text.
         value = f"{value_kPa:g} kPa" if math.isfinite(value_kPa) else "not a number"
         return f"{_SENSOR_TEXTS[field].format(actuator=self._actuator)} {value}"
 

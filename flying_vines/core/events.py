@@ -12,7 +12,7 @@ from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vine.intent import Asker, Intent
 
 MAX_TRACE_LENGTH = 8000
-"""Characters; the traceback of an endless recursion is long."""
+"""In characters. The traceback of an endless recursion is long."""
 
 # Events.
 
@@ -27,7 +27,7 @@ class VehicleMessage:
 
 @dataclass(frozen=True, slots=True)
 class FirmwareMessage:
-    """A message of the phloSAR's firmware."""
+    """A message of the actuator's firmware."""
 
     t: float
     message: protocol.Message
@@ -69,7 +69,7 @@ class Asked:
     made_at: float | None = None
     """When it was requested, on the same clock as `t`; None: at `t`."""
     seen_at: float | None = None
-    """The `t` of the snapshot that the person saw. Page and broker do not clear faults newer than this."""
+    """The `t` of the snapshot that the person saw. Page and broker clear no fault that appeared later."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """A part of the service raised an unexpected error."""
+    """A part of the program raised an unexpected error."""
 
     t: float
     part: str
@@ -139,7 +139,7 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """The firmware's telemetry, for the log."""
+    """The firmware's telemetry, for a calibration. The log has it as a `FirmwareMessage`."""
 
     t: float
     telemetry: protocol.Telemetry
@@ -181,7 +181,7 @@ class KeepLatched:
 
 @dataclass(frozen=True, slots=True)
 class StoredState:
-    """What the core of the last run stored, for the core of this run."""
+    """The state that the core of the last run stored, for the core of this run."""
 
     parameters: dict[str, float] = field(default_factory=dict)
     """The parameters that a pilot has set."""

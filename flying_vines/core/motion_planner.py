@@ -1,4 +1,4 @@
-"""Plans the motion for an intent: for the core in flight, and for a mission's budget and builder."""
+"""Plans the motion for an intent: for the core in flight, and for checks of a mission before the flight."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class MotionPlanner:
             intent: `StartProfile`, `BendTo` or `SetPressure`.
             start_kPa: pressure at the start, gauge.
             bent_kPa: the pressure that gives the present bend during inflation (`BendCurve.bent_kPa`).
-            limit_kPa: the firmware's pressure limit. The lower of it and `limits.max_kPa` applies.
+            limit_kPa: the firmware's pressure limit. If `limits.max_kPa` is lower, that limit applies.
             rate_scale: share of the maximum rate, 0…1.
             started_at: start time of the motion.
         """

@@ -49,21 +49,22 @@ class PendingBendTracker:
         self._stopped_by = why
 
     def withdrawn(self, why: str, moved: bool) -> None:
-        """A request vented the vine. `moved`: it ended a motion. Now only the switch requests a bend."""
+        """A request vented the vine. Now only the switch requests a bend. `moved`: a motion was running."""
         self._asker = ""
         if moved:
             self._stopped_by = why
 
     def refused(self, kind: str, why: str) -> None:
-        """A request was refused while nothing moved. Only the switch still requests it, by its position."""
+        """A request was refused while nothing moved. Only a bend of the switch stays requested."""
         if kind == "switch":
             self._asker, self._stopped_by, self._done_at = kind, f"refused: {why}", None
 
     def waiting(self, position: int | None, fresh_move: str) -> PendingBend | None:
         """The state while nothing moves; None if no bend is requested.
 
-        `position`: of the switch; None during a loss of RC. `fresh_move`: the move of the switch that would
-        bend the vine, if the switch is in a bending position, or was before the loss; else empty.
+        `position`: the position of the switch; None during a loss of RC. `fresh_move`: the move of the switch
+        that would bend the vine. It is empty if the switch is not in a bending position. During a loss, the
+        position before the loss counts.
         """
         if position is not None:
             self._see(position, bends=bool(fresh_move))

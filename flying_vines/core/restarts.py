@@ -1,4 +1,4 @@
-"""A board that restarts repeatedly: the pilot gets a text at the first restart, then a count every 10 s."""
+"""Texts about a board that restarts repeatedly: one at the first restart, then a count every 10 s."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from flying_vines.supply import AirNeeded
 from flying_vines.vine.motion import Motion
 
 MODE_FOLLOWS_WITHIN_S = 0.3
-"""The board's mode follows its commands within this time, even if eleven in a row are lost."""
+"""The board's mode follows the commanded one within this time, even if eleven commands in a row are lost."""
 LANDING_MARGIN_M = 0.5
 """A bent vine is vented when it is this far below `interlocks.min_altitude_m`."""
 
@@ -69,7 +69,7 @@ class SafetyInputs(NamedTuple):
     moving: bool = False
     """The vine is held or moved under pressure."""
     moving_s: float = 0.0
-    """Time since a person or the mission requested the present motion. A hold by safety is no request."""
+    """Time since the present motion was requested. A hold by safety is no request."""
     physics: Mapping[str, str] = MappingProxyType({})
     """A sentence for each physics check that found a fault."""
     internal_error: bool = False
@@ -217,9 +217,9 @@ class Safety:
         return ResponseNeeded(name, reason, "vent")
 
     def clear(self, now: SafetyInputs, seen_at: float = math.inf) -> dict[str, str]:
-        """A person clears latched faults. Returns a sentence for each cleared one, by name.
+        """A person clears latched faults. Returns a sentence for each cleared fault, by name.
 
-        A fault stays if its cause is present, or if it came after `seen_at`: the person has not seen it.
+        A fault stays if its cause is present, or came after `seen_at`: then the person has not seen it.
         """
         present = self._latching(now)
         cleared = [
@@ -234,7 +234,7 @@ class Safety:
         return self._faults_at <= seen_at
 
     def judge(self, motion: Motion, air: AirNeeded, now: SafetyInputs) -> Ruling:
-        """Accept, limit or refuse a motion. One that only deflates is always accepted."""
+        """Accept, limit or refuse a motion. A motion that only deflates is always accepted."""
         if motion.only_deflates:
             return Ruling("accepted")
         problem = self._problem(motion, air, now)

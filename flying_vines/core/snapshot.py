@@ -21,7 +21,7 @@ class Snapshot:
     rc: str
     switch_position: int | None
     actuator: str
-    """Its name: phloSAR, or the `kind` of an actuator from an installed package."""
+    """The actuator's name: phloSAR, or the `kind` of an actuator from an installed package."""
     firmware: str
     round_trip_s: float | None
     """Round trip of the latest ping to the firmware."""

@@ -49,14 +49,14 @@ class SupplyMonitor:
     def __init__(self, config: Config, prior: RigPrior, learned: str, parts: IsolatedParts) -> None:
         self.has_reservoir = config.firmware.is_phlosar
         self.features: Features | None = None
-        """Those of the latest telemetry."""
+        """The features of the latest telemetry."""
         self._prior = prior
         self._parts = parts
         self._reader = TelemetryReader(prior)
         known, self._learned_problem = learned_from(learned, prior)
         self.reservoir = ReservoirEstimate(prior, known)
         self._kept_cycles = self.reservoir.measured_cycles
-        """The number of measured cycles that was stored last; NaN after an event: then it is stored again."""
+        """The number of measured cycles that was stored last; NaN after an event, to store the air again."""
         self._kept_at = -math.inf
         self._checks = PhysicsChecks(prior, config.checks, CHECKS if self.has_reservoir else {})
         self._own_checks = own_checks(prior, config.checks)
@@ -108,7 +108,7 @@ class SupplyMonitor:
     def tick(
         self, t: float, faults: Container[str], low_reservoir_cycles: float
     ) -> list[Notice | KeepLearned]:
-        """Predict the cycles left. Returns texts for the pilot, and what the next run must know.
+        """Predict the cycles left. Returns texts for the pilot, and the learned air for the next run.
 
         `faults`: the names of the present losses and latched faults.
         """
@@ -128,7 +128,7 @@ class SupplyMonitor:
     def _update_cycles_left(self, t: float, faults: Container[str]) -> str:
         """Predict the cycles left after every flown cycle, and every `CYCLES_EVERY_S`.
 
-        Returns the event that changed them, as text; empty if none.
+        Returns the event that changed the cycles left, as text; empty without an event.
         """
         reservoir, cycles = self.reservoir, self._cycles
         lost = any(name in faults for name in AIR_LOSSES)
@@ -142,7 +142,7 @@ class SupplyMonitor:
         return event or ""
 
     def _low_reservoir(self, threshold: float) -> str:
-        """The text when the cycles left fall below the threshold; then none until they are well above it."""
+        """The text when the cycles left fall below the threshold; the next one only after a clear rise."""
         cycles = self.cycles_left
         if cycles is None or cycles.lost:
             return ""
@@ -154,7 +154,10 @@ class SupplyMonitor:
         return ""
 
     def _changed(self, t: float) -> str:
-        """What was learned, as text, after new cycles or an event; empty if not due (`KEEP_EVERY_S`)."""
+        """The learned air as text, if it must be stored now; else empty.
+
+        It must be stored after new cycles or an event, at most once in `KEEP_EVERY_S`.
+        """
         reservoir = self.reservoir
         if reservoir.measured_cycles == self._kept_cycles or t < self._kept_at + KEEP_EVERY_S:
             return ""

@@ -9,7 +9,7 @@ from flying_vines.core.snapshot import Snapshot
 
 
 class Watcher:
-    """Called in the service's loop, some milliseconds after the core. It must return soon and never raise.
+    """Called in the service's loop, up to a tick after the core. A watcher must return soon and never raise.
 
     Calls come in the core's order: each event, then its actions. Override the methods that you need.
     """
@@ -18,7 +18,7 @@ class Watcher:
         """An event was handled."""
 
     def action(self, action: Action) -> None:
-        """One action of the latest event. A message in it is already packed."""
+        """One action of the latest event. A MAVLink message in an action is already packed."""
 
     def snapshot(self, snapshot: Snapshot) -> None:
         """The state, about ten times a second."""

@@ -39,7 +39,7 @@ def read_flight(path: Path | str) -> dict[str, Table]:
         if name in (MAVLINK_IN, MAVLINK_OUT):
             name = f"{name}/{fields['name']}"
         rows[name].append({"unix_s": entry.unix_ns / 1e9, **_flat(fields)})
-    return {name: _table(of) for name, of in rows.items()}
+    return {name: _table(entries) for name, entries in rows.items()}
 
 
 def read_tlog(path: Path | str) -> dict[str, Table]:
@@ -68,7 +68,7 @@ def read_tlog(path: Path | str) -> dict[str, Table]:
         log.close()
     if not rows:
         raise LogError(f"{path}: has no MAVLink message")
-    return {name: _table(of) for name, of in rows.items()}
+    return {name: _table(entries) for name, entries in rows.items()}
 
 
 def _flat(fields: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

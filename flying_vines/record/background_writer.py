@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 
 class BackgroundWriter(Generic[T]):
-    """Passes data to `put` in a thread, in order. The first `OSError` ends it: see `error`."""
+    """Passes data to `put` in a thread, in order. After the first `OSError` (`error`) it drops all data."""
 
     def __init__(self, put: Callable[[list[T]], None], max_size: int) -> None:
         """`max_size`: the maximum total size of the queue. `write` refuses data beyond it."""
@@ -29,12 +29,12 @@ class BackgroundWriter(Generic[T]):
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
 
-    def write(self, what: T, size: int) -> bool:
+    def write(self, data: T, size: int) -> bool:
         """Queue data. Returns False if there was no room for it."""
         if self._taken - self._done + size > self._max_size:
             return False
         self._taken += size
-        self._waiting.put((what, size))
+        self._waiting.put((data, size))
         return True
 
     def close(self, within_s: float) -> bool:
@@ -54,7 +54,7 @@ class BackgroundWriter(Generic[T]):
             batch = [item for item in taken if item is not None]
             if self.error is None and batch:
                 try:
-                    self._put([what for what, _ in batch])
+                    self._put([data for data, _ in batch])
                 except OSError as error:
                     self.error = error
             self._done += sum(size for _, size in batch)

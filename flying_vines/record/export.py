@@ -55,22 +55,24 @@ def export_csv(log: FlightLog, folder: Path) -> list[Path]:
 def _of_one_kind(schema: Schema, kind: str) -> Schema:
     """A MAVLink topic's schema, without the fields of other message types."""
     properties = {
-        name: of for name, of in schema["properties"].items() if of.get("type") != "object" or name == kind
+        name: inner
+        for name, inner in schema["properties"].items()
+        if inner.get("type") != "object" or name == kind
     }
     return {**schema, "properties": properties}
 
 
 def _columns(schema: Schema, within: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], str]]:
     """The path to each value, and the name of its column."""
-    for name, of in schema["properties"].items():
+    for name, inner in schema["properties"].items():
         path = (*within, name)
-        if of.get("properties"):
-            yield from _columns(of, path)
+        if inner.get("properties"):
+            yield from _columns(inner, path)
             continue
         column = ".".join(path)
         if path == ("t",):
             column = "t_s"
-        elif unit := of.get("description", ""):
+        elif unit := inner.get("description", ""):
             column += f" [{unit}]"
         yield path, column
 

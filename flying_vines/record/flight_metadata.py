@@ -32,7 +32,7 @@ class FlightMetadata:
     began: str
     """Local time with its UTC offset."""
     continues: str
-    """The folder of the previous flight, if this run of the service recorded it; else empty."""
+    """The previous folder of this run of the service; empty in its first folder."""
     flying_vines: str
     python: str
     packages: dict[str, str]

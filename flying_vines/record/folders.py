@@ -1,8 +1,9 @@
-"""The flights' folders and files, which the recorder's thread writes.
+"""The folders and files of flights. The recorder's thread writes them.
 
     flight.mcap     everything: see `topics`
     flight.tlog     MAVLink of both directions, for ground stations
-    profile.toml    the configuration as read; rig.toml, if a rig file was given
+    profile.toml    the text of the configuration
+    rig.toml        the text of the rig file, if there was one
     about.json      versions, machine, firmware
 
 The files are synced to the disk twice a second. So a power cut loses less than a second.
@@ -47,9 +48,10 @@ SYNC_S = 0.5
 CHECK_DISK_S = 1.0
 TRY_AGAIN_S = 2.0
 MORE_ROOM_MB = 10.0
-"""A stopped log continues only with this much free space above `least_free_MB` (hysteresis)."""
+"""A log that has stopped continues only with this much free space above `least_free_MB` (hysteresis)."""
 MAX_CHUNKS = 36_000
-"""Per log: about five hours, 50 MB of memory for its summary. Then a new folder starts, even in flight."""
+"""Maximum number of chunks in a log: about five hours, and 50 MB of memory for the summary. Then a new
+folder starts, even in flight."""
 _MAVLINK = (NUMBERS[MAVLINK_IN], NUMBERS[MAVLINK_OUT])
 
 
@@ -74,7 +76,7 @@ class LogEnded(OSError):
 
 
 class Folders:
-    """Writes one folder after another, in the recorder's thread."""
+    """Writes one folder after another: the first in `__init__`, the others in the recorder's thread."""
 
     def __init__(self, parent: Path, began: FlightStart, least_free_MB: float, t: float) -> None:
         """Writes the first folder and the start of its log to the disk. `t`: the present time."""
@@ -95,8 +97,8 @@ class Folders:
     def write(self, batches: Sequence[Sequence[RawEntry | None]]) -> None:
         """Write entries. An entry None starts a new folder.
 
-        After a disk error, `problem` says why, and later entries are written as soon as the disk allows it.
-        Raises `LogEnded` after any other error.
+        After a disk error, `problem` is its text, and later entries are written as soon as the disk allows
+        it. Raises `LogEnded` after any other error.
         """
         for batch in batches:
             for entry in batch:
@@ -188,7 +190,7 @@ class Folders:
         return files
 
     def _make_folder(self) -> Path:
-        """Make a folder named by the present local time. Names of the same second sort in order of time."""
+        """Make a folder named by the present local time. Folders of the same second sort in order of time."""
         stamp = time.strftime("%Y-%m-%d_%H-%M-%S")
         for suffix in ("", *(f"_{n:03}" for n in range(2, 1000))):
             folder = self._parent / (stamp + suffix)
@@ -253,11 +255,11 @@ class Files:
         return self._mcap.chunks
 
     def add(self, entry: RawEntry) -> None:
-        number, self.latest, what = entry
+        number, self.latest, content = entry
         time_ns = self._unix_ns(self.latest)
         self._mcap.add(number, time_ns, encoded(entry))
         if number in _MAVLINK:
-            self._tlog.write(time_ns // 1000, bytes(what))
+            self._tlog.write(time_ns // 1000, bytes(content))
 
     def sync(self) -> None:
         self._mcap.flush()

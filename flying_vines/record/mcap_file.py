@@ -1,7 +1,7 @@
 """The MCAP file of a flight. It is readable while it grows, and if it is cut off or damaged.
 
-Messages are in compressed chunks, each with a checksum. Schemas and channels are both in the first chunk and
-in the summary at the end, so damage at one place leaves one copy intact.
+Messages are in compressed chunks, each with a checksum. Schemas and channels are in the first chunk, and
+again in the summary at the end. So damage at one place leaves one copy intact.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ _CRC_BYTES = 4
 
 
 class McapFile:
-    """Writes to a binary file. Each `flush` ends a chunk. Times are unix time in ns, in any order."""
+    """Writes to a binary file. Each `flush` ends a chunk. Times are unix time in ns; they need not rise."""
 
     def __init__(self, file: BinaryIO, topics: Sequence[Topic], library: str) -> None:
         self.chunks = 0
-        """Number of chunks. Each takes memory until the summary is written."""
+        """Number of chunks. Each chunk takes memory until the summary is written."""
         self._sequence = 0
         self._writer = Writer(file, compression=CompressionType.ZSTD)
         self._writer.start(library=library)

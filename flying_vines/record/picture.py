@@ -23,20 +23,20 @@ from flying_vines.record.topics import DECISION, SNAPSHOT, TELEMETRY
 
 MARKS = {"accepted": GREEN, "limited": ORANGE, "refused": RED}
 ROW, MAX_ROWS = 0.13, 5
-"""Height of a row of labels, as a share of the pressure range, and the number of rows."""
+"""Height of a row of labels, as a share of the pressure axis, and the maximum number of rows."""
 MAX_REASON = 44
-"""Characters of a label's reason. A longer reason is cut between words."""
+"""Maximum length of the reason in a label. A longer reason is cut between words."""
 DPI = 200
 MAX_POINTS = 20_000
-"""Points of a curve: more than a picture shows, and few enough for a vector file."""
+"""Maximum number of telemetry points in a curve. A picture shows fewer, and a vector file stays small."""
 DRAWN_LENGTH_M, DRAWN_DIAMETER_M = 0.315, 0.05
 """A log does not have the vine's size. So the size of the example `pouch` of `flying-vines vine` is drawn."""
 DRAWN_WIDTH = 0.085
 """Width of a drawn vine, as a share of the picture."""
 MIN_CHANGE_DEG = 3.0
-"""The vine is drawn again after a change of this size."""
+"""The vine is drawn again only if its angle has changed by at least this."""
 SETTLED = 5
-"""The median of this many snapshots is drawn."""
+"""The drawn angle is the median of this many snapshots."""
 
 
 def draw_flight(log: FlightLog, path: Path, title: str | None = None) -> None:
@@ -75,7 +75,7 @@ def draw_flight(log: FlightLog, path: Path, title: str | None = None) -> None:
         plain(axis)
         axis.set_xlim(slow.t[0], slow.t[-1])
     shape.set_axis_off()
-    with plt.rc_context({"pdf.fonttype": 42, "svg.fonttype": "none"}):  # text stays text
+    with plt.rc_context({"pdf.fonttype": 42, "svg.fonttype": "none"}):  # keep text as text, not as outlines
         figure.savefig(path, dpi=DPI)
     plt.close(figure)
 

@@ -20,7 +20,7 @@ _decode = msgspec.json.Decoder(dict[str, Any]).decode
 
 
 class LogError(Exception):
-    """A log that cannot be read; the text is one line with its path and the reason."""
+    """A log cannot be read; the text is one line with the log's path and the reason."""
 
 
 class LogEntry(NamedTuple):
@@ -53,7 +53,7 @@ def _is_last(path: Path) -> bool:
 
 
 class FlightLog:
-    """A flight's log: `path` is its folder, the file itself, or `last` in a folder of flights.
+    """The log of a flight. `path` is its folder, the file itself, or `last` in a folder of flights.
 
     `lost` and `cut_off` are valid once `entries` has been read to the end.
     """

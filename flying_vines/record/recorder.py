@@ -20,9 +20,10 @@ from flying_vines.record.topics import RawEntry, entry_of_action, entry_of_event
 __all__ = ["FlightStart", "Recorder"]
 
 HAND_OVER_S = 0.1
-"""Entries wait this long in the list. Short, so that a batch in the thread does not delay the loop much."""
+"""Entries wait this long in the list. Then the thread gets them as one batch. A batch is small, so that the
+thread's work on it delays the loop only a little."""
 MAX_WAITING = 150_000
-"""Entries in the queue while the disk hangs: about six minutes of flight, 32 MB."""
+"""Maximum number of entries in the queue while the disk hangs: about six minutes of flight, 32 MB."""
 LAST_WRITES_S = 5.0
 
 
@@ -85,7 +86,7 @@ class Recorder(Watcher):
         self._take(entry_of_state(snapshot))
 
     def close(self) -> None:
-        """Write the rest within `LAST_WRITES_S`."""
+        """Write the remaining entries within `LAST_WRITES_S`."""
         self._hand_over()
         if not self._writer.close(LAST_WRITES_S):
             self._ended = "the end of the flight log is lost: the disk hangs"

@@ -77,7 +77,7 @@ def restored(kind: type[T], values: Mapping[str, Any]) -> T:
 
 @cache
 def _hints(kind: type) -> dict[str, tuple[Any, float | None]]:
-    """The type of each field, and its value if unknown."""
+    """The type of each field, and the value that it gets if the log has none."""
     hints = get_type_hints(kind)
     names = [field.name for field in fields(kind)]
     return {name: (hints[name], math.nan if hints[name] is float else None) for name in names}

@@ -51,7 +51,7 @@ def of_type(hint: Any) -> Schema:
 
 
 def merged(alternatives: Iterable[Schema]) -> Schema:
-    """The schema of one of several objects, with the properties of all."""
+    """The schema of an object that is one of several kinds. It has the properties of all of them."""
     properties: dict[str, Schema] = {}
     for schema in alternatives:
         properties |= schema["properties"]

@@ -1,8 +1,8 @@
 """The topics of a flight's log, and the conversion of events and actions to messages.
 
 Pressures are gauge kPa, times `t` seconds of the service's monotonic clock. Unknown values are left out. A
-MAVLink message is logged as its whole frame. If this project uses its type, its fields are logged, too, under
-the type's name.
+MAVLink message is logged as its whole frame. The fields of the types in `DECODED` are logged, too, under the
+type's name.
 """
 
 from __future__ import annotations
@@ -66,20 +66,20 @@ class Start:
     parameters: dict[str, float]
     """Saved parameters of the pilot."""
     disarmed: bool
-    """The pneumatics were disarmed when the last service ended."""
+    """The pneumatics were disarmed when the previous run of the service ended."""
     learned: str
-    """What the last service learned about the rig's air, as stored on disk; or empty."""
+    """What the previous run learned about the rig's air, as stored on disk; or empty."""
     believed: dict[str, Any]
     """The rig of `[pneumatics]`, as tables of a rig file."""
     continues: str
-    """The folder of this service's previous flight, which this one continues; or empty."""
+    """The previous folder of this run of the service; empty in its first folder."""
     latched: dict[str, str] = field(default_factory=dict)
-    """The faults of the last service that nobody has cleared, by name."""
+    """The faults of the previous run that nobody has cleared, by name."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mavlink:
-    """A MAVLink message: its frame, and for used types its fields under the type's name."""
+    """A MAVLink message: its frame and, if this project uses the type, its fields under the type's name."""
 
     t: float
     name: str
@@ -142,7 +142,7 @@ _STATES: dict[type, str] = {
     KeepLearned: "learned",
     KeepLatched: "latched",
 }
-"""Neither inputs of the core, nor outputs that a replay compares."""
+"""Entries that are neither inputs of the core nor outputs that a replay compares."""
 MAVLINK_IN, MAVLINK_OUT = "mavlink/in", "mavlink/out"
 
 
@@ -194,7 +194,7 @@ def topic_of(kind: type) -> str:
 
 
 def entry_of_event(event: Event) -> RawEntry:
-    """Runs in the service's loop, so it does not encode."""
+    """The entry for an event. This runs in the service's loop, so it does not encode."""
     if isinstance(event, VehicleMessage):
         return _IN, event.t, event.message.get_msgbuf()
     if isinstance(event, FirmwareMessage):
@@ -218,22 +218,22 @@ def entry_of_state(state: Snapshot | Start) -> RawEntry:
 
 
 def encoded(entry: RawEntry) -> bytes:
-    number, t, what = entry
+    number, t, content = entry
     if number in (_IN, _OUT):
-        return _mavlink(t, bytes(what))
-    if isinstance(what, Asked):
-        return _without_nulls(_encode(_with_kind(what)))
-    data = _encode(what)
-    if not hasattr(what, "t"):
+        return _mavlink(t, bytes(content))
+    if isinstance(content, Asked):
+        return _without_nulls(_encode(_with_kind(content)))
+    data = _encode(content)
+    if not hasattr(content, "t"):
         rest = data[1:]
         data = b'{"t":' + _encode(t) + (b"" if rest == b"}" else b",") + rest
     return _without_nulls(data)
 
 
-def _with_kind(what: Asked) -> dict[str, Any]:
+def _with_kind(asked: Asked) -> dict[str, Any]:
     """The fields of a request and the name of its intent's type."""
-    plain: dict[str, Any] = msgspec.to_builtins(what)
-    plain["intent"] = {"kind": name_of(type(what.intent)), **plain["intent"]}
+    plain: dict[str, Any] = msgspec.to_builtins(asked)
+    plain["intent"] = {"kind": name_of(type(asked.intent)), **plain["intent"]}
     return plain
 
 

@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 
 _TIMEX_BYTES = 256
-"""At least the size of `struct timex`. All zeros: read only, change nothing."""
+"""At least the size of `struct timex`. With zeros in it, `adjtimex` only reads the state."""
 _TIME_ERROR = 5
 """Result of `adjtimex` if the clock is not synchronised."""
 _BY_TIMESYNCD = Path("/run/systemd/timesync/synchronized")
-"""Used instead of `adjtimex`, which the sandbox of our systemd service forbids because it can set clocks."""
+"""Used if `adjtimex` fails. The sandbox of our systemd service forbids calls that can set the clock."""
 
 
 def synchronised() -> bool | None:

@@ -12,7 +12,8 @@ from flying_vines.config.address import Address
 from flying_vines.service.link_watch import LinkWatch
 
 ANSWERS_WITHIN_S = 5.0
-"""Time for a board to start or restart, for two Hellos, and for the text about a silent port."""
+"""Maximum time without a ready board: long enough for a restart, a second Hello, and the text about a silent
+port."""
 
 
 class SettingsError(Exception):

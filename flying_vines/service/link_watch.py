@@ -38,7 +38,7 @@ class LinkWatch:
         """The state of the port, and of the board on it."""
         self._opened = self.port
         self.clean_since: LinkStatistics | None = None
-        """The counts when the firmware last answered: earlier bad frames do not count."""
+        """The statistics at the latest handshake. Bad frames before it do not count."""
         self._received: list[LinkEvent] = []
         self._began = asyncio.get_running_loop().time()
         self._link = open_link(address, self._bytes, self._state)
@@ -52,7 +52,7 @@ class LinkWatch:
         return self.monitor.statistics(self.t, self._link.dropped_bytes)
 
     async def run(self, show: Callable[[Sequence[LinkEvent]], None], over: Callable[[], bool]) -> None:
-        """Run until `over`; `show` gets what was received, in order, at every tick."""
+        """Run until `over`. At every tick `show` gets the new frames and notes, in order."""
         opening = asyncio.create_task(self._link.run())
         try:
             while not over() and not opening.done():

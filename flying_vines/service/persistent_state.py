@@ -1,7 +1,7 @@
 """Persistent state: parameters, disarmed pneumatics, latched faults, learned air, signing clock, page token.
 
-All are files of one folder. Their names begin with the configuration file's name, so several rigs can share
-the folder.
+Each is a file in one folder; only the page token may be elsewhere. The files' names begin with that of the
+configuration file, so several rigs can share the folder.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ UNREADABLE = {"last_run": "the latched faults of the last run cannot be read"}
 
 
 class PersistentStateError(Exception):
-    """A state cannot be stored; the text is one line that says which file, and why."""
+    """A state cannot be stored; the text is one line with the file and the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,15 +42,18 @@ class PersistentState:
     disarming: Path
     """Exists while the pneumatics are disarmed. Its content is not read: an incomplete file is enough."""
     learned: Path
-    """What was learned about the rig's air."""
+    """The text of the last `KeepLearned`: what was learned about the rig's air."""
     latched: Path
-    """The latched faults, as a JSON object: a sentence by name. Exists while there are any."""
+    """The latched faults as a JSON object: a sentence for each fault's name. Exists while there are any."""
     signing_timestamp: Path
     page_token: Path
 
     @classmethod
     def of(cls, config_file: Path, config: Config) -> PersistentState:
-        """The files in `state.folder`: relative to the configuration file's folder; default: that folder."""
+        """The files in `state.folder`, by default the configuration file's folder.
+
+        A relative `state.folder` starts from the configuration file's folder.
+        """
         folder = config_file.parent / config.state.folder
         token_file = config.page.token_file
         stem = config_file.name.removesuffix(".toml")
@@ -65,7 +68,7 @@ class PersistentState:
         )
 
     def read(self, config: Config) -> StoredState:
-        """What the core starts with. Raises `ParameterFileError` or `OSError`."""
+        """The state with which the core starts. Raises `ParameterFileError` or `OSError`."""
         parameters = self.read_parameters(config)
         return StoredState(parameters, self.disarmed, self.read_learned(), self.read_latched())
 
@@ -75,7 +78,7 @@ class PersistentState:
 
     @property
     def disarmed(self) -> bool:
-        """True if the pneumatics were disarmed and not armed again. Raises `OSError` if it is unreadable."""
+        """True if the pneumatics were disarmed and not armed again. Raises `OSError` if it cannot be read."""
         try:
             self.disarming.stat()  # `exists` returns False for an unreadable folder from Python 3.14 on
         except (FileNotFoundError, NotADirectoryError):
@@ -131,7 +134,7 @@ class PersistentState:
         return page_token.read_or_make(self.page_token) if config.page.needs_token else ""
 
     def read_signing(self, config: Config) -> tuple[Signing | None, str]:
-        """The configured signing, and a sentence if its stored clock is damaged. Raises `SigningKeyError`."""
+        """The configured signing, and a sentence if the stored clock is damaged. Raises `SigningKeyError`."""
         if not config.vehicle.signing_key:
             return None, ""
         key = read_key(self.config_file.parent / config.vehicle.signing_key)

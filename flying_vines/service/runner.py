@@ -27,10 +27,10 @@ from flying_vines.vehicle.notice import Severity
 
 SNAPSHOT_S = 0.05
 NEWS_S = 0.2
-"""Interval of the checks for news of the log and the links, if there is no screen."""
+"""Interval of the checks for news of the log and the links, without a live view."""
 SWITCH_S = 0.0005
-"""Maximum time that the recorder's thread keeps the interpreter while the loop waits for it. Each step of the
-recorder is shorter than Python's default of 5 ms, so the loop would wait for the whole step."""
+"""Maximum time that the recorder's thread keeps the interpreter while the loop waits for it. Python's default
+of 5 ms is longer than any step of the recorder. So the loop would wait until the end of the step."""
 
 
 @dataclass(frozen=True)

@@ -52,13 +52,13 @@ from flying_vines.vehicle.own_triggers import messages_of, own_triggers
 from flying_vines.vine.intent import Asker, Intent
 
 FLUSH_S = 0.3
-"""After a stop: time to send the last status text and the vent."""
+"""Time after a stop to send the vent and the queued status texts."""
 REFUSALS_EVERY_S = 60.0
 SNAPSHOT_S = 0.1
 RESTART_S = 1.0
 """Wait before a failed task is started again."""
 DISPLAY_MESSAGES = ("NAMED_VALUE_FLOAT", "FUEL_STATUS")
-"""Messages that are only displayed."""
+"""Messages that ground stations only display. An error in one of them does not vent the vine."""
 _LINKS = ("flying_vines.vehicle.mavlink.link", "firmware_link.serial_port")
 """Modules whose callbacks are needed to move the vine."""
 
@@ -66,8 +66,8 @@ _LINKS = ("flying_vines.vehicle.mavlink.link", "firmware_link.serial_port")
 class Service:
     """A core between two real links. The `watchers` get each event and its actions afterwards.
 
-    `stored` and `signing` are what the last run has stored. `persistent` has the files for the next run;
-    without it nothing is stored.
+    `stored` is the state that the last run stored. `signing` has the signing key; None: no signing.
+    `persistent` has the files for the next run; None: nothing is stored.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class Service:
         self._stored = stored or StoredState()
         self._persistent = persistent
         self._unwritten: dict[str, Callable[[], None]] = {}
-        """Functions that write the changed states, by state."""
+        """A function to write each changed state, by the state's name."""
         self._changed = asyncio.Event()
         self._signing = signing
         self._synchronised = bool(synchronised())
@@ -118,7 +118,7 @@ class Service:
         return asyncio.get_running_loop().time()
 
     def stop(self) -> None:
-        """Vent, send a notice, and end."""
+        """Vent the vine and end."""
         self._stopping.set()
 
     def say(self, severity: Severity, text: str) -> None:
@@ -142,7 +142,7 @@ class Service:
         return next(action for action in actions if isinstance(action, Decision) and action.trigger == by)
 
     async def run(self) -> None:
-        """Serve until `stop`. If it is cancelled, the firmware's dead-man vents the vine."""
+        """Serve until `stop`. If this task is cancelled, the firmware's dead-man vents the vine."""
         if self._stored.disarmed:
             self.say(Severity.WARNING, "pneumatics disarmed before restart: arm them")
         for reason in self._stored.latched.values():
@@ -199,14 +199,14 @@ class Service:
             await self._changed.wait()
             self._changed.clear()
             while self._unwritten:
-                what, write = self._unwritten.popitem()
+                state, write = self._unwritten.popitem()
                 try:
                     await asyncio.to_thread(write)
                 except (parameter_file.ParameterFileError, PersistentStateError) as error:
-                    self.say(Severity.WARNING, f"{what} not saved: {error}")
+                    self.say(Severity.WARNING, f"{state} not saved: {error}")
 
-    def _store(self, what: str, write: Callable[[], None]) -> None:
-        self._unwritten[what] = write
+    def _store(self, state: str, write: Callable[[], None]) -> None:
+        self._unwritten[state] = write
         self._changed.set()
 
     async def _store_signing_clock(self) -> None:
@@ -266,7 +266,7 @@ class Service:
         try:
             for message in self._mavlink.decode(data):
                 self._feed(VehicleMessage(now, message))
-        except Exception as error:  # not by `_contained`, which would take a tenth of this function's time
+        except Exception as error:  # `_contained` would take a tenth of this function's time
             self.failed("vehicle bytes", error, needed=True)
 
     def _vehicle_stranger(self, data: bytes, enter: Callable[[], None]) -> None:
@@ -302,7 +302,7 @@ class Service:
         self._feed(LinkChanged(self.now, "firmware", up, why))
 
     def _report_unread(self) -> None:
-        """Report an ignored sender, which may be the autopilot. Once: strangers must not fill the log."""
+        """Report an ignored sender once: it may be the autopilot, but strangers must not fill the log."""
         sender = unread_from(self._vehicle)
         if sender and not self._unread_reported:
             self._unread_reported = True
@@ -328,7 +328,7 @@ class Service:
         return actions
 
     def notify_watchers(self) -> None:
-        """Give the watchers the events since the last call. No setpoint waits for a watcher."""
+        """Give the watchers the events since the last call. The setpoints of these events are already out."""
         unpublished, self._unpublished = self._unpublished, []
         for watcher in tuple(self._watchers):
             try:

@@ -1,6 +1,6 @@
-"""Sends systemd's notifications: the service is ready, its loop runs, its status, and that it stops.
+"""Notifies systemd: the service is ready, its loop runs, its status has changed, it stops.
 
-The service's loop sends the notifications at its ticks. If it hangs, systemd's watchdog restarts the service.
+The service's loop sends the notifications. If the loop hangs, systemd's watchdog restarts the service.
 Nothing is sent if systemd did not start the service.
 """
 
@@ -16,7 +16,7 @@ from flying_vines.core.snapshot import Snapshot
 from flying_vines.core.watcher import Watcher
 
 PER_WATCHDOG = 4
-"""Messages per watchdog time; one or two may be late."""
+"""Messages in each watchdog time. So one or two of them may be late."""
 STATUS_S = 1.0
 
 
@@ -30,7 +30,7 @@ def service_manager(environment: MutableMapping[str, str] = os.environ) -> tuple
 
 
 class ServiceManager(Watcher):
-    """Sends datagrams without waiting. A datagram that was not accepted is sent again at the next tick."""
+    """Sends datagrams without waiting. READY and WATCHDOG are sent again at each tick until accepted."""
 
     def __init__(self, address: str, watchdog_s: float) -> None:
         # The name of an abstract socket begins with a zero byte; the environment has @ instead.
@@ -55,10 +55,10 @@ class ServiceManager(Watcher):
         if news and self._send(f"STATUS={status}"):
             self._status, self._status_at = status, snapshot.t
 
-    def _send(self, what: str) -> bool:
+    def _send(self, message: str) -> bool:
         try:
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as ours:
-                ours.sendto(what.encode(), self._address)
+                ours.sendto(message.encode(), self._address)
         except OSError:
             return False
         return True

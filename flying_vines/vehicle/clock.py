@@ -26,7 +26,8 @@ BACKLOG_S = 2.0
 
 CLOCK_PERIOD_S = 2**32 / 1000
 MAX_DRIFT = 0.03
-"""A simulated PX4 on a busy computer was 1.4 % slow. A faster change of the offset is a delay of the link."""
+"""If the offset of the two clocks changes faster than this, the link delays messages. A simulated PX4 on a
+busy computer was 1.4 % slow."""
 MAX_DRIFT_STEP_S = 1.0
 """Drift is counted for at most this time between two stamps."""
 
@@ -38,7 +39,8 @@ YOUNG_S = 60.0
 REORDERED_S = 1.0
 """A stamp may be this much older than the one before, because messages were reordered."""
 CONTINUOUS_S = 2.0
-"""If the clock lags, but the stamp is at most this much newer than the one before, there was a stall."""
+"""If the clock lags, but the stamp is at most this much newer than the one before, the autopilot has not
+rebooted: there was a stall."""
 MAX_MARKS = 64
 
 
@@ -145,7 +147,10 @@ class AutopilotClock:
         return mark
 
     def age_s(self, mark: Mark, t: float) -> float | None:
-        """The minimum time since the marked message was sent; None if it is not known yet."""
+        """The minimum age of the marked message; None while it is not known.
+
+        If frames were lost, and no stamp has come after the message, the suspected delay is used.
+        """
         waited_s = t - mark.t
         if mark.suspected_s <= LATE_S and not mark.first_stamps:
             return waited_s

@@ -19,7 +19,10 @@ _Key = tuple[object, ...]
 
 
 class CommandReceiver:
-    """Turns each COMMAND_LONG and COMMAND_INT into one trigger, and acknowledges every repeat."""
+    """Turns a COMMAND_LONG or COMMAND_INT into a trigger.
+
+    A repeat gets only an acknowledgement, unless it deflates the vine.
+    """
 
     def __init__(self, rules: Rules, component_id: int) -> None:
         self._rules = rules
@@ -40,7 +43,7 @@ class CommandReceiver:
         from_station: bool,
         age_s: float = 0.0,
     ) -> list[Trigger | MavlinkMessage]:
-        """A trigger, or the acknowledgement if there is nothing to decide; empty if it is not for us.
+        """A trigger, or the acknowledgement if there is nothing to decide. Empty for a command to others.
 
         Only a ground station and the autopilot may bend the vine. Every sender may deflate it.
 
@@ -89,7 +92,7 @@ class CommandReceiver:
         return found
 
     def _only_deflates(self, command: int, params: tuple[float, ...]) -> bool:
-        """True if the command only deflates. Such a command always runs, because it may be a new request."""
+        """True if the command only deflates. Then it runs even as a repeat: it may be a new request."""
         intent, _ = self._intent(command, params) or (None, "")
         return self._rules.only_deflates(intent)
 

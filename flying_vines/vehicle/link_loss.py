@@ -1,4 +1,4 @@
-"""One text to the pilot for a dead link, instead of one for each loss that it causes.
+"""One text to the pilot for a dead link, instead of a text for each loss that the dead link causes.
 
 When the link fails, RC, the altitude and the autopilot are lost one after another. They also return one after
 another.
@@ -65,7 +65,7 @@ class LinkLoss:
     def _state(self, t: float, name: str) -> str:
         if self._vehicle.link_closed:
             return "closed"
-        # RC is lost after `rc_s` without RC_CHANNELS. If nothing came for half of that, the link is silent.
+        # RC is lost after `rc_s` without RC_CHANNELS. No frame for half of this time: the link is silent.
         silent_s = self._vehicle.config.losses.rc_s / 2 if name == "rc" else SILENT_S
         silence_s = self._vehicle.state.silence_s(t)
         return "silent" if silence_s is not None and silence_s > silent_s else ""

@@ -44,9 +44,10 @@ class OwnTrigger:
         self._held, self._took_at = True, -math.inf
 
     def take(self, t: float, message: MavlinkMessage) -> Trigger | None:
-        """A trigger when the condition begins to hold. Call it with each message of our autopilot.
+        """A trigger when the condition begins to hold. Call it with each of the `messages` of our autopilot.
 
-        A condition that holds already at the first message, or after `GAP_S` without one, moves nothing.
+        If the condition already holds at the first message, or at the first message after a gap of `GAP_S`,
+        there is no trigger.
         """
         held = self._held or t - self._took_at > GAP_S
         self._held, self._took_at = bool(self._condition.holds(t, message)), t

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 PX4_REPEAT_S = 1.0
 """PX4 repeats an unacknowledged command three times, usually 0.5 s apart. The first repeat may take 1 s."""
 STATION_REPEAT_S = 5.0
-"""Ground stations repeat every 0.5 to 3 s."""
+"""Maximum time between two repeats of a ground station. They usually come every 0.5 to 3 s."""
 MAX_DELAY_DIFFERENCE_S = 0.6
 """Maximum difference in delay between two frames."""
 COPIES_WITHIN_S = 2.0

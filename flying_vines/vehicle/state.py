@@ -14,14 +14,14 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 _AUTOPILOT: int = mavlink.MAV_COMP_ID_AUTOPILOT1
 ALTITUDE_FRESH_S = 2.0
 HEARTBEAT_FRESH_S = 5.0
-"""Only HEARTBEAT, at 1 Hz, carries the arm state. Five are hardly ever lost in a row. A disarmed vehicle
-must not count as armed for longer than this."""
+"""Only HEARTBEAT, at 1 Hz, carries the arm state. Five HEARTBEATs are hardly ever lost in a row. A disarmed
+vehicle must not count as armed for longer than this."""
 
 CHOOSING_S = 2.0
 """A second autopilot within this time after the first makes the choice ambiguous."""
 
 MAX_BOOT_MS = 15_000
-"""If "ArduPilot Ready" arrives at a longer uptime on the old clock, the autopilot has rebooted."""
+"""If "ArduPilot Ready" arrives at a longer uptime than this, by the old clock, the autopilot has rebooted."""
 
 NO_VEHICLE = {
     mavlink.MAV_TYPE_GCS,
@@ -59,8 +59,8 @@ VehicleEvent = Rebooted | AutopilotFound | Ambiguous
 class VehicleState:
     """The state of one vehicle, from the messages of its autopilot only.
 
-    With `system_id` 0 it is the vehicle of the only autopilot on the link. Ground stations, gimbals and other
-    companions do not count.
+    With `system_id` 0 it is the vehicle of the first autopilot on the link, unless a second autopilot appears
+    within `CHOOSING_S`. Ground stations, gimbals and other companions do not count.
     """
 
     def __init__(self, system_id: int = 0) -> None:

@@ -1,4 +1,4 @@
-"""The message streams that we need from the autopilot: requested, watched, requested again."""
+"""Requests the message streams that we need from the autopilot, and requests a missing stream again."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ REFUSED_S = 30.0
 """A refused stream is requested again only after this time: ArduPilot shows each refusal to the pilot.
 Essential streams are requested sooner."""
 ANSWER_WITHIN_S = 0.5
-"""Only one request is open at a time, because an answer does not name the stream."""
+"""We wait this long for an answer. In this time no other stream is requested, because an answer does not name
+its stream."""
 MISSING_AFTER_S = 5.0
 OTHERS_HZ = 5.0
 SILENT_S = 2.5
@@ -127,7 +128,7 @@ class Streams:
         """The essential messages that were requested and do not arrive, although other messages do."""
         if t - self._received_at > SILENT_S:
             return []
-        # Count from the time when all of them had been requested, so that one text names all missing streams.
+        # Count from the time when all of these had been requested, so that one text names all missing ones.
         asked = max(t if s.wanted_since is None else s.wanted_since for s in self._essential.values())
         since = max(asked, self._received_since)
         return [

@@ -52,8 +52,8 @@ implements, because ArduPilot executes commands to us until it has received our 
 class Trigger:
     """A request to move the vine: its source and its intent.
 
-    `problem` is why it must be refused, if that is already known. `intent` is None if the request has no
-    meaning for the vine.
+    `problem` is the reason to refuse the request, if there is one already. `intent` is None if the request
+    has no meaning for the vine.
     """
 
     t: float

@@ -35,7 +35,7 @@ MAX_WAITING = 50
 class Vehicle:
     """The MAVLink side of one vehicle. Sans-IO; all times are seconds of one clock.
 
-    `mission` is the vehicle's mission if it is already known; `parameters` are the saved ones.
+    `mission` is the vehicle's mission if it is already known. `parameters` are the saved parameters.
     """
 
     def __init__(
@@ -179,7 +179,7 @@ class Vehicle:
         self.pilot.forget()
 
     def acknowledge(self, trigger: Trigger, accepted: bool) -> list[MavlinkMessage]:
-        """The acknowledgement of the command behind a trigger."""
+        """The acknowledgement of the command behind a trigger, if there is one."""
         return self._commands.acknowledge(trigger, accepted)
 
     def _rebooted(self, t: float) -> list[VehicleOutput]:

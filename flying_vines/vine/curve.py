@@ -1,9 +1,9 @@
 """Bend angle against actuator pressure, as calibrated, with hysteresis.
 
-Film and fabric rub, so an angle has a lower pressure during deflation than during inflation. The model is a
+Film and fabric rub, so an angle needs a lower pressure during deflation than during inflation. The model is a
 play operator (backlash), the simplest Prandtl-Ishlinskii operator. A bend is given as the pressure that
-makes it during inflation: `bent_kPa`. A higher pressure bends the vine further. A lower pressure, down to
-`hysteresis_kPa` below it, changes nothing. Below that the vine straightens.
+makes it during inflation: `bent_kPa`. A pressure above `bent_kPa` bends the vine further. A pressure that is
+lower by at most `hysteresis_kPa` changes nothing. A still lower pressure straightens the vine.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from collections.abc import Callable, Sequence
 class BendCurve:
     """A rising, piecewise linear curve through calibrated pairs (gauge kPa, degrees).
 
-    Below the first pair and above the last the curve is flat. If several pressures give one angle
-    (a dead zone), the angle maps to the lowest of them. The pairs are those of an inflation; during a
-    deflation each angle has a pressure lower by `hysteresis_kPa`.
+    The curve is flat below the first pair and above the last pair. If several pressures give one angle
+    (a dead zone), the angle maps to the lowest of them. The pairs are of an inflation. During a deflation
+    the pressure for each angle is lower by `hysteresis_kPa`.
 
-    Raises `ValueError` with a sentence if there are fewer than two pairs, if the pressures do not rise, if
-    an angle falls, or if the hysteresis is not narrower than the curve.
+    Raises `ValueError` with a sentence if there are fewer than two pairs, if a value is not finite, if the
+    pressures do not rise, if an angle falls, or if the hysteresis is negative or not narrower than the curve.
     """
 
     def __init__(self, pairs: Sequence[tuple[float, float]], hysteresis_kPa: float = 0.0) -> None:
@@ -56,14 +56,14 @@ class BendCurve:
 
         Args:
             pressure_kPa: present gauge pressure.
-            before_kPa: the bend before, in the same form.
+            before_kPa: the previous bend, in the same form.
         """
         return min(max(before_kPa, pressure_kPa), pressure_kPa + self.hysteresis_kPa)
 
     def toward_kPa(self, wanted_kPa: float, bent_kPa: float) -> float:
         """The gauge pressure that brings the vine from bend `bent_kPa` to bend `wanted_kPa`.
 
-        At least 0: with a wide hysteresis some bend remains, and only the vine's stiffness removes it.
+        This pressure is never negative. So with a wide hysteresis some bend remains at 0 kPa.
         """
         return wanted_kPa if wanted_kPa > bent_kPa else max(0.0, wanted_kPa - self.hysteresis_kPa)
 

@@ -1,4 +1,4 @@
-"""Intents: requests of the pilot or the mission, before safety judges them."""
+"""Intents: requests of people, the mission and installed packages, before safety judges them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A motion of the vine: planned from segments, judged by safety, followed until the next one."""
+"""A motion of the vine: planned from segments, judged by safety, followed until the next motion."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from flying_vines.vine.curve import BendCurve
 from flying_vines.vine.profile import HoldFor, Ramp, Segment, Sine, Step, ends_kPa, top_kPa
 
 AT_REST_KPA = 0.5
-"""Gauge; below it a vine is straight."""
+"""Gauge. At or below this pressure a vine counts as straight."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +23,7 @@ class Motion:
     name: str
     started_at: float
     pieces: tuple[tuple[float, float, Callable[[float], float]], ...]
-    """(begin_s, end_s, pressure as a function of the seconds since begin_s)."""
+    """Begin and end in seconds since `started_at`, and the pressure as a function of the time since begin."""
     start_kPa: float
     aim_kPa: float
     """Target of the first segment that is not a hold; for a sine, its second value."""
@@ -119,7 +119,7 @@ class _Path:
         self._rate_kPa_per_s = rate_kPa_per_s
         self._max_kPa = max_kPa
         self._bent_kPa = bent_kPa
-        """The bend after the segments, as in `BendCurve.bent_kPa`."""
+        """The bend after the segments so far, as in `BendCurve.bent_kPa`."""
         self.pieces: list[tuple[float, float, Callable[[float], float]]] = []
         self.t = 0.0
         self.at_kPa = self.peak_kPa = start_kPa
@@ -147,10 +147,10 @@ class _Path:
         fastest_Hz = self._rate_kPa_per_s / (math.pi * abs(high - low)) if high != low else math.inf
         frequency_Hz = min(sine.frequency_Hz, fastest_Hz)
         swing = _swing(low, high, frequency_Hz)
-        takes = sine.cycles / frequency_Hz
-        self._append(takes, swing)
+        duration_s = sine.cycles / frequency_Hz
+        self._append(duration_s, swing)
         self.rise_kPa += _sine_rise(low, high, sine.cycles)
-        self.at_kPa, self.peak_kPa = swing(takes), max(self.peak_kPa, low, high)
+        self.at_kPa, self.peak_kPa = swing(duration_s), max(self.peak_kPa, low, high)
         halves = math.floor(2.0 * sine.cycles)
         for turn in range(max(0, halves - 1), halves + 1):
             self._bent_kPa = self._curve.bent_kPa(high if turn % 2 else low, self._bent_kPa)
@@ -164,19 +164,19 @@ class _Path:
             self.aim_kPa = kPa
 
     def _move(self, to_kPa: float, min_s: float) -> None:
-        takes = max(abs(to_kPa - self.at_kPa) / self._rate_kPa_per_s, min_s)
-        if takes > 0.0:
-            self._append(takes, _line(self.at_kPa, to_kPa, takes))
+        duration_s = max(abs(to_kPa - self.at_kPa) / self._rate_kPa_per_s, min_s)
+        if duration_s > 0.0:
+            self._append(duration_s, _line(self.at_kPa, to_kPa, duration_s))
         self.rise_kPa += max(0.0, to_kPa - self.at_kPa)
         self.at_kPa, self.peak_kPa = to_kPa, max(self.peak_kPa, to_kPa)
 
-    def _append(self, takes: float, kPa: Callable[[float], float]) -> None:
-        self.pieces.append((self.t, self.t + takes, kPa))
-        self.t += takes
+    def _append(self, duration_s: float, kPa: Callable[[float], float]) -> None:
+        self.pieces.append((self.t, self.t + duration_s, kPa))
+        self.t += duration_s
 
 
-def _line(start: float, end: float, takes: float) -> Callable[[float], float]:
-    return lambda t: start + (end - start) * t / takes
+def _line(start: float, end: float, duration_s: float) -> Callable[[float], float]:
+    return lambda t: start + (end - start) * t / duration_s
 
 
 def _swing(low: float, high: float, frequency_Hz: float) -> Callable[[float], float]:

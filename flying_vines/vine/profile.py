@@ -11,7 +11,7 @@ from flying_vines.vine.curve import BendCurve
 MAX_NESTING = 8
 MAX_PIECES = 10_000
 MAX_VALUE = 1e6
-"""Upper limit of durations, counts, frequencies and rates. Above it arithmetic over time loses precision."""
+"""Upper limit of durations, cycles, frequencies and rates. Larger numbers make times imprecise."""
 
 
 class _Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
@@ -71,7 +71,7 @@ class Sine(_Segment, tag="sine", frozen=True):
 
 
 class Sub(_Segment, tag="profile", frozen=True):
-    """Another profile of the configuration, a number of times."""
+    """Run another profile of the configuration, `repeat` times."""
 
     name: str
     repeat: int = 1
@@ -85,12 +85,12 @@ Segment = Step | Ramp | HoldFor | Sine | Sub
 
 
 class PressureProfile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A named sequence of segments. The value of the last one is held."""
+    """A sequence of segments. After the last segment its value is held."""
 
     segments: tuple[Segment, ...]
     repeat: int = 1
     rate_kPa_per_s: float | None = None
-    """Optional rate limit of this profile. The lower of it and the general limit applies."""
+    """Optional rate limit of this profile. If `limits.max_rate_kPa_per_s` is lower, that limit applies."""
 
     def __post_init__(self) -> None:
         if not self.segments:
@@ -116,8 +116,8 @@ def flatten(
 ) -> Iterator[Segment]:
     """The segments of a profile in order, repeats and sub-profiles unrolled.
 
-    Raises `ValueError` with the profile's name if it contains itself, is missing, or has more than
-    `MAX_PIECES` segments.
+    Raises `ValueError` with the profile's name if the profile contains itself, is missing, is nested too
+    deeply, or has more than `MAX_PIECES` segments.
     """
     if name not in profiles:
         raise ValueError(f"there is no profile '{name}'")

@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 STRAIGHT_RAD = 1e-6
-"""Below it an arc is a line within the rounding of a float."""
+"""Below this angle the formula of an arc loses precision. Then an approximation for small angles is used."""
 
 
 class AxisPoint(NamedTuple):

@@ -39,7 +39,7 @@ STREAM_GROUPS = {
     "SYSTEM_TIME": "EXTRA3",
     "SCALED_PRESSURE": "RAW_SENS",
 }
-"""The stream rate parameter of each message."""
+"""The stream group of each message: a part of the name of the parameter for its rate."""
 
 
 class ArduPilot(Autopilot):

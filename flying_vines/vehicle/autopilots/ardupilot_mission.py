@@ -43,14 +43,15 @@ NAMED_COMMANDS = set(COMMAND_OF_NAME.values())
 
 ASK_AGAIN_S = 0.2
 GIVE_UP_S = 0.8
-"""ArduPilot answers within 6 ms."""
+"""Maximum wait for the params of an item. ArduPilot answers within 6 ms."""
 SAME_SCRIPT_ITEM_S = 3.0
-"""Measured: a script on the autopilot sends an item's params 5 to 17 ms after the item's text. Our script
-repeats unacknowledged params for two seconds."""
+"""A text and a script's params are of one item only if they come within this time. Measured: a script on the
+autopilot sends the params 5 to 17 ms after the text. Our script repeats unacknowledged params for 2 s."""
 SCRIPT_MESSAGE = ITEM_COMMANDS["script_message"]
 WAIT_FOR_TEXT_S = 0.5
-"""If the text of an item does not arrive within this time, the item is inferred. A later text is ignored for
-`TEXT_LATE_S`, so this time may be shorter than `MAX_DELAY_DIFFERENCE_S`, and the vine moves earlier."""
+"""If the text of an item does not arrive within this time, the execution of the item is inferred. If the text
+then arrives within `TEXT_LATE_S`, it is ignored. So this time may be shorter than `MAX_DELAY_DIFFERENCE_S`,
+and the vine moves earlier."""
 TEXT_LATE_S = 1.0
 """A text that arrives within this time after its item was inferred belongs to that item."""
 REACHED_AGAIN_S = 3.0
@@ -84,7 +85,7 @@ class _Waiting:
 
 
 class _Suspect(NamedTuple):
-    """An item that should have run at `since`. Detected at `t`; its text was not received."""
+    """An item that should have run at `since`. We noticed this at `t`, and wait for the item's text."""
 
     t: float
     since: float
@@ -125,8 +126,8 @@ class ArduPilotWatch(MissionWatch):
         self._flying = False
         self._suspects: deque[_Suspect] = deque(maxlen=MAX_WAITING)
         self._inferred_at: dict[int, float] = {}
-        self._text_numbers = _Numbers()
-        self._script_numbers = _Numbers()
+        self._params_of_texts = _RecentParams()
+        self._params_of_script = _RecentParams()
 
     def command(
         self, t: float, command: int, params: tuple[float, ...], confirmation: int
@@ -136,14 +137,14 @@ class ArduPilotWatch(MissionWatch):
         return self._handed_over(t, params[:4])
 
     def _handed_over(self, t: float, params: tuple[float, ...]) -> Execution | None:
-        """The execution behind params from a script on the autopilot; None if it was detected already."""
+        """The execution behind params from a script on the autopilot; None if `due` returned it already."""
         for waiting in self._waiting:
             if waiting.command == SCRIPT_MESSAGE:
                 self._waiting.remove(waiting)
                 return Execution(SCRIPT_MESSAGE, waiting.seq, None, params)
-        if self._text_numbers.take(t, params):
+        if self._params_of_texts.take(t, params):
             return None
-        self._script_numbers.put(t, params)
+        self._params_of_script.put(t, params)
         item = self._cache.only(SCRIPT_MESSAGE, params)
         seq = item.seq if item else None
         self._note(t, seq)
@@ -262,7 +263,7 @@ class ArduPilotWatch(MissionWatch):
             waiting = self._waiting[0]
             item = waiting.item
             gave_up = t - waiting.mark.t >= GIVE_UP_S
-            if self._cache.is_given or (gave_up and self._cache.is_running):
+            if self._cache.is_given or (gave_up and self._cache.is_certain):
                 known = self._cache.items.get(waiting.seq)
                 item = item or (known if known and _fits(waiting.name, known.command) else None)
             age_s = self._clock.age_s(waiting.mark, t)
@@ -274,17 +275,17 @@ class ArduPilotWatch(MissionWatch):
             if command is None or command not in self._commands:
                 continue
             if command == SCRIPT_MESSAGE:
-                if self._script_numbers.take(t, params):
+                if self._params_of_script.take(t, params):
                     continue
                 if params is not None:
-                    self._text_numbers.put(t, params)
+                    self._params_of_texts.put(t, params)
             before = waiting.before
             changed = bool(item and before and not _same(item, before))
             executions.append(Execution(command, waiting.seq, item, params, age_s + waiting.late_s, changed))
         return executions
 
     def _infer(self, t: float) -> None:
-        """Infer executions whose texts were lost. They then wait for their params."""
+        """Infer executions whose texts were lost. Their params must then be confirmed, as after a text."""
         while self._suspects and t - self._suspects[0].t >= WAIT_FOR_TEXT_S:
             suspect = self._suspects.popleft()
             if self._ran_without_text(t, suspect):
@@ -310,7 +311,7 @@ class ArduPilotWatch(MissionWatch):
         return seq is not None and suspect.before < seq <= suspect.item.seq
 
 
-class _Numbers:
+class _RecentParams:
     """The params of recent script messages. Each can be taken once."""
 
     def __init__(self) -> None:

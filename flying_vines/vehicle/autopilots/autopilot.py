@@ -1,4 +1,4 @@
-"""All differences between autopilots. No other code in this package depends on the kind of autopilot.
+"""All differences between autopilots. No other code in this package asks for the kind of autopilot.
 
 Clock and streams are the same for all: every autopilot stamps its messages with the time since boot, and
 sends a stream after SET_MESSAGE_INTERVAL.
@@ -67,7 +67,7 @@ class MissionWatch:
 
 
 class Autopilot:
-    """An unknown autopilot. There is a subclass for each known one. They have no state."""
+    """An unknown autopilot. There is a subclass for each known autopilot. The objects have no state."""
 
     kind = "other"
     """Its name in configurations, missions and on the command line."""
@@ -129,7 +129,7 @@ class Autopilot:
         return f"have it send {message} {rate_Hz} times a second"
 
     def store(self, item: MissionItem) -> MissionItem:
-        """The item as the autopilot would store and return it. Raises `MissionRefused` for other items."""
+        """The item as the autopilot would store and return it. Raises `MissionRefused` for a refused item."""
         return item
 
     def waits_for(self, item: MissionItem) -> bool:

@@ -23,22 +23,24 @@ BEFORE_A_REPEAT_S = 0.4
 """A repeat's item ran at least 0.5 s ago, less the link's jitter. So an item whose command arrived within
 this time before the repeat ran later than the repeat's item."""
 SAME_BURST_S = 3.0
-"""PX4 sends the following items within milliseconds, and the last repeat of an item 2 s after it."""
+"""Commands within this time may be of consecutive items: PX4 sends such items within milliseconds, and the
+last repeat of an item 2 s after the item."""
 
 WAIT_FOR_COMMAND_S = 0.3
-"""MISSION_ITEM_REACHED was seen up to 20 ms after its command, and once before it."""
+"""If the command of a reached item does not arrive within this time, it was lost. Measured: the report comes
+up to 20 ms after the command, and once it came before the command."""
 LAST_REPEAT_S = 2.5
 """If the cache may be outdated, wait this long for a repeat of the command, which has the params."""
 REACHED_WITHIN_S = 3.0
 """PX4 repeats MISSION_ITEM_REACHED every second. A report counts up to this time after the command."""
 GRIPPER, WINCH = 211, 42600
 TIMEOUT_S = 60.0
-"""For a gripper and a winch PX4 waits for MIS_COMMAND_TOUT before it reports them as reached."""
+"""`REACHED_WITHIN_S` of a gripper and a winch: PX4 waits for MIS_COMMAND_TOUT before it reports them."""
 REPEATED_WITHIN_S = 2.5
 """A second report for an item within this time is a repeat, even after another item's report."""
 MAX_PAST = 8
 HISTORY_S = 2.0
-"""A report within this time after our first message may be a repeat of an older one."""
+"""A report within this time after the first message that we received may be a repeat of an older report."""
 
 
 @dataclass(slots=True)
@@ -117,7 +119,7 @@ class Px4Watch(MissionWatch):
             self._waiting = _Reached(item, self._clock.mark(t), late_s)
 
     def _has_run(self, t: float, item: MissionItem) -> bool:
-        """True if its command has arrived. Each command belongs to one item."""
+        """True if the item's command has arrived. Each command belongs to one item."""
         within_s = TIMEOUT_S if item.command in (GRIPPER, WINCH) else REACHED_WITHIN_S
         for ran in reversed(self._past):
             fits = ran.execution.seq in (None, item.seq) and _same(ran.execution, _of(item))
@@ -127,7 +129,7 @@ class Px4Watch(MissionWatch):
         return False
 
     def _later_item_ran(self, t: float, item: MissionItem) -> bool:
-        """True if an item after it, at the same waypoint, has run already."""
+        """True if a later item at the same waypoint has run already."""
         return any(
             other.seq > item.seq and not self._flies_between(item.seq, other.seq)
             for ran in self._past
@@ -143,7 +145,7 @@ class Px4Watch(MissionWatch):
         None if the execution was inferred already. Also None for a repeat whose earlier copies were lost, if
         a later item already ran or `forget` was called.
         """
-        item = self._cache.only(command, params) if self._cache.is_running else None
+        item = self._cache.only(command, params) if self._cache.is_certain else None
         age_s = confirmation * MIN_REPEAT_S + (FIRST_REPEAT_LATER_S if confirmation else 0.0)
         execution = Execution(command, item.seq if item else None, item, params, age_s)
         max_age_s = (confirmation + 1) * PX4_REPEAT_S + MAX_DELAY_DIFFERENCE_S
@@ -168,7 +170,7 @@ class Px4Watch(MissionWatch):
     def due(self, t: float) -> list[Execution]:
         """The item whose command was certainly lost, if there is one."""
         waiting = self._waiting
-        wait_s = WAIT_FOR_COMMAND_S if self._cache.is_running else LAST_REPEAT_S
+        wait_s = WAIT_FOR_COMMAND_S if self._cache.is_certain else LAST_REPEAT_S
         if waiting is None or t - waiting.mark.t < wait_s:
             return []
         age_s = self._clock.age_s(waiting.mark, t)
@@ -179,7 +181,7 @@ class Px4Watch(MissionWatch):
         if self._cache.items.get(item.seq) != item:
             return []
         execution = replace(_of(item), age_s=age_s + waiting.late_s)
-        if not self._cache.is_running:
+        if not self._cache.is_certain:
             return [replace(execution, item=None, params=None)]
         self._inferred, self._inferred_at = execution, t
         self._past.append(_Ran(t, execution, True))
@@ -197,7 +199,7 @@ class Px4Watch(MissionWatch):
         return ran_seq > seq and not self._flies_between(seq, ran_seq)
 
     def _nearest(self, execution: Execution) -> int | None:
-        """The matching item nearest to the current one; the later of two that are equally near."""
+        """The seq of the matching item nearest to the current one; of two equally near items, the later."""
         if execution.seq is not None:
             return execution.seq
         seqs = [item.seq for item in self._cache.alike(execution.command, execution.params or ())]

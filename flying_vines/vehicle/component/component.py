@@ -54,7 +54,7 @@ class Component:
             t: now.
             message: as received.
             vehicle: our vehicle, which has already handled the message.
-            may_change: the vine is vented, so parameters that affect its motion may change.
+            may_change: the vine is vented, so parameters that affect the vine's motion may change.
         """
         if not vehicle.found:
             return None
@@ -70,7 +70,7 @@ class Component:
         if number in Requests.MESSAGES:
             return self._requests.handle(t, message, vehicle.system_id)
         if number == mavlink.MAVLINK_MSG_ID_SETUP_SIGNING:
-            return self._without_key(t, message, vehicle.system_id)
+            return self._report_ignored_key(t, message, vehicle.system_id)
         if number in Parameters.MESSAGES:
             return self.parameters.handle(t, message, vehicle.system_id, self._component_id, may_change)
         return None
@@ -79,7 +79,7 @@ class Component:
         own = message.get_srcSystem() == vehicle.system_id
         return not own and self._stations.sent(message)
 
-    def _without_key(self, t: float, message: MavlinkMessage, system_id: int) -> list[ParameterOutput]:
+    def _report_ignored_key(self, t: float, message: MavlinkMessage, system_id: int) -> list[ParameterOutput]:
         """Report once that we ignore a signing key that is sent to the vehicle."""
         if self._key_reported or message.target_system not in (0, system_id):
             return []

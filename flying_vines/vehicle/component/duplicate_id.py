@@ -1,8 +1,8 @@
 """Detects another program with our system and component id.
 
-Ground stations and autopilots cannot distinguish the two, and send commands to both. This happens, because
-191 is the usual component id of companion computers. (If a router sends our own frames back, the codec drops
-them.)
+Ground stations and autopilots cannot distinguish the two programs, and send commands to both. Two programs
+easily have the same id, because 191 is the usual component id of companion computers. (If a router sends our
+own frames back, the codec drops them.)
 """
 
 from __future__ import annotations

@@ -15,7 +15,8 @@ CAPABILITIES = (
     | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
     | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
 )
-"""MAVLink has two encodings of parameters, and we must claim one. For floats, as ours are, both are equal."""
+"""MAVLink has two encodings of parameters, and we must claim one. Our parameters are floats, for which both
+encodings are equal."""
 
 _STAGES = {"a": 64, "b": 128, "rc": 192}
 _DEVELOPMENT, _RELEASE = 0, 255

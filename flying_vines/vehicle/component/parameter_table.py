@@ -39,7 +39,7 @@ class ParameterRow:
     choices: tuple[str | bool, ...] = ()
     """The values for the numbers 0, 1 …; empty if the number itself is the value."""
     in_flight: bool = False
-    """It does not affect motion, so it may change while the vine is bent."""
+    """True: the parameter does not affect motion, so it may change while the vine is bent."""
 
 
 VENT_OR_HOLD = ("vent", "hold")
@@ -47,25 +47,47 @@ OFF_OR_ON = (False, True)
 
 SETTINGS = (
     ParameterRow("VINE_SW_CHAN", "switch", "channel", "RC channel of the switch"),
-    ParameterRow("VINE_SW_DEBOUNCE", "switch", "debounce_s", "s for which a new switch position must last"),
+    ParameterRow("VINE_SW_DEBOUNCE", "switch", "debounce_s", "time that a new switch position must last, s"),
     ParameterRow(
-        "VINE_SW_HYST_US", "switch", "hysteresis_us", "us past a boundary until the position changes"
+        "VINE_SW_HYST_US",
+        "switch",
+        "hysteresis_us",
+        "distance past a boundary until the position changes, us",
     ),
-    ParameterRow("VINE_RC_LOSS_S", "losses", "rc_s", "s without RC_CHANNELS until RC is lost", "max"),
+    ParameterRow("VINE_RC_LOSS_S", "losses", "rc_s", "time without RC_CHANNELS until RC is lost, s", "max"),
     ParameterRow("VINE_RC_ACTION", "losses", "on_rc_loss", "RC lost: 0 vent, 1 hold", choices=VENT_OR_HOLD),
     ParameterRow(
-        "VINE_AP_LOSS_S", "losses", "autopilot_s", "s without a message until the autopilot is lost", "max"
+        "VINE_AP_LOSS_S",
+        "losses",
+        "autopilot_s",
+        "time without a message until the autopilot is lost, s",
+        "max",
     ),
     ParameterRow(
-        "VINE_HOLD_MAX_S", "losses", "hold_at_most_s", "s of hold after RC losses, then vent", "max", 0.5
+        "VINE_HOLD_MAX_S",
+        "losses",
+        "hold_at_most_s",
+        "maximum hold time after RC losses, s; then vent",
+        "max",
+        0.5,
     ),
     ParameterRow("VINE_MAX_KPA", "limits", "max_kPa", "maximum setpoint, gauge kPa", "max", 0.5),
     ParameterRow("VINE_MAX_RATE", "limits", "max_rate_kPa_per_s", "maximum rate, kPa/s", "max", 1.0),
     ParameterRow(
-        "VINE_MAX_BENT_S", "limits", "max_bent_s", "maximum s bent after a trigger, then vent", "max", 1.0
+        "VINE_MAX_BENT_S",
+        "limits",
+        "max_bent_s",
+        "maximum time bent after a trigger, s; then vent",
+        "max",
+        1.0,
     ),
     ParameterRow(
-        "VINE_MIN_ALT_M", "interlocks", "min_altitude_m", "minimum m above home to bend", "min", max=1000.0
+        "VINE_MIN_ALT_M",
+        "interlocks",
+        "min_altitude_m",
+        "minimum altitude above home to bend, m",
+        "min",
+        max=1000.0,
     ),
     ParameterRow(
         "VINE_RESERVE_KPA",
@@ -75,7 +97,7 @@ SETTINGS = (
         "min",
         max=2000.0,
     ),
-    ParameterRow("VINE_RATE_HZ", "telemetry", "rate_Hz", "Hz of each named value", in_flight=True),
+    ParameterRow("VINE_RATE_HZ", "telemetry", "rate_Hz", "rate of each named value, Hz", in_flight=True),
     ParameterRow(
         "VINE_FUEL_STATUS",
         "telemetry",

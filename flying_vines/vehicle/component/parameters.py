@@ -75,9 +75,9 @@ class Parameters:
         Args:
             t: now, in seconds.
             message: one of `MESSAGES`, of any sender.
-            system_id: that of our vehicle.
-            component_id: ours.
-            may_change: True while the vine is vented: then parameters that affect its motion may change.
+            system_id: the system id of our vehicle.
+            component_id: our component id.
+            may_change: the vine is vented, so parameters that affect the vine's motion may change.
         """
         kind = message.get_type()
         target = (message.target_system, message.target_component)

@@ -1,6 +1,7 @@
 """Requests that every component must answer: identity, messages, message rates, pings.
 
-Answers go to the sender of the request. `vehicle/commands.py` answers all other commands.
+Acknowledgements, pings and TIMESYNC answers are addressed to the sender of the request. `vehicle/commands.py`
+answers all other commands.
 """
 
 from __future__ import annotations
@@ -77,7 +78,7 @@ class Requests:
         Args:
             t: now, in seconds.
             message: one of `MESSAGES`, of any sender.
-            system_id: that of our vehicle.
+            system_id: the system id of our vehicle.
         """
         kind = message.get_type()
         if kind == "PING":

@@ -67,7 +67,7 @@ class NamedValues:
         self._once_at = -math.inf
         self._last_at = -math.inf
         self._due_at: dict[str, float] = {}
-        """When each value was last due. The next one is timed from here, not from the tick."""
+        """When each value was last due. The next due time counts from here, not from the tick."""
 
     @property
     def period_s(self) -> float:

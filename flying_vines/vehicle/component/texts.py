@@ -23,7 +23,8 @@ MAX_TEXT_LENGTH = 4 * CHUNK_LENGTH - 1
 """Longer texts are cut, so that a text arrives soon."""
 SPACING_S = 0.1
 MAX_WAITING = 30
-"""Texts in the queue, which takes some seconds to send. The oldest are dropped first."""
+"""Maximum number of queued texts. To send so many takes some seconds. The oldest waiting texts are dropped
+first."""
 SAME_AGAIN_S = 5.0
 """The same text is not sent again within this time, because ground stations speak texts aloud."""
 

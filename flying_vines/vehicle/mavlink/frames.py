@@ -53,6 +53,7 @@ class Frame(NamedTuple):
     flags: int
     """Incompatibility flags; 0 in version 1 of the protocol."""
     other_flags: int
+    """Compatibility flags; 0 in version 1 of the protocol."""
 
     @property
     def signed(self) -> bool:
@@ -60,7 +61,7 @@ class Frame(NamedTuple):
 
 
 class Frames:
-    """Splits a stream of bytes into frames. The result does not depend on its chunks."""
+    """Splits a stream of bytes into frames. How the stream is cut into chunks does not change the result."""
 
     def __init__(self) -> None:
         self.bad_frames = 0
@@ -128,12 +129,12 @@ def frame_in(raw: bytes) -> Frame:
 def frame_at(data: bytes, at: int) -> Frame | None:
     """The frame that begins with the marker at `at`; None until all of its bytes have arrived."""
     end = len(data)
-    must = may = 0
+    incompat = compat = 0
     if data[at] == _MARKER_2:
         begin = at + _HEADER_SIZE_2
         if begin > end:
             return None
-        _, length, must, may, sequence, system, component, low, high = _HEADER_2(data, at)
+        _, length, incompat, compat, sequence, system, component, low, high = _HEADER_2(data, at)
         message_id = low | high << 16
     else:
         begin = at + _HEADER_SIZE_1
@@ -141,13 +142,22 @@ def frame_at(data: bytes, at: int) -> Frame | None:
             return None
         _, length, sequence, system, component, message_id = _HEADER_1(data, at)
     behind = begin + length
-    stop = behind + (_TAIL_SIZE if must & _SIGNED else _CHECKSUM_SIZE)
+    stop = behind + (_TAIL_SIZE if incompat & _SIGNED else _CHECKSUM_SIZE)
     if stop > end:
         return None
     checksum = data[behind] | data[behind + 1] << 8
-    known = must <= _SIGNED and message_id in _CRC_EXTRA
+    known = incompat <= _SIGNED and message_id in _CRC_EXTRA
     return Frame(
-        data[at:stop], data[begin:behind], known, message_id, system, component, sequence, checksum, must, may
+        data[at:stop],
+        data[begin:behind],
+        known,
+        message_id,
+        system,
+        component,
+        sequence,
+        checksum,
+        incompat,
+        compat,
     )
 
 

@@ -24,4 +24,4 @@ OVERRIDES = frozenset({"RC_CHANNELS_OVERRIDE"})
 """Sent by ground stations."""
 ALL = STATE | RADIO | MISSION | QUESTIONS | ANSWERS | OVERRIDES
 NUMBERS = frozenset(number for number, kind in mavlink.mavlink_map.items() if kind.msgname in ALL)
-"""Their message ids."""
+"""The message ids of `ALL`."""

@@ -162,14 +162,14 @@ class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
 
     async def run(self) -> None:
         loop = asyncio.get_running_loop()
-        here = (self._address.host, self._address.port)
+        endpoint = (self._address.host, self._address.port)
         listening = self._address.kind == "udpin"
         while True:
             try:
                 transport, _ = await loop.create_datagram_endpoint(
                     lambda: self,
-                    local_addr=here if listening else None,
-                    remote_addr=None if listening else here,
+                    local_addr=endpoint if listening else None,
+                    remote_addr=None if listening else endpoint,
                 )
             except (OSError, UnicodeError) as error:
                 self._down(_reason(error))

@@ -97,8 +97,9 @@ class SigningMemory:
 class Signing:
     """Signs and checks with one key on one link.
 
-    `timestamp` is the last one used. It never falls while the link id stays the same. If it is far ahead and
-    must be lowered, the link id changes, which makes a new stream.
+    `timestamp` is the latest timestamp: of our frames, of accepted frames, or of the clock. It never falls
+    while the link id stays the same. If it is far ahead and must be lowered, the link id changes, which makes
+    a new stream.
     """
 
     def __init__(self, key: bytes, link_id: int = 0, memory: SigningMemory = SigningMemory()) -> None:

@@ -24,7 +24,7 @@ class Execution:
 
 
 def same_numbers(a: Sequence[float], b: Sequence[float]) -> bool:
-    """True if they are equal within the precision of 32-bit floats and text files."""
+    """True if the numbers are equal within the precision of 32-bit floats and text files."""
     return all(
         math.isclose(x, y, rel_tol=1e-5, abs_tol=1e-6) or (math.isnan(x) and math.isnan(y))
         for x, y in zip(a, b, strict=True)

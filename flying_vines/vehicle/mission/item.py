@@ -35,7 +35,7 @@ _LAST_NAV = 95
 
 
 def is_nav(command: int) -> bool:
-    """True if the vehicle flies (or waits) for it before the mission continues."""
+    """True if the mission continues only after the vehicle has flown or waited for this command."""
     return command <= _LAST_NAV or command == NAV_SCRIPT_TIME
 
 

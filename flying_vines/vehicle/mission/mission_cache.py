@@ -15,9 +15,9 @@ RETRY_S = 0.8
 MAX_ATTEMPTS = 6
 TRY_AGAIN_S = 20.0
 QUIET_BEFORE_READING_S = 0.5
-"""The total changes during an upload. Reading waits until the total is stable."""
+"""The number of items changes during an upload. Reading waits until it is stable for this time."""
 SAME_CHANGE_S = 5.0
-"""If the mission was read within this time, a new total that agrees with it is not a change."""
+"""If the mission was read within this time, a new total that agrees with the items read is not a change."""
 MAX_ITEMS = 5000
 
 
@@ -32,7 +32,7 @@ class MissionCache:
     cache although no autopilot answers our requests.
 
     ArduPilot may have no mission id. Then no message shows that the mission was replaced by another one of
-    the same length. So each item that runs is requested again, unless `is_running`.
+    the same length. So each item that runs is requested again (`ask`), unless the mission `is_given`.
     """
 
     def __init__(self, items: Sequence[MissionItem] = ()) -> None:
@@ -69,7 +69,7 @@ class MissionCache:
         return self._given
 
     @property
-    def is_running(self) -> bool:
+    def is_certain(self) -> bool:
         """True if the cache certainly holds the autopilot's present mission."""
         return self._given or (self.fresh and self._read_id != 0 and self._read_id == self._mission_id)
 
@@ -170,13 +170,13 @@ class MissionCache:
         if first or (total, mission_id) == (self._total, self._mission_id):
             self._total, self._mission_id = total, mission_id
             if first and mission_id and self._complete_at is not None and mission_id != self._read_id:
-                self.refresh(t)  # it was read before its id was known
+                self.refresh(t)  # the mission was read before its id was known
             return
         same_id = mission_id == self._mission_id
         self._total, self._mission_id = total, mission_id
         just_read = self._complete_at is not None and t - self._complete_at < SAME_CHANGE_S
         if just_read and same_id and total == len(self._items) - 1:
-            return  # ArduPilot: its total leaves out the home item, and it has no id
+            return  # ArduPilot's total leaves out the home item, and its mission has no id
         self.mark_outdated(t)
 
     def requests(self, t: float, system_id: int, in_any_order: bool = False) -> list[MavlinkMessage]:

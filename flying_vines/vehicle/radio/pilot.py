@@ -295,8 +295,8 @@ class Pilot:
         if waiting is None or waiting.since_s is None:
             return []
         wait_s = self._confirmed_after_s
-        # After a health report PX4 may delay the next one by this time, so wait longer. The report of a loss
-        # also prolongs the wait, and then the loss drops the move.
+        # After a health report PX4 may delay the next report by `HEALTH_REPORTS_APART_S`, so wait longer. If
+        # the next report shows a loss, the wait is longer again, but the loss drops the move.
         if self.radio.health_changed_since(waiting.since_s - HEALTH_REPORTS_APART_S):
             wait_s += HEALTH_REPORTS_APART_S
         if self.radio.stamp_s - waiting.since_s < wait_s:

@@ -12,7 +12,7 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 ASK_SPACING_S = 0.2
 ASK_AGAIN_S = 2.0
 MAX_ATTEMPTS = 5
-"""An autopilot without the parameter does not answer."""
+"""Maximum number of requests for a parameter. An autopilot that does not have it does not answer."""
 
 
 class RadioParameters:
@@ -30,7 +30,7 @@ class RadioParameters:
         self.refresh()
 
     def refresh(self) -> None:
-        """Request all of them again."""
+        """Request all values again."""
         self._attempts = {}
         self._asked_at = self._round_at = -math.inf
 
