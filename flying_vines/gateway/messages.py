@@ -66,7 +66,7 @@ ToGateway = GatewayStart | SnapshotMessage | Happened | Answered
 
 
 class Request(_Message, frozen=True, tag="ask"):
-    """A person's request. `value` is an angle or a pressure, `name` a profile's name."""
+    """A request from the page or the broker. `value`: an angle or a pressure. `name`: a profile's name."""
 
     number: int
     by: Asker

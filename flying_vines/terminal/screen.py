@@ -208,7 +208,7 @@ def air(c: CyclesLeft | None) -> tuple[str, str]:
     if c is None:
         return "not known", "not known"
     if c.lost:
-        return "0", "lost, until you clear the fault"
+        return "0", "counted as lost until you clear the fault"
     expected, low, high = (value * c.per_cycle for value in (c.expected, c.low, c.high))
     like = "like the last" if c.measured_cycles > 0 else "a guess"
     long = c.minutes >= MAX_MINUTES

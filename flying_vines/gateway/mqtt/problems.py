@@ -25,7 +25,7 @@ _BY_CODE = {
 
 
 class RefusedError(Exception):
-    """The broker accepted the login, but refuses what we need."""
+    """The broker accepted the login, but refuses our messages or ends the connection."""
 
 
 class FileError(Exception):

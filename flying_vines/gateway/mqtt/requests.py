@@ -1,4 +1,4 @@
-"""Checks that requests from the broker are permitted, recent and not repeated. It reads no clock."""
+"""Checks that requests from the broker are permitted, recent and not repeated. Reads no clock."""
 
 from __future__ import annotations
 
@@ -81,16 +81,16 @@ class RequestQueue:
         self._waiting.clear()
 
     def _vent(self, now: Now, request: RequestPayload) -> list[AnswerPayload]:
-        """Put a vent first, and refuse earlier requests: they must not bend the vine after it."""
+        """Put a vent first, and refuse earlier requests: they must not bend the vine after the vent."""
         overtaken = [each.request for each in self._waiting if each.request.command != "vent"]
         self._waiting = deque(each for each in self._waiting if each.request.command == "vent")
-        # One vent serves all waiting vent requests; above the limit a request gets no answer.
+        # One vent is carried out for all waiting vent requests. A request above the limit gets no answer.
         if len(self._waiting) < MAX_WAITING:
             self._waiting.append(QueuedRequest(request, made_at(now, request)))
         return [refused(now, earlier, "overtaken by a vent") for earlier in overtaken]
 
     def _read(self, now: Now, payload: bytes, retained: bool) -> tuple[RequestPayload | None, str]:
-        """The request (None if it cannot be read), and why it is refused (empty if it is not)."""
+        """The request (None if it cannot be read), and why it is refused (empty if it is accepted)."""
         if len(payload) > MAX_REQUEST_LENGTH:
             return None, f"longer than {MAX_REQUEST_LENGTH} bytes"
         try:

@@ -37,7 +37,7 @@ class Refused:
 
 
 class Access:
-    """Access to a page at the address `host`. Other computers need the `token`."""
+    """Access to a page at the address `host`. If other computers can reach it, requests need the `token`."""
 
     def __init__(self, host: str, port: int, token: str) -> None:
         self._local = ipaddress.ip_address(host).is_loopback
@@ -76,7 +76,10 @@ class Access:
         return Refused(401, "the token is wrong" if given else "the page needs a token")
 
     def _ours(self, host: str) -> bool:
-        """True for our names and for IP addresses: DNS rebinding can fake a name, but not an address."""
+        """True for our names and for IP addresses: DNS rebinding can fake a name, but not an address.
+
+        If only this computer can connect, the address must be a loopback address.
+        """
         if not _HOST.fullmatch(host):
             return False
         try:
