@@ -53,8 +53,9 @@ class Features(NamedTuple):
     dt_s: float
     """Time since the last complete message, by the host's clock."""
     continuity: Continuity
-    """By the board's clock. "none": the first message, or the same time again. "broken": the state before is
-    unknown. "gap": a message is missing, so the valve commands in between are unknown."""
+    """By the board's clock. "none": the first message, or the same time again. "broken": after a long gap or
+    with a faulty sensor, so the state before is unknown. "gap": a message is missing, so the valve commands
+    in between are unknown."""
     device_dt_s: float
     """Time since the last message, by the board's clock."""
     cv_median_kPa: float
@@ -89,7 +90,7 @@ class _States:
         self.venting_s = self.sealed_s = self.outlet_shut_s = self.resting_s = self.holding_s = 0.0
 
     def update(self, dt_s: float, telemetry: Telemetry, gap: bool) -> None:
-        """After a gap all times restart, except `outlet_shut_s`: the pressure would show a short opening."""
+        """After a gap all times restart, except `outlet_shut_s`: the pressure would show an opening."""
         evp, dvp = telemetry.evp_opening, telemetry.dvp_opening
         self.cv_kPa.append(telemetry.cv_kPa)
         self.t += dt_s

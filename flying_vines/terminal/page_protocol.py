@@ -35,7 +35,7 @@ class InvalidMessageError(Exception):
 class PageDecoder:
     """Decodes the messages of a service's page. After a link loss no event is returned twice.
 
-    `t` is a time of this program; events and snapshots have times of the service.
+    `t` is a time on our clock; events and snapshots have times on the service's clock.
     """
 
     def __init__(self) -> None:

@@ -28,7 +28,7 @@ class NotAdmittedError(Exception):
 
 
 def socket_of(page: str) -> URL:
-    """The WebSocket's URL for the page's URL. Raises `ValueError` if that is invalid."""
+    """The WebSocket's URL for the page's URL. Raises `ValueError` if the page's URL is invalid."""
     url = URL(page if "://" in page else f"http://{page}")
     if url.scheme not in ("http", "https") or not url.host:
         raise ValueError("give http://HOST:PORT")

@@ -34,7 +34,7 @@ FRAME = 2
 BAR_TEXT_WIDTH = 36
 """Characters around a bar: its label, the pressure, and the bend."""
 MAX_QUEUED = 64 * 1024
-"""Maximum characters queued for a blocked terminal: some seconds of screens. Later ones are dropped."""
+"""Maximum characters queued for a blocked terminal: some seconds of screens. Later text is dropped."""
 CLOSING_S = 0.5
 EVENT_LINES = 12
 

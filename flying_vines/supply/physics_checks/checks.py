@@ -38,7 +38,7 @@ class PhysicsFinding:
 
 
 class Check(Protocol):
-    """One physics check. It restarts, as a new object, after a gap in the telemetry."""
+    """One physics check. After a gap in the telemetry a new object replaces it, if not in `BRIDGING`."""
 
     def look(self, now: Features) -> str | None:
         """Take in one telemetry message. Returns the finding while it is present."""
@@ -79,7 +79,7 @@ class PhysicsChecks:
         self.restart()
 
     def restart(self) -> None:
-        """Start again, because the time before is unknown."""
+        """Start all checks again, because the time before is unknown."""
         self._checks = {name: check(self._rig) for name, check in self._made_by.items()}
         self.present = {}
 

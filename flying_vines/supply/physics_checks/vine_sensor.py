@@ -61,7 +61,7 @@ class Zero:
 class SuddenFall:
     """Finds a vine that suddenly loses its pressure although all valves are shut.
 
-    It burst, its hose came off, or its sensor jumps, which would overfill the vine.
+    It burst, its hose came off, or its sensor jumps. A jump of the sensor would overfill the vine.
 
     Above its setpoint, or while the setpoint falls, the regulator may vent too briefly for telemetry to show.
     A small vine falls far in that time, so such falls do not count.
