@@ -167,7 +167,7 @@ class Gateway(Watcher):
         except msgspec.DecodeError as error:
             return f"it sent an invalid message: {error}"
         except OSError:
-            # It died while messages were unread.
+            # The gateway died while messages were unread.
             return ""
         return ""
 

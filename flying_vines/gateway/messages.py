@@ -39,7 +39,7 @@ class GatewayStart(_Message, frozen=True, tag="profile"):
 
 
 class SnapshotMessage(_Message, frozen=True, tag="snapshot"):
-    """A `Snapshot`; null is unknown. Its `t` is this computer's monotonic clock, in seconds."""
+    """A `Snapshot`; null is unknown. Its `t` is the time on this computer's monotonic clock."""
 
     snapshot: msgspec.Raw
 

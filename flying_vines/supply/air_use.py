@@ -94,7 +94,7 @@ class AirUse:
         self.readings = 0
         self.inflation: ObservedInflation | None = None
         self.was_cut_off = False
-        """A movement was cut off at this message."""
+        """True if a movement was cut off at the latest message."""
         self._begun = False
         self._setpoint = 0.0
         self._calm_s = 0.0

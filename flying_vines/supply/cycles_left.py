@@ -1,4 +1,4 @@
-"""The air left and the cycles that it is enough for, learned in flight.
+"""The air left, and for how many cycles it is enough: learned in flight.
 
 One cycle costs A + B x kPa at reservoir pressure x. A: air for the inflation. B x: leak during one cycle at
 the present rate of cycles, and the Venturi. From the present pressure x₀ down to x₁, below which the
@@ -51,9 +51,9 @@ COUNT_SD = 0.4
 MIN_CYCLES = 1e-3
 """Keeps the logarithm finite."""
 FLAT_COUNTED = 0.5
-"""At low supply the Venturi is off, and the pouch does not go flat between cycles. If the additional air
-of an inflation only fills the flat pouch, it is not needed then; if it stretches the pouch, it is. So half of
-it is counted."""
+"""At low supply the Venturi is off, and the pouch does not go flat between cycles. Then air that
+fills a flat pouch is not needed, but air that stretches the pouch is. The estimate cannot tell them apart. So
+it counts half of the additional air of an inflation."""
 VENTURI_USED_S = 0.01
 """A shorter Venturi time in a cycle counts as none."""
 VENTURI_TREND = 0.3
@@ -129,7 +129,7 @@ class MeanCycle(NamedTuple):
     venturi_kPa_s: float
     """Gauge supply plus ambient, integrated while the Venturi's valve was open."""
     venturi_supply_kPa: float
-    """Mean gauge supply while it was open."""
+    """Mean gauge supply while the Venturi's valve was open."""
     assumed_share: float
     """The share of the assumed cycle, which was not flown."""
 
@@ -385,7 +385,7 @@ class ReservoirEstimate:
         if worst.spent.venturi_s > VENTURI_USED_S and kPa < self._p.venturi_least_supply_kPa:
             air = mean[RISE] * worst.swing_kPa + FLAT_COUNTED * mean[FLAT] * worst.spent.flat
             kPa = min_supply_kPa(self._prior, worst, air, kappa * air)
-        # An equally hard inflation that was completed with a lower supply is an upper bound of the floor.
+        # The lowest supply that completed an equally hard inflation is an upper bound of the floor.
         proven = [i.supply_kPa_abs for i in inflations if i.reached and i.as_hard_as(worst)]
         kPa = min([kPa, *(supply - AMBIENT_KPA for supply in proven)])
         more_kPa = min_supply_kPa(self._prior, worst, air * 1.1, kappa * air * 1.1)

@@ -20,7 +20,7 @@ WIDE_OPEN_SD = 0.05
 SLUGGISH_S = 0.04
 """Uncertainty of the open time: valve and sensor respond late."""
 WIDE_OPEN_ERROR_KPA = 2.0
-"""Here the regulator opens the valve fully if the control volume is this far below its setpoint."""
+"""In this model the valve is fully open if the control volume is this far below its setpoint."""
 MAX_KPA = 2000.0
 
 

@@ -23,7 +23,7 @@ MAX_GAP_S = 0.11
 """After a longer gap, by the board's clock, the valve commands in between are unknown. At 10 Hz a message
 comes every 0.1 s, plus or minus one step of the board's loop."""
 MAX_BRIDGED_S = 0.5
-"""After a longer gap the durations of all states are reset, and the air used in it is not known."""
+"""After a longer gap the durations of all states are reset, and the air used in the gap is not known."""
 REPEATS = Fault.CV_SENSOR | Fault.RESERVOIR_SENSOR
 """With one of these faults the firmware repeats the last valid reading."""
 _CLOCK_MS = 1 << 32

@@ -99,7 +99,7 @@ class VentRequest:
         self._sent_at = -math.inf
 
     def pop_message(self, t: float) -> str | None:
-        """The message to send at time `t`, or None. It then counts as sent."""
+        """The message to send at time `t`, or None. A returned message counts as sent."""
         if self.pressed_at is None or t - self._sent_at < VENT_AGAIN_S:
             return None
         self._sent_at = t

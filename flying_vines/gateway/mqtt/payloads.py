@@ -51,7 +51,7 @@ class AboutPayload(_Payload, frozen=True, kw_only=True):
     flying_vines: str
     """The version of the software."""
     run: str
-    """Id of this start of the sender. Each start begins a new numbering of events."""
+    """Id of this run of the sender. Each run numbers its events from 1."""
     profiles: tuple[str, ...]
     limits: LimitsPayload
     commands: tuple[CommandName, ...]

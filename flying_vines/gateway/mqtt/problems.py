@@ -33,7 +33,7 @@ class FileError(Exception):
 
 
 def problem_of(error: BaseException, broker: BrokerAddress, connected: bool) -> BrokerProblem:
-    """The meaning of `error`; `connected`: it came after a successful login."""
+    """The meaning of `error`. `connected`: the error came after a successful login."""
     if isinstance(error, RefusedError | FileError):
         return BrokerProblem(str(error), needs_person=True)
     cause = _beneath(error)

@@ -92,7 +92,7 @@ class Events:
         return Pending(number, self._lost, Publication(self._topic, msgspec.json.encode(event), qos=1))
 
     def published(self, pending: Pending) -> None:
-        """The broker has the event. It may have been dropped for newer ones meanwhile."""
+        """The broker has the event. Meanwhile newer events may have replaced it here."""
         if pending.lost:
             self._lost -= pending.lost
         elif self._stored[0][0] == pending.number:

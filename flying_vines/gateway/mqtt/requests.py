@@ -17,7 +17,7 @@ from flying_vines.vine.intent import CommandName
 
 MAX_REQUEST_LENGTH = 1024
 MAX_AT_ONCE, MAX_PER_S = 10.0, 5.0
-"""Above this rate, requests are ignored without an answer, except vents, which are carried out."""
+"""Above this rate, vents are carried out, and all other requests are ignored without an answer."""
 MAX_WAITING = 20
 MAX_STORED_IDS = 2000
 _VENT = b'"vent"'

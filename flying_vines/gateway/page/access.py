@@ -1,7 +1,7 @@
 """Decides from the HTTP request who may use the page.
 
 A page of another site can make its visitors' browsers send requests here. Such a request has another `Origin`
-or, after DNS rebinding, another `Host`. Both are refused, also if only this computer can connect.
+or, after DNS rebinding, another `Host`. Both kinds are refused, even if only this computer can connect.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Access:
     def check(
         self, headers: Mapping[str, str], given: str = "", cookies: Mapping[str, str] | None = None
     ) -> Admitted | Refused:
-        """`headers`: of the request, case-insensitive. `given`: the token in its address."""
+        """`headers`: of the request, case-insensitive. `given`: the token in the request's address."""
         host = headers.get("Host", "")
         if not self._ours(host):
             return Refused(421, "this host name is not accepted: open the page by its IP address")

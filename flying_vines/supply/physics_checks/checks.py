@@ -19,7 +19,7 @@ from flying_vines.supply.physics_checks.vine_sensor import SuddenFall, Unsteady,
 
 BRIDGING = ("filling",)
 """These checks count only air that certainly went in, so they continue over a gap. All others restart at each
-gap. If a fifth of 10 Hz telemetry is lost, that is twice a second."""
+gap: twice a second if a fifth of 10 Hz telemetry is lost."""
 
 AIR_LOSSES = ("filling", "sudden_fall", "bottle_loss")
 """After one of these faults no air is left for a bend."""
