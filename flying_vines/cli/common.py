@@ -37,7 +37,7 @@ def add_cause_option(parser: argparse.ArgumentParser) -> None:
         default=[],
         dest="causes",
         metavar="FILE.py",
-        help="a cause of your own; may be repeated",
+        help="a file with your own causes; may be repeated",
     )
 
 

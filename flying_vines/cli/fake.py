@@ -42,7 +42,7 @@ def add(commands: Any) -> None:
     )
     autopilot.set_defaults(run=_fake_autopilot)
     phlosar = fakes.add_parser("phlosar", help="simulate a phloSAR on a pseudo-terminal; prints its path")
-    phlosar.add_argument("--link", type=Path, metavar="PATH", help="symbolic link to make to the port")
+    phlosar.add_argument("--link", type=Path, metavar="PATH", help="make this symbolic link to the port")
     phlosar.add_argument(
         "--reservoir-kPa",
         type=float,
