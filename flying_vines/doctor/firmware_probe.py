@@ -1,6 +1,6 @@
 """Reads from a phloSAR at rest: firmware, settings, sensor readings, and the line's quality.
 
-It sends only Hello, Ping and GetSetting, like `firmware_link.monitor`.
+It sends only Hello, Ping and GetSetting, by `firmware_link.monitor`.
 """
 
 from __future__ import annotations

@@ -90,7 +90,7 @@ class _States:
         self.venting_s = self.sealed_s = self.outlet_shut_s = self.resting_s = self.holding_s = 0.0
 
     def update(self, dt_s: float, telemetry: Telemetry, gap: bool) -> None:
-        """After a gap all times restart, except `outlet_shut_s`: the pressure would show an opening."""
+        """After a gap all times restart, except `outlet_shut_s`: the pressure shows if the outlet opened."""
         evp, dvp = telemetry.evp_opening, telemetry.dvp_opening
         self.cv_kPa.append(telemetry.cv_kPa)
         self.t += dt_s

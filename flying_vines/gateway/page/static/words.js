@@ -13,7 +13,7 @@ export const plain = (name) => name.replaceAll("_", " ");
 // Triggers that nobody requested: they vent or hold the vine. As in `core/events.py`.
 const UNREQUESTED = ["failsafe", "link"];
 
-// The details of a trigger, shown after its kind: the same as in `terminal/screen.py`.
+// The details of a trigger, shown after its kind. `terminal/screen.py` shows the same details.
 function details(what) {
   if ("channel" in what) return `ch${what.channel} position ${what.position}`;
   if ("loss" in what) return plain(what.loss);
