@@ -79,8 +79,8 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         raise AttributeError(f"flying_vines.api has no {name}")
-    module, _, there = _MODULES[name].partition(":")
-    return getattr(import_module(f"flying_vines.{module}"), there)
+    module, _, attribute = _MODULES[name].partition(":")
+    return getattr(import_module(f"flying_vines.{module}"), attribute)
 
 
 def __dir__() -> list[str]:

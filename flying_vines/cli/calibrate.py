@@ -71,7 +71,7 @@ def _names(text: str) -> tuple[str, ...]:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """0: everything was measured; 1: it ended early; 130: it was interrupted.
+    """0: everything was measured; 1: the calibration ended early; 130: it was interrupted.
 
     Raises `ConfigError` if the configuration cannot be read.
     """

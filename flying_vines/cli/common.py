@@ -37,7 +37,7 @@ def add_cause_option(parser: argparse.ArgumentParser) -> None:
         default=[],
         dest="causes",
         metavar="FILE.py",
-        help="a cause of your own; may be repeated",
+        help="a file with your own causes; may be repeated",
     )
 
 
@@ -54,7 +54,7 @@ def add_own_causes(paths: Sequence[Path]) -> None:
 
 
 def phlosar_only(config: Config, command: str) -> None:
-    """Fails if the configured actuator is not a phloSAR: another device must get no bytes of ours."""
+    """Fails if the configured actuator is not a phloSAR: such a device must get no bytes from us."""
     if not config.firmware.is_phlosar:
         fail(f"{command} needs a phloSAR; firmware.kind is '{config.firmware.kind}'")
 

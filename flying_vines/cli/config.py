@@ -45,7 +45,7 @@ def _config_check(arguments: argparse.Namespace) -> int:
     check_plugins(config)
     known = rig_file_prior(config, arguments.file)
     print(
-        f"{arguments.file}: good. Switch on channel {config.switch.channel}, {len(config.profiles)} "
+        f"{arguments.file}: good. RC switch on channel {config.switch.channel}, {len(config.profiles)} "
         f"profiles, {len(config.items)} item rules, up to {config.limits.max_kPa:g} kPa."
     )
     print(f"Vehicle link {config.vehicle.who_can_command}.")

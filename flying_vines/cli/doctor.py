@@ -49,7 +49,7 @@ def add(commands: Any) -> None:
 def number_of_seconds(text: str) -> float:
     seconds = float(text)
     if not MIN_SECONDS <= seconds <= 3600.0:
-        raise argparse.ArgumentTypeError(f"from {MIN_SECONDS:g} to 3600")
+        raise argparse.ArgumentTypeError(f"must be from {MIN_SECONDS:g} to 3600")
     return seconds
 
 

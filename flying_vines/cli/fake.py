@@ -30,7 +30,9 @@ def add(commands: Any) -> None:
     )
     autopilot.add_argument("--gcs", metavar="HOST:PORT", help="also send to a ground station")
     autopilot.add_argument("--mission", type=Path, metavar="FILE.waypoints", help="the stored mission")
-    autopilot.add_argument("--fly", action="store_true", help="take off after 3 s, or fly the mission")
+    autopilot.add_argument(
+        "--fly", action="store_true", help="after 3 s, fly the mission, or take off if there is none"
+    )
     autopilot.add_argument(
         "--listen",
         action="append",
@@ -40,7 +42,7 @@ def add(commands: Any) -> None:
     )
     autopilot.set_defaults(run=_fake_autopilot)
     phlosar = fakes.add_parser("phlosar", help="simulate a phloSAR on a pseudo-terminal; prints its path")
-    phlosar.add_argument("--link", type=Path, metavar="PATH", help="symbolic link to make to the port")
+    phlosar.add_argument("--link", type=Path, metavar="PATH", help="make this symbolic link to the port")
     phlosar.add_argument(
         "--reservoir-kPa",
         type=float,

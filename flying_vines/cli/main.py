@@ -1,4 +1,4 @@
-"""The `flying-vines` command: the parser of all commands. A command imports what it needs when it runs."""
+"""The `flying-vines` command: the parser of all commands. A command imports its modules when it runs."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ def add(commands: Any) -> None:
     paper = commands.add_parser("paper", help="reproduce the phloSAR paper: all its numbers beside ours")
     paper.add_argument("--out", type=Path, metavar="DIR", help="draw the figures there")
     paper.add_argument(
-        "--diagnose", action="store_true", help="why the paper's measurements differ from its model"
+        "--diagnose", action="store_true", help="find why the paper's measurements differ from its model"
     )
     paper.add_argument("--json", action="store_true", help="print one JSON object instead")
     paper.set_defaults(run=_paper)

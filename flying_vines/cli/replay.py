@@ -56,7 +56,7 @@ def _replay(arguments: argparse.Namespace) -> int:
     recording: Path = arguments.recording
     if recording.is_dir() or is_flight(recording):
         if arguments.mission or arguments.parameters or arguments.pace:
-            fail("--mission, --parameters and --pace are for a .tlog; a flight log contains its own")
+            fail("--mission, --parameters and --pace are for a .tlog; a flight log needs none of them")
         return _replay_flight(recording, arguments.config, arguments.json)
     config = configuration.load_or_default(arguments.config)
     known = rig_file_prior(config, arguments.config)

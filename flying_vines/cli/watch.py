@@ -18,7 +18,9 @@ def add(commands: Any) -> None:
     """Add `watch` to the parsers of the command line."""
     watch = commands.add_parser("watch", help="show a running service on this terminal")
     watch.add_argument("--url", default=URL_HERE, help=f"the service's page ({URL_HERE})")
-    watch.add_argument("--token-file", type=Path, metavar="FILE", help="the page's token, if it needs one")
+    watch.add_argument(
+        "--token-file", type=Path, metavar="FILE", help="the page's token, if the page needs one"
+    )
     watch.add_argument(
         "--seconds", type=float, metavar="N", help="stop after this time; exit status 1 without data"
     )

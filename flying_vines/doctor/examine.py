@@ -54,7 +54,7 @@ async def examine(
     """All findings in order.
 
     Args:
-        examined: what the service would start with.
+        examined: the configuration and state with which the service would start.
         logs: folder of the service's flight logs.
         seconds: time to listen to both links.
         report: gets new findings as they come.
@@ -77,7 +77,7 @@ async def examine(
     add([await asyncio.to_thread(_page, config, bool(running))])
     add([network.check_broker(await broker.facts(config.mqtt))])
 
-    own = config.firmware.is_phlosar  # another device must get no bytes of ours
+    own = config.firmware.is_phlosar  # a device that is no phloSAR gets no bytes from us
     board = None if phlosar is None or not own else FirmwareProbe(phlosar, examined.prior)
     watch = None if vehicle is None else VehicleWatch(vehicle, config, examined.signing)
     over, asked = asyncio.Event(), False
@@ -151,7 +151,7 @@ def _service(running: Sequence[Process], holders: Sequence[Process]) -> DoctorFi
 
 
 async def _move_switch(watch: VehicleWatch, positions: int, ask: RadioQuestion) -> SwitchFacts:
-    """Ask the user to move the switch until all positions were seen, or for `MOVING_S`. Returns its state."""
+    """Ask the user to move the switch, until all positions were seen or `MOVING_S` is over."""
     ends_s = watch.t + MOVING_S
     while True:
         seen = watch.probe.radio(watch.t)

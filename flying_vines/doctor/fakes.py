@@ -29,7 +29,7 @@ async def healthy(config: Config) -> AsyncIterator[Config]:
 async def between(
     config: Config, autopilot: FakeAutopilot, phlosar: SimulatedPhlosar | None
 ) -> AsyncIterator[Config]:
-    """The configuration, linked to these two, which run until the block ends.
+    """The configuration, linked to the given vehicle and phloSAR, which run until the block ends.
 
     Without `phlosar` the configuration's firmware link stays.
     """

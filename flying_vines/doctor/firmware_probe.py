@@ -1,6 +1,6 @@
 """Reads from a phloSAR at rest: firmware, settings, sensor readings, and the line's quality.
 
-It sends only Hello, Ping and GetSetting, like `firmware_link.monitor`.
+It sends only Hello, Ping and GetSetting, by `firmware_link.monitor`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from flying_vines.service.link_watch import LinkEvent, LinkWatch
 from flying_vines.supply import CyclesLeft, ReservoirEstimate, RigPrior, TelemetryReader
 
 REST_S = 1.0
-"""Hello vents the vine. Readings at rest are averaged over the last REST_S."""
+"""Readings are averaged over this time, at the start and at the end. Hello has vented the vine."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ class FirmwareFacts:
     """Facts from the phloSAR's line. Pressures are gauge."""
 
     port: str = ""
-    """The problem with the port or with its device: a sentence."""
+    """The state of the port and of its device: a sentence."""
     welcome: Welcome | None = None
     """None if no firmware of our version answered."""
     settings: tuple[Setting, ...] = ()

@@ -271,7 +271,7 @@ def _enters(pressed: Callable[[], None], ended: Callable[[], None], wanted: bool
 
 @contextmanager
 def _without_echo(number: int) -> Iterator[None]:
-    """An echoed Enter would break the screen."""
+    """Switch the terminal's echo off in this block: an echoed Enter would break the screen."""
     if number < 0 or not os.isatty(number):
         yield
         return

@@ -42,14 +42,14 @@ READY_WITHIN_S = 30.0
 """A transmitter takes some seconds to start."""
 SIGN_WITHIN_S = 15.0
 BACK_WITHIN_S = 45.0
-"""A transmitter that starts with a switch in a wrong position waits until its warning is confirmed."""
+"""A transmitter with a switch in a wrong position waits at its start until its warning is confirmed."""
 REST_S = 1.0
 QUIET_S = 1.5
 """No new sign for this long: all signs of the loss have been seen."""
 EARLY_S = 1.6
 """A jump up to this time before a sign of loss belongs to the loss: Enter came late or not at all."""
 STATUS_WITHIN_S = 3.0
-"""An autopilot with a receiver reports it within this time."""
+"""If the autopilot has a receiver, the RC status shows it within this time."""
 SAME_US = 30
 """A held channel changes by at most this."""
 LOSSES = 2
@@ -63,7 +63,7 @@ class Sign:
 
     kind: SignKind
     after_s: float
-    """Time since Enter, or since the first sign if nobody pressed it."""
+    """Time since Enter, or since the first sign if nobody pressed Enter."""
     said: str
 
     @property
@@ -123,7 +123,7 @@ def position_of(pulse_us: int, positions: int) -> int:
 
 
 def failsafe_of(losses: tuple[TransmitterLoss, ...]) -> ReceiverFailsafe:
-    """What the switch's channel reads during RC loss.
+    """The value for `switch.receiver_failsafe`: a pulse width, "hold" or "unknown".
 
     If all losses read the same pulse width, the result is this width, whether it is a held or a preset value.
     """
@@ -138,7 +138,7 @@ def failsafe_of(losses: tuple[TransmitterLoss, ...]) -> ReceiverFailsafe:
 
 @dataclass(frozen=True, slots=True)
 class RadioLearned:
-    """What this receiver and autopilot do when the transmitter is lost."""
+    """The behaviour of receiver and autopilot when the transmitter is lost."""
 
     autopilot: str = "unknown"
     problem: RadioProblem = ""
@@ -350,7 +350,7 @@ class RadioTest:
             self._end()
 
     def _next_target(self) -> int:
-        """The next position of the switch: if possible none of those before and during the first loss.
+        """The next position of the switch: if possible, not its position before or during the first loss.
 
         After the last loss it is the first position.
         """

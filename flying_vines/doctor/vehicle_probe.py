@@ -39,7 +39,7 @@ _SIGNED = 1
 
 @dataclass(frozen=True, slots=True)
 class StreamFacts:
-    """A message that the service needs."""
+    """A message that the service uses."""
 
     name: str
     wanted_Hz: float
@@ -47,7 +47,7 @@ class StreamFacts:
     """0 if it does not arrive."""
     essential: bool
     refused: bool
-    """The autopilot refused it."""
+    """The autopilot refused the request for it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,16 +55,16 @@ class SwitchFacts:
     """The switch's channel."""
 
     problem: str | None
-    """Why it cannot be trusted; None if it can."""
+    """Why the channel cannot be trusted; None if it can."""
     pulse_us: int = 0
     position: int | None = None
     """Counted from 0 at the lowest pulse width; None before it has settled."""
     seen: frozenset[int] = frozenset()
-    """All positions in which it came to rest."""
+    """All positions in which the switch came to rest."""
     hides_loss: str = ""
     """The parameter that lets the autopilot hide RC loss; empty if none does."""
     bends_late: bool = False
-    """True on PX4 with an unknown receiver failsafe: bends wait."""
+    """True on PX4 with an unknown receiver failsafe: each bend waits for the RC status."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +75,7 @@ class VehicleFacts:
     """Why the link is down, if it is."""
     bytes: int = 0
     unread_from: str = ""
-    """A sender's IP address that is ignored because the link names another peer."""
+    """The IP address of an ignored sender: the link names another peer."""
     messages: int = 0
     """Accepted messages of any sender."""
     refused: RefusedFrames = field(default_factory=RefusedFrames)
@@ -271,11 +271,11 @@ class VehicleProbe:
     def facts(self, t: float) -> VehicleFacts:
         """All facts until `t`."""
         state = self._state
-        ours = state.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1
+        autopilot = state.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1
         heartbeat = self._rates.get("HEARTBEAT")
         return VehicleFacts(
             messages=self._messages,
-            others=tuple(sorted(sender for sender in self._senders if sender != ours)),
+            others=tuple(sorted(sender for sender in self._senders if sender != autopilot)),
             rivals=self._rivals,
             system_id=state.system_id,
             kind=state.kind,

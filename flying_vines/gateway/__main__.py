@@ -37,7 +37,7 @@ async def serve(service: socket.socket) -> None:
         try:
             service.send(packet(message))
         except OSError:
-            # The service does not read, or has ended. The missing answer is reported to the user.
+            # The service does not read, or has ended. A person whose request gets no answer is told so.
             return
 
     start = read_to_gateway(await loop.sock_recv(service, MAX_PACKET))

@@ -1,4 +1,4 @@
-"""Gives page and MQTT client the service's state and events, and sends their commands. It uses no socket."""
+"""Gives page and MQTT client the service's state and events, and sends their commands. Uses no socket."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ STORED_EVENTS = 500
 MAX_UNREAD = 200
 """Maximum unread events of one reader. Above this it loses the oldest."""
 ANSWERED_WITHIN_S = ACTS_WITHIN_S + 0.2
-"""After this time the service carries out only a request that deflates the vine."""
+"""Time limit for an answer. The service refuses an older request, unless it deflates the vine."""
 
 
 class NoAnswerError(Exception):
@@ -105,7 +105,7 @@ class Feed:
         self._waiting[ask.number] = answer
         self._send(ask)
         try:
-            # `wait_for` would lose a cancellation that comes with the answer.
+            # `wait_for` would lose a cancellation that arrives together with the answer.
             async with asyncio.timeout(ANSWERED_WITHIN_S):
                 return await answer
         except TimeoutError:

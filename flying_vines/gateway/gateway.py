@@ -167,7 +167,7 @@ class Gateway(Watcher):
         except msgspec.DecodeError as error:
             return f"it sent an invalid message: {error}"
         except OSError:
-            # It died while messages were unread.
+            # The gateway died while messages were unread.
             return ""
         return ""
 
@@ -191,7 +191,10 @@ class Gateway(Watcher):
             self._send(packet(Answered(message.number, "refused", "too many requests")))
 
     def _vent(self) -> None:
-        """One vent for all waiting requests; the next after `VENTED_EVERY_S`, or before another command."""
+        """One vent for all waiting requests of an asker.
+
+        The next vent comes after `VENTED_EVERY_S`, or before another command.
+        """
         if self._next_vents is not None:
             self._next_vents.cancel()
             self._next_vents = None

@@ -39,7 +39,7 @@ class GatewayStart(_Message, frozen=True, tag="profile"):
 
 
 class SnapshotMessage(_Message, frozen=True, tag="snapshot"):
-    """A `Snapshot`; null is unknown. Its `t` is this computer's monotonic clock, in seconds."""
+    """A `Snapshot`; null is unknown. Its `t` is the time on this computer's monotonic clock."""
 
     snapshot: msgspec.Raw
 
@@ -66,7 +66,7 @@ ToGateway = GatewayStart | SnapshotMessage | Happened | Answered
 
 
 class Request(_Message, frozen=True, tag="ask"):
-    """A person's request. `value` is an angle or a pressure, `name` a profile's name."""
+    """A request from the page or the broker. `value`: an angle or a pressure. `name`: a profile's name."""
 
     number: int
     by: Asker

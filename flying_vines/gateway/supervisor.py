@@ -1,4 +1,4 @@
-"""Runs a part of the gateway and restarts it when it ends."""
+"""Runs the gateway's process, or one of its parts, and restarts it when it ends."""
 
 from __future__ import annotations
 

@@ -58,7 +58,10 @@ def installing(wanted: Iterable[File], root: Path) -> list[FileChange]:
 
 
 def removing(root: Path) -> list[FileChange]:
-    """The removal of each existing file. Others' files and a changed configuration stay. Raises `OSError`."""
+    """The removal of each existing file. A changed configuration and files of others stay.
+
+    Raises `OSError`.
+    """
     found = []
     for path in (below(root, path) for path in (files.UNIT, files.RULE, files.USERS)):
         if path.exists():

@@ -73,7 +73,7 @@ def users() -> File:
 
 
 def built_in_configuration() -> File:
-    """The built-in configuration, with the port that the udev rule names."""
+    """The built-in configuration, with the udev rule's port and the state folder."""
     text = with_value(configuration.default_text(), "firmware", "link", value_text(PORT))
     return File(
         CONFIGURATION, with_value(text, "state", "folder", value_text(str(STATE))), keep_existing=True

@@ -1,9 +1,9 @@
-"""The air left and the cycles that it is enough for: learned from telemetry, with an interval.
+"""The air left, and for how many cycles it is enough: learned from telemetry, with an interval.
 
 `rig_prior` has the prior of a rig, `rig_file_prior` the prior from a rig file. `telemetry_features` reads
 telemetry once. `reservoir_filter` models air and heat. `air_use` detects inflations. `min_supply` computes
-the pressure that they need. `cycles_left` combines these. `reported_cycles` makes the numbers that people
-see.
+the pressure that an inflation needs. `cycles_left` combines all of them. `reported_cycles` makes the numbers
+that people see.
 """
 
 from flying_vines.supply.cycles_left import AirNeeded, CyclesLeft, ReservoirEstimate

@@ -34,7 +34,7 @@ TRACE = 24
 RISEN_S = 0.25
 """A vent within this time after the setpoint last rose cuts the movement off."""
 MAX_TRACE = 20_000
-"""Maximum number of recorded setpoints: some minutes. A longer rise is a hold."""
+"""Maximum number of recorded setpoints: 200 s at 100 Hz. A longer rise is a hold."""
 
 
 def tolerance_kPa(swing_kPa: float) -> float:
@@ -94,7 +94,7 @@ class AirUse:
         self.readings = 0
         self.inflation: ObservedInflation | None = None
         self.was_cut_off = False
-        """A movement was cut off at this message."""
+        """True if a movement was cut off at the latest message."""
         self._begun = False
         self._setpoint = 0.0
         self._calm_s = 0.0
@@ -184,7 +184,7 @@ class AirUse:
             self._all_calm = False
 
     def _follow_cv(self, dt: float, telemetry: Telemetry) -> tuple[float, float]:
-        """The rise of the control volume, and 1 if it began from flat."""
+        """The rise of the control volume's pressure, and 1 if the rise began from flat (else 0)."""
         cv = self._cv
         if telemetry.setpoint_kPa <= 0.0 and telemetry.solenoid and telemetry.dvp_opening == 0.0:
             self._rested_s += dt
@@ -229,7 +229,7 @@ class AirUse:
         near_kPa = tolerance_kPa(self._top - self._from)
         if setpoint < self._top - near_kPa:
             self._rising = False
-            # The setpoint is 0 in VENT and in FAULT.
+            # In VENT and FAULT the setpoint falls to 0, too, perhaps before the movement's end.
             if not regulating and (self._risen_s < RISEN_S or not self._reached):
                 self._cut_off = True
             self.was_cut_off = self._cut_off

@@ -1,4 +1,4 @@
-"""The air left and the cycles that it is enough for, learned in flight.
+"""The air left, and for how many cycles it is enough: learned in flight.
 
 One cycle costs A + B x kPa at reservoir pressure x. A: air for the inflation. B x: leak during one cycle at
 the present rate of cycles, and the Venturi. From the present pressure x₀ down to x₁, below which the
@@ -51,8 +51,9 @@ COUNT_SD = 0.4
 MIN_CYCLES = 1e-3
 """Keeps the logarithm finite."""
 FLAT_COUNTED = 0.5
-"""At low supply the Venturi is off, and the pouch does not go flat between cycles. The additional air of an
-inflation may fill the pouch, or stretch it. So half of it is counted."""
+"""At low supply the Venturi is off, and the pouch does not go flat between cycles. Then air that
+fills a flat pouch is not needed, but air that stretches the pouch is. The estimate cannot tell them apart. So
+it counts half of the additional air of an inflation."""
 VENTURI_USED_S = 0.01
 """A shorter Venturi time in a cycle counts as none."""
 VENTURI_TREND = 0.3
@@ -104,10 +105,10 @@ class CyclesLeft:
 
 
 class AirNeeded(NamedTuple):
-    """The air that a motion needs, in kPa of the reservoir."""
+    """The reservoir pressure that a motion needs."""
 
     spending_kPa: float
-    """The expected cost."""
+    """The expected fall of the reservoir's pressure."""
     floor_kPa: float
     """Minimum difference between reservoir and vine for the requested rate."""
 
@@ -128,7 +129,7 @@ class MeanCycle(NamedTuple):
     venturi_kPa_s: float
     """Gauge supply plus ambient, integrated while the Venturi's valve was open."""
     venturi_supply_kPa: float
-    """Mean gauge supply while it was open."""
+    """Mean gauge supply while the Venturi's valve was open."""
     assumed_share: float
     """The share of the assumed cycle, which was not flown."""
 
@@ -143,10 +144,11 @@ class Basis(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """What a run learned of a rig. It is stored for the next run."""
+    """The numbers that a run learned about a rig. They are stored for the next run."""
 
     rates: Rates
     demand_ln: float
+    """ln κ of `min_supply`."""
     demand_variance: float
     mix: MixSums
     inflations: tuple[ObservedInflation, ...]
@@ -204,7 +206,7 @@ class _Mix:
 class ReservoirEstimate:
     """Learns from telemetry the cost of a cycle, the leaks, and the minimum pressure for a cycle.
 
-    `learned` is what an earlier run of the same rig learned.
+    `learned` has the numbers of an earlier run of the same rig.
     """
 
     def __init__(self, prior: RigPrior, learned: Learned | None = None) -> None:
@@ -225,7 +227,7 @@ class ReservoirEstimate:
         self.basis: Basis | None = None
         """The basis of the latest prediction."""
         self._cycle_kPa = math.nan
-        """The cost of one cycle after the last block, computed before a decision needs it; NaN at first."""
+        """The cost of one cycle, computed at each block, before a decision needs it; NaN at first."""
         if learned:
             self._demand.ln, self._demand.variance = learned.demand_ln, learned.demand_variance
             self._mix.sums = learned.mix
@@ -234,7 +236,7 @@ class ReservoirEstimate:
 
     @property
     def learned(self) -> Learned | None:
-        """What the next run needs; None before the first reading."""
+        """The numbers for the next run; None before the first reading."""
         if self.filter is None:
             return None
         return Learned(
@@ -273,7 +275,7 @@ class ReservoirEstimate:
             self._cycle_kPa = self._cost_kPa(self.filter)
 
     def cut_off(self) -> None:
-        """The present movement is replaced before its end: nothing is learned from it."""
+        """The present movement is replaced before its end: nothing is learned from this movement."""
         self._use.cut_off()
 
     def restart(self) -> None:
@@ -383,7 +385,7 @@ class ReservoirEstimate:
         if worst.spent.venturi_s > VENTURI_USED_S and kPa < self._p.venturi_least_supply_kPa:
             air = mean[RISE] * worst.swing_kPa + FLAT_COUNTED * mean[FLAT] * worst.spent.flat
             kPa = min_supply_kPa(self._prior, worst, air, kappa * air)
-        # An equally hard inflation that was completed with a lower supply is an upper bound of the floor.
+        # The lowest supply that completed an equally hard inflation is an upper bound of the floor.
         proven = [i.supply_kPa_abs for i in inflations if i.reached and i.as_hard_as(worst)]
         kPa = min([kPa, *(supply - AMBIENT_KPA for supply in proven)])
         more_kPa = min_supply_kPa(self._prior, worst, air * 1.1, kappa * air * 1.1)
@@ -454,9 +456,9 @@ class _Floor(NamedTuple):
 
     kPa: float
     kPa_per_ln: float
-    """Its derivative with respect to ln(air of the inflation)."""
+    """Derivative of `kPa` with respect to ln(air of the inflation)."""
     worst: ObservedInflation
-    """The inflation that needs it."""
+    """The inflation that needs this supply."""
     air_kPa: float
 
 
@@ -511,7 +513,7 @@ class _Forecast:
 
     def cycles(self) -> float:
         end = self._floor
-        # At the end the gas is cold from the present rate of cycles: correct the pressure for it.
+        # The floor is a pressure of gas that the cycles have cooled. Convert it to ambient temperature, as x.
         heat_W = self._volume_L * self._without.at(end) / max(0.1, self._time_s)
         colder = colder_K(self._prior, heat_W, end + AMBIENT_KPA, self._warmth)
         end += (end + AMBIENT_KPA) / STANDARD_TEMPERATURE_K * colder

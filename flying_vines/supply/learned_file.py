@@ -35,7 +35,7 @@ def text_of(prior: RigPrior, learned: Learned) -> str:
 
 
 def learned_from(text: str, prior: RigPrior) -> tuple[Learned | None, str]:
-    """What the text says about this rig, and a sentence if it cannot be used. An empty text is no problem."""
+    """The learned numbers, and a sentence if they cannot be used. An empty text gives neither."""
     if not text:
         return None, ""
     try:

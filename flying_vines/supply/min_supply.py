@@ -20,7 +20,7 @@ WIDE_OPEN_SD = 0.05
 SLUGGISH_S = 0.04
 """Uncertainty of the open time: valve and sensor respond late."""
 WIDE_OPEN_ERROR_KPA = 2.0
-"""The regulator opens the valve fully if the control volume is this far below its setpoint."""
+"""In this model the valve is fully open if the control volume is this far below its setpoint."""
 MAX_KPA = 2000.0
 
 
@@ -53,7 +53,7 @@ def min_supply_kPa(
 ) -> float:
     """Minimum gauge supply at the start of an inflation that takes `air_kPa` and needs `demand_kPa_s` (D).
 
-    If this inflation reached its top, the search does not go above its own supply.
+    If this inflation reached its top, the search does not go above its own supply pressure.
     """
     low = AMBIENT_KPA + inflation.low_kPa
     high = max(low, inflation.supply_kPa_abs) if inflation.reached else MAX_KPA

@@ -70,7 +70,7 @@ class Spent(NamedTuple):
 
 
 def colder_K(prior: RigPrior, heat_W: float, supply_kPa_abs: float, warmth: float) -> float:
-    """The difference of the gas temperature to ambient at a constant heat flow."""
+    """How far the gas temperature is below ambient, at a constant heat flow into the gas."""
     wall = prior.wall
     gas_J_per_K = heat_capacity_J_per_K(supply_kPa_abs, prior.pneumatics.reservoir_volume_L)
     colder = heat_W / max(MIN_W_PER_K, wall.inner_W_per_K(gas_J_per_K, warmth))
@@ -218,7 +218,7 @@ class ReservoirFilter:
             return
         self._outliers = 0
         if surprising and error > 0.0:
-            # Only a refill raises the pressure at once. Its error does not show the leak or the air of bends.
+            # Only a refill raises the pressure at once: this error shows neither a leak nor the air of bends.
             self.doubt(error)
             projected[X] += error * error
             variance += error * error

@@ -1,9 +1,9 @@
 """The prior of a diagnosed rig before it has flown, from its fitted numbers and causes.
 
-`flying-vines diagnose --write-rig` writes such a file. This module uses the plant that it describes: leaks,
-shapes, walls, valves and the reservoir's sensor. A cause that does not change the air, such as a delay,
-changes nothing here. EVP: inflation valve. DVP: valve that supplies the Venturi. Pouch: the bending pouch of
-the actuator.
+`flying-vines diagnose --write-rig` writes such a file. This module uses the plant that the file describes:
+leaks, shapes, walls, valves and sensors. A cause that changes none of the prior's numbers, such as a solenoid
+that closes slowly, is not used. EVP: inflation valve. DVP: valve that supplies the Venturi. Pouch: the
+bending pouch of the actuator.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class RigFilePrior:
     used: tuple[str, ...]
     """The causes that affect the prior."""
     unused: tuple[str, ...]
-    """The causes that do not affect the air."""
+    """The causes that do not affect the prior."""
 
     @property
     def summary(self) -> str:
@@ -200,9 +200,9 @@ def _motive_SL_per_s(p: PneumaticsConfig, plant: Plant, supply_kPa: float) -> fl
 def _venturi_s(p: PneumaticsConfig, plant: Plant, offset_kPa: float) -> float:
     """Time for which the Venturi runs in a cycle of `[pneumatics]`; 0 if the outlet alone is fast enough.
 
-    The pressure falls at P/τ; with the Venturi at (P + P_vac)/τ. A fall at rate r is too fast for the outlet
-    below P = r τ. The vine is farthest behind when the setpoint reaches 0: at P = r τ/e. The sensor's offset
-    adds to this difference.
+    The pressure falls at P/τ; with the Venturi at (P + P_vac)/τ. Below P = r τ the outlet alone does not
+    follow a setpoint that falls at rate r. The vine is farthest behind when the setpoint reaches 0: its
+    pressure is then r τ/e. The sensor's offset adds to this difference.
     """
     law = plant.effects.solenoid_law or Ohm(plant.rig.solenoid.flow_resistance_kPa_s_per_SL)
     leaves_per_s = _flow_SL_per_s(law, p.cycle_swing_kPa) / p.cycle_swing_kPa * ALPHA_KPA / p.cv_volume_L

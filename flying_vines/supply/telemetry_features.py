@@ -23,7 +23,7 @@ MAX_GAP_S = 0.11
 """After a longer gap, by the board's clock, the valve commands in between are unknown. At 10 Hz a message
 comes every 0.1 s, plus or minus one step of the board's loop."""
 MAX_BRIDGED_S = 0.5
-"""After a longer gap the durations of all states are reset, and the air used in it is not known."""
+"""After a longer gap the durations of all states are reset, and the air used in the gap is not known."""
 REPEATS = Fault.CV_SENSOR | Fault.RESERVOIR_SENSOR
 """With one of these faults the firmware repeats the last valid reading."""
 _CLOCK_MS = 1 << 32
@@ -53,8 +53,9 @@ class Features(NamedTuple):
     dt_s: float
     """Time since the last complete message, by the host's clock."""
     continuity: Continuity
-    """By the board's clock. "none": the first message, or the same time again. "broken": the state before is
-    unknown. "gap": a message is missing, so the valve commands in between are unknown."""
+    """By the board's clock. "none": the first message, or the same time again. "broken": after a long gap or
+    with a faulty sensor, so the state before is unknown. "gap": a message is missing, so the valve commands
+    in between are unknown."""
     device_dt_s: float
     """Time since the last message, by the board's clock."""
     cv_median_kPa: float
@@ -89,7 +90,7 @@ class _States:
         self.venting_s = self.sealed_s = self.outlet_shut_s = self.resting_s = self.holding_s = 0.0
 
     def update(self, dt_s: float, telemetry: Telemetry, gap: bool) -> None:
-        """After a gap all times restart, except `outlet_shut_s`: the pressure would show a short opening."""
+        """After a gap all times restart, except `outlet_shut_s`: the pressure shows if the outlet opened."""
         evp, dvp = telemetry.evp_opening, telemetry.dvp_opening
         self.cv_kPa.append(telemetry.cv_kPa)
         self.t += dt_s

@@ -35,7 +35,7 @@ class InvalidMessageError(Exception):
 class PageDecoder:
     """Decodes the messages of a service's page. After a link loss no event is returned twice.
 
-    `t` is a time of this program; events and snapshots have times of the service.
+    `t` is a time on our clock; events and snapshots have times on the service's clock.
     """
 
     def __init__(self) -> None:
@@ -99,7 +99,7 @@ class VentRequest:
         self._sent_at = -math.inf
 
     def pop_message(self, t: float) -> str | None:
-        """The message to send at time `t`, or None. It then counts as sent."""
+        """The message to send at time `t`, or None. A returned message counts as sent."""
         if self.pressed_at is None or t - self._sent_at < VENT_AGAIN_S:
             return None
         self._sent_at = t

@@ -28,7 +28,7 @@ class NotAdmittedError(Exception):
 
 
 def socket_of(page: str) -> URL:
-    """The WebSocket's URL for the page's URL. Raises `ValueError` if that is invalid."""
+    """The WebSocket's URL for the page's URL. Raises `ValueError` if the page's URL is invalid."""
     url = URL(page if "://" in page else f"http://{page}")
     if url.scheme not in ("http", "https") or not url.host:
         raise ValueError("give http://HOST:PORT")
@@ -102,7 +102,9 @@ def _why(status: int) -> str:
             "the page needs a token: give --token-file FILE (`run` shows the token, or its file)"
         )
     if status in (403, 404, 421):
-        raise NotAdmittedError("not a Flying Vines page, or a host name that it refuses: give its IP address")
+        raise NotAdmittedError(
+            "this is not a Flying Vines page, or it refuses this host name: give its IP address"
+        )
     if status == 503:
         return "too many viewers"
     return f"HTTP status {status}"

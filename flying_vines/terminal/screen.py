@@ -34,7 +34,7 @@ FRAME = 2
 BAR_TEXT_WIDTH = 36
 """Characters around a bar: its label, the pressure, and the bend."""
 MAX_QUEUED = 64 * 1024
-"""Maximum characters queued for a blocked terminal: some seconds of screens. Later ones are dropped."""
+"""Maximum characters queued for a blocked terminal: some seconds of screens. Later text is dropped."""
 CLOSING_S = 0.5
 EVENT_LINES = 12
 
@@ -208,7 +208,7 @@ def air(c: CyclesLeft | None) -> tuple[str, str]:
     if c is None:
         return "not known", "not known"
     if c.lost:
-        return "0", "lost, until you clear the fault"
+        return "0", "counted as lost until you clear the fault"
     expected, low, high = (value * c.per_cycle for value in (c.expected, c.low, c.high))
     like = "like the last" if c.measured_cycles > 0 else "a guess"
     long = c.minutes >= MAX_MINUTES

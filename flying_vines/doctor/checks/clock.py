@@ -28,7 +28,7 @@ SYNCHRONISED = FindingText("clock", "good", "synchronised")
 NOT_SYNCHRONISED = FindingText(
     "clock",
     "warning",
-    "not synchronised: the logs' times may be off",
+    "not synchronised: the logs' times may be wrong",
     "connect it to a network before the flight, or use a real-time clock or GPS time (chrony)",
 )
 NOT_SET = FindingText(
@@ -69,7 +69,7 @@ def check(facts: ClockFacts, when: str) -> list[DoctorFinding]:
 
 
 def against_vehicle(facts: ClockFacts) -> DoctorFinding:
-    """Compares the clock with the autopilot's, if there is one."""
+    """Compares the clock with the autopilot's, if the autopilot knows the time."""
     by = facts.ahead_s
     if by is None:
         return VEHICLE_WITHOUT()

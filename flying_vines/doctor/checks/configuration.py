@@ -30,7 +30,7 @@ class ConfigurationFacts:
     disarming: str = ""
     """The file that marks the pneumatics as disarmed; empty if it does not exist."""
     latched: Mapping[str, str] = field(default_factory=dict)
-    """The latched faults that nobody has cleared: a sentence by name."""
+    """The latched faults that nobody has cleared, by name: a sentence each."""
 
 
 GOOD = FindingText(

@@ -15,7 +15,7 @@ MIN_RATE_SHARE = 0.8
 SLOW_ROUND_TRIP_S = 0.1
 MAX_LOST_SHARE = 0.001
 BELOW_ZERO_KPA = 15.0
-"""Maximum offset of a good 15 bar sensor at an open reservoir."""
+"""Maximum offset of a good 15 bar sensor at ambient pressure."""
 ABOVE_FULL = 1.05
 FALLS_KPA_PER_S = 0.5
 """Limit of the reservoir's pressure loss with all valves shut."""

@@ -12,7 +12,7 @@ MAX_C = 80.0
 """A Raspberry Pi slows down from this temperature."""
 
 _NOW = {0: "under-voltage", 1: "a capped CPU clock", 2: "throttling", 3: "the soft temperature limit"}
-"""Present state, by bit of `get_throttled`. A bit that is higher by 16: this has happened since the start."""
+"""Present state, by bit of `get_throttled`. Bit n + 16: state n has occurred since the start."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,9 +20,9 @@ class PageFacts:
 @dataclass(frozen=True, slots=True)
 class BrokerFacts:
     broker: str
-    """Its address; empty if the configuration has none."""
+    """The broker's address; empty if the configuration has none."""
     problem: str = ""
-    """Why it cannot be used; else empty."""
+    """Why the broker cannot be used; else empty."""
     needs_person: bool = False
     """True if waiting does not help."""
     missing_package: bool = False

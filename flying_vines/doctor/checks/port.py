@@ -26,12 +26,12 @@ class PortFacts:
     missing: str = ""
     """Why there is no device: a sentence."""
     board: str = ""
-    """Its USB description; empty for other ports."""
+    """The device's USB description; empty for other ports."""
     usb: str = ""
     """The link that would name exactly this board."""
     may_open: bool = True
     group: str = ""
-    """The group whose members may open it."""
+    """The group whose members may open the device."""
     member_since_login: bool = False
     """The user has joined the group, but must log in again."""
     held_by: tuple[Process, ...] = ()

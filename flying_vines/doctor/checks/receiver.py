@@ -133,7 +133,7 @@ def check(learned: RadioLearned, config: Config) -> list[DoctorFinding]:
 def to_write(learned: RadioLearned, config: Config) -> ReceiverFailsafe | None:
     """The value for `switch.receiver_failsafe`; None without a result.
 
-    "hidden" stops the switch from bending. It is also the value if a loss is detected too late.
+    "hidden" stops the switch from bending. It is the value whenever a finding is "bad".
     """
     if learned.problem or not learned.losses:
         return None

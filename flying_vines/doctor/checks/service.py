@@ -1,4 +1,4 @@
-"""Checks whether the service already runs; then it holds the ports."""
+"""Checks whether the service already runs: a running service holds the ports."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Process(NamedTuple):
 
     @property
     def stop(self) -> str:
-        """The command that stops it. The service vents first."""
+        """The command that stops the process. Our service vents the vine before it ends."""
         return f"sudo systemctl stop {self.unit}" if self.unit else f"kill {self.pid}"
 
 

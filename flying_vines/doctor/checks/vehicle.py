@@ -27,7 +27,7 @@ USES = {
     "SYSTEM_TIME": "detection of reboots, and the clock check",
     "SCALED_PRESSURE": "ambient pressure",
 }
-"""What the service, or the doctor, uses each message for."""
+"""The use of each message in the service or the doctor."""
 
 NO_LINK = FindingText("vehicle link", "bad", "{why}", "check vehicle.link, and the result for its port above")
 SERVED = FindingText(

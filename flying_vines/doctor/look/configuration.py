@@ -20,7 +20,7 @@ from flying_vines.vehicle.mavlink.signing_key import SigningKeyError
 
 @dataclass(frozen=True, slots=True)
 class ServiceConfiguration:
-    """Everything that the service would start with."""
+    """The configuration and state with which the service would start."""
 
     facts: ConfigurationFacts
     prior: RigPrior

@@ -15,7 +15,7 @@ _TCP_LISTENS = "0A"
 _PSEUDO = "/dev/pts/"
 _PTY_MASTERS = ("/dev/ptmx", "/dev/pts/ptmx")
 """The device side of pseudo-terminals. A simulated device has this side open and may also keep the host side
-open. It is not a user of the port."""
+open. It does not count as a user of the port."""
 
 
 def _processes(proc: Path) -> Iterator[tuple[int, Path]]:

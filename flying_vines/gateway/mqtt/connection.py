@@ -36,7 +36,7 @@ REQUEST_INTERVAL_S = 0.05
 FLOOD_REPORT_S = 60.0
 GOODBYE_S = 1.0
 LEAVING_S = 3.0
-"""Time to disconnect: our own last message and the library's."""
+"""Time to disconnect. It covers our last message and the library's."""
 _OTHER_VERSION = {
     aiomqtt.ProtocolVersion.V5: aiomqtt.ProtocolVersion.V311,
     aiomqtt.ProtocolVersion.V311: aiomqtt.ProtocolVersion.V5,
@@ -100,7 +100,7 @@ class Connection:
     async def _one_connection(self, health: Health) -> Exception:
         """Runs one connection and ends it when we are cancelled.
 
-        Cancels it repeatedly, because the library loses a cancellation that comes with an awaited result.
+        Cancels it repeatedly: the library loses a cancellation that arrives together with an awaited result.
         """
         connection = asyncio.create_task(self._connect(health))
         try:
@@ -178,7 +178,7 @@ class Connection:
 
     async def _communicate(self, client: _Client, health: Health) -> None:
         async with asyncio.TaskGroup() as tasks:
-            # Detects a lost connection much faster than a failed publication.
+            # Detects a lost connection much faster than a failed publication does.
             tasks.create_task(_lost(client))
             await self._greet(client)
             tasks.create_task(self._publish_states(client, health))
@@ -286,7 +286,7 @@ async def _lost(client: _Client) -> None:
 async def _publish(client: _Client, publication: Publication) -> None:
     """Returns when the message is sent; with QoS 1, when the broker has it. Raises `MqttError`."""
     await client.publish(publication.topic, publication.payload, publication.qos, publication.retain)
-    # The library loses a cancellation that comes with the awaited result.
+    # The library loses a cancellation that arrives together with the awaited result.
     task = asyncio.current_task()
     if task is not None and task.cancelling():
         raise asyncio.CancelledError

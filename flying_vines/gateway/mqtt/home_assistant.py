@@ -46,7 +46,7 @@ _BINARY_SENSORS = (
 
 
 def discovery(config: Config, topics: Topics, version: str) -> list[Publication]:
-    """The discovery messages, if they are wanted. An entity that is no longer permitted is removed."""
+    """The discovery messages; none without a prefix. An entity that is no longer permitted is removed."""
     mqtt = config.mqtt
     if not mqtt.discovery_prefix:
         return []

@@ -35,7 +35,7 @@ class StatusPayload(_Payload, frozen=True, kw_only=True):
 
 
 class LimitsPayload(msgspec.Struct, frozen=True):
-    """The configured limits; a pilot's parameters may be lower."""
+    """The configured limits. The pilot may have set lower ones."""
 
     max_kPa: float
     max_bend_deg: float
@@ -51,7 +51,7 @@ class AboutPayload(_Payload, frozen=True, kw_only=True):
     flying_vines: str
     """The version of the software."""
     run: str
-    """Id of this start of the sender. Each start begins a new numbering of events."""
+    """Id of this run of the sender. Each run numbers its events from 1."""
     profiles: tuple[str, ...]
     limits: LimitsPayload
     commands: tuple[CommandName, ...]
@@ -66,7 +66,7 @@ class WaitingPayload(msgspec.Struct, frozen=True):
     stopped_by: str
     """What vented the vine, or why the bend was refused."""
     awaited: str
-    """The request that would move it, such as "switch down, then up"."""
+    """The request that would move the vine, such as "switch down, then up"."""
 
 
 class StatePayload(_Payload, frozen=True, kw_only=True):
@@ -150,7 +150,7 @@ class NoticeEvent(_Event, frozen=True, kw_only=True, tag="notice"):
 
 
 class LostEvent(_Event, frozen=True, kw_only=True, tag="lost"):
-    """`count` events were lost while the broker was away. `number` is that of the last lost event."""
+    """`count` events were lost while the broker was away. `number`: of the last lost event."""
 
     count: int
 

@@ -25,7 +25,7 @@ _BY_CODE = {
 
 
 class RefusedError(Exception):
-    """The broker accepted the login, but refuses what we need."""
+    """The broker accepted the login, but refuses our messages or ends the connection."""
 
 
 class FileError(Exception):
@@ -33,7 +33,7 @@ class FileError(Exception):
 
 
 def problem_of(error: BaseException, broker: BrokerAddress, connected: bool) -> BrokerProblem:
-    """The meaning of `error`; `connected`: it came after a successful login."""
+    """The meaning of `error`. `connected`: the error came after a successful login."""
     if isinstance(error, RefusedError | FileError):
         return BrokerProblem(str(error), needs_person=True)
     cause = _beneath(error)

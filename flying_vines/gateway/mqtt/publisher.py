@@ -1,4 +1,4 @@
-"""Decides what is published, and when. Events are stored until the broker has them. It reads no clock."""
+"""Decides what is published, and when. Stores events until the broker has them. Reads no clock."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SEVERITIES: dict[int, SeverityName] = {3: "error", 4: "warning", 5: "notice", 6:
 
 
 class Now(NamedTuple):
-    """One moment on two clocks: the monotonic one of the events, and the computer's, which may be set."""
+    """One moment on two clocks: the events' monotonic clock, and the computer's clock, which may be set."""
 
     t: float
     unix_s: float
@@ -60,7 +60,7 @@ class Pending(NamedTuple):
 class Events:
     """Stores up to `max_events` numbered events in order. A `LostEvent` replaces the dropped ones.
 
-    Unix times are added when an event is published: a computer may get the time from the broker's network.
+    An event gets its Unix time when it is published: without a network, the computer's clock may be wrong.
     """
 
     def __init__(self, topic: str, run: str, max_events: int) -> None:
@@ -79,7 +79,7 @@ class Events:
         self._stored.append((self._number, happened))
 
     def first(self, now: Now) -> Pending | None:
-        """The next event to publish; the same again until it was `published`."""
+        """The next event to publish. Returns the same event until `published` is called."""
         if not self._stored:
             return None
         number, happened = self._stored[0]
@@ -92,7 +92,7 @@ class Events:
         return Pending(number, self._lost, Publication(self._topic, msgspec.json.encode(event), qos=1))
 
     def published(self, pending: Pending) -> None:
-        """The broker has the event. It may have been dropped for newer ones meanwhile."""
+        """The broker has the event. Meanwhile newer events may have replaced it here."""
         if pending.lost:
             self._lost -= pending.lost
         elif self._stored[0][0] == pending.number:
@@ -145,7 +145,7 @@ class Publisher:
         return [self._status_message(now), self._retained(self.topics.about, self.about(now))]
 
     def due(self, now: Now) -> list[Publication]:
-        """The state, if there is a new one. Call it at the rate of state messages."""
+        """The messages to publish now: a new status, the state, the reservoir. Call it at the state rate."""
         publications = []
         status = self._present_status(now)
         if status != self._status:

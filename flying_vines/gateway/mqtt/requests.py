@@ -1,4 +1,4 @@
-"""Checks that requests from the broker are permitted, recent and not repeated. It reads no clock."""
+"""Checks that requests from the broker are permitted, recent and not repeated. Reads no clock."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from flying_vines.vine.intent import CommandName
 
 MAX_REQUEST_LENGTH = 1024
 MAX_AT_ONCE, MAX_PER_S = 10.0, 5.0
-"""Above this rate, requests are ignored without an answer, except vents, which are carried out."""
+"""Above this rate, vents are carried out, and all other requests are ignored without an answer."""
 MAX_WAITING = 20
 MAX_STORED_IDS = 2000
 _VENT = b'"vent"'
@@ -81,16 +81,16 @@ class RequestQueue:
         self._waiting.clear()
 
     def _vent(self, now: Now, request: RequestPayload) -> list[AnswerPayload]:
-        """Put a vent first, and refuse earlier requests: they must not bend the vine after it."""
+        """Put a vent first, and refuse earlier requests: they must not bend the vine after the vent."""
         overtaken = [each.request for each in self._waiting if each.request.command != "vent"]
         self._waiting = deque(each for each in self._waiting if each.request.command == "vent")
-        # One vent serves all waiting vent requests; above the limit a request gets no answer.
+        # One vent is carried out for all waiting vent requests. A request above the limit gets no answer.
         if len(self._waiting) < MAX_WAITING:
             self._waiting.append(QueuedRequest(request, made_at(now, request)))
         return [refused(now, earlier, "overtaken by a vent") for earlier in overtaken]
 
     def _read(self, now: Now, payload: bytes, retained: bool) -> tuple[RequestPayload | None, str]:
-        """The request (None if it cannot be read), and why it is refused (empty if it is not)."""
+        """The request (None if it cannot be read), and why it is refused (empty if it is accepted)."""
         if len(payload) > MAX_REQUEST_LENGTH:
             return None, f"longer than {MAX_REQUEST_LENGTH} bytes"
         try:

@@ -1,7 +1,7 @@
 """Decides from the HTTP request who may use the page.
 
 A page of another site can make its visitors' browsers send requests here. Such a request has another `Origin`
-or, after DNS rebinding, another `Host`. Both are refused, also if only this computer can connect.
+or, after DNS rebinding, another `Host`. Both kinds are refused, even if only this computer can connect.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Refused:
 
 
 class Access:
-    """Access to a page at the address `host`. Other computers need the `token`."""
+    """Access to a page at the address `host`. If other computers can reach it, requests need the `token`."""
 
     def __init__(self, host: str, port: int, token: str) -> None:
         self._local = ipaddress.ip_address(host).is_loopback
@@ -53,7 +53,7 @@ class Access:
     def check(
         self, headers: Mapping[str, str], given: str = "", cookies: Mapping[str, str] | None = None
     ) -> Admitted | Refused:
-        """`headers`: of the request, case-insensitive. `given`: the token in its address."""
+        """`headers`: of the request, case-insensitive. `given`: the token in the request's address."""
         host = headers.get("Host", "")
         if not self._ours(host):
             return Refused(421, "this host name is not accepted: open the page by its IP address")
@@ -76,7 +76,10 @@ class Access:
         return Refused(401, "the token is wrong" if given else "the page needs a token")
 
     def _ours(self, host: str) -> bool:
-        """True for our names and for IP addresses: DNS rebinding can fake a name, but not an address."""
+        """True for our names and for IP addresses: DNS rebinding can fake a name, but not an address.
+
+        If only this computer can connect, the address must be a loopback address.
+        """
         if not _HOST.fullmatch(host):
             return False
         try:

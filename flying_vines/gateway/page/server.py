@@ -39,7 +39,7 @@ MAX_BACKLOG = 1024
 ACCEPT_RETRY_S = 1.0
 """Wait if the process has no free file descriptor."""
 SEND_BUFFER = 32 * 1024
-"""Size of the system's buffer and of ours, bytes. Small: buffered data reaches a slow viewer late."""
+"""Size of the system's buffer and of ours, bytes. Small, because a slow viewer gets buffered data late."""
 A_YEAR_S = 365 * 24 * 3600
 
 FILES = {
@@ -179,7 +179,7 @@ class PageServer(Server):
         return response
 
     async def _offer(self, request: BaseRequest, may_ask: bool) -> StreamResponse:
-        """The list of flights, or a file of one. It needs the full token: a log holds the configuration."""
+        """The list of flights, or a flight's file. Only for the full token: a log holds the configuration."""
         if not may_ask:
             return _refusal(Refused(403, "flights are for holders of the full token"))
         if not self._feed.start.flights:

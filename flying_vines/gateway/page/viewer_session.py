@@ -18,7 +18,7 @@ from flying_vines.gateway.token_bucket import TokenBucket
 from flying_vines.vine.profile import flatten, top_kPa
 
 BEAT_S = 1.0
-"""A message is sent at least this often. Without one the browser reports a lost link."""
+"""A message is sent at least this often. After 2 s without one, the viewer reports a lost link."""
 SLOW_S = 5.0
 """A viewer that accepts no data for this long is disconnected."""
 PAST_EVENTS = 200
@@ -38,11 +38,11 @@ class _Vine(msgspec.Struct, frozen=True):
 
 class _Hello(msgspec.Struct, frozen=True, tag="hello", tag_field="kind"):
     t: float
-    """The present time, on the clock of all other times."""
+    """The present time, on the same clock as all other times."""
     version: str
     may_ask: bool
     flights: bool
-    """`/flights` lists the flights."""
+    """True if this viewer may open `/flights`."""
     vine: _Vine
     history: Sequence[Sample]
     happened: Sequence[Happened]

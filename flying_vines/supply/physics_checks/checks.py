@@ -19,7 +19,7 @@ from flying_vines.supply.physics_checks.vine_sensor import SuddenFall, Unsteady,
 
 BRIDGING = ("filling",)
 """These checks count only air that certainly went in, so they continue over a gap. All others restart at each
-gap. If a fifth of 10 Hz telemetry is lost, that is twice a second."""
+gap: twice a second if a fifth of 10 Hz telemetry is lost."""
 
 AIR_LOSSES = ("filling", "sudden_fall", "bottle_loss")
 """After one of these faults no air is left for a bend."""
@@ -38,7 +38,7 @@ class PhysicsFinding:
 
 
 class Check(Protocol):
-    """One physics check. It restarts, as a new object, after a gap in the telemetry."""
+    """One physics check. After a gap in the telemetry a new object replaces it, if not in `BRIDGING`."""
 
     def look(self, now: Features) -> str | None:
         """Take in one telemetry message. Returns the finding while it is present."""
@@ -79,7 +79,7 @@ class PhysicsChecks:
         self.restart()
 
     def restart(self) -> None:
-        """Start again, because the time before is unknown."""
+        """Start all checks again, because the time before is unknown."""
         self._checks = {name: check(self._rig) for name, check in self._made_by.items()}
         self.present = {}
 

@@ -22,7 +22,7 @@ MIN_DEAD, MAX_DEAD = 0.15, 0.5
 SUPPLY_ERROR_KPA = 25.0
 """Whole error band of the reservoir's sensor."""
 SOFTNESS = 4.0
-"""A soft vine takes this many times the air of a rigid one of its size for a rise."""
+"""For a rise, a soft vine takes up to this many times the air of a rigid one of its size."""
 MAX_OUTLET_KPA_S_PER_SL = 120.0
 """Flow resistance from the vine to ambient through solenoid and Venturi. A small solenoid has 70."""
 OUTLET_LAG_S = 0.15

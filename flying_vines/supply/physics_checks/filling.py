@@ -13,7 +13,7 @@ GAIN_KPA = 2.0
 BEHIND_KPA = 1.5
 """A vine that is nearer to its setpoint need not rise."""
 LINE_KPA = 4.0
-"""The sensor is at the tube's near end. The flow in the tube raises its reading by up to this much."""
+"""The sensor is at the valves. The flow in the tube to the vine raises its reading by up to this much."""
 OUTLET_SHARE = 0.1
 """Share of the volume that a short opening of the outlet may have let out."""
 MIN_FALL_KPA = 4.0
@@ -73,8 +73,8 @@ class StuckVineSensor:
     """Finds a reading that does not change at all while air goes in.
 
     The reading of a good sensor changes. If a pouch unfolds without pressure, the flow in the tube still
-    changes it, and every converter has some noise. Near the setpoint the regulator opens the valve a little,
-    and further while the reading does not change.
+    changes the reading, and every converter has some noise. Near the setpoint the regulator opens the valve a
+    little, and further while the reading does not change.
     """
 
     def __init__(self, rig: Expected) -> None:

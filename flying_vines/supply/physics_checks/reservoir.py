@@ -21,9 +21,9 @@ HOT = 1.06
 """Limit as a share of the full reservoir's pressure. The error band of a good sensor ends below it."""
 HIGH_S = 1.0
 STUCK_KPA = 1.5
-"""A reading that did not change at all during this expected fall is stuck."""
+"""A reading is stuck if it did not change at all while a fall by this much was expected."""
 BLIND_KPA = 15.0
-"""A sensor is blind if its reading fell by less than a fifth of this expected fall."""
+"""A sensor is blind if a fall by this much was expected and its reading fell by less than a fifth of it."""
 TURN_KPA = 2.0
 """A smaller fall is noise, not a turn."""
 VINE_FILTER_S = 0.1

@@ -31,8 +31,8 @@ RESERVOIR_UNSTEADY_KPA = 9.0
 class Zero:
     """Checks the sensor's zero: the reading of a vine after a long vent.
 
-    A sensor that reads too low is dangerous, because the vine gets more pressure than requested. It is found
-    earlier than one that reads too high, because a vented vine is never below ambient pressure.
+    A sensor that reads too low is dangerous, because the vine gets more pressure than requested. Such a
+    sensor is found earlier than one that reads too high: a vented vine is never below ambient pressure.
     """
 
     def __init__(self, rig: Expected) -> None:
@@ -61,10 +61,10 @@ class Zero:
 class SuddenFall:
     """Finds a vine that suddenly loses its pressure although all valves are shut.
 
-    It burst, its hose came off, or its sensor jumps, which would overfill the vine.
+    It burst, its hose came off, or its sensor jumps. After such a jump the regulator overfills the vine.
 
-    Above its setpoint, or while the setpoint falls, the regulator may vent too briefly for telemetry to show.
-    A small vine falls far in that time, so such falls do not count.
+    If the vine is above its setpoint, or the setpoint falls, the regulator may vent too briefly for telemetry
+    to show it. A small vine loses much pressure in that time, so such falls do not count.
     """
 
     def __init__(self) -> None:

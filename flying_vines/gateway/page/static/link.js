@@ -15,7 +15,7 @@ const WHY_NOT = {
 export const now = () => performance.now() / 1000;
 
 export class Link {
-  // `take` gets each message. `look` is called some times a second to show the state of the link.
+  // `take` gets each message. `look` is called five times a second to show the state of the link.
   constructor(take, look) {
     this.take = take;
     this.open = false;
@@ -32,7 +32,7 @@ export class Link {
       this.watch();
       look();
     }, 1000 * LOOK_S);
-    // A phone that wakes up did not notice the pause.
+    // A sleeping phone runs no timers: check the link at once when it wakes up.
     document.addEventListener("visibilitychange", () => document.hidden || this.hurry());
     window.addEventListener("online", () => this.hurry());
   }
@@ -97,7 +97,7 @@ export class Link {
     this.connect();
   }
 
-  // A refused WebSocket has no reason; a plain request has one.
+  // A browser hides why a WebSocket was refused. A plain request gets the HTTP status.
   async askWhy() {
     try {
       const response = await fetch("live");

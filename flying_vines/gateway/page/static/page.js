@@ -265,7 +265,7 @@ $("stop-trying").onclick = () => {
   vent.giveUp();
   showVent();
 };
-// Also if a button has the focus: Enter presses the button, space vents.
+// If a button has the focus, Enter presses it, but space vents.
 for (const kind of ["keydown", "keyup"]) window.addEventListener(kind, onKey, { capture: true });
 
 function onKey(event) {

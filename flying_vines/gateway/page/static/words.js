@@ -13,7 +13,7 @@ export const plain = (name) => name.replaceAll("_", " ");
 // Triggers that nobody requested: they vent or hold the vine. As in `core/events.py`.
 const UNREQUESTED = ["failsafe", "link"];
 
-// The details of a trigger, shown after its kind: the same as in `terminal/screen.py`.
+// The details of a trigger, shown after its kind. `terminal/screen.py` shows the same details.
 function details(what) {
   if ("channel" in what) return `ch${what.channel} position ${what.position}`;
   if ("loss" in what) return plain(what.loss);
@@ -63,10 +63,10 @@ const LONGEST_MINUTES = 600;
 
 const minutes = (value) => (value < LONGEST_MINUTES ? `${number(value, 0)} min` : "10 h or more");
 
-// What a pilot can use: bends like the last one, and the time without a bend; each with its assumption.
+// The air left: the number of bends like the last one, and the time that it lasts without a bend.
 export function airWords(cycles) {
   if (!cycles) return "Bends left: not known";
-  if (cycles.lost) return "0 bends left: air is lost, until you clear the fault";
+  if (cycles.lost) return "0 bends left until you clear the fault: air is lost";
   const bends = (value) => number(value * cycles.per_cycle, 0);
   const like = cycles.measured_cycles > 0 ? "like the last, at this pace" : "a guess until the first bend";
   const least = cycles.minutes_low < LONGEST_MINUTES ? `, at least ${minutes(cycles.minutes_low)}` : "";
