@@ -19,7 +19,7 @@ demo: $(VENV)/.demo
 	$(BIN)/flying-vines demo
 
 test: LONG = -m "not long"
-# Always write bytecode: pytest rewrites each test, and tests start hundreds of processes.
+# Always write bytecode. Without it each run rewrites every test, and hundreds of processes compile every module.
 test test-all: export PYTHONDONTWRITEBYTECODE :=
 test test-all: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -38,7 +38,7 @@ $(BIN)/pip:
 	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || { \
 	  echo "Python's venv module is not complete here; installing Debian's python3-venv"; \
 	  $(AS_ROOT) sh -c 'apt-get update -q && apt-get install -qy python3-venv' \
-	  || { echo "that needs a password: sudo apt install python3-venv, then again"; exit 2; }; }
+	  || { echo "installing needs a password: sudo apt install python3-venv, then call make again"; exit 2; }; }
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.demo: pyproject.toml $(BIN)/pip
