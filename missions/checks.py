@@ -1,6 +1,6 @@
 """Finds problems of a mission with the autopilot, its storage, safety, or the air.
 
-Error: an item would not be executed as written. Warning: it may be a mistake. Each check is one function.
+Error: an item would not be executed as written. Warning: an item may be a mistake. A check is one function.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ class CheckedMission:
         return MissionFinding("warning", item.seq, f"{self._where(item)}: {text}")
 
     def _where(self, item: MissionItem) -> str:
-        """An item as text: its number, its name, and the last waypoint before it."""
+        """An item as text: its number, its name, and the number of the last waypoint begun."""
         waypoint = next((step.waypoint for step in self.timeline.steps if step.item.seq == item.seq), None)
         place = f", waypoint {waypoint}" if waypoint else ""
         return f"item {item.seq} ({name_of(item)}{place})"
@@ -219,7 +219,7 @@ def _places(case: CheckedMission) -> Iterator[MissionFinding]:
             yield case.warning(item, f"{distance_m / 1000:.1f} km from home: is that intended?")
 
 
-# Checks of what runs when.
+# Checks of the order and the times of the items.
 
 
 def _never(case: CheckedMission) -> Iterator[MissionFinding]:
@@ -256,7 +256,7 @@ def _jumps(case: CheckedMission) -> Iterator[MissionFinding]:
             yield case.warning(item, "items after it may run later than shown, or never")
 
 
-# Checks of what the vine does.
+# Checks of the vine's actions.
 
 
 def _no_vine(case: CheckedMission) -> Iterator[MissionFinding]:

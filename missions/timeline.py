@@ -1,8 +1,9 @@
 """Predicts when and where a mission's items run, and for how long, with straight flight paths.
 
-Non-navigation items (vine items too) run as seen on real autopilots. ArduPilot runs them when the previous
-navigation item is done; before the first one it runs them on the ground. After the last navigation item it
-runs only one of them, and none after the landing. PX4 goes through all items one by one.
+The rules for non-navigation items (vine items too) were observed on real autopilots. ArduPilot runs these
+items when the previous navigation item is done, and on the ground if they come before the first navigation
+item. After the last navigation item ArduPilot runs only one more item, and after the landing none. PX4 runs
+all items one by one.
 """
 
 from __future__ import annotations
