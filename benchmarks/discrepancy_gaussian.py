@@ -1,9 +1,9 @@
 """A Gaussian process for the error of the baseline, after Kennedy & O'Hagan (2001), on rates of change.
 
 The baseline is refitted within its tolerances. The process then learns the remaining error of the rates as a
-smooth function of pressures and openings. It cannot name a cause: it says `unexplained` if the process is
-worth its parameters by BIC, and `none` if not. Each run is predicted from the others, by simulating the
-baseline with the process added to its rates, as for `diagnose`.
+smooth function of pressures and openings. This method cannot name a cause. Its verdict is `unexplained` if
+the process is worth its parameters by BIC, else `none`. As for `diagnose`, each run is predicted from the
+others: the baseline is simulated with the process added to its rates.
 """
 
 from __future__ import annotations
@@ -31,9 +31,10 @@ from flying_vines.physics.baseline import BaselineState, Inputs, step
 from flying_vines.physics.rig import Rig, with_numbers
 
 MOST_ROWS = 300
-"""Maximum number of rows for each pressure from which a process learns: its time grows with their cube."""
+"""Maximum number of rows from which the process of one pressure learns: the time grows with the cube of
+it."""
 SHOWN_S = 0.5
-"""Part of a predicted run that is shown, to find the initial pressures."""
+"""First part of a predicted run, from which the fit takes the run's initial pressures."""
 STEPS = 2
 """Steps of the integrator for each sample."""
 
@@ -42,7 +43,7 @@ class Lack:
     """The error of the baseline's rate of one pressure, as a function of pressures and openings."""
 
     def __init__(self, inputs: Array, lacks: Array, like: Lack | None = None) -> None:
-        """`like` gives its scales; without it the maximum-likelihood scales are used."""
+        """`like` gives the kernel's scales; without `like`, the scales are fitted by maximum likelihood."""
         self._middle, self._spread = inputs.mean(axis=0), np.maximum(inputs.std(axis=0), 1e-9)
         self._scale = max(float(lacks.std()), 1e-9)
         unknown = ConstantKernel(0.3, (1e-4, 1e3)) * RBF(np.ones(inputs.shape[1]), (0.1, 100.0))
@@ -51,7 +52,7 @@ class Lack:
             optimizer="fmin_l_bfgs_b" if like is None else None,
         )
         with warnings.catch_warnings():
-            # It warns if an input does not matter: its scale ends at the bound.
+            # sklearn warns if the scale of an input ends at its bound, because the input does not matter.
             warnings.simplefilter("ignore", ConvergenceWarning)
             self._process.fit((inputs - self._middle) / self._spread, lacks / self._scale)
 
@@ -60,7 +61,7 @@ class Lack:
         """The fitted kernel."""
         return self._process.kernel_
 
-    def there(self, lacks: Array) -> bool:
+    def beats_noise(self, lacks: Array) -> bool:
         """True if the process is better than noise alone, by BIC."""
         n, scaled = len(lacks), lacks / self._scale
         noise_alone = -0.5 * n * (log(2.0 * np.pi * float(np.mean(scaled**2))) + 1.0)
@@ -86,12 +87,14 @@ def look(case: Case) -> dict[str, Any]:
         lacks = Lack(*every[0]), Lack(*every[1])
         read = np.concatenate([(run.reservoir_kPa, run.cv_kPa) for run in case.runs], axis=1)
         was_read = np.isfinite(read).any(axis=1)
-        there = any(
-            lack.there(values) for lack, (_, values), was in zip(lacks, every, was_read, strict=True) if was
+        found = any(
+            lack.beats_noise(values)
+            for lack, (_, values), was in zip(lacks, every, was_read, strict=True)
+            if was
         )
-        said: dict[str, Any] = {"cause": UNEXPLAINED if there else NONE}
+        said: dict[str, Any] = {"cause": UNEXPLAINED if found else NONE}
         if len(case.runs) > 1:
-            said["held_out"] = _held_out(problem, null, lacks if there else None)
+            said["held_out"] = _held_out(problem, null, lacks if found else None)
     return said
 
 
@@ -127,9 +130,9 @@ def _stack(rows: Sequence[tuple[Array, Array]], channel: int) -> tuple[Array, Ar
 
 
 def _held_out(problem: FitProblem, null: FitPoint, lacks: Lacks | None) -> dict[str, float]:
-    """Errors on unseen data over the measured range, both channels alike, without and with the process.
+    """Errors on unseen data, divided by the measured range, without and with the process.
 
-    Without `lacks` both numbers are without the process.
+    Both channels have the same weight. If `lacks` is None, both errors are without the process.
     """
     case = problem.case
     squares: list[list[Array]] = [[], []]
@@ -174,7 +177,10 @@ def _simulated(rig: Rig, run: RecordedRun, start: BaselineState, lacks: Lacks) -
 
 
 def _nrmse(squares: Array, read: Array) -> float:
-    """`squares` of errors, and `read`: (2, n), NaN where there is no reading."""
+    """Root mean square error, divided by the measured range.
+
+    `squares` (of errors) and `read` are (2, n), with NaN where there is no reading.
+    """
     shares = [
         float(np.nanmean(row) / np.ptp(values[np.isfinite(values)]) ** 2)
         for row, values in zip(squares, read, strict=True)

@@ -43,7 +43,7 @@ class Act(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """A fault and its end. None: it remains, or ends by itself."""
+    """A fault and its end. Without `end`, the fault remains or ends by itself."""
 
     name: str
     begins_s: float
@@ -84,7 +84,7 @@ class Outcome(NamedTuple):
 
 
 def draw(seed: int) -> Script:
-    """The script of a seed. It does not depend on later events."""
+    """The script of a seed. It is complete before the flight begins."""
     random = Random(seed)
     kind: AutopilotKind = random.choice(("ardupilot", "px4"))
     style = random.choices(("switch", "station", "mission"), (0.5, 0.15, 0.35))[0]
