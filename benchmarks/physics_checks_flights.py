@@ -139,7 +139,7 @@ def fly(name: str, seed: int) -> Noticed:
 
 
 def _first(features: Features, checks: PhysicsChecks, began: bool) -> str:
-    """The name of what finds something wrong now; else empty."""
+    """The name of the check or limit that finds something wrong now; else empty."""
     found, telemetry = checks.take(features), features.telemetry
     if telemetry.faults:
         return f"firmware: {telemetry.faults.name}"
