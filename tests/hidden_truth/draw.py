@@ -16,11 +16,12 @@
 | `several_outside` | two to four causes, spread likewise, and a clear effect that is not in the table |
 | `rounded` | readings rounded, or noise correlated; one clear cause, or none in a quarter |
 
-Every hidden effect is visible: its gap is above `SHOWS`. With several effects this is the gap of a fit with
-all the others, so two effects that look the same are never hidden together. With rounded readings or
-correlated noise a gap counts less, in proportion to the information in a reading. The largest of several gaps
-is at least `LEADS` times the next one. A draw without these properties is drawn again, for example if the
-Venturi stalls only at pressures that no run reaches.
+Every hidden effect is visible: its gap is above `SHOWS` (in `faint`, within `FAINT`). If there are several
+effects, the gap of each is that of a fit with all the others, so two effects that look the same are never
+hidden together. With rounded readings or correlated noise a gap counts less, in proportion to the information
+in a reading. The largest of several gaps is at least `LEADS` times the next one (not in `pair`). A draw
+without these properties is drawn again, for example if the Venturi stalls only at pressures that no run
+reaches.
 """
 
 from __future__ import annotations
