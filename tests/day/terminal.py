@@ -56,8 +56,8 @@ class Terminal:
             stdout=screen,
             stderr=screen,
             start_new_session=True,
-            # Ctrl-C reaches the program only from its controlling terminal. A job in a shell's background
-            # passes an ignored Ctrl-C on.
+            # Ctrl-C reaches the program only from its controlling terminal. A test that a shell runs in the
+            # background ignores Ctrl-C, and the program would inherit this.
             preexec_fn=lambda: (
                 signal.signal(signal.SIGINT, signal.default_int_handler),
                 fcntl.ioctl(0, termios.TIOCSCTTY, 0),

@@ -1,8 +1,8 @@
 """A scratch folder in which the commands of one page run in order, with the programs that they need.
 
-Each command of ours is a process of its own, forked from one that has already imported it. A command that
-does not end by itself is started, checked and interrupted. If a command needs a vehicle, a phloSAR or a
-service, the stage starts one.
+Each command of ours is a process of its own, forked from a process that has already imported the program. A
+command that does not end by itself is started, checked and interrupted. If a command needs a vehicle, a
+phloSAR or a service, the stage starts one.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ LASTING = {
 }
 """Commands that run until they are interrupted, with the text that they print when they are ready."""
 ENDS = ("--seconds", "--settings", "--set")
-"""With these options they end by themselves."""
+"""With these options the commands of `LASTING` end by themselves."""
 NEEDS = {
     "run": ("phlosar", "autopilot"),
     "link": ("phlosar",),
@@ -100,7 +100,8 @@ class Ended(AssertionError):
 class Stage:
     """A page's folder, with a vehicle of this kind for a ground station's commands.
 
-    Leaving the context interrupts these programs, and checks that they end without an error.
+    Leaving the context interrupts the programs that the stage has started, and checks that they end without
+    an error.
     """
 
     def __init__(
