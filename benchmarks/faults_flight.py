@@ -59,7 +59,7 @@ DEBOUNCED_S = 0.5
 """Maximum time from the move of the switch to the move of the vine: 0.15 s of debounce, RC_CHANNELS 20 times
 a second, and a tick."""
 CONFIRMED_S = 2.2
-"""The same for PX4 with a receiver of its own: RC must stay good for 1.6 s after the move."""
+"""The same time on PX4 with a receiver of its own: RC must stay good for 1.6 s after the move."""
 LEFT_S = 0.3
 """After the switch has left a position, this position's bend may still begin within this time."""
 SURELY_BENDS_S = 2.7
@@ -79,7 +79,7 @@ FORWARDED_S = 0.05
 ITEM_S = 1.3
 """An item is executed within about a second, or not at all."""
 OLDEST_S = 1.3
-"""The same for every request."""
+"""Any other request, too, is executed within this time, or not at all."""
 STRAIGHT_S = 3.0
 """An item that straightens may take longer: if its command was lost, later messages show that it ran."""
 STRAIGHTENED_S = 3.0
@@ -162,7 +162,8 @@ class Nobody(Core):
 
 @dataclass
 class Wire:
-    """One direction of a line. It may be cut, or a share of the pieces that were sent may be damaged."""
+    """One direction of a line. The line may be cut, or a share of the pieces that were sent may be
+    damaged."""
 
     seed: str
     cut: bool = False

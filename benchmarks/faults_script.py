@@ -176,7 +176,7 @@ def _first_text(flight: MonitoredFlight, since_s: float) -> str:
 
 
 def _mission(kind: AutopilotKind, random: Random) -> tuple[MissionItem, ...]:
-    """Take off, and fly short legs with a vine item after each."""
+    """Take off, and fly short legs with one or two vine items before each."""
     items = [] if kind == "px4" else [_item(0, 16)]
     items.append(_item(len(items), 22, z=8.0))
     for _ in range(random.randint(2, 4)):

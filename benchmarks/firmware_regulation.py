@@ -1,5 +1,4 @@
-"""What a faster loop and a better regulator improve on the plant: settling, overshoot, air used, valve
-strokes.
+"""Improvement by a faster loop and by a better regulator: settling, overshoot, air used, valve strokes.
 
 The plant has all likely effects and sensors. The regulators are the firmware's C++ with the paper's tuning
 and with the default one, compiled for steps of 1, 0.5 and 0.25 ms. A run fills a vine from 0 to 20.7 kPa in

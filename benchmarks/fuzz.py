@@ -81,7 +81,7 @@ MOST_NEW_BYTES = 16 * 1024
 them."""
 _FUZZ = SOURCES / "fuzz"
 MOST_NEW_TABLES_BYTES = 2_000_000
-"""The same for the service. Its tables fill up; the largest one is a mission of 5000 items."""
+"""Maximum growth of the service's memory. Its tables fill up; the largest one is a mission of 5000 items."""
 _ODD_FLOATS = (math.nan, math.inf, -math.inf, -1.0, 0.0, 3.4e38, 1e30, 1e12, -1e20, 690.0, 15.0)
 
 

@@ -56,7 +56,7 @@ class Subject:
     name: str
     python: str
     peer: str = ""
-    """Its name in `latency_peers.py`; empty for the service."""
+    """The program's name in `latency_peers.py`; empty for the service."""
     imports: str = ""
 
 

@@ -47,7 +47,7 @@ class Target:
 
 @dataclass
 class Harm:
-    """What the attackers sent, by kind."""
+    """Numbers of requests and messages that the attackers sent, by kind."""
 
     done: Counter[str] = field(default_factory=Counter)
     let_in: Counter[str] = field(default_factory=Counter)

@@ -75,7 +75,7 @@ _YAW_MAY_BE_NAN = {WAYPOINT, LAND, TAKEOFF, VTOL_TAKEOFF, VTOL_LAND}
 
 @dataclass(frozen=True, slots=True)
 class MissionFinding:
-    """One problem; `seq` is the item's."""
+    """One problem of the item `seq`."""
 
     severity: Literal["error", "warning"]
     seq: int

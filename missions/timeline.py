@@ -57,13 +57,13 @@ class TimelineStep:
     item: MissionItem
     flown: bool
     t_s: float
-    """Its start, since the start of the take-off."""
+    """Start of the item, counted from the start of the take-off."""
     takes_s: float
     distance_m: float
     height_m: float
-    """Above home, at its end."""
+    """Above home, at the end of the item."""
     waypoint: int
-    """Number of waypoints begun so far, including this one."""
+    """Number of waypoints begun so far, including this item if it is a waypoint."""
 
     @property
     def ends_s(self) -> float:

@@ -129,7 +129,7 @@ class InvariantMonitor:
         self._lowest_kPa = math.inf
         self._called: set[str] = set()
 
-    # What the director knows.
+    # Reports of the director.
 
     def trigger(
         self,
@@ -242,7 +242,7 @@ class InvariantMonitor:
         """The time after which no outstanding trigger can be executed."""
         return max((trigger.until_s for trigger in self._triggers), default=-math.inf)
 
-    # What the board knows.
+    # Reports of the board.
 
     def received(self, data: bytes) -> None:
         """Bytes from the host reach the board."""

@@ -201,8 +201,7 @@ def vine_item(kind: AutopilotKind, dice: random.Random) -> tuple[int, tuple[floa
 
 
 def mission(kind: AutopilotKind, dice: random.Random, *, wild: bool) -> list[MissionItem]:
-    """A mission with a few waypoints. If not `wild`, it has one vine item before each waypoint and nothing
-    else."""
+    """A mission with a few stops. If not `wild`, one vine item follows each stop (a waypoint or a delay)."""
     plan: list[tuple[int, tuple[float, ...], bool]] = []
     if kind == "ardupilot":
         plan.append((WP, (0.0,) * 7, True))  # home

@@ -100,7 +100,7 @@ class Terminal:
         return Text.from_ansi(_lines(shown.decode(errors="replace")))
 
     def wait_for(self, pattern: str, seconds: float = MAX_WAIT_S) -> re.Match[str]:
-        """Wait until it has printed this."""
+        """Wait until the program has printed this."""
         until = monotonic() + seconds
         while not (found := re.search(pattern, self.output)):
             if self._process.poll() is not None or monotonic() > until:

@@ -235,10 +235,10 @@ class Running:
         return self._output.read_text(encoding="utf-8", errors="replace")
 
     def wait_for(self, pattern: str) -> None:
-        """Wait until it has printed this."""
-        patient_until = monotonic() + MAX_WAIT_S
+        """Wait until the command has printed this."""
+        deadline = monotonic() + MAX_WAIT_S
         while not re.search(pattern, self.output):
-            if not self._process.is_alive() or monotonic() > patient_until:
+            if not self._process.is_alive() or monotonic() > deadline:
                 raise Ended(f"was never up: {self.output}")
             sleep(0.02)
 
@@ -248,7 +248,7 @@ class Running:
             os.killpg(self._pid, signal.SIGINT)
 
     def end(self, status: int) -> None:
-        """Wait for its end; 130 means Ctrl-C."""
+        """Wait for the end of the command; status 130 means Ctrl-C."""
         self._process.join(MAX_WAIT_S)
         if self._process.exitcode not in (status, 130 if status == 0 else status):
             raise Ended(f"ended with {self._process.exitcode} instead of {status}: {self.output}")
@@ -257,7 +257,7 @@ class Running:
 
 
 def parse_only(script: list[str]) -> None:
-    """Run a script and end where the parser would return."""
+    """Run a script until its parser has read the arguments, and end then."""
     parse = argparse.ArgumentParser.parse_args
 
     def parse_and_end(*given: Any, **named: Any) -> NoReturn:

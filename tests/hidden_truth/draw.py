@@ -70,7 +70,7 @@ CONVERTER_STEPS = (0.5, 5.0)
 """In standard deviations of the noise."""
 CORRELATION_S = (0.02, 0.2)
 NOT_REPLAYED = "x_repeats"
-"""Its effect is not in the inputs, so nothing can be fitted together with it."""
+"""A simulation from the inputs cannot show this effect, so no fit can include it together with others."""
 _VISCOUS = {"cv_leak": "viscous_leak", "reservoir_leak": "reservoir_viscous_leak"}
 _DRAWN = tuple(name for name in CAUSES if name not in _VISCOUS.values())
 """The causes that are drawn. Afterwards half of the leaks become viscous leaks."""
@@ -83,7 +83,7 @@ _LEAKS = 90
 
 @dataclass(frozen=True)
 class NotDrawn(Exception):
-    """No draw of a tier and seed is visible in the data: the ranges are wrong."""
+    """No draw of this tier and seed is visible in the data: the ranges of strengths are wrong."""
 
     tier: str
     seed: int

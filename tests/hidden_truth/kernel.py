@@ -50,7 +50,7 @@ GAMMA = 1.4
 RATED_KPA = 690.0
 """Pressure at which the ISO 6358 valve has the flow of Ohm's law."""
 OUTLET_MATCH_KPA = 69.0
-"""The same for a solenoid that follows ISO 6358."""
+"""Pressure at which a solenoid that follows ISO 6358 has the flow of Ohm's law."""
 LAMINAR = 0.999
 """Above this pressure ratio an outlet's flow falls linearly to zero, because the square root would be
 infinitely steep."""
