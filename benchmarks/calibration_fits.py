@@ -146,7 +146,8 @@ def plant(recording: StageRecording, started: Findings) -> Found:
 
 def main() -> None:
     """Print the table."""
-    # Not at the top: `calibrate` imports the compiler, and the evaluating processes must not need its memory.
+    # `calibrate` imports the compiler, whose memory must not be counted in the processes that evaluate. They
+    # import this module, but do not call `main`.
     from calibrate import FIRST_SEED, ROWS, calibrated
 
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")

@@ -34,8 +34,8 @@ EPISODES = ("bends", "pause", "cut off", "leak", "refill", "lost air", "latched"
 WINDOW_S = 120.0
 TELL_S = 2.0
 FEWEST_CYCLES = 5.0
-"""Flights with fewer cycles left are not counted: the sensor's zero error alone can be as large as their
-air."""
+"""Flights with fewer cycles left are not counted: the error of the sensor's zero can be as large as the
+pressure that such a flight uses."""
 HELD = (0.85, 0.95)
 
 

@@ -119,7 +119,7 @@ def draw(seed: int) -> Case:
 
 
 def _tuning(dice: random.Random) -> Tuning:
-    """A third of the rigs never use the Venturi, a third as the default settings say, a third much more
+    """A third of the rigs never use the Venturi, a third use it by the default settings, a third much more
     often."""
     venturi = dice.choice(("never", "as it is", "always"))
     if venturi == "never":

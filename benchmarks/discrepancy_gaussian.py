@@ -31,8 +31,8 @@ from flying_vines.physics.baseline import BaselineState, Inputs, step
 from flying_vines.physics.rig import Rig, with_numbers
 
 MOST_ROWS = 300
-"""Maximum number of rows from which the process of one pressure learns: the time grows with the cube of
-it."""
+"""Maximum number of rows from which the process of one pressure learns. The time grows with the cube of this
+number."""
 SHOWN_S = 0.5
 """First part of a predicted run, from which the fit takes the run's initial pressures."""
 STEPS = 2

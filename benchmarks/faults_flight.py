@@ -67,8 +67,8 @@ SURELY_BENDS_S = 2.7
 RC_SHOWN_S = 1.5
 """Maximum time from PX4's report that its own receiver is lost to a vented vine."""
 TOLD_LATE_S = 2.5
-"""If PX4 has just reported another change of health, it reports an RC loss late. So long, the receiver's
-preset may look like a move of the switch."""
+"""If PX4 has just reported another change of health, it reports an RC loss late. For this time after the
+loss, the receiver's preset may look like a move of the switch."""
 REPORTED_S = 2.4
 """Maximum time from the return of RC to PX4's report that it is good."""
 RC_LOST_S = 1.4
@@ -527,7 +527,7 @@ class MonitoredFlight:
             return
         if by_person:
             self.monitor.person_clears(now_s + within_s)
-        # Only if no earlier request is pending: its bend may still begin after this request.
+        # Forbid motion only if no earlier request is pending: its bend may still begin after this request.
         last = self.monitor.pending_until_s <= now_s
         if certain and last and not self._vehicle_is_spoiled:
             self.monitor.forbid("asked to straighten", now_s + within_s + 0.2, inflation_only=True)
@@ -540,7 +540,8 @@ class MonitoredFlight:
         """Lose the pilot's transmitter or its link. Values that the receiver makes up are no request."""
         self.autopilot.lose_rc(how, preset)
         self._rc_lost, self._rc_lost_s = self.autopilot.receiver.lost, self.now_s
-        # A receiver of PX4's own shows a loss only later, and frozen values never, if parameters hide losses.
+        # PX4 with a receiver of its own reports a loss only later. Frozen values never show a loss if
+        # ArduPilot's parameters hide it.
         self._rc_shown = not self.setup.has_real_receiver and (
             how != "frozen" or not self.setup.hides_rc_losses
         )

@@ -6,7 +6,7 @@
 
 The last two are simulated from the first reading of a run with the run's input. As for `diagnose`, each run
 is predicted from the other runs; if there is only one run, every other stretch of it is predicted from the
-rest. The exponential has own parameters for each run, so it always predicts stretches.
+rest. The exponential has its own parameters for each run, so it always predicts stretches.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from flying_vines.identification.prediction_error import in_odd_stretch
 
 MAX_ROWS = 300
-"""Maximum number of rates from which a Gaussian process learns: the time grows with the cube of it."""
+"""Maximum number of rates from which a Gaussian process learns. The time grows with the cube of this
+number."""
 WINDOWS = 50
 """A rate is a difference over a run's length divided by this number, but at least over two samples."""
 THRESHOLDS = (0.01, 0.03, 0.1, 0.3)

@@ -108,7 +108,9 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=1, help="the first rig's seed")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument(
-        "--check", action="store_true", help="exit status 1 if healthy rigs have a fault, or many warnings"
+        "--check",
+        action="store_true",
+        help="exit status 1 if a healthy rig has a fault, or many are warned",
     )
     arguments = parser.parse_args()
     if min(arguments.rigs, arguments.mishaps) < 0 or arguments.jobs < 1:

@@ -26,7 +26,7 @@ from flying_vines.vine.intent import BendTo, Intent, StartProfile
 from missions.item_for_intent import item_for_intent, suggestion
 from missions.mission import Mission, MissionError, VineAction, Waypoint
 
-BEND_LESS = "calibrate up to this angle, or bend less"
+BEND_LESS = "calibrate this angle, or bend less"
 REST_S = 0.5
 """Time for the vine to come to rest after a motion. Default holds are multiples of it."""
 

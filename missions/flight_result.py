@@ -10,7 +10,7 @@ from flying_vines.vehicle.mission.item import MissionItem
 
 @dataclass(frozen=True, slots=True)
 class FlightResult:
-    """Pressures are gauge."""
+    """The result of one flight; pressures are gauge."""
 
     ran: tuple[MissionItem, ...]
     """The vine items that the autopilot ran, in order."""

@@ -17,7 +17,8 @@ from flying_vines.vehicle.triggers import NAME_OF_COMMAND, Rules
 from flying_vines.vine.intent import BendTo, Intent, StartProfile
 
 ANGLE_TOLERANCE_DEG = 0.01
-"""Largest rounding error of an angle that an item stores as a 32-bit float, divided by the rule's `scale`."""
+"""Largest rounding error of an angle: an item stores the angle, divided by the rule's `scale`, as a 32-bit
+float."""
 
 
 def item_for_intent(intent: Intent, config: Config, kind: AutopilotKind) -> MissionItem | None:

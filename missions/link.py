@@ -169,7 +169,8 @@ class MessageQueue:
         self._handles = [direct.subscribe_message(name, self._take) for name in names]
 
     def _take(self, message: Any, _: object) -> None:
-        """Runs in a thread of mavsdk. Calls the event loop once for all messages until `_wake` runs."""
+        """Runs in a thread of mavsdk. Several messages before `_wake` cause only one call of the event
+        loop."""
         if message.system_id != self._system_id:
             return
         self._waiting.append(message)

@@ -69,7 +69,8 @@ def breakable(
 ) -> Iterator[None]:
     """Make a method raise whenever `raises` returns true.
 
-    Before the error, `raised` is called: with false if a method of `ONLY_SHOWN` is at work, else with true.
+    Before the error, `raised` is called: with false if a method of `ONLY_SHOWN` is on the call stack, else
+    with true.
     """
     cls, name = method
     before: Any = vars(cls)[name]
