@@ -20,8 +20,7 @@ from flying_vines.vehicle.mission.storage import AutopilotKind
 
 LOOK_S = 0.1
 SETTLED_AFTER_S = 2.5
-"""Maximum time from a trigger to the end of its motion: debounce, ramp, and ArduPilot's texts about an
-item."""
+"""Maximum time from a trigger to the end of a bend: debounce, ramp, and ArduPilot's texts about an item."""
 
 SWITCH = 9
 _PULSES_US = (1000, 1500, 2000)
