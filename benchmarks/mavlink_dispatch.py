@@ -44,7 +44,7 @@ RECORDINGS = Path(__file__).resolve().parents[1] / "tests" / "data" / "recording
 CHUNK = 1024
 KEY = hashlib.sha256(b"benchmark").digest()
 CONFIG = config.default()
-"""Read once, as at the start of the service."""
+"""Read once, as the service does at its start."""
 LONG_RUN = 1_000_000
 MOST_COST = 1.2
 LEAST_MESSAGES_PER_S = 60_000

@@ -267,7 +267,7 @@ def _no_vine(case: CheckedMission) -> Iterator[MissionFinding]:
 def _disarmed(case: CheckedMission) -> Iterator[MissionFinding]:
     bends = case.budget.bends
     if bends and not case.config.interlocks.armed_at_start:
-        first = "refused while the pneumatics are disarmed, as at the start (interlocks.armed_at_start)"
+        first = "the pneumatics start disarmed (interlocks.armed_at_start), and safety then refuses bends"
         yield case.warning(bends[0].step.item, f"{first}; arm them before the flight")
 
 
