@@ -1,19 +1,22 @@
-"""Errors of a calibration: random rigs are calibrated in simulation and compared with their true values.
+"""Errors of a calibration: random rigs are calibrated in simulation, and the results compared with the truth.
 
     .venv/bin/python benchmarks/calibrate.py --rigs 40 --jobs 2 [--markdown FILE]
 
 The rigs are those of `cycles_left_rigs.py`, with assumed and true numbers. Some quantities have no single
-true number. They are defined as:
+true number. They are defined as follows; "top" is the highest pressure of the calibration:
 
 - volume: 101.325 kPa · (air at the top − air at 0 kPa) / top, vine and tube at ambient temperature
-- pouch: air of the full vine at 0 kPa minus that of the flat vine
-- inflation valve: commanded fully open from shut, choked flow from the full reservoir (690 kPa) to ambient
-- start: the commanded opening at which air begins to flow, with half the play, the coil at ambient
-  temperature
-- leaks: Ohm's law; errors are counted only for rigs with a leak
-- outlet: ∫ P/Q(P) dP / P from the top to 0 kPa, through solenoid and ejector at rest, isothermal
+- pouch: air of the full vine at 0 kPa minus air of the flat vine
+- inflation valve: choked flow from the full reservoir (690 kPa) to ambient; the valve was shut before and is
+  commanded fully open
+- start: the commanded opening at which air begins to flow, including half of the backlash, the coil at
+  ambient temperature
+- leaks: flow proportional to pressure; errors are counted only for rigs with a leak
+- outlet: mean of P/Q(P) over the pressures P from 0 kPa to the top, through the solenoid and the ejector
+  without supply, isothermal
 
-Volumes are relative to the reservoir's volume, which is given with an error of 0.5 %, as if weighed.
+Volumes are relative to the reservoir's volume. The calibration gets the true volume, but assumes that it was
+weighed with an error of 0.5 %.
 """
 
 from __future__ import annotations
@@ -124,7 +127,7 @@ def _outlet(case: Case, top_kPa: float, ambient_kPa: float, ratio: float) -> flo
 
 
 def calibrated(seed: int, step_ms: int = 1) -> Outcome:
-    """Calibrate one rig, at the pressure of its reservoir."""
+    """Calibrate one rig. Its reservoir begins at the fill pressure that the seed gives."""
     case = draw(seed)
     believed = msgspec.structs.replace(config.default(), pneumatics=case.believed)
     request = CalibrationRequest(asks_angles=False, bottle_volume_L=case.plant.rig.reservoir.volume_L)

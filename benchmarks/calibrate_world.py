@@ -1,4 +1,4 @@
-"""A compiled simulation of a rig for a calibration: about 100 times real time, with telemetry at every step.
+"""A compiled simulation of a rig for a calibration, about 100 times as fast as real time.
 
 Each request is accepted and goes to the firmware's regulator, as from the core. Safety and serial line are
 not simulated; tests of the service cover them.
@@ -36,7 +36,7 @@ LOOKS_S = 0.1
 
 
 class CompiledWorld:
-    """One rig, filled to a true gauge pressure."""
+    """One rig, filled to a true gauge pressure, with telemetry every `step_ms`."""
 
     def __init__(
         self, plan: CalibrationPlan, rig: Setup, fill_kPa: float, seed: int, step_ms: int = 1

@@ -1,4 +1,4 @@
-"""Calibration's own fits against the fit of `identification`, on the same recording of the same random rig.
+"""Compares calibration's own fits with the fit of `identification`, on the same recordings of random rigs.
 
     python benchmarks/calibration_fits.py --rigs 4
 
@@ -6,10 +6,13 @@ Each rig is calibrated in simulation as in `calibrate.py`. The whole recording t
 
 - own: the estimators of `flying_vines.calibration`, which need numpy only;
 - plant: `FitProblem` of `flying_vines.identification`, which simulates the plant. It starts from the
-  configuration and adds the causes below one at a time, each from all of its seeds, as `diagnose` does;
-- plant, from own: the same, started at the results of `own`; without leak or growth if `own` found none.
+  configuration and adds the causes in `CAUSES` one at a time, each from all of its start values, as
+  `diagnose` does;
+- plant, from own: as `plant`, but started at the results of `own`. A leak or compliance that `own` did not
+  find is left out.
 
-Each evaluation has a fresh process: CPU time with everything that it imports and loads, and peak memory.
+Each evaluation runs in a new process. Its CPU time includes imports and loading; its peak memory is
+measured too.
 """
 
 from __future__ import annotations
@@ -50,7 +53,8 @@ CAUSES = {
     "evp_hysteresis": "",
     "solenoid_slow_close": "",
 }
-"""Causes of the random rigs that the catalogue has, with the result of `own` at which the fit may start."""
+"""The causes that the random rigs can have and the catalogue knows. Each has the name of the result of `own`
+at which the fit may start, or an empty text."""
 NO_LEAK = 3e5
 """kPa·s/SL; a leak with a higher resistance counts as none."""
 
@@ -142,7 +146,8 @@ def plant(recording: StageRecording, started: Findings) -> Found:
 
 def main() -> None:
     """Print the table."""
-    # Imports the compiler, whose memory must not be counted in the processes that evaluate.
+    # `calibrate` imports the compiler, whose memory must not be counted in the processes that evaluate. They
+    # import this module, but do not call `main`.
     from calibrate import FIRST_SEED, ROWS, calibrated
 
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")

@@ -38,7 +38,7 @@ MOMENTS = ("after 5 cycles", "after 15 cycles", "half way")
 GOALS = {"after 5 cycles": 0.15, "after 15 cycles": 0.07}
 """Maximum relative error of the median rig."""
 MOST_WITHIN = {"after 5 cycles": 0.9}
-"""Minimum share of rigs within this error."""
+"""Minimum share of rigs whose error is within the goal."""
 HELD = 0.85
 """Minimum share of rigs whose truth is in the 90 % interval."""
 
@@ -64,7 +64,7 @@ def judge(seed: int) -> Outcome | None:
     moments = [began(flight, cycles) for cycles in (5.0, 15.0, 0.5 * flight.total_cycles)]
     for t, telemetry in telemetry_messages(flight.telemetry):
         estimate.update(reader.read(t, telemetry))
-        # More than one if half way comes early.
+        # Two moments can come at once: half of 30 cycles is 15.
         for index in moments[len(guesses) :]:
             if t < flight.begins_s[index]:
                 break
@@ -83,7 +83,7 @@ def outcomes(judge: Callable[[int], T | None], first: int, rigs: int, jobs: int)
         yield from islice(filter(None, map(judge, count(first))), rigs)
         return
     with ProcessPoolExecutor(jobs) as pool:
-        # Submit in portions, because nobody knows how many rigs are skipped.
+        # Submit in portions, because the number of skipped rigs is unknown.
         found, seed = 0, first
         while found < rigs:
             batch = range(seed, seed + max(jobs, rigs - found))

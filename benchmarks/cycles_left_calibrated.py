@@ -1,9 +1,9 @@
 """How much a diagnosis improves the cycles left: rigs with hidden causes, estimated from two rig files.
 
-Each rig is recorded for a minute, in four runs, and diagnosed from that. Then it flies until its reservoir is
-empty, with two estimates: one starts from the nominal rig, the other from the file of `diagnose --write-rig`.
-No diagnosis sees a flight. `HIDDEN` has all causes and their strengths. They are clear, as on real rigs, but
-leaks leave air for thirty cycles.
+Each rig is recorded for a minute, in four runs, and diagnosed from these runs. Then it flies until its
+reservoir is empty, with two estimates: one starts from the nominal rig, the other from the file of `diagnose
+--write-rig`. No diagnosis sees a flight. `HIDDEN` has all causes and their strengths. The effects are clear,
+as on real rigs, but the leaks are small enough for thirty cycles.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ BETTER = 0.5
 HELD = 0.8
 RESISTANCE = "flow_resistance_kPa_s_per_SL"
 WORN = 0.01
-"""Maximum error of every nominal number."""
+"""Maximum relative error of the nominal volumes and of the nominal resistances of the two proportional
+valves."""
 
 HIDDEN: dict[str, tuple[str, float, float]] = {
     "reservoir_leak": (RESISTANCE, 8_000.0, 40_000.0),
@@ -103,13 +104,13 @@ class Rigged:
     """A rig with hidden causes, and the flight that it will make."""
 
     believed: Rig
-    there: TrueRig
+    actual: TrueRig
     flight: Case
 
 
 def draw(seed: int) -> Rigged:
-    """One rig; the same seed gives the same rig. It has up to two causes; in every second rig the valves
-    choke."""
+    """One rig with up to two causes; the same seed gives the same rig. In half of the rigs, one cause is
+    choked flow."""
     dice = random.Random(f"calibrated {seed}")
     believed = Rig(
         reservoir=Reservoir(dice.choice((1.0, 1.5, 2.0))),
@@ -121,16 +122,16 @@ def draw(seed: int) -> Rigged:
     names = dice.sample(sorted(HIDDEN.keys() - {CHOKED}), dice.choices((0, 1, 2), (0.15, 0.6, 0.25))[0])
     if dice.random() < 0.5:
         names = [CHOKED, *names[:1]]
-    there = TrueRig(_worn(dice, believed), {name: _strength(dice, name, believed) for name in names})
+    actual = TrueRig(_worn(dice, believed), {name: _strength(dice, name, believed) for name in names})
     swing_kPa = dice.uniform(12.0, 24.0)
     pneumatics = PneumaticsConfig(cycle_swing_kPa=swing_kPa, cycle_rate_kPa_per_s=dice.uniform(15.0, 30.0))
-    setup = there.setup
+    setup = actual.setup
     rise_s = swing_kPa / pneumatics.cycle_rate_kPa_per_s
     hold_s, rest_s = TOP_SHARE * rise_s, dice.uniform(0.1, 0.4) * rise_s
     bend = Manoeuvre(0.0, swing_kPa, pneumatics.cycle_rate_kPa_per_s, hold_s, rest_s)
     return Rigged(
         believed,
-        there,
+        actual,
         Case(
             kind="+".join(names) or "none",
             believed=pneumatics,
@@ -210,7 +211,7 @@ def judge(seed: int) -> Outcome | None:
 
 def diagnosed(rigged: Rigged) -> tuple[TrueRig, str]:
     """The rig of the diagnosis, read from its file, and the named causes."""
-    runs = simulate_scenario(rigged.there, parse_scenario(RECORDED, "a minute"), seed=rigged.flight.seed)
+    runs = simulate_scenario(rigged.actual, parse_scenario(RECORDED, "a minute"), seed=rigged.flight.seed)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_case(runs, true_rig_text(TrueRig(rigged.believed)).encode(), folder / "case")

@@ -1,9 +1,9 @@
 """Flies the program of a rig again and again, until the reservoir is too low for it.
 
-A manoeuvre succeeds if the reading of the control volume comes within a tolerance of its top
-(`tolerance_kPa`: 1.5 kPa, or a tenth of the swing if that is more) while the setpoint is also that close to
-the top. The flight ends with the first manoeuvre that fails in three rounds of the program in a row. One or
-two failures may be due to the regulator.
+A manoeuvre succeeds if the reading of the control volume is near the manoeuvre's top pressure while the
+setpoint is near it too. The tolerance of both (`tolerance_kPa`) is 1.5 kPa, or a tenth of the swing if that
+is more. The flight ends when one manoeuvre of the program fails in three rounds in a row, and it counts up to
+the first of these failures. Fewer failures in a row may be due to the regulator.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from flying_vines.supply.air_use import tolerance_kPa
 Array = NDArray[np.float64]
 
 FEWEST_CYCLES = 30.0
-"""A rig with fewer cycles is drawn again: after the first 15 cycles, 15 must be left to predict."""
+"""A rig with fewer cycles is skipped: after the first 15 cycles, 15 must be left to predict."""
 FIRST_S = 300.0
-"""Length of the first try. It is tripled while the reservoir is not empty."""
+"""Length of the first simulation. It is tripled until the flight ends within it."""
 LONGEST_S = 8100.0
 TELEMETRY_HZ = 100
 MISSES = 3
@@ -37,13 +37,13 @@ SMOOTHED = 3
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """The firmware's telemetry, a row each 10 ms, and the result of each manoeuvre, up to the end."""
+    """The firmware's telemetry, one row every 10 ms, and the start of each manoeuvre."""
 
     telemetry: NDArray[np.void]
     begins_s: Array
     """Start of each manoeuvre, up to the one that fails."""
     cycles: Array
-    """Cycles flown before each manoeuvre; a manoeuvre counts by its swing."""
+    """Cycles flown before each manoeuvre. A manoeuvre with a smaller swing counts as a part of a cycle."""
 
     @property
     def total_cycles(self) -> float:

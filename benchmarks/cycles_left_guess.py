@@ -1,4 +1,4 @@
-"""A prediction of the cycles left with its truth, and the errors over many rigs."""
+"""A prediction of the cycles left, with the true number, and the errors over many rigs."""
 
 from __future__ import annotations
 

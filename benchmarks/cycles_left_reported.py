@@ -5,9 +5,9 @@
 A flight is one of the rigs of `cycles_left_rigs.py`, with four to seven episodes in random order: bends, a
 pause, movements that are cut off, a new leak, a refill, air lost at once, a latched loss that a person
 clears, a restart of the service. Bends follow each episode. At the end the prediction is compared with the
-truth: the same plant continues the program without disturbances until it fails. Any two predictions within
-two minutes, corrected for the cycles flown between them, must have a value in common, unless a text reported
-an event between them.
+truth: the same plant continues the program without disturbances until it fails. The intervals of any two
+predictions within two minutes, corrected for the cycles flown between them, must overlap, unless a text
+reported an event between them.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ EPISODES = ("bends", "pause", "cut off", "leak", "refill", "lost air", "latched"
 WINDOW_S = 120.0
 TELL_S = 2.0
 FEWEST_CYCLES = 5.0
-"""Flights with fewer cycles are not counted: the error of the sensor's zero alone is as large."""
+"""Flights with fewer cycles left are not counted: the error of the sensor's zero can be as large as the
+pressure that such a flight uses."""
 HELD = (0.85, 0.95)
 
 
@@ -99,7 +100,7 @@ class Flown:
             self._shown.clear()
             return
         assert self.estimate.basis is not None
-        # Not the reading, because cold gas is not missing air.
+        # Not the pressure reading: it is lower when the gas is cold, although no air is missing.
         x_kPa = self.estimate.basis.mean[X]
         self._shown = [shown for shown in self._shown if shown[0] >= t - WINDOW_S]
         for then, then_kPa, before in self._shown:
@@ -177,7 +178,7 @@ class Flown:
             self.fly([], 3.0)
 
     def fill(self, reservoir_kPa: float) -> None:
-        """Set the reservoir to this pressure. The vine does not change: its pouch is not packed again."""
+        """Set the reservoir to this pressure. The vine keeps its state."""
         there = at_rest(self.case.plant, reservoir_kPa)
         self.state = self.state._replace(
             reservoir_air_SL=there.reservoir_air_SL,

@@ -34,7 +34,7 @@ class Manoeuvre:
     low_kPa: float
     top_kPa: float
     rate_kPa_per_s: float
-    """Rate of the ramps; with `sine`, of a sine of the same length."""
+    """Rate of the ramps; with `sine`, the mean rate of the rise and of the fall."""
     hold_s: float
     rest_s: float
     sine: bool = False
@@ -119,7 +119,8 @@ def draw(seed: int) -> Case:
 
 
 def _tuning(dice: random.Random) -> Tuning:
-    """A third of the rigs never use the Venturi, a third hardly ever, a third whenever possible."""
+    """A third of the rigs never use the Venturi, a third use it by the default settings, a third much more
+    often."""
     venturi = dice.choice(("never", "as it is", "always"))
     if venturi == "never":
         return {"venturi_least_supply_kPa": NEVER_KPA}

@@ -88,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
     cores = len(os.sched_getaffinity(0))
     parser.add_argument("--cases", type=_at_least_one, default=20, help="cases of each tier (20)")
     parser.add_argument("--tiers", type=_tiers, default=TIERS, help="tiers, separated by commas (all)")
-    parser.add_argument("--seed", type=int, default=FIRST_SEED, help=f"the first ({FIRST_SEED})")
+    parser.add_argument("--seed", type=int, default=FIRST_SEED, help=f"the first seed ({FIRST_SEED})")
     parser.add_argument(
         "--workers",
         type=int,

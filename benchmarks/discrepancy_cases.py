@@ -67,9 +67,9 @@ def outcomes(jobs: Sequence[Job], workers: int) -> Iterator[dict[str, Any]]:
     shares: Queue[list[int]] = context.Queue()
     for share in core_shares(workers):
         shares.put(share)
-    # A fresh process reads these when its numerical libraries are loaded.
+    # The numerical libraries of a new process read these variables when they are loaded.
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    with ProcessPoolExecutor(workers, context, _settle, (shares,)) as pool:
+    with ProcessPoolExecutor(workers, context, _take_cores, (shares,)) as pool:
         waiting = [pool.submit(outcome, job) for job in jobs]
         try:
             for done in as_completed(waiting):
@@ -85,12 +85,12 @@ def core_shares(workers: int) -> list[list[int]]:
     return [cores[first::workers] for first in range(workers)]
 
 
-def _settle(shares: Queue[list[int]]) -> None:
+def _take_cores(shares: Queue[list[int]]) -> None:
     os.sched_setaffinity(0, shares.get())
 
 
 def outcome(job: Job) -> dict[str, Any]:
-    """Run one case. An error in it is its outcome, and does not stop the run."""
+    """Run one case. An error becomes the case's outcome and does not stop the other cases."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "case"
         truth = write(path, draw(job.tier, job.seed))

@@ -1,4 +1,4 @@
-"""The outcome of a case as one line of JSON: what was hidden, the verdict, and its cost."""
+"""The outcome of a case as one line of JSON: the hidden effects, the verdict, and the cost of the verdict."""
 
 from __future__ import annotations
 
@@ -52,12 +52,12 @@ class Truth(msgspec.Struct, frozen=True):
 
     @property
     def outside(self) -> bool:
-        """True if the catalogue lacks everything that is hidden."""
+        """True if no hidden effect is in the catalogue."""
         return all(map(_outside, self.hidden)) and bool(self.hidden)
 
     @property
     def partly_outside(self) -> bool:
-        """True if the catalogue lacks a part of what is hidden."""
+        """True if some of the hidden effects are in the catalogue, and others are not."""
         return any(map(_outside, self.hidden)) and not self.outside
 
 
@@ -82,7 +82,7 @@ class Named(msgspec.Struct, frozen=True):
 
 
 class HeldOut(msgspec.Struct, frozen=True):
-    """Errors on unseen data, over the measured range."""
+    """Errors on unseen data, divided by the measured range."""
 
     nrmse_before: float
     nrmse_after: float
@@ -174,7 +174,7 @@ def begun(path: Path) -> list[Outcome]:
 
 
 def append(path: Path, row: object) -> None:
-    """Written at once, so that an interrupted run loses nothing."""
+    """Append a row. It is written at once, so that an interrupted run loses nothing."""
     with path.open("a", encoding="utf-8") as file:
         file.write(json.dumps(row) + "\n")
 

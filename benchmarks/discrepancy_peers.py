@@ -17,7 +17,7 @@ PEERS = {
     "Gaussian process": "discrepancy_gaussian",
     "stepwise BIC": "discrepancy_stepwise",
 }
-"""Modules with a function `look`; they need packages of their own."""
+"""Modules with a function `look`. The first two need packages that `diagnose` does not need."""
 
 
 def require() -> None:

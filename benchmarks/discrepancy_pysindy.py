@@ -1,9 +1,10 @@
 """pysindy's sparse regression, with a library of physical terms, and a table of the cause of each term.
 
 dP/dt of each pressure is regressed on the baseline's own terms and on further terms: products of openings and
-pressures, and the flow that is missing while a valve turns late. The threshold is the one that best predicts
-unseen runs, or a larger one that predicts them as well. A term beyond the baseline's names a cause. Without
-such a term, the coefficients of the baseline may name one, by the group that is off together.
+pressures, and the flow that is missing while a valve turns late. The threshold is the largest one that
+predicts unseen runs as well as the best one. A chosen further term names a cause. If no further term is
+chosen, the coefficients of the baseline's own terms may name one: a cause changes a group of them
+(`TOGETHER`).
 """
 
 from __future__ import annotations
@@ -24,10 +25,10 @@ from flying_vines.identification.verdict import NONE, UNEXPLAINED
 from flying_vines.physics.arrays import Array
 
 THRESHOLDS = np.geomspace(1e-3, 0.5, 16)
-"""Minimum share of a term in the rates."""
+"""The thresholds that are tried: minimum share of a term in the rates."""
 RIDGE = 1e-4
 SURE = 16.0
-"""Minimum χ² by which coefficients must be off."""
+"""Deviations of the coefficients from nominal are not significant below this χ²."""
 TOGETHER = {
     "reservoir_volume": (1.0, 1.0, 0.0, 0.0),
     "evp_restriction": (1.0, 0.0, 1.0, 0.0),
@@ -73,7 +74,7 @@ def look(case: Case) -> dict[str, Any]:
 
 
 def _reservoir(case: Case, s: Series) -> tuple[Terms, Terms]:
-    """The baseline's terms, and further terms by their cause, in kPa/s or any unit."""
+    """The baseline's terms in kPa/s, and further terms, in any unit, by their cause."""
     gain, _ = per_SL(case)
     into, through = inflation(case.rig, s), motive(case.rig, s)
     own = {"inflation": s.mean(-gain * into), "motive": s.mean(-gain * through)}
@@ -95,7 +96,7 @@ def _cv(case: Case, s: Series) -> tuple[Terms, Terms]:
     into, out = inflation(case.rig, s), outlet(case.rig, s)
     own = {"inflation": s.mean(gain * into), "outlet": s.mean(-gain * out)}
     closing = np.maximum(-np.diff(s.solenoid, prepend=0.0), 0.0)
-    # If the valve has just closed, the outflow of the sample before continues.
+    # If the valve has just closed, the outflow of the previous step continues.
     before = np.concatenate(([0.0], out[:-1]))
     return own, {
         "ambient_drop": s.mean(np.ones_like(s.evp)),
@@ -127,7 +128,7 @@ def _equation(
     used = np.flatnonzero(np.linalg.norm(columns, axis=0) > 0.0)
     coefficients = _sparse(columns[:, used], rates, _threshold(columns[:, used], rates, run))
     chosen = used[coefficients != 0.0]
-    # Not by the size of the coefficients: two terms that nearly cancel would come first.
+    # The order is not by the size of the coefficients: two terms that nearly cancel would come first.
     left = _left(columns[:, chosen], rates)
     found = {
         names[k]: len(rates) * (_left(columns[:, chosen[chosen != k]], rates) / left - 1.0)
@@ -146,7 +147,7 @@ def _sparse(columns: Array, rates: Array, threshold: float) -> Array:
     """The coefficient of each term; 0 for terms that are not used."""
     regression = STLSQ(threshold * float(np.linalg.norm(rates)), alpha=RIDGE, normalize_columns=True)
     with warnings.catch_warnings():
-        # It warns if a threshold leaves no term, which is a valid answer.
+        # STLSQ warns if a threshold leaves no term, which is a valid result.
         warnings.simplefilter("ignore")
         regression.fit(columns, rates[:, None])
     coefficients: Array = np.asarray(regression.coef_[0], dtype=np.float64)
@@ -169,7 +170,7 @@ def _threshold(columns: Array, rates: Array, run: NDArray[np.int_]) -> float:
     )
     mean = errors.mean(axis=1)
     best = int(np.argmin(mean))
-    # Standard error of the difference to the best, because runs differ.
+    # Standard error of the difference from the best threshold, because the errors themselves differ by run.
     excess = errors - errors[best]
     doubt = excess.std(axis=1, ddof=1) / np.sqrt(errors.shape[1])
     return float(THRESHOLDS[np.flatnonzero(excess.mean(axis=1) <= doubt)[-1]])
@@ -188,7 +189,10 @@ def _least_squares(columns: Array, rates: Array) -> tuple[Array, Array]:
 
 
 def _by_coefficients(case: Case, equations: Sequence[Equation]) -> str:
-    """The cause whose group of coefficients is off by more than the tolerance."""
+    """The cause that explains the coefficients' deviations from nominal.
+
+    NONE if the deviations are not significant, UNEXPLAINED if no cause explains them.
+    """
     off = np.concatenate([equation.coefficients for equation in equations]) - 1.0
     errors = np.concatenate([equation.errors for equation in equations])
     tolerance = case.rig.tolerance("evp.flow_resistance_kPa_s_per_SL") / 100.0

@@ -2,8 +2,8 @@
 
 The change of a pressure within a window is the integral of its rate. So the changes of overlapping windows
 are averaged, and all terms of a regression are integrated in the same way, with each valve as recorded. This
-is the weak form of such regressions (Messenger & Bortz 2021) with a trapezoid as test function. It is exact
-where a valve turns; smooth derivatives smear there.
+is the weak form of such regressions (Messenger & Bortz 2021) with a trapezoid as test function. It stays
+exact at the moment when a valve turns; a smoothed derivative smears this moment.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ class Series:
     evp: Array
     dvp: Array
     solenoid: Array
-    """For each step, as the next two."""
+    """The valves, one value for each step."""
     reservoir_kPa: Array
     cv_kPa: Array
-    """In the middle of the step."""
+    """The pressures in the middle of each step."""
     bridged: NDArray[np.bool_]
     """True for a step in a gap of rows or readings: values there are interpolated linearly."""
 
@@ -50,8 +50,8 @@ class Series:
         return max(FEWEST, round(WINDOW_S / float(np.median(np.diff(self.time_s)))))
 
     def gain(self, values: Array) -> Array:
-        """The change of `values` (n,) within a window, divided by its length, averaged over overlapping
-        windows. Windows with a gap are left out."""
+        """The change of `values` (n,) within a window, divided by the window's length, averaged over
+        overlapping windows. Windows with a gap are left out."""
         n = self.window
         gains = (values[n:] - values[:-n]) / (self.time_s[n:] - self.time_s[:-n])
         holes = np.concatenate(([0], np.cumsum(self.bridged)))
@@ -108,7 +108,7 @@ def _filled(run: RecordedRun, read: Array, simulated: Array) -> Array:
 
 
 def stacked(every: list[Series], rows: Callable[[Series], Array]) -> tuple[Array, NDArray[np.int_]]:
-    """The rows of all runs, one below the other, and the index of the run."""
+    """The rows of all runs, one below the other, and for each row the index of its run."""
     found = [rows(one) for one in every]
     whose = np.repeat(np.arange(len(found)), [len(one) for one in found])
     return np.concatenate(found), whose

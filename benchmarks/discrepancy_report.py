@@ -57,7 +57,7 @@ STRONG = ("clear", "subtle")
 """Tiers whose parameters must be near the truth."""
 PAIR = "pair"
 SEVERAL_GOALS = ("≥ 80 %", "≥ 70 %", "≤ 5 %", "≥ 70 %", "90–98 %", "", "≤ 60 s")
-"""For several effects, in the order of the columns of `several_table`."""
+"""Goals for several effects, in the order of the columns of `several_table`."""
 KINDS = ("a cause", NONE, UNEXPLAINED)
 
 
@@ -245,7 +245,7 @@ def _spread(rising: Sequence[float]) -> tuple[float, float, float]:
 
 
 def accusations(outcomes: Sequence[Outcome]) -> Iterator[str]:
-    """Lines about wrong verdicts with confidence."""
+    """Lines that count named causes on rigs with no, unknown, one and two hidden causes."""
     clean = [o for o in outcomes if o.said and not o.truth.hidden]
     if clean:
         accused = sum(bool(o.said and o.said.named) for o in clean)
@@ -324,7 +324,7 @@ def _answers(outcomes: Sequence[Outcome]) -> dict[str, str]:
 
 
 def _named(outcome: Outcome) -> bool:
-    """True if the verdict is right, and does not only leave the cause open."""
+    """True if the hidden causes are named, or are among the indistinguishable ones."""
     return judgement(outcome) in (Judgement.RIGHT, Judgement.ALIKE)
 
 

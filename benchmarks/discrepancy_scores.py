@@ -19,11 +19,11 @@ Neutral = Mapping[tuple[str, str], float | None]
 UNSURE = 0.9
 """`none` with a lower confidence leaves the cause open."""
 CONFIDENT = 0.5
-"""A cause with a higher confidence is claimed."""
+"""A cause that is named with a higher confidence counts as claimed."""
 NEAR = 0.1
-"""A parameter is right within this share of its distance from neutral."""
+"""A parameter is right if its error is at most this share of the distance between true and neutral value."""
 SEVERAL = ("several", "several_outside")
-"""Tiers with three hidden effects or more. Their verdict must order the causes by their share."""
+"""Tiers with three hidden effects or more. Their verdict must name the cause with the largest share first."""
 LARGE = 0.1
 """A cause with a larger share of the misfit must be listed."""
 NEAR_NOISE = 2.0
@@ -68,7 +68,7 @@ def judge(truth: Truth, said: Said) -> Judgement:
     hidden = set(truth.hidden)
     if not hidden:
         return Judgement.RIGHT if said.cause == NONE else Judgement.WRONG
-    # With one hidden cause, it must be the first: another one must not be said to explain more.
+    # A single hidden cause must be named first: the verdict must not say that another cause explains more.
     named = set(said.named) if len(hidden) > 1 else {said.cause}
     if hidden <= named:
         return Judgement.RIGHT
@@ -94,7 +94,8 @@ def judgement(outcome: Outcome) -> Judgement:
 
 
 def counts(outcome: Outcome) -> bool:
-    """True if the case counts for the goal of its tier. In `short` it is enough to claim nothing wrong."""
+    """True if the case counts for the goal of its tier. In `short`, a verdict that leaves it open counts
+    too."""
     enough = {Judgement.RIGHT, Judgement.ALIKE}
     if outcome.truth.tier == "short":
         enough.add(Judgement.OPEN)
@@ -102,7 +103,7 @@ def counts(outcome: Outcome) -> bool:
 
 
 def false_names(truth: Truth, said: Said) -> list[str]:
-    """Causes that are claimed but not hidden."""
+    """Causes that are named but not hidden."""
     return [name for name in said.named if name not in truth.hidden]
 
 

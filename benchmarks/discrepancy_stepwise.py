@@ -62,8 +62,8 @@ def _selected(problem: FitProblem) -> FitPoint:
 
 
 def _first_readings(problem: FitProblem) -> Array:
-    """Initial pressures of reservoir and control volume for each start; without a reading, as the project
-    guesses."""
+    """Initial pressures of reservoir and control volume for each start; without a reading, the start values
+    of `problem`."""
     initial = problem.start().initial.copy()
     for data, weight, run, rows in zip(
         problem.data, problem.weights, problem.simulation.runs, problem.starts, strict=True
@@ -94,17 +94,17 @@ def _fit(problem: FitProblem, start: FitPoint) -> Fit:
     searched = np.array([p.to_search(value) for p, value in zip(parameters, values, strict=True)])
     nudges = OF_RANGE * (high - low)
 
-    def outer(place: Array) -> FitPoint:
+    def point_at(place: Array) -> FitPoint:
         every = iter(p.to_model(x) for p, x in zip(parameters, place.tolist(), strict=True))
         grouped: list[Values] = [tuple(next(every) for _ in cause.parameters) for cause in start.causes]
         return replace(start, values=tuple(grouped))
 
     def residuals(place: Array) -> Array:
-        every = np.concatenate([run.ravel() for run in problem.residuals(outer(place))])
+        every = np.concatenate([run.ravel() for run in problem.residuals(point_at(place))])
         clipped: Array = np.clip(np.nan_to_num(every, nan=BROKEN), -BROKEN, BROKEN)
         return clipped
 
-    def slopes(place: Array) -> Array:
+    def jacobian(place: Array) -> Array:
         here = residuals(place)
         columns = []
         for k, nudge in enumerate(nudges):
@@ -116,7 +116,7 @@ def _fit(problem: FitProblem, start: FitPoint) -> Fit:
     # The method needs a start strictly within the bounds.
     begin = np.clip(searched, low + nudges, high - nudges)
     found = least_squares(
-        residuals, begin, slopes, (low, high), x_scale="jac", ftol=1e-6, max_nfev=MOST_STEPS
+        residuals, begin, jacobian, (low, high), x_scale="jac", ftol=1e-6, max_nfev=MOST_STEPS
     )
     chi2 = 2.0 * float(found.cost)
-    return Fit(outer(found.x), chi2 if np.isfinite(chi2) else inf)
+    return Fit(point_at(found.x), chi2 if np.isfinite(chi2) else inf)

@@ -1,12 +1,13 @@
-"""What each part of the service costs the companion.
+"""Processor time and memory that each part of the service needs on the companion.
 
     .venv/bin/python benchmarks/everything_on.py [--rounds N] [--flips N]
 
-The flight of `latency.py` (500 MAVLink messages a second, 100 telemetry frames, a flip of the switch every
-0.6 s). The first row has only the recorder. Each further row adds one part: a page with two viewers, MQTT to
-a mosquitto at 2 Hz with discovery, signing, and `flying-vines watch`. The numbers are processor time and
-memory (PSS) of the service and its gateway together. Viewers, broker and `watch` are not counted, because
-they run on other computers. Rounds are interleaved; the table has their medians.
+The flight is that of `latency.py` (500 MAVLink messages a second, 100 telemetry frames a second, a flip of
+the switch every 0.6 s). The first row has only the recorder. Each further row adds one part: a page with two
+viewers, MQTT to a mosquitto at 2 Hz with discovery, signing, and `flying-vines watch`. The numbers are
+processor time and memory (PSS) of the service, of its gateway, and of both. Viewers, broker and `watch` are
+not counted, because they run on other computers. The rounds of the rows alternate; the table has their
+medians.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=1, help="seed of the first flight")
     parser.add_argument("--jobs", type=int, default=1, help="number of processes")
     parser.add_argument("--minutes", type=float, default=math.inf, help="maximum time")
-    parser.add_argument("--seed", type=int, help="fly only this one and print its timeline")
+    parser.add_argument("--seed", type=int, help="fly only the flight of this seed and print its timeline")
     parser.add_argument("--only-fault", type=int, choices=(1, 2), help="with --seed: without the other fault")
     args = parser.parse_args()
     load()  # Build once, before several processes need it.
@@ -116,7 +116,7 @@ class Tally:
         self._pairs.update([tuple(sorted(outcome.faults))] if len(outcome.faults) > 1 else [])
         if len(outcome.faults) > 1:
             return
-        # Only flights with one fault: with two nobody knows which one was reported.
+        # Only flights with one fault: of two faults, it is unknown which one the text reports.
         self.singles += 1
         (name,) = outcome.faults
         self._alone[name] += 1
@@ -137,7 +137,8 @@ class Tally:
             print(f"  seed {seed}: {', '.join(faults)}: {', '.join(rules)}")
         print()
         print(
-            f"{len(self._pairs)} different pairs. All but the first number are of flights with one fault:\n"
+            f"{len(self._pairs)} different pairs. In each row, only the first number includes flights with "
+            "two faults:\n"
         )
         print("| fault | flights | alone | bent | text within 5 s | highest, kPa | the pilot's first text |")
         print("| --- | ---: | ---: | ---: | ---: | ---: | --- |")

@@ -1,4 +1,5 @@
-"""A flight under a monitor: actions of pilot, mission, ground station and hardware, and what they allow.
+"""A monitored flight: actions of pilot, mission, ground station and hardware, and the motions that they
+allow.
 
 Each method does one thing to the simulated world, and tells the monitor the consequence: a bend was
 requested, or the vine must be at rest from some time on. The constants are the times that the service may
@@ -55,18 +56,19 @@ STEP_S = 0.01
 WRITTEN_EVERY_S = 0.5
 RESTING_KPA = 0.5
 DEBOUNCED_S = 0.5
-"""From the move of the switch to that of the vine: 0.15 s of debounce, RC_CHANNELS 20 times a second, and a
-tick."""
+"""Maximum time from the move of the switch to the move of the vine: 0.15 s of debounce, RC_CHANNELS 20 times
+a second, and a tick."""
 CONFIRMED_S = 2.2
-"""The same for PX4 with a receiver of its own: RC must stay good for 1.6 s after the move."""
+"""The same time on PX4 with a receiver of its own: RC must stay good for 1.6 s after the move."""
 LEFT_S = 0.3
 """After the switch has left a position, this position's bend may still begin within this time."""
 SURELY_BENDS_S = 2.7
 """A position that lasts this long, with good RC, must bend the vine."""
 RC_SHOWN_S = 1.5
-"""From PX4's report that its own receiver is lost to a vented vine."""
+"""Maximum time from PX4's report that its own receiver is lost to a vented vine."""
 TOLD_LATE_S = 2.5
-"""The same if PX4 has just reported another change of health."""
+"""If PX4 has just reported another change of health, it reports an RC loss late. For this time after the
+loss, the receiver's preset may look like a move of the switch."""
 REPORTED_S = 2.4
 """Maximum time from the return of RC to PX4's report that it is good."""
 RC_LOST_S = 1.4
@@ -77,7 +79,7 @@ FORWARDED_S = 0.05
 ITEM_S = 1.3
 """An item is executed within about a second, or not at all."""
 OLDEST_S = 1.3
-"""The same for every request."""
+"""Any other request, too, is executed within this time, or not at all."""
 STRAIGHT_S = 3.0
 """An item that straightens may take longer: if its command was lost, later messages show that it ran."""
 STRAIGHTENED_S = 3.0
@@ -160,7 +162,8 @@ class Nobody(Core):
 
 @dataclass
 class Wire:
-    """One direction of a line. It may be cut, or a share of the pieces that were sent may be damaged."""
+    """One direction of a line. The line may be cut, or a share of the pieces that were sent may be
+    damaged."""
 
     seed: str
     cut: bool = False
@@ -314,7 +317,7 @@ class MonitoredFlight:
         self.autopilot.disarm()
 
     def move_switch(self, position: int) -> None:
-        """Move the switch. A move that nobody can see, or in the second after a loss, requests nothing."""
+        """Move the switch. A move requests nothing if the companion cannot see it, or soon after a loss."""
         if position == self._position:
             return
         left, self._position = self._position, position
@@ -377,19 +380,19 @@ class MonitoredFlight:
         return self._curve.pressure_kPa(angle_deg)
 
     def override(self, position: int) -> None:
-        """A ground station sets the switch, and repeats this."""
+        """A ground station overrides the switch, and repeats its message."""
         before = self._position if self._override is None else self._override
         if self._override is None:
             self._overridden = self._position
         self._override, self._override_sent_s = position, -math.inf
         self._override_ends_s = math.inf
         self._expected = None
-        # It is received even if the transmitter is lost.
+        # The override is received even if the transmitter is lost.
         if position != before and self._unseen.keys() <= {"rc"} and self.now_s >= self._settled_s:
             self._switch_asks(position, certain=False, what=f"override to {position}")
 
     def stop_override(self) -> None:
-        """The ground station stops. ArduPilot keeps its value for a while."""
+        """The ground station stops. ArduPilot keeps the overriding value for a while."""
         self._override_ends_s = self._override_sent_s + self.autopilot.parameters["RC_OVERRIDE_TIME"]
 
     def _tell_override(self) -> None:
@@ -405,7 +408,7 @@ class MonitoredFlight:
             before, self._override = self._override, None
             came_back = self._position == self._overridden
             if self._position != before and not (self._position > 0 and self._vented and came_back):
-                # This looks like a move of the pilot: to straight, it clears faults.
+                # The end of the override looks like a move of the pilot. A move to straight clears faults.
                 self._switch_asks(self._position, certain=False, what=f"{LIMIT}an override expired")
 
     def _settle(self) -> None:
@@ -524,7 +527,7 @@ class MonitoredFlight:
             return
         if by_person:
             self.monitor.person_clears(now_s + within_s)
-        # No bend may follow: a bend that is still on its way may begin after this.
+        # Forbid motion only if no earlier request is pending: its bend may still begin after this request.
         last = self.monitor.pending_until_s <= now_s
         if certain and last and not self._vehicle_is_spoiled:
             self.monitor.forbid("asked to straighten", now_s + within_s + 0.2, inflation_only=True)
@@ -537,7 +540,8 @@ class MonitoredFlight:
         """Lose the pilot's transmitter or its link. Values that the receiver makes up are no request."""
         self.autopilot.lose_rc(how, preset)
         self._rc_lost, self._rc_lost_s = self.autopilot.receiver.lost, self.now_s
-        # Messages on their way to the companion remain uncertain.
+        # PX4 with a receiver of its own reports a loss only later. Frozen values never show a loss if
+        # ArduPilot's parameters hide it.
         self._rc_shown = not self.setup.has_real_receiver and (
             how != "frozen" or not self.setup.hides_rc_losses
         )
@@ -662,7 +666,7 @@ class MonitoredFlight:
         self._see("companion")
 
     def stall_companion(self, seconds: float, meanwhile: Callable[[], None] | None = None) -> None:
-        """The process stops. Messages of the vehicle and of people, as from `meanwhile`, wait for it."""
+        """Pause the process. Messages of the vehicle and of people (`meanwhile`) wait until it continues."""
         self._disturb()
         self._unsee("stall")
         if meanwhile is not None:
@@ -715,7 +719,7 @@ class MonitoredFlight:
             case ("solenoid", StuckAt(opening)) if opening < 0.5:
                 self.monitor.excuse(place, math.inf, rises=True)
             case ("hose", Kinked()):
-                # The locked-in air warms up again.
+                # The air in the vine warms up again, and its pressure rises.
                 self.monitor.excuse(place, math.inf, rises=True)
             case ("cv_sensor", _):
                 self.monitor.excuse(place, math.inf)
@@ -750,7 +754,7 @@ class MonitoredFlight:
         self._unseen[what] = self.now_s
         for name, received_by_s in self._received_by_s.items():
             if what != "stall" and received_by_s > self.now_s:
-                # It was still on its way, and may have been lost here.
+                # The request was still on its way, and may be lost.
                 self.monitor.permit(name)
         if what in ("silence", "link", "companion", "link stalled"):
             self._late = True
@@ -886,7 +890,7 @@ class MonitoredFlight:
                 code, angle_deg = item.params[:2]
                 bends = code != 0.0
                 within_s = ITEM_S if bends else STRAIGHT_S
-                # What is not received is repeated, or shown by the mission's progress.
+                # An item that is not received is repeated, or the mission's progress shows that it ran.
                 after_s = 0.0 if self._station_is_received else within_s
                 kPa = self._code_kPa(code, angle_deg)
                 self._asked(

@@ -43,7 +43,7 @@ class Act(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """A fault and its end. None: it remains, or ends by itself."""
+    """A fault and its end. Without `end`, the fault remains or ends by itself."""
 
     name: str
     begins_s: float
@@ -84,7 +84,7 @@ class Outcome(NamedTuple):
 
 
 def draw(seed: int) -> Script:
-    """The script of a seed. It does not depend on later events."""
+    """The script of a seed. It is complete before the flight begins."""
     random = Random(seed)
     kind: AutopilotKind = random.choice(("ardupilot", "px4"))
     style = random.choices(("switch", "station", "mission"), (0.5, 0.15, 0.35))[0]
@@ -176,7 +176,7 @@ def _first_text(flight: MonitoredFlight, since_s: float) -> str:
 
 
 def _mission(kind: AutopilotKind, random: Random) -> tuple[MissionItem, ...]:
-    """Take off, and fly short legs with a vine item after each."""
+    """Take off, and fly short legs with one or two vine items before each."""
     items = [] if kind == "px4" else [_item(0, 16)]
     items.append(_item(len(items), 22, z=8.0))
     for _ in range(random.randint(2, 4)):

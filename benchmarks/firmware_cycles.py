@@ -1,13 +1,14 @@
-"""What the firmware's control step costs on its chips: instructions, and an estimate of cycles.
+"""Instructions and estimated cycles of the firmware's control step on its chips.
 
 The core is compiled with the Arduino IDE's options for each board. It runs the golden run (tests/firmware) on
 QEMU's Cortex-M0 and Cortex-M7. The emulator's clock counts the instructions.
 
-For the Cortex-M0+ of a Teensy LC, a trace of every instruction counts them again; both counts must agree. The
-trace distinguishes loads, stores and branches from instructions of one cycle. The estimate uses the times of
-the Cortex-M0+ (load or store 2, branch taken 2, call 3, multiplication 1) and memory without wait states. The
-flash runs at 24 MHz and the core at 48 MHz, so each word costs a wait cycle unless it is cached or
-prefetched. "uncached" assumes neither: the truth is between both numbers. Interrupts are not included.
+For the Cortex-M0+ of a Teensy LC, a trace of every instruction counts them again; both counts must agree up
+to a constant. The trace distinguishes loads, stores and branches from instructions of one cycle. The estimate
+uses the times of the Cortex-M0+ (load or store 2, branch taken 2, call 3, multiplication 1) and memory
+without wait states. The flash runs at 24 MHz and the core at 48 MHz, so each word costs a wait cycle unless
+it is cached or prefetched. "uncached" assumes neither: the true number is between "cycles" and "uncached".
+Interrupts are not included.
 
 The Cortex-M7 of a Teensy 4 runs from memory without wait states and starts up to two instructions in a cycle.
 One cycle for each instruction is a safe estimate.

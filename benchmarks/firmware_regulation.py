@@ -1,4 +1,4 @@
-"""The gain of a faster loop and a better regulator on the plant: settling, overshoot, air used, valve wear.
+"""Improvement by a faster loop and by a better regulator: settling, overshoot, air used, valve strokes.
 
 The plant has all likely effects and sensors. The regulators are the firmware's C++ with the paper's tuning
 and with the default one, compiled for steps of 1, 0.5 and 0.25 ms. A run fills a vine from 0 to 20.7 kPa in
@@ -110,7 +110,7 @@ def outcome(
     begins = simulator.conditions
     cv_seen, reservoir_seen = rested(begins.line_kPa), rested(begins.reservoir_kPa)
     begin_SL = simulator.state.reservoir_air_SL
-    if "opening_s" in tuning:  # opens at once
+    if "opening_s" in tuning:  # the paper's regulator opens the valve within one step
         tuning = {**tuning, "opening_s": period_s}
     regulator.start(tuning)
     pressures: list[float] = []

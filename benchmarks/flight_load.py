@@ -36,7 +36,7 @@ def mission_count(to_system: int, to_component: int) -> MavlinkMessage:
 
 
 class FlightLoad:
-    """All messages except RC_CHANNELS. The code that flips the switch sends these through the same
+    """All messages except RC_CHANNELS, which the code that flips the switch encodes with the same
     `autopilot`."""
 
     def __init__(self, began_s: float, seed: int, signing: Signing | None = None) -> None:

@@ -4,7 +4,7 @@
 
 The firmware's core runs with address and undefined-behaviour sanitizers. First it runs under our own driver,
 which is fast but does not measure coverage. Then it runs under clang's libFuzzer, which looks for inputs that
-reach new code. firmware_link/firmware/fuzz/core.cpp checks what must hold. The host's decoder and session get
+reach new code. firmware_link/firmware/fuzz/core.cpp has the checks. The host's decoder and session get
 a device's messages: whole frames, flipped, cut, doubled and spliced frames, and noise. The service's core
 gets the same, and on its other link MAVLink of every type with absurd numbers from any sender; its vehicle is
 disarmed.
@@ -77,10 +77,11 @@ LONGEST_INPUT_S = 60
 MEMORY_LOOKS = 10
 STEP_S = 0.005
 MOST_NEW_BYTES = 16 * 1024
-"""Maximum growth of the host's memory from the first sample to the last. A tenth of the input is 10 MB."""
+"""Maximum growth of the host's memory from the first sample to the last. The host reads 90 MB between
+them."""
 _FUZZ = SOURCES / "fuzz"
 MOST_NEW_TABLES_BYTES = 2_000_000
-"""The same for the service. Its tables fill up; the largest one is a mission of 5000 items."""
+"""Maximum growth of the service's memory. Its tables fill up; the largest one is a mission of 5000 items."""
 _ODD_FLOATS = (math.nan, math.inf, -math.inf, -1.0, 0.0, 3.4e38, 1e30, 1e12, -1e20, 690.0, 15.0)
 
 
@@ -123,7 +124,7 @@ class Fuzzed:
 
 
 def drive(seed: int, most_bytes: int, program: Path | None = None) -> Fuzzed:
-    """Run it with our own driver. Raises FuzzError if a check fails."""
+    """Run the core with our own driver. Raises FuzzError if a check fails."""
     ran = subprocess.run(
         [program or driver(), str(seed), str(most_bytes)],
         capture_output=True,
@@ -139,8 +140,10 @@ def drive(seed: int, most_bytes: int, program: Path | None = None) -> Fuzzed:
 
 
 def explore(clang: str, seed: int, most_bytes: int, folder: Path) -> Iterator[Fuzzed]:
-    """Run it with libFuzzer. Yields the coverage so far; its corpus grows in `folder`. Raises FuzzError as
-    `drive`."""
+    """Run the core with libFuzzer, whose corpus grows in `folder`. Yields the counts so far.
+
+    Raises FuzzError if a check fails.
+    """
     command_line = (clang, *FLAGS, f"-fsanitize=fuzzer,{SANITIZERS}")
     program = built(command_line, (*core_files(), _FUZZ / "core.cpp"), "fuzz")
     fuzzed = Fuzzed()
@@ -235,7 +238,7 @@ def mutated(frame: bytes, other: bytes, dice: random.Random) -> bytes:
 
 
 def random_bytes(seed: int, session: HostSession) -> Iterator[bytes]:
-    """An endless stream of a device's bytes, in pieces of any size; a third of the frames are damaged."""
+    """An endless stream of a device's bytes, in pieces of random size; a third of the frames are damaged."""
     dice = random.Random(seed)
     # The device knows the host's nonce only from the host.
     sequence, frame, clock_ms = 0, FRAME_END, 0
@@ -270,7 +273,7 @@ class Memory:
             self.looks.append(tracemalloc.get_traced_memory()[0])
 
     def end(self, who: str, most_new_bytes: int) -> None:
-        """Raises FuzzError if it has grown by more than this."""
+        """Raises FuzzError if the memory has grown by more than `most_new_bytes`."""
         tracemalloc.stop()
         if self.looks[-1] - self.looks[0] > most_new_bytes:
             raise FuzzError(f"{who} grew: {self.looks}")
@@ -291,7 +294,8 @@ class Decoded:
 
 
 def listen(seed: int, most_bytes: int) -> Decoded:
-    """Feed a host's end. Raises FuzzError if it cannot read a whole frame afterwards, or grows."""
+    """Feed a host's end. Raises FuzzError if it cannot read a whole frame in between, or if its memory
+    grows."""
     codec, session, decoded = Codec(), HostSession(), Decoded(Memory(most_bytes))
     dice = random.Random(f"host {seed}")
     whole = encode(Pong(1, 2), 0)
@@ -337,7 +341,7 @@ class Served:
 
 
 def serve(seed: int, most_bytes: int) -> Served:
-    """Feed a core on both links. Raises FuzzError if it moves the vine, cannot continue, or grows."""
+    """Feed a core on both links. Raises FuzzError if it moves the vine, or if its memory grows."""
     core, vehicle, out, phlosar = (
         Core(serving_vehicle_1()),
         MavlinkCodec(0, 191),

@@ -2,9 +2,9 @@
 
     .venv/bin/python benchmarks/hostile.py [--one-core] [--gateway-nice 0 5 19] [--rounds N] [--flips N]
 
-The flight of `latency.py`, with the page open to the network, two authorised viewers, MQTT to a real
-mosquitto, and signing. It flies without attackers, and while `strangers.py` attacks page and broker as fast
-as it can. Rounds are interleaved, in an order that rotates; latencies are pooled.
+The flight is that of `latency.py`, with the page open to the network, two authorised viewers, MQTT to a real
+mosquitto, and signing. It is flown without attackers, and while `strangers.py` attacks page and broker as
+fast as it can. Each round flies all cases, in an order that rotates; the latencies of all rounds are pooled.
 
 Attackers and broker would be on other computers. Here they share the processors, so they have the lowest
 priority. `--one-core` gives one core to the service and its gateway, and another one to everything else. Then
@@ -74,7 +74,7 @@ def main() -> int:
     cases += [Case(f"strangers, gateway {way}", priority=way) for way in arguments.gateway_nice]
     results = {case: Result() for case in cases}
     console.print(
-        f"{os.cpu_count()} cores, load before {os.getloadavg()[0]:.1f}; what measures runs at "
+        f"{os.cpu_count()} cores, load before {os.getloadavg()[0]:.1f}; the benchmark's own process runs at "
         f"{'real-time' if prompt else 'normal'} priority",
         highlight=False,
     )

@@ -1,10 +1,10 @@
-"""Measures the time from a switch move to a setpoint, and its cost, for the service and its peers.
+"""Measures the service and its peers: time from a switch move to a setpoint, processor time and memory.
 
     .venv/bin/python benchmarks/latency.py [--quick] [--flips N] [--json]
 
 The time is from the RC_CHANNELS datagram that settles a switch move to the setpoint frame on the serial line,
 with 500 MAVLink messages a second on a UDP link and 100 telemetry frames a second on a pseudo-terminal. Every
-process flies in several rounds, in an order that rotates. For the MAVSDK peer install `mavsdk>=4.1,<5` here,
+program flies in several rounds, in an order that rotates. For the MAVSDK peer install `mavsdk>=4.1,<5` here,
 or in an environment of its own (with pyserial) that `--mavsdk-python` names. Linux only: it reads /proc.
 """
 
@@ -56,7 +56,7 @@ class Subject:
     name: str
     python: str
     peer: str = ""
-    """Its name in `latency_peers.py`; empty for the service."""
+    """The program's name in `latency_peers.py`; empty for the service."""
     imports: str = ""
 
 
@@ -105,7 +105,7 @@ class Result:
 
 
 def percentile(ordered: Sequence[float], share: float) -> float:
-    """The smallest value that `share` of all do not exceed."""
+    """The smallest value that has at least this share of all values at or below it."""
     return ordered[max(0, math.ceil(share * len(ordered)) - 1)]
 
 
@@ -168,7 +168,7 @@ def _arguments() -> argparse.Namespace:
         "--rounds", type=_count, default=4, help="rounds, among which the flips are divided (4)"
     )
     parser.add_argument(
-        "--quick", action="store_true", help=f"{QUICK_FLIPS} flips in one round: does it work?"
+        "--quick", action="store_true", help=f"{QUICK_FLIPS} flips in one round, to try the benchmark"
     )
     parser.add_argument(
         "--json", action="store_true", help="print JSON with all numbers instead of the table"
@@ -226,7 +226,7 @@ def _fly(subject: Subject, result: Result, flips: int, seed: int, scratch: Path)
 
 @contextlib.contextmanager
 def ended(process: subprocess.Popen[bytes]) -> Iterator[None]:
-    """The process ends when the context ends."""
+    """End the process when the context ends."""
     try:
         yield
     finally:
@@ -259,8 +259,8 @@ def configuration_text(udp_port: int, tty: str) -> str:
 
 
 def environment() -> dict[str, str]:
-    """Environment in which any peer can import the checkout. Bytecode is written, as on a user's machine;
-    otherwise a third of the start is the compiler's time."""
+    """Environment in which any peer can import the checkout. Python writes bytecode, as on a user's machine;
+    otherwise compiling takes a third of each start."""
     kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     return {**kept, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
 

@@ -1,6 +1,6 @@
 """The programs that the service is compared with: the shortest ones from a switch to a setpoint.
 
-They watch channel 9 with the service's own switch and write one setpoint frame for each move. They have no
+They read channel 9 with the service's `SwitchReader` and write one setpoint frame for each move. They have no
 safety, ramp, telemetry, reservoir, mission, log or dead-man. Started as `latency_peers.py NAME UDP_PORT TTY`.
 """
 
@@ -62,7 +62,7 @@ def bare_socket(udp_port: int, switch: SerialSwitch) -> None:
 
 
 def mavutil_loop(udp_port: int, switch: SerialSwitch) -> None:
-    """Like most pymavlink scripts."""
+    """Reads messages as most pymavlink scripts do."""
     os.environ["MAVLINK20"] = "1"
     from pymavlink import mavutil
 
@@ -75,7 +75,7 @@ def mavutil_loop(udp_port: int, switch: SerialSwitch) -> None:
 
 
 async def mavsdk_stream(udp_port: int, switch: SerialSwitch) -> None:
-    """Like MAVSDK-Python's example of raw messages."""
+    """Reads messages as MAVSDK-Python's example of raw messages does."""
     # Imported by name, because type checkers must accept this with and without the optional package.
     mavsdk: Any = importlib.import_module("mavsdk.asyncio")
     direct: Any = importlib.import_module("mavsdk.asyncio.plugins.mavlink_direct")

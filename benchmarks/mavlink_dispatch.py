@@ -1,10 +1,11 @@
-"""The cost of reading an autopilot: our codec and core, compared with pymavlink's parsing of the same bytes.
+"""CPU time to read an autopilot's messages: our codec and core, against pymavlink's parsing of the same
+bytes.
 
 The bytes are the recordings of real autopilots in tests/data, cut as a socket gives them (a frame per
-datagram) and as a serial port or TCP does (1 kB at a time). Both sides alternate within one run. The ratios
-are of CPU time on one core, so that other work on the machine has little influence; each repeat gives one
-ratio. With signing, every frame is signed anew with one key, and both sides check it. Linux only: it reads
-/proc.
+datagram) and as a serial port or TCP does (1 kB at a time). pymavlink, our codec, and our codec with the core
+alternate within one run. The ratios to pymavlink are of CPU time on one core, so that other work on the
+machine has little influence; each repeat gives one ratio. With signing, every frame is signed anew with one
+key, and all three check it. Linux only: it reads /proc.
 
     python benchmarks/mavlink_dispatch.py [--repeats N] [--json]    # a minute
     python benchmarks/mavlink_dispatch.py --check                   # exit status 1 if a goal is missed
@@ -43,7 +44,7 @@ RECORDINGS = Path(__file__).resolve().parents[1] / "tests" / "data" / "recording
 CHUNK = 1024
 KEY = hashlib.sha256(b"benchmark").digest()
 CONFIG = config.default()
-"""Read once, as at the start of the service."""
+"""Read once, as the service does at its start."""
 LONG_RUN = 1_000_000
 MOST_COST = 1.2
 LEAST_MESSAGES_PER_S = 60_000
@@ -54,7 +55,8 @@ Feed = list[tuple[float, bytes]]
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One way to cut the bytes. For each repeat, the ratios to pymavlink's parsing."""
+    """The results for one way to cut the bytes: median times for each message, and the ratios of each
+    repeat."""
 
     feed: str
     bare_us: float

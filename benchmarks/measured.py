@@ -3,11 +3,11 @@
     python benchmarks/measured.py                        # every recording and folder of tests/data/measured
     python benchmarks/measured.py --only plenum_discharge
 
-Each recording goes through the project's importer, with the answers stored beside it, and through `diagnose`.
-`measured_fits.py` fits the same readings with equations of its own. Nobody knows the truth of these rigs. If
-both find the same number for the same law, they agree; the residual shows how good that law is. The leaking
-chambers are three rigs, so that folder is not one case. `measured_peers.py` has other methods. Needs pip
-install 'flying-vines[benchmarks]'.
+Each recording goes through the project's importer, with the answers to its questions from the file beside the
+recording, and through `diagnose`. `measured_fits.py` fits the same readings with equations of its own. The
+truth about these rigs is unknown. If both find the same number for the same law, both are probably right; the
+residual shows how well the law describes the rig. The leaking chambers are three rigs, so their folder is not
+also one case. `measured_peers.py` has other methods. Needs pip install 'flying-vines[benchmarks]'.
 """
 
 from __future__ import annotations
@@ -178,7 +178,8 @@ def readings(case: Case) -> list[Readings]:
 
 
 def named(said: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """The causes with their parameters and shares, the first one first; for `unexplained` the best fit."""
+    """The causes with their parameters and shares, the main cause first; for `unexplained`, those of the best
+    fit."""
     if said["cause"] == UNEXPLAINED:
         tried = said["ranking"][0]["parameters"] if said.get("ranking") else {}
         return [{"cause": cause, "parameters": parameters} for cause, parameters in tried.items()]
@@ -233,7 +234,7 @@ def show(looked: Sequence[Looked], instead: Sequence[Mapping[str, float]], conso
     """The tables, in Markdown.
 
     Args:
-        instead: for each case, the errors of other methods on the unseen readings, over the measured range.
+        instead: for each case, the errors of other methods on unseen readings, divided by the measured range.
     """
     console.print("\nVerdicts of diagnose\n")
     titles = ("case", "verdict", "causes and shares", "remainder", "unseen before", "after", "noise", "time")
@@ -277,7 +278,7 @@ def _causes(said: Mapping[str, Any]) -> str:
 
 
 def _remainder(remainder: Any) -> str:
-    """Older verdicts have only the feature on which the residuals depend."""
+    """The remainder as text. Older verdicts have only the feature on which the residuals depend."""
     if not isinstance(remainder, dict):
         return remainder or ""
     share, feature = remainder.get("share"), remainder.get("depends_on")

@@ -132,8 +132,8 @@ def discharge(
 
     Shared parameters: conductance, critical ratio, wall time constant, sensor offset. Parameters of each run:
     pressure before, and opening time, which is between two samples. With `cold_flow` the mass flow grows as
-    the gas cools, by the inverse root of the temperature, as in a nozzle. Without, it depends on the
-    pressures only.
+    the gas cools, by the inverse root of the temperature, as in a nozzle. Without `cold_flow` the mass flow
+    depends on the pressures only.
     """
     # From one sample before the recorded opening of the valve, until some time after the vessel is empty.
     cut = [max(0, int(np.flatnonzero(run.input > 0.0)[0]) - 1) for run in runs]
@@ -201,7 +201,8 @@ def discharge(
 
 
 def _opening_s(time_s: Array, read: Array) -> float:
-    """The time, after the first sample, when the line through the first fall meets the pressure before it."""
+    """Time from the first sample to the opening, where the line through the first fall meets the first
+    pressure."""
     k = int(np.flatnonzero(read < 0.97 * read[0])[0])
     slope = float((read[k + 1] - read[k]) / (time_s[k + 1] - time_s[k]))
     return max(0.0, float(time_s[k] - time_s[0] - (read[k] - read[0]) / slope))
@@ -251,7 +252,7 @@ def pump(runs: Sequence[Readings], volume_L: float) -> Fitted:
     firsts = [float(run.pressure_kPa[0]) for run in runs]
     free = math.log(rise / (5.0 * step_s) * volume_L / ALPHA_KPA)
     best = None
-    # Pump and leak can replace each other in a long valley, so try several starts.
+    # A stronger pump with a larger leak fits nearly as well, so try several starts.
     for leak_R in (3e2, 3e3):
         for spin_s in (0.03, 0.2):
             start = [free, math.log(1.3 * highest), 0.15, math.log(spin_s), math.log(leak_R), *firsts]

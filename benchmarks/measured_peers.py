@@ -4,9 +4,9 @@
 - pysindy's sparse regression of dP/dt on products of pressure and input.
 - A Gaussian process of dP/dt as a function of pressure and input.
 
-The last two are simulated from the first reading of a run with its input. As for `diagnose`, a run is
-predicted from the others, and a single run is predicted in every other stretch from the rest. The runs share
-no parameter of the exponential, so it always predicts stretches.
+The last two are simulated from the first reading of a run with the run's input. As for `diagnose`, each run
+is predicted from the other runs; if there is only one run, every other stretch of it is predicted from the
+rest. The exponential has its own parameters for each run, so it always predicts stretches.
 """
 
 from __future__ import annotations
@@ -28,26 +28,27 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from flying_vines.identification.prediction_error import in_odd_stretch
 
 MAX_ROWS = 300
-"""Maximum number of rates from which a Gaussian process learns: its time grows with their cube."""
+"""Maximum number of rates from which a Gaussian process learns. The time grows with the cube of this
+number."""
 WINDOWS = 50
-"""A rate is a difference over this part of a run, at least over two samples."""
+"""A rate is a difference over a run's length divided by this number, but at least over two samples."""
 THRESHOLDS = (0.01, 0.03, 0.1, 0.3)
 DEGREE = 3
 
 Bools = NDArray[np.bool_]
 Rate = Callable[[Array], Array]
-"""dP/dt, kPa/s, of rows (n, 2) of pressure and input, both scaled."""
+"""dP/dt, kPa/s, as a function of rows (n, 2): scaled pressure, and input."""
 
 
 class Rates(NamedTuple):
-    """Rows (n, 2) of scaled pressure and input, and dP/dt (n,), kPa/s."""
+    """Rows (n, 2): scaled pressure, and input. And dP/dt (n,), kPa/s."""
 
     at: Array
     kPa_per_s: Array
 
 
 def unseen_errors(runs: Sequence[Readings]) -> dict[str, float]:
-    """Error of each method on unseen readings, over the measured range."""
+    """Error of each method on unseen readings, divided by the measured range."""
     odd = [in_odd_stretch(run.time_s) for run in runs]
     halves = (odd, [~mask for mask in odd])
     if len(runs) > 1:
@@ -143,7 +144,7 @@ def _sparse(rates: Rates) -> Rate:
     def fitted(threshold: float, used: Bools) -> Array:
         regression = STLSQ(threshold * float(np.linalg.norm(rates.kPa_per_s)), normalize_columns=True)
         with warnings.catch_warnings():
-            # It warns if a threshold leaves no term, which is a valid answer.
+            # STLSQ warns if a threshold leaves no term, which is a valid result.
             warnings.simplefilter("ignore")
             regression.fit(columns[used], rates.kPa_per_s[used, None])
         found: Array = np.asarray(regression.coef_[0], dtype=np.float64)
@@ -163,7 +164,7 @@ def _process(rates: Rates) -> Rate:
     kernel = ConstantKernel(1.0, (1e-3, 1e3)) * RBF(np.ones(2), (0.1, 100.0)) + WhiteKernel(0.1, (1e-6, 2.0))
     process = GaussianProcessRegressor(kernel)
     with warnings.catch_warnings():
-        # It warns if an input does not matter: its scale ends at the bound.
+        # sklearn warns if the scale of an input ends at its bound, because the input does not matter.
         warnings.simplefilter("ignore", ConvergenceWarning)
         process.fit(rates.at[taken], rates.kPa_per_s[taken] / scale)
     return lambda at: np.asarray(process.predict(at)) * scale

@@ -3,9 +3,10 @@
     python benchmarks/mission_misses.py [--flights 150] [--seed 1]
 
 The fake autopilots fly random missions over a link that loses a share of the frames in each direction. The
-executed items are compared with the items that the vehicle's side has seen. "Plain" missions have one vine
-item before each waypoint. "Wild" ones have several at a place, conditions and loops, and are disturbed by
-changes of mode, jumps, other missions, reboots of the autopilot and of the service, and cut links.
+executed items are compared with the items that the service's `Vehicle` has seen. "Plain" missions have one
+vine item after each stop (a waypoint or a delay). "Wild" missions have several vine items at a place,
+conditions and loops, and are disturbed by changes of mode, jumps, other missions, reboots of the autopilot
+and of the service, and cut links.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""The number of vehicles that one mosquitto carries: simulated vehicles, doubled until it fails.
+"""The number of vehicles that one mosquitto can serve: simulated vehicles, doubled until the broker fails.
 
     .venv/bin/python benchmarks/mqtt_fleet.py [--vehicles 1000] [--rate-Hz 2] [--seconds 10] [--most 32000]
 
 Every vehicle has its own connection and sends like a real one: its state at the given rate, and its reservoir
 with every fourth state, QoS 0. One subscriber receives everything. Broker, vehicles (two processes) and
-subscriber share this machine; the table has the share of a core of each. The broker fails if a message is
-lost or takes longer than 1 s. The benchmark also ends if the vehicles cannot send at their rate.
+subscriber share this machine; the table has the share of a core that each of them uses. The broker fails if a
+message is lost or takes longer than 1 s. The benchmark also ends if the vehicles cannot send at their rate.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""What the page costs the companion, and how soon it vents: python benchmarks/page_load.py
+"""The page's processor time and memory on the companion, and how quickly it vents.
+
+    python benchmarks/page_load.py
 
 The real service runs between the fakes, with 0, 1 and 10 viewers, and with a flood of connections. Measured
 are processor time and memory of the page's process and of the service, bytes to each viewer, the time from a

@@ -1,4 +1,4 @@
-"""What the physics checks find, how quickly, and if they are silent on healthy rigs.
+"""Which mishaps the physics checks find, how quickly, and if they are silent on healthy rigs.
 
     .venv/bin/python benchmarks/physics_checks.py [--rigs N] [--mishaps N] [--first SEED] [--jobs N] [--check]
 
@@ -108,7 +108,9 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=1, help="the first rig's seed")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument(
-        "--check", action="store_true", help="exit status 1 if a check has a finding on a healthy rig"
+        "--check",
+        action="store_true",
+        help="exit status 1 if a healthy rig has a fault, or many are warned",
     )
     arguments = parser.parse_args()
     if min(arguments.rigs, arguments.mishaps) < 0 or arguments.jobs < 1:

@@ -1,4 +1,5 @@
-"""One mishap on a random rig: what finds it first, when, and the vine's pressure meanwhile."""
+"""One mishap on a random rig: the check or limit that finds it first, when, and the vine's pressure
+meanwhile."""
 
 from __future__ import annotations
 
@@ -79,7 +80,7 @@ MISHAPS: Mapping[str, tuple[str, MishapKind]] = {
 
 @dataclass(frozen=True)
 class Noticed:
-    """What found a mishap first; `by` is empty if nothing did."""
+    """The check or limit that found a mishap first; `by` is empty if none did."""
 
     by: str
     after_s: float
@@ -139,7 +140,7 @@ def fly(name: str, seed: int) -> Noticed:
 
 
 def _first(features: Features, checks: PhysicsChecks, began: bool) -> str:
-    """The name of what finds something wrong now; else empty."""
+    """The name of the check or limit that finds something wrong now; else empty."""
     found, telemetry = checks.take(features), features.telemetry
     if telemetry.faults:
         return f"firmware: {telemetry.faults.name}"

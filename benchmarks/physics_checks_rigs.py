@@ -79,7 +79,7 @@ def telemetry_of(case: Case, seconds: float) -> Iterator[Telemetry]:
 
 
 def _setpoints(case: Case, seconds: float) -> list[SetpointChange]:
-    """As for the cycles left, but each long rest ends vented."""
+    """As for the cycles left, but the host vents at the end of each long rest."""
     begins_s, setpoints = setpoints_of(case, seconds)
     first_tick = round(begins_s[0] / HOST_TICK_S)
     for index, end_s in enumerate(begins_s[1:]):

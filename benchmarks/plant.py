@@ -4,7 +4,7 @@ All times are CPU time on one core, so that other work on the machine has little
 to a peer in the same run. The peers of the closed loop are a plain loop over the `Simulator`, and scipy's
 `solve_ivp` with the same right-hand side and about the same accuracy. `solve_ivp` runs with one call a tick,
 as a closed loop needs it, and with one call for all ticks with given valve openings, which is easier. Its
-right-hand side is compiled. The error is the largest difference of a pressure from Radau at rtol 1e-9.
+right-hand side is compiled. The error is the largest difference of a pressure from Radau's at rtol 1e-9.
 
     python benchmarks/plant.py            # about two minutes; needs pip install 'flying-vines[analysis]'
     python benchmarks/plant.py --check    # exit status 1 if a goal is missed
@@ -170,9 +170,9 @@ def loop_over_simulator(plant: Plant, seconds: float, seed: int = 1) -> float:
 
 def measure(plant: Plant, window_s: float) -> dict[str, dict[str, float]]:
     """For each method: multiple of real time, and error in kPa over the window."""
-    lived = [*course(plant, window_s)]
-    truth = tick_by_tick(plant, lived, "Radau", 1e-9)
-    ours = np.array([found[:3] for _, found in lived])
+    ticked = [*course(plant, window_s)]
+    truth = tick_by_tick(plant, ticked, "Radau", 1e-9)
+    ours = np.array([found[:3] for _, found in ticked])
 
     def row(seconds: float, took_s: float, found: NDArray[np.float64]) -> dict[str, float]:
         return {"real_time": seconds / took_s, "error_kPa": float(np.abs(found - truth).max())}
@@ -184,15 +184,15 @@ def measure(plant: Plant, window_s: float) -> dict[str, dict[str, float]]:
     for name, method, rtol in PEERS:
         way = at_once if name.endswith("all") else tick_by_tick
         began_s = time.process_time()
-        found = way(plant, lived, method, rtol)
+        found = way(plant, ticked, method, rtol)
         rows[f"solve_ivp {name}"] = row(window_s, time.process_time() - began_s, found)
     return rows
 
 
-Lived = tuple[Held, Conditions]
+Ticked = tuple[Held, Conditions]
 
 
-def course(plant: Plant, seconds: float) -> Iterator[Lived]:
+def course(plant: Plant, seconds: float) -> Iterator[Ticked]:
     """For each tick of the closed loop: the commands, and the true state after it."""
     simulator = Simulator(plant)
     for row in run(plant, seconds, record_every=1):
@@ -231,12 +231,12 @@ def right_hand_side(plant: Plant) -> tuple[Callable[[Any, Held], NDArray[np.floa
     return of, simulator
 
 
-def tick_by_tick(plant: Plant, lived: list[Lived], method: str, rtol: float) -> NDArray[np.float64]:
+def tick_by_tick(plant: Plant, ticked: list[Ticked], method: str, rtol: float) -> NDArray[np.float64]:
     """Pressures after each tick, with one call a tick."""
     of, simulator = right_hand_side(plant)
     air, state = air_at(plant.ambient, 0.0), np.array(simulator.state)
     rows = []
-    for held, _ in lived:
+    for held, _ in ticked:
         solution = solve_ivp(
             lambda t, y, held: of(y, held), (0.0, TICK_S), state, method, args=(held,), rtol=rtol, atol=rtol
         )
@@ -246,17 +246,17 @@ def tick_by_tick(plant: Plant, lived: list[Lived], method: str, rtol: float) -> 
     return np.array(rows)
 
 
-def at_once(plant: Plant, lived: list[Lived], method: str, rtol: float) -> NDArray[np.float64]:
+def at_once(plant: Plant, ticked: list[Ticked], method: str, rtol: float) -> NDArray[np.float64]:
     """Pressures after each tick, with one call for all."""
     of, simulator = right_hand_side(plant)
     air = air_at(plant.ambient, 0.0)
-    last = len(lived) - 1
+    last = len(ticked) - 1
     solution = solve_ivp(
-        lambda t, y: of(y, lived[min(last, int(t / TICK_S))][0]),
-        (0.0, len(lived) * TICK_S),
+        lambda t, y: of(y, ticked[min(last, int(t / TICK_S))][0]),
+        (0.0, len(ticked) * TICK_S),
         np.array(simulator.state),
         method,
-        t_eval=(np.arange(len(lived)) + 1) * TICK_S,
+        t_eval=(np.arange(len(ticked)) + 1) * TICK_S,
         rtol=rtol,
         atol=rtol,
         max_step=TICK_S,
@@ -318,7 +318,7 @@ print((time.process_time() - began_s) / fake.now_s)
 
 
 def fake_cpu_share() -> float:
-    """Share of one core in real time, with nothing but the standard library."""
+    """Share of one core that the fake needs in real time, without numba, numpy and scipy."""
     ran = subprocess.run([sys.executable, "-c", FAKE], capture_output=True, text=True, check=True)
     return float(ran.stdout)
 

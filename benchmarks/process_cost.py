@@ -51,7 +51,8 @@ def only_child(pid: int) -> int:
 
 
 def import_ms(python: str, statement: str, environment: Mapping[str, str], repeats: int) -> float:
-    """The median of new interpreters, without their own start; bytecode is cached before."""
+    """The median CPU time of the imports in new interpreters, without their own start; bytecode is cached
+    before."""
     command = [python, "-c", _TIMED_IMPORT.format(statement)]
     times_s = []
     for _ in range(repeats + 1):

@@ -2,7 +2,7 @@
 
     python benchmarks/rules_taken_away.py [--only PART] [--list] [--jobs N]
 
-A rule is an `if` of the functions below (also of a `case`), one side of its `and` or `or`, or an entry of
+A rule is an `if` of the functions below (also of a `case`), one side of an `and` or `or`, or an entry of
 safety's tables. Each rule is removed in turn, in a copy of the sources, and the tests of its module run
 there: one of them must fail. A rule without such a test is printed and makes the exit status 1. So does a
 rule for which the tests did not end in time.

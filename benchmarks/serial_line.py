@@ -1,10 +1,10 @@
-"""How soon the link is back: boards that return under another name, and readers that stop reading.
+"""Time until the serial link works again: a board returns under another name, or reads nothing for a while.
 
     .venv/bin/python benchmarks/serial_line.py [--runs 30]
 
 The board is the firmware on a pseudo-terminal, in this process; all numbers are of the real `FirmwareLink`
-and the wall clock. A pseudo-terminal holds kilobytes that its reader does not fetch; the kernel reports a
-real port as full at 256 bytes.
+and the wall clock. A pseudo-terminal stores kilobytes that the board does not read; the kernel reports a real
+port as full at 256 bytes.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 BOARD = UsbBoard(0x16C0, 0x0483, "1234560")
 WITHIN_S = 1.0
 MAX_WAIT_S = 10.0
-WEDGED_S = 2.0
+UNREAD_S = 2.0
 
 
 def main() -> None:
@@ -40,8 +40,8 @@ def main() -> None:
     arguments = parser.parse_args()
     returns = asyncio.run(_returns(arguments.runs))
     _tell("board returns under another name → READY", returns)
-    wedges, latest_s = asyncio.run(_wedges(max(1, arguments.runs // 3)))
-    _tell(f"reader wedged for {WEDGED_S:g} s → newest command taken", wedges)
+    unread, latest_s = asyncio.run(_reads_nothing(max(1, arguments.runs // 3)))
+    _tell(f"board reads nothing for {UNREAD_S:g} s → newest command taken", unread)
     print(f"{'longest turn of the event loop meanwhile':<55} {1000 * latest_s:7.1f} ms")
     print(f"{'processor time while the board is not there':<55} {asyncio.run(_absent()):7.2%} of a core")
     sys.exit(0 if max(returns) <= WITHIN_S else 1)
@@ -80,8 +80,8 @@ async def _returns(runs: int) -> list[float]:
     return took_s
 
 
-async def _wedges(runs: int) -> tuple[list[float], float]:
-    """Times until a reader that reads again has the newest command, and the longest turn of the loop."""
+async def _reads_nothing(runs: int) -> tuple[list[float], float]:
+    """Times until a board that reads again has the newest command, and the longest turn of the event loop."""
     took_s, latest_s = [], 0.0
     phlosar = _phlosar()
     with PtyPhlosar(phlosar) as board:
@@ -94,8 +94,8 @@ async def _wedges(runs: int) -> tuple[list[float], float]:
                     await _until(lambda: not phlosar.firmware.faults)
                     host.command(Regulate(10.0, 100.0))
                     await _until(lambda: phlosar.firmware.mode is Mode.REGULATE)
-                # Nobody reads. A new command at every tick fills the buffers.
-                ends = monotonic() + WEDGED_S
+                # The board reads nothing. A new command at every tick fills the buffers.
+                ends = monotonic() + UNREAD_S
                 turn = 0
                 while (before := monotonic()) < ends:
                     turn += 1
@@ -112,7 +112,7 @@ async def _wedges(runs: int) -> tuple[list[float], float]:
 
 
 async def _absent() -> float:
-    """The share of a core for the search of a board among this machine's own ports."""
+    """The share of a core that the search for a missing board takes, among this machine's own ports."""
     host = FirmwareLink(UsbBoard(0xFFFF, 0xFFFF), lambda event: None)
     began, used_s = monotonic(), process_time()
     async with _running(host.port.run):
@@ -137,7 +137,7 @@ async def _running(run: Callable[[], Coroutine[None, None, None]]) -> AsyncItera
 
 async def _until(true: Callable[[], bool]) -> None:
     async with asyncio.timeout(MAX_WAIT_S):
-        while not true():  # noqa: ASYNC110 - what is waited for happens on a simulated board
+        while not true():  # noqa: ASYNC110 - the condition is about a simulated board
             await asyncio.sleep(0.001)
 
 

@@ -2,8 +2,8 @@
 
     python benchmarks/small_core.py [--share 1/8 ...] [--flips N]
 
-The flight of `latency.py` (500 MAVLink messages and 100 telemetry frames a second), with the recorder and
-without the page, while the kernel limits the service to a share of one core in every 10 ms. A setpoint is due
+The flight is that of `latency.py` (500 MAVLink messages and 100 telemetry frames a second), with the recorder
+and without the page. The kernel limits the service to a share of one core in every 10 ms. A setpoint is due
 every 20 ms while the vine is regulated. Linux only, as root, because it uses a control group.
 """
 
@@ -34,7 +34,8 @@ DEAD_MAN_S = 0.25
 
 @contextlib.contextmanager
 def limited(share: Fraction) -> Iterator[Path]:
-    """A control group with this share of one core. A process enters it by the file `cgroup.procs`."""
+    """A control group with this share of one core. A process enters it if its id is written to
+    `cgroup.procs`."""
     unified = (GROUPS / "cgroup.controllers").exists()
     group = (GROUPS if unified else GROUPS / "cpu") / f"small-core-{os.getpid()}"
     quota_us = max(SHORTEST_QUOTA_US, round(share * PERIOD_US))

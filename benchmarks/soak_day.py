@@ -20,7 +20,7 @@ from flying_vines.vehicle.mission.storage import AutopilotKind
 
 LOOK_S = 0.1
 SETTLED_AFTER_S = 2.5
-"""Time after a trigger: debounce, ramp, and ArduPilot's texts about an item."""
+"""Maximum time from a trigger to the end of a bend: debounce, ramp, and ArduPilot's texts about an item."""
 
 SWITCH = 9
 _PULSES_US = (1000, 1500, 2000)
@@ -92,7 +92,7 @@ class Tally:
         if not there:
             self._violation(t, f"{cv_kPa:.1f} kPa since {motion.name} at {self._began_s:.1f} s")
             # Report it once. The next trigger is compared with the new pressure.
-            self._motion = Motion("whatever that was", cv_kPa, cv_kPa)
+            self._motion = Motion("an unexpected pressure", cv_kPa, cv_kPa)
             self._peaked = True
 
     def _violation(self, t: float, what: str) -> None:
@@ -117,7 +117,7 @@ class World:
         for t, item in reversed(list(news)):
             self._items_until_s = t
             self.tally.trigger(t, "mission item", bend(item.params[1]))
-        # The log keeps thousands of items; this would look like growing memory.
+        # The log would keep thousands of items, which would look like growing memory.
         del self.autopilot.payload_log[:-1]
         self.tally.look(self.now(), self.phlosar.cv_kPa)
 

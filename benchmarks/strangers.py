@@ -30,7 +30,7 @@ MAX_WAIT_S = 0.5
 BATCH = 50
 """Messages to the broker in one write."""
 Attack = Callable[[str], None]
-"""Attacks from an address of this machine, until it fails."""
+"""A function that attacks from the given address of this machine, until its connection fails."""
 
 
 @dataclass(frozen=True)
@@ -47,11 +47,11 @@ class Target:
 
 @dataclass
 class Harm:
-    """What the attackers sent, by kind."""
+    """Numbers of requests and messages that the attackers sent, by kind."""
 
     done: Counter[str] = field(default_factory=Counter)
     let_in: Counter[str] = field(default_factory=Counter)
-    """Requests that succeeded although nobody may make them."""
+    """Requests that succeeded although they must be refused."""
     seconds: float = 0.0
     cpu_s: float = 0.0
 

@@ -1,11 +1,16 @@
 """Does venting protect a vine whose inflation valve is stuck open?
 
-A likely rig with a full reservoir; the firmware's regulator holds the vine at 20.7 kPa until the inflation
-valve sticks open. Then there are four cases. The host notices nothing and the firmware regulates until it
-finds a fault; it is told to vent; it is told to vent and the Venturi runs as well; it is told to vent and the
-outlet does not open. Pressures are kPa gauge; the firmware's limit is 30. The table has the maximum rate, the
-time at the limit, the highest pressure and its time, the time above the limit, and the reservoir's pressure
-at the end (after 12 s; after 1 s if no air can leave).
+A likely rig has a full reservoir, and the firmware's regulator holds the vine at 20.7 kPa until the inflation
+valve sticks open. Then there are four cases:
+
+- the host notices nothing, and the firmware regulates until it finds a fault
+- the host commands a vent
+- the host commands a vent, and the Venturi runs as well
+- the host commands a vent, and the outlet does not open
+
+Pressures are kPa gauge; the firmware's limit is 30. The table has the maximum rate, the time until the limit,
+the highest pressure and its time, the time above the limit, and the reservoir's pressure at the end (after
+12 s; after 1 s if no air can leave).
 
     python benchmarks/stuck_valve.py
 """
@@ -33,7 +38,7 @@ OUTLETS: dict[str, dict[str, StuckAt]] = {
 
 
 class Found(NamedTuple):
-    """The vine's course in one case."""
+    """The results of one case. Times count from the moment when the valve sticks."""
 
     fastest_kPa_per_s: float
     at_limit_s: float | None

@@ -1,7 +1,7 @@
 """Flies one flight with one process: flips the switch under load and times the setpoints that follow.
 
-One thread sends the messages and reads the serial line. Both times are of its own monotonic clock, so they
-include its sending and reading.
+One thread sends the messages, reads the serial line, and takes both times from one monotonic clock. So a
+measured time includes the thread's own sending and reading.
 """
 
 from __future__ import annotations

@@ -21,8 +21,8 @@ UP_KPA = np.linspace(0.0, 20.7, 24)
 KPA = np.concatenate([UP_KPA, UP_KPA[::-1], UP_KPA[::3]])
 NOISE_DEG = 0.7
 LEAST_SHARE = 0.88
-"""Minimum share of the intervals, with good pressures: 95 % minus the error of a linear model at a kink, and
-chance."""
+"""Minimum share of the intervals with good pressures. It is less than 95 % because the linear model has an
+error at a kink, and because of chance."""
 
 Drawn = tuple[Array, Callable[[BendCurveFit], list[tuple[CurveEstimate | None, float]]]]
 

@@ -54,7 +54,8 @@ class Switched:
 
 @dataclass(frozen=True)
 class Looked:
-    """What the viewers received: the snapshots a second of each, and the longest time without one."""
+    """Mean number of snapshots that a viewer received in a second, and the longest time without a
+    snapshot."""
 
     snapshots_per_s: float
     longest_gap_s: float

@@ -1,7 +1,7 @@
 """Pressure and air along a mission: the cost of each vine item, and safety's ruling on it.
 
-It has no model of its own. The flight code plans the motions, judges the intents and counts the air. The
-service's reservoir estimator runs on the planned motions instead of telemetry.
+This module has no model of its own. The code that runs in flight plans the motions, judges the intents and
+counts the air. The service's reservoir estimator reads the planned motions instead of telemetry.
 """
 
 from __future__ import annotations
@@ -47,7 +47,8 @@ class PlannedBend:
     ruling: Ruling
     """Safety's ruling at the expected reservoir pressure; "refused" also if the item has no valid intent."""
     doubt: str
-    """Why it would be refused at the low end of the reservoir's interval; empty if it would not."""
+    """Why safety would refuse the item at the low end of the reservoir's interval. Empty if safety would not
+    refuse it then, or refuses it already at the expected pressure."""
     motion: Motion | None
     ends_s: float
     """End of the motion: vine at rest, next item, or landing, whichever is first."""
@@ -58,7 +59,7 @@ class PlannedBend:
     air_kPa: float
     """Expected pressure loss of the reservoir."""
     cycles: CyclesLeft | None
-    """Cycles left after it."""
+    """Cycles left after the bend."""
     low_at_s: float | None = None
     """When the reservoir falls below the reserve during this bend; safety then vents the vine."""
 
@@ -95,8 +96,8 @@ class _Air:
         self._filter.spend(spent)
 
     def range_kPa(self) -> Range:
-        p, share = self._filter.covariance, self._share()
-        sd = math.sqrt(max(0.0, p[X][X] - 2.0 * share * p[X][GAS] + share * share * p[GAS][GAS]))
+        p, slope = self._filter.covariance, self._kPa_per_K()
+        sd = math.sqrt(max(0.0, p[X][X] - 2.0 * slope * p[X][GAS] + slope * slope * p[GAS][GAS]))
         expected = self._reading()
         return Range(expected, max(0.0, expected - Z90 * sd), expected + Z90 * sd)
 
@@ -108,9 +109,10 @@ class _Air:
 
     def _reading(self) -> float:
         """The gauge reading, which is lower for cold gas."""
-        return self._filter.mean[X] - self._share() * self._filter.mean[GAS]
+        return self._filter.mean[X] - self._kPa_per_K() * self._filter.mean[GAS]
 
-    def _share(self) -> float:
+    def _kPa_per_K(self) -> float:
+        """Change of the reading per kelvin of the gas."""
         return self._filter.absolute_kPa / STANDARD_TEMPERATURE_K
 
 
@@ -157,7 +159,10 @@ class _MissionRun:
         )
 
     def _landing_s(self) -> float:
-        """Start of the landing, when the altitude interlock vents the vine."""
+        """Start of the last item if it is a landing or return, else the end of the mission.
+
+        The budget vents the vine then. In flight the altitude interlock vents it later, near the ground.
+        """
         last = self._plan.steps[-1] if self._plan.steps else None
         return self._plan.length_s if last is None or last.item.command not in ENDS else last.t_s
 
@@ -238,7 +243,7 @@ class _MissionRun:
                 self._low_at_s = self._t_s
 
     def _spent(self, to_s: float) -> Iterator[Spent]:
-        """The air used until `to_s`, in the estimator's time steps: short ones while the vine moves."""
+        """The air used until `to_s`, in steps of BLOCK_S while the vine moves, else in steps of STILL_S."""
         while self._t_s < to_s - 1e-9:
             moves = self._motion is not None and self._t_s < self._motion.started_at + self._motion.duration_s
             time_s = min(to_s - self._t_s, BLOCK_S if moves else STILL_S)

@@ -26,7 +26,7 @@ from flying_vines.vine.intent import BendTo, Intent, StartProfile
 from missions.item_for_intent import item_for_intent, suggestion
 from missions.mission import Mission, MissionError, VineAction, Waypoint
 
-BEND_LESS = "calibrate further, or bend less"
+BEND_LESS = "calibrate this angle, or bend less"
 REST_S = 0.5
 """Time for the vine to come to rest after a motion. Default holds are multiples of it."""
 
@@ -70,7 +70,7 @@ def build(
 
 
 def _place(waypoint: Waypoint, home: Home) -> tuple[float, float]:
-    """Latitude and longitude, rounded to 1e-7 degrees as in MISSION_ITEM_INT."""
+    """Latitude and longitude; if computed from metres, rounded to 1e-7 degrees as in MISSION_ITEM_INT."""
     if waypoint.at is not None:
         return waypoint.at
     latitude, longitude = home.global_deg(waypoint.north_m or 0.0, waypoint.east_m or 0.0)

@@ -92,7 +92,10 @@ def _choice(intent: Intent) -> Button:
 
 
 def _profiles(config: Config) -> Iterator[Button]:
-    """A button for each profile that a rule for USER_1 starts; none if an earlier rule matches its params."""
+    """A button for each profile that a rule for USER_1 starts.
+
+    A rule gives no button if an earlier rule matches the same params.
+    """
     rules = Rules(config)
     offered = set()
     for item in config.items:

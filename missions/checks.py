@@ -1,6 +1,6 @@
 """Finds problems of a mission with the autopilot, its storage, safety, or the air.
 
-Error: an item would not be executed as written. Warning: it may be a mistake. Each check is one function.
+Error: an item would not be executed as written. Warning: an item may be a mistake. A check is one function.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ _YAW_MAY_BE_NAN = {WAYPOINT, LAND, TAKEOFF, VTOL_TAKEOFF, VTOL_LAND}
 
 @dataclass(frozen=True, slots=True)
 class MissionFinding:
-    """One problem; `seq` is the item's."""
+    """One problem of the item `seq`."""
 
     severity: Literal["error", "warning"]
     seq: int
@@ -111,7 +111,7 @@ class CheckedMission:
         return MissionFinding("warning", item.seq, f"{self._where(item)}: {text}")
 
     def _where(self, item: MissionItem) -> str:
-        """An item as text: its number, its name, and the last waypoint before it."""
+        """An item as text: its number, its name, and the number of the last waypoint begun."""
         waypoint = next((step.waypoint for step in self.timeline.steps if step.item.seq == item.seq), None)
         place = f", waypoint {waypoint}" if waypoint else ""
         return f"item {item.seq} ({name_of(item)}{place})"
@@ -219,7 +219,7 @@ def _places(case: CheckedMission) -> Iterator[MissionFinding]:
             yield case.warning(item, f"{distance_m / 1000:.1f} km from home: is that intended?")
 
 
-# Checks of what runs when.
+# Checks of the order and the times of the items.
 
 
 def _never(case: CheckedMission) -> Iterator[MissionFinding]:
@@ -256,7 +256,7 @@ def _jumps(case: CheckedMission) -> Iterator[MissionFinding]:
             yield case.warning(item, "items after it may run later than shown, or never")
 
 
-# Checks of what the vine does.
+# Checks of the vine's actions.
 
 
 def _no_vine(case: CheckedMission) -> Iterator[MissionFinding]:
@@ -267,7 +267,7 @@ def _no_vine(case: CheckedMission) -> Iterator[MissionFinding]:
 def _disarmed(case: CheckedMission) -> Iterator[MissionFinding]:
     bends = case.budget.bends
     if bends and not case.config.interlocks.armed_at_start:
-        first = "refused while the pneumatics are disarmed, as at the start (interlocks.armed_at_start)"
+        first = "the pneumatics start disarmed (interlocks.armed_at_start), and safety then refuses bends"
         yield case.warning(bends[0].step.item, f"{first}; arm them before the flight")
 
 

@@ -10,7 +10,7 @@ from flying_vines.vehicle.mission.item import MissionItem
 
 @dataclass(frozen=True, slots=True)
 class FlightResult:
-    """The result. Pressures are gauge."""
+    """The result of one flight; pressures are gauge."""
 
     ran: tuple[MissionItem, ...]
     """The vine items that the autopilot ran, in order."""
@@ -19,9 +19,10 @@ class FlightResult:
     begins_kPa: float
     ends_kPa: float
     length_s: float
+    """Simulated time from the start of the mission to the landing, or until the flight was stopped."""
     landed: bool
     flown_s: float
-    """Simulated time, including time on the ground."""
+    """`length_s` and the time on the ground before it."""
     took_s: float
     """Real time on this computer."""
 

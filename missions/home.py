@@ -28,8 +28,8 @@ def home_of(items: Sequence[MissionItem]) -> Home | None:
     for item in items:
         latitude, longitude, z = item.params[4:]
         if has_place(item.command, item.frame) and (latitude, longitude) != (0.0, 0.0) and on_earth(item):
-            at_sea = item.seq == 0 and is_home(item) and math.isfinite(z)
-            return Home(latitude, longitude, z if at_sea else 0.0)
+            above_sea = item.seq == 0 and is_home(item) and math.isfinite(z)
+            return Home(latitude, longitude, z if above_sea else 0.0)
     return None
 
 

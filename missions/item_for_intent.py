@@ -17,7 +17,8 @@ from flying_vines.vehicle.triggers import NAME_OF_COMMAND, Rules
 from flying_vines.vine.intent import BendTo, Intent, StartProfile
 
 ANGLE_TOLERANCE_DEG = 0.01
-"""Rounding error of an angle in 32-bit floats with a scale."""
+"""Largest rounding error of an angle: an item stores the angle, divided by the rule's `scale`, as a 32-bit
+float."""
 
 
 def item_for_intent(intent: Intent, config: Config, kind: AutopilotKind) -> MissionItem | None:
@@ -69,8 +70,8 @@ def described(item: MissionItem) -> str:
 def _by_preference(config: Config, kind: AutopilotKind) -> Iterator[tuple[int, ItemConfig]]:
     """Pairs of command and rule, the best first.
 
-    Of the rules for one command, those with a nonzero param7 come first: such an actuator moves no output
-    of the autopilot.
+    Of the rules for one command, those with a nonzero param7 come first. For PX4's actuator items, param7 is
+    the set of actuators, and a set other than 0 moves no output of the autopilot.
     """
     pairs = [(command, rule) for rule in config.items for command in rule.command_ids if not is_nav(command)]
     ranks = {ITEM_COMMANDS[name]: rank for rank, name in enumerate(AUTOPILOTS[kind].item_commands)}

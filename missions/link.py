@@ -1,4 +1,4 @@
-"""A vehicle by mavsdk: finds it on a link, transfers its mission, and queues its messages."""
+"""Uses mavsdk to find a vehicle on a link, to transfer its mission, and to queue its messages."""
 
 from __future__ import annotations
 
@@ -54,11 +54,11 @@ _RESULTS = {
 
 
 class VehicleLinkError(Exception):
-    """The vehicle cannot be reached or does not answer; the text is one sentence: why, and what to do."""
+    """The vehicle cannot be reached, does not answer, or has no mission. The text is one line."""
 
 
 class UploadRefused(Exception):
-    """The vehicle refused the mission. `seq` is the refused item; None if it requested no item."""
+    """The vehicle refused the mission. `seq` is the refused item; None if the vehicle requested no item."""
 
     def __init__(self, seq: int | None, why: str) -> None:
         super().__init__(why)
@@ -122,11 +122,14 @@ async def vehicle(link: str, within_s: float = FOUND_WITHIN_S) -> AsyncIterator[
 
 
 _KINDS = {kind.upper(): kind for kind in AUTOPILOTS}
-"""By mavsdk's names."""
+"""Our kinds, by mavsdk's names for them."""
 
 
 async def _kind(system: Any) -> AutopilotKind | None:
-    """The kind in the autopilot's next heartbeat; mavsdk finds an autopilot by any message."""
+    """The autopilot's kind, or None if no heartbeat comes.
+
+    mavsdk finds an autopilot by any message, but learns its kind only from a heartbeat.
+    """
     for _ in range(round(HEARTBEAT_WITHIN_S / POLL_S)):
         kind = _KINDS.get((await system.autopilot_type()).name)
         if kind is not None:
@@ -142,7 +145,7 @@ def _mavsdk() -> Any:
         from mavsdk.logging import log_subscribe
     except ModuleNotFoundError:
         raise VehicleLinkError(f"mavsdk is missing: {_EXTRA}, on 64-bit systems") from None
-    except Exception as error:  # its own exception class is in the library that failed to load
+    except Exception as error:  # mavsdk's own exception class is in the library that failed to load
         raise VehicleLinkError(f"mavsdk does not run here: {str(error).splitlines()[0]}") from None
 
     log_subscribe(lambda level, message, file, line: True)
@@ -152,8 +155,8 @@ def _mavsdk() -> Any:
 class MessageQueue:
     """Receives the messages of one vehicle with the given names. At most MAX_WAITING wait for the reader.
 
-    Other systems' messages are dropped here: another drone on the same network must not end a watch. mavsdk
-    4.1.0 does not deliver them, but its interface does not promise it.
+    Messages of other systems are dropped here: another drone on the same network must not end a watch. mavsdk
+    4.1.0 does not deliver such messages, but its documentation does not promise that.
     """
 
     def __init__(self, direct: Any, names: Sequence[str], system_id: int) -> None:
@@ -166,7 +169,8 @@ class MessageQueue:
         self._handles = [direct.subscribe_message(name, self._take) for name in names]
 
     def _take(self, message: Any, _: object) -> None:
-        """Runs in a thread of mavsdk. One call of the loop serves all messages that have arrived by then."""
+        """Runs in a thread of mavsdk. Several messages before `_wake` cause only one call of the event
+        loop."""
         if message.system_id != self._system_id:
             return
         self._waiting.append(message)
@@ -286,8 +290,8 @@ class MissionVehicle:
         result, answer = await _answer(partial(self._direct.send_command_async, message), ANSWER_WITHIN_S)
         if result != MavlinkDirectResult.SUCCESS:
             return None
-        accepted: int = json.loads(answer.fields_json)["result"]
-        return accepted
+        mav_result: int = json.loads(answer.fields_json)["result"]
+        return mav_result
 
 
 async def _answer(start: Callable[[Callable[..., None]], None], within_s: float) -> tuple[Any, Any]:

@@ -48,7 +48,7 @@ class PlannedHome(_Table, frozen=True):
 
 
 class VineAction(_Table, frozen=True):
-    """What the vine does at a place, and how long the vehicle waits for it."""
+    """An action of the vine at a place, and how long the vehicle waits for it."""
 
     profile: str | None = None
     bend_deg: float | None = None

@@ -42,7 +42,7 @@ class PlanFile:
 
     items: tuple[MissionItem, ...]
     kind: AutopilotKind | None
-    """None if the plan names another autopilot, or none."""
+    """None if the caller gave no kind, and the plan names no autopilot or an unknown one."""
     home: Home
 
 

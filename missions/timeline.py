@@ -1,8 +1,9 @@
 """Predicts when and where a mission's items run, and for how long, with straight flight paths.
 
-Non-navigation items (vine items too) run as seen on real autopilots. ArduPilot runs them when the previous
-navigation item is done; before the first one it runs them on the ground. After the last navigation item it
-runs only one of them, and none after the landing. PX4 goes through all items one by one.
+The rules for non-navigation items (vine items too) were observed on real autopilots. ArduPilot runs these
+items when the previous navigation item is done, and on the ground if they come before the first navigation
+item. After the last navigation item ArduPilot runs only one more item, and after the landing none. PX4 runs
+all items one by one.
 """
 
 from __future__ import annotations
@@ -56,13 +57,13 @@ class TimelineStep:
     item: MissionItem
     flown: bool
     t_s: float
-    """Its start, since the start of the take-off."""
+    """Start of the item, counted from the start of the take-off."""
     takes_s: float
     distance_m: float
     height_m: float
-    """Above home, at its end."""
+    """Above home, at the end of the item."""
     waypoint: int
-    """Number of waypoints begun so far, including this one."""
+    """Number of waypoints begun so far, including this item if it is a waypoint."""
 
     @property
     def ends_s(self) -> float:

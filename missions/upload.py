@@ -39,7 +39,7 @@ class MissionComparison:
 async def upload(path: Path, link: str, console: Console) -> int:
     """Upload the mission in a .plan or .waypoints file, and compare the stored mission with it.
 
-    Returns 0 if the vehicle stores what was expected, 1 if it stores something else, 2 if it refused a part.
+    Returns 0 if the vehicle stores the expected items, 1 if it stores others, 2 if it refused the mission.
     The console shows details.
 
     Raises:
@@ -59,7 +59,7 @@ async def upload(path: Path, link: str, console: Console) -> int:
             await _send(peer, found.items, console if console.is_terminal else None)
         except UploadRefused as refused:
             console.print(_sentence(found.items, refused), style="red", soft_wrap=True, markup=False)
-            for line in await _left_behind(peer, found.items, refused.seq or 0):
+            for line in await _held_after_refusal(peer, found.items, refused.seq or 0):
                 console.print(line, soft_wrap=True, markup=False)
             return REFUSED
         comparison = compare(peer.kind, found.items, await peer.download())
@@ -100,8 +100,10 @@ def _sentence(items: Sequence[MissionItem], refused: UploadRefused) -> str:
     return f"Refused: item {item.seq} ({name_of(item)}, command {item.command}): {refused.why}."
 
 
-async def _left_behind(peer: MissionVehicle, sent: Sequence[MissionItem], refused_seq: int) -> list[str]:
-    """Reads the vehicle's mission after a refusal: on ArduPilot it may be a mix of old and new items."""
+async def _held_after_refusal(
+    peer: MissionVehicle, sent: Sequence[MissionItem], refused_seq: int
+) -> list[str]:
+    """Describes the vehicle's mission after a refusal: on ArduPilot it may be a mix of old and new items."""
     try:
         held = await peer.download()
     except VehicleLinkError as error:
@@ -164,7 +166,7 @@ def _changes(before: MissionItem, after: MissionItem) -> list[str]:
 
 
 def _meant(kind: AutopilotKind, item: MissionItem) -> MissionItem:
-    """The item without values that the autopilot always replaces, and without values that do not matter."""
+    """The item without the values of RETURN and LAND that ArduPilot replaces or does not use."""
     if kind == "ardupilot" and item.command == RETURN:
         return replace(item, params=(0.0,) * 7, frame=0)
     if kind == "ardupilot" and item.command == LAND:
@@ -181,7 +183,7 @@ def _same(kind: AutopilotKind, one: MissionItem, other: MissionItem) -> bool:
 
 
 def _close(a: float, b: float) -> bool:
-    """True for the same 32-bit float, or the same 1e-7 degrees."""
+    """True if only the rounding to a 32-bit float or to 1e-7 degrees differs, or if both are NaN."""
     return math.isclose(a, b, rel_tol=1e-6, abs_tol=2e-7) or (math.isnan(a) and math.isnan(b))
 
 

@@ -52,7 +52,7 @@ class WatchLine:
 class MissionView:
     """The state of a flown mission, from the vehicle's messages. No I/O.
 
-    It ends when the autopilot reports the mission as complete or disarms, after the mission was active.
+    Once the mission has been active, the view ends when the autopilot reports it as complete or disarms.
     """
 
     items: Sequence[MissionItem]
@@ -66,10 +66,10 @@ class MissionView:
     _armed: bool | None = None
     _was_active: bool = False
     _announced: set[int] = field(default_factory=set)
-    """Items already shown because of a status text. It may come before MISSION_CURRENT."""
+    """Items already shown because of a status text, which may come before MISSION_CURRENT."""
     _shown_values: str = ""
     _unfinished: dict[int, tuple[int, str]] = field(default_factory=dict)
-    """Id and chunks of the text that each component has not finished."""
+    """For each component: id and first chunks of a text whose last chunk has not arrived."""
 
     def handle(self, t: float, message: ReceivedMessage) -> list[WatchLine]:
         """The new lines from a message."""

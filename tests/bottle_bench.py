@@ -15,8 +15,9 @@ class Bench:
     """A reservoir of the demonstration's size, read at 100 Hz by a noisy sensor, without the other parts of
     the plant.
 
-    `cost_kPa` is the fall for a rise of 20.7 kPa; `leak_per_s` of the pressure is lost each second. The gas
-    cools with the outflow: 0.4 of every kPa comes back with the time constant `recovery_s`.
+    `cost_kPa` is the reservoir's fall for a rise of the vine by 20.7 kPa; `leak_per_s` is the share of the
+    pressure that is lost each second. The gas cools with the outflow: each lost kPa lowers the reading by
+    another 0.4 kPa, which comes back with the time constant `recovery_s`.
     """
 
     def __init__(

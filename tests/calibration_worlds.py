@@ -91,8 +91,8 @@ class CoreWorld(_Stage):
             self._receive(self.world.advance(self.now))
             self.carry_out(self.calibrator.tick(self.now, self.world.core.snapshot(self.now)))
 
-    def fit_balance(self, seconds: float = 3.0) -> None:
-        """Run until the latest request is done."""
+    def run_core(self, seconds: float = 3.0) -> None:
+        """Run the core without the calibrator, long enough to carry out the latest request."""
         self.now += seconds
         list(self.world.advance(self.now))
 

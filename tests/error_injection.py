@@ -1,4 +1,4 @@
-"""Makes a method of any object in the core raise at a given time."""
+"""Makes a method of any object in the core raise an error at a given time."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def methods_within(core: Core) -> list[Method]:
         if not type(thing).__module__.startswith(OURS) or isinstance(thing, (Enum, msgspec.Struct)):
             continue
         if type(thing).__module__ == protocol.__name__:
-            continue  # the fake board also has them
+            continue  # the fake board also uses these classes
         found.update(dict.fromkeys(cls for cls in type(thing).__mro__ if cls.__module__.startswith(OURS)))
         names = [*getattr(thing, "__dict__", {}), *_slots(thing)]
         waiting.extend(getattr(thing, name) for name in names if hasattr(thing, name))
@@ -67,7 +67,11 @@ def _slots(thing: object) -> Iterator[str]:
 def breakable(
     method: Method, raises: Callable[[], bool], raised: Callable[[bool], None] = lambda needed: None
 ) -> Iterator[None]:
-    """A method that raises if `raises` says so. `raised` is told if the vine needs the method."""
+    """Make a method raise whenever `raises` returns true.
+
+    Before the error, `raised` is called: with false if a method of `ONLY_SHOWN` is on the call stack, else
+    with true.
+    """
     cls, name = method
     before: Any = vars(cls)[name]
 

@@ -15,7 +15,7 @@ from flying_vines.simulation.phlosar.firmware import Firmware
 TICK_MS = 10
 """Tick of the host, as in `FirmwareLink`."""
 READING_KPA = 0.2
-"""A converter has steps."""
+"""Tolerance for the firmware's readings, which have the steps of a converter."""
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 def gateway_of(pid: int) -> int:
-    """The only child of a process that was started as a gateway. Raises ValueError if there is none, or
+    """The id of the only child process that was started as a gateway. Raises ValueError if there is none, or
     several."""
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     (gateway,) = (

@@ -1,8 +1,8 @@
 """A monitor at the valves of a simulated phloSAR: it reports what must never happen, whatever the cause.
 
 It uses facts only: the bytes that reach the board, the readings and valve commands, the true pressures, and
-the events that the director of the flight reports. It asks neither the service nor the firmware.
-docs/campaign.md has the rules and the excuses.
+the events that the director reports. The director is the code that flies the flight and causes its faults.
+The monitor asks neither the service nor the firmware. docs/campaign.md has the rules and the excuses.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ SURELY_SEEN_STEPS = 5
 """After this number of bad readings in a row the fault is latched."""
 LONGEST_OVER_S = 0.020
 BLIND_S = 1.0
-"""Maximum time of inflation above the limit: then nobody has noticed the wrong sensor."""
+"""Maximum time of inflation above the limit. A longer one means that nobody has noticed the wrong sensor."""
 LONGEST_HANG_S = 0.260
 """The time of the board's watchdog and a few steps."""
 AFTER_EXCUSE_S = 1.0
@@ -37,7 +37,7 @@ AFTER_EXCUSE_S = 1.0
 SURELY_BEYOND = 0.11
 """Share of a sensor's span, on both sides: readings beyond it mean a broken wire."""
 OVER_BY_KPA, BOTTLE_OVER_BY_KPA = 0.5, 3.0
-"""Converter and rounding: a reading this far above a limit is also above it for the firmware."""
+"""A reading this far above a limit is above it for the firmware too, in spite of converter and rounding."""
 HELD_WITHIN_KPA = 0.01
 AT_REST_AFTER_S = 0.1
 RISE_AT_REST_KPA = 1.0
@@ -129,7 +129,7 @@ class InvariantMonitor:
         self._lowest_kPa = math.inf
         self._called: set[str] = set()
 
-    # What the director knows.
+    # Reports of the director.
 
     def trigger(
         self,
@@ -141,10 +141,10 @@ class InvariantMonitor:
         kPa: float | None = None,
         latest_s: float = math.inf,
     ) -> None:
-        """An authorised person or item requests a bend. It is noticed `after_s` later.
+        """An authorised person or item requests a bend. The companion notices it not before `after_s`.
 
-        A motion must begin within `within_s`, and only once. `kPa` is its end, if known. After `latest_s` the
-        request is too old, whatever delayed it.
+        The request permits one motion, which may begin until `within_s`. `kPa` is the end of the motion, if
+        known. After `latest_s` the request is too old, whatever delayed it.
         """
         self._triggers.append(_Trigger(t + within_s, t + after_s, what, t + latest_s))
         self._targets.append(_Target(t + within_s, kPa))
@@ -177,12 +177,13 @@ class InvariantMonitor:
         return self._resting
 
     def person_clears(self, by_s: float) -> None:
-        """A person clears latched faults and is received by `by_s`. Later faults latch again."""
+        """A person clears latched faults, and the companion receives this by `by_s`. Later faults latch
+        again."""
         self._cleared_s = max(self._cleared_s, by_s)
 
     def delay(self, since_s: float, by_s: float) -> None:
-        """Messages that were sent but not yet received since `since_s` waited for `by_s`, like bytes in a
-        socket."""
+        """Messages that were sent but not received at `since_s`, or sent later, waited for `by_s`, like bytes
+        in a socket."""
         self._triggers = [
             trigger._replace(until_s=min(trigger.until_s + by_s, max(trigger.until_s, trigger.latest_s)))
             if trigger.until_s >= since_s
@@ -194,17 +195,16 @@ class InvariantMonitor:
             self._cleared_s += by_s
 
     def forbid(self, name: str, from_s: float, *, inflation_only: bool = False) -> None:
-        """From `from_s` on, nothing may move the vine until it is permitted: the condition must have been
-        noticed.
+        """From `from_s` on, until `permit`, nothing may move the vine: the condition must have been noticed.
 
-        If it is already forbidden, the earlier time counts.
+        If the condition was reported before, the earlier time counts.
         """
         table = self._no_inflation if inflation_only else self._forbidden
         table[name] = min(from_s, table.get(name, math.inf))
         self._find_deadlines()
 
     def permit(self, name: str) -> None:
-        """The condition is over. If it was in force, triggers from before that time are used up."""
+        """The condition is over. If it was in force, triggers from before its `from_s` are used up."""
         noticed_s = self._forbidden.pop(name, math.inf)
         if noticed_s <= self._stepped_s:
             self._triggers = [trigger for trigger in self._triggers if trigger.from_s >= noticed_s]
@@ -242,7 +242,7 @@ class InvariantMonitor:
         """The time after which no outstanding trigger can be executed."""
         return max((trigger.until_s for trigger in self._triggers), default=-math.inf)
 
-    # What the board knows.
+    # Reports of the board.
 
     def received(self, data: bytes) -> None:
         """Bytes from the host reach the board."""
@@ -291,7 +291,7 @@ class InvariantMonitor:
         relief = drive == RELIEF and t < self._high_s + RELIEF_AFTER_S
         safe = relief or drive == SAFE
         self._judge_readings(t, cv_kPa, reservoir_kPa, safe)
-        # A regulation to 0 looks like rest, but ends with the same fault.
+        # A regulation to 0 looks like rest, but the dead-man latches a fault after it too.
         if not self._resting and t >= self._alive_until_s:
             self._latch("dead-man")
             self._rest()
@@ -375,7 +375,7 @@ class InvariantMonitor:
         targets += [target.kPa for target in self._targets[-1:]]
         if not any(kPa is None or abs(target_kPa - kPa) <= SAME_KPA for kPa in targets):
             asked = " or ".join(f"{kPa:.1f}" for kPa in targets) or "nothing"
-            self._call(t, "numbers", f"bent to {target_kPa:.1f} kPa, and asked was for {asked}")
+            self._call(t, "numbers", f"bent to {target_kPa:.1f} kPa, but requested was {asked}")
 
     def _judge_rest(self, t: float, before: Inputs, true_kPa: float) -> None:
         """With the inflation valve shut and the outlet open, the pressure must not rise."""

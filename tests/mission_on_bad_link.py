@@ -1,4 +1,4 @@
-"""A mission of the simulated autopilot on a bad link, and the items that the vehicle's side sees."""
+"""A mission of the simulated autopilot on a bad link, and the items that the service's `Vehicle` sees."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ GLOBAL_ABOVE_HOME, MISSION_FRAME = 3, 2
 
 @dataclass(frozen=True)
 class Link:
-    """The effect of a link on frames, in each direction. After a loss, none is lost for `spare_s`."""
+    """The effect of a link on frames, in each direction. After a loss, no frame is lost for `spare_s`."""
 
     loss: float = 0.0
     copies: float = 0.0
@@ -60,7 +60,7 @@ class Seen:
 
 @dataclass
 class MissionOnBadLink:
-    """The flight: `ran` has the executed items, `seen` the items that the vehicle's side saw."""
+    """The flight: `ran` has the executed items, `seen` the items that `Vehicle` saw."""
 
     kind: AutopilotKind
     dice: random.Random
@@ -201,8 +201,7 @@ def vine_item(kind: AutopilotKind, dice: random.Random) -> tuple[int, tuple[floa
 
 
 def mission(kind: AutopilotKind, dice: random.Random, *, wild: bool) -> list[MissionItem]:
-    """A mission with a few waypoints. If not `wild`, it has one vine item before each waypoint and nothing
-    else."""
+    """A mission with a few stops. If not `wild`, one vine item follows each stop (a waypoint or a delay)."""
     plan: list[tuple[int, tuple[float, ...], bool]] = []
     if kind == "ardupilot":
         plan.append((WP, (0.0,) * 7, True))  # home
@@ -245,7 +244,7 @@ def _somewhere(kind: AutopilotKind, dice: random.Random) -> tuple[float, ...]:
 
 
 def fly(flight: MissionOnBadLink, for_s: float, happenings: int = 0) -> None:
-    """Start the mission, with this number of disturbances."""
+    """Fly the mission, with this number of disturbances."""
     flight.run(flight.dice.uniform(0.0, 8.0))
     flight.autopilot.start_mission()
     for _ in range(happenings):

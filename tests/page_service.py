@@ -32,7 +32,7 @@ class Served:
         text = text.replace('host = "127.0.0.1"', f'host = "{host}"')
         self.config_file.write_text(re.sub(r"^port = 0", f"port = {self.port}", text, flags=re.MULTILINE))
         self.output = folder / "output.txt"
-        """Its standard output."""
+        """The service's standard output."""
         self._process: asyncio.subprocess.Process | None = None
 
     async def start(self) -> None:
@@ -61,7 +61,7 @@ class Served:
 
     @property
     def gateway(self) -> int:
-        """Id of the process of its page."""
+        """Process id of the gateway, which serves the page."""
         return gateway_of(self.pid)
 
     async def kill(self) -> None:

@@ -62,8 +62,8 @@ _FIELDS = {kind: _offsets(kind) for kind in KINDS}
 
 
 def serving_vehicle_1() -> Config:
-    """The default configuration for vehicle 1. Without a configured id, two autopilots would be refused, and
-    babble has many."""
+    """The default configuration for vehicle 1. Without a configured id the service refuses several
+    autopilots, and random frames have many."""
     base = config.default()
     return structs.replace(base, vehicle=structs.replace(base.vehicle, system_id=1))
 

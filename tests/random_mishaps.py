@@ -80,7 +80,8 @@ DRAWN: tuple[tuple[str, Callable[[Random], MishapKind]], ...] = (
 
 
 def draw_mishap(random: Random, within_s: float) -> Mishap:
-    """A random mishap that begins within `within_s`; in half of the draws it also ends within it."""
+    """A random mishap that begins within `within_s`. Half of the mishaps with a duration also end within
+    it."""
     place, make = random.choice(DRAWN)
     kind = make(random)
     begins_s = random.uniform(0.0, within_s)

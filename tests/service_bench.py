@@ -19,7 +19,7 @@ from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
 
 def between(companion_port: int, serial_path: str) -> str:
-    """The default configuration's text, for a service between these two."""
+    """The default configuration's text, for a service between this UDP port and this serial port."""
     return (
         config.default_text()
         .replace("udpin:127.0.0.1:14540", f"udpin:127.0.0.1:{companion_port}")

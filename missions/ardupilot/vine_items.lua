@@ -2,8 +2,9 @@
 Hands the numbers of DO_SEND_SCRIPT_MESSAGE mission items to the companion computer that moves the vine.
 
 ArduPilot reports such an item to a companion only by the status text "Mission: 3 Scripting". This script also
-sends its four numbers exactly, as COMMAND_LONG MAV_CMD_USER_1 to one component of this vehicle, and repeats
-the command until it is acknowledged. Needs ArduPilot 4.5 or newer. README.md describes the installation.
+sends its four numbers exactly, as COMMAND_LONG MAV_CMD_USER_1 to one component of this vehicle. It sends the
+command up to four times, until it is acknowledged. Needs ArduPilot 4.5 or newer. README.md describes the
+installation.
 
   VINE_COMP  component id of the companion (vehicle.component_id of its configuration)
   VINE_CHAN  MAVLink channel to send on; -1: the channel on which that component sends

@@ -216,7 +216,7 @@ def test_interrupted_while_the_vine_is_bent_it_is_vented() -> None:
     world.run(60.0, until=lambda: world.phlosar.cv_kPa > 20.0)
     assert world.phlosar.cv_kPa > 20.0
     world.carry_out(world.calibrator.stop(world.now, "interrupted"))
-    world.fit_balance()
+    world.run_core()
     assert world.vented
     assert world.ended is not None and world.ended.outcome == "stopped"
     assert world.ended.sentence == "Vine's leak: interrupted"
@@ -244,7 +244,7 @@ def test_a_fault_ends_it_vented_with_its_sentence(
     assert world.ended is not None and world.ended.outcome in ("stopped", "refused")
     assert says in world.ended.sentence
     assert world.asked[-1] == VentVine()
-    world.fit_balance()
+    world.run_core()
     assert world.phlosar.drive.evp == 0.0 and world.phlosar.drive.solenoid
 
 

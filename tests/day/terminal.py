@@ -56,8 +56,8 @@ class Terminal:
             stdout=screen,
             stderr=screen,
             start_new_session=True,
-            # Ctrl-C reaches the program only from its controlling terminal. A job in a shell's background
-            # passes an ignored Ctrl-C on.
+            # Ctrl-C reaches the program only from its controlling terminal. A test that a shell runs in the
+            # background ignores Ctrl-C, and the program would inherit this.
             preexec_fn=lambda: (
                 signal.signal(signal.SIGINT, signal.default_int_handler),
                 fcntl.ioctl(0, termios.TIOCSCTTY, 0),
@@ -100,7 +100,7 @@ class Terminal:
         return Text.from_ansi(_lines(shown.decode(errors="replace")))
 
     def wait_for(self, pattern: str, seconds: float = MAX_WAIT_S) -> re.Match[str]:
-        """Wait until it has printed this."""
+        """Wait until the program has printed this."""
         until = monotonic() + seconds
         while not (found := re.search(pattern, self.output)):
             if self._process.poll() is not None or monotonic() > until:

@@ -2,7 +2,7 @@ r"""The commands in the guides, each with its place, as a person types them.
 
 - A fenced block of `sh`: each line. A fenced block without a language: each line behind a `$ `.
 - An indented block: each line that begins with a program. A span of code: that which begins with a program.
-- What follows ` # ` is a comment. `\` at a line's end continues it.
+- Text after ` # ` is a comment. `\` at a line's end continues the line.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class DocumentedCommand:
 
 
 def needs_a_shell(text: str) -> bool:
-    """True if it contains more than words."""
+    """True if the text has characters with a meaning for a shell."""
     bare = re.sub(r"'[^']*'", "", text)
     return bool(re.search(r"[|&;<>$*]", bare))
 

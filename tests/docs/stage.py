@@ -1,8 +1,8 @@
 """A scratch folder in which the commands of one page run in order, with the programs that they need.
 
-Each command of ours is a process of its own, forked from one that has already imported it. A command that
-does not end by itself is started, checked and interrupted. If a command needs a vehicle, a phloSAR or a
-service, the stage starts one.
+Each command of ours is a process of its own, forked from a process that has already imported the program. A
+command that does not end by itself is started, checked and interrupted. If a command needs a vehicle, a
+phloSAR or a service, the stage starts one.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ LASTING = {
 }
 """Commands that run until they are interrupted, with the text that they print when they are ready."""
 ENDS = ("--seconds", "--settings", "--set")
-"""With these options they end by themselves."""
+"""With these options the commands of `LASTING` end by themselves."""
 NEEDS = {
     "run": ("phlosar", "autopilot"),
     "link": ("phlosar",),
@@ -100,7 +100,8 @@ class Ended(AssertionError):
 class Stage:
     """A page's folder, with a vehicle of this kind for a ground station's commands.
 
-    Leaving the context interrupts these programs, and checks that they end without an error.
+    Leaving the context interrupts the programs that the stage has started, and checks that they end without
+    an error.
     """
 
     def __init__(
@@ -234,10 +235,10 @@ class Running:
         return self._output.read_text(encoding="utf-8", errors="replace")
 
     def wait_for(self, pattern: str) -> None:
-        """Wait until it has printed this."""
-        patient_until = monotonic() + MAX_WAIT_S
+        """Wait until the command has printed this."""
+        deadline = monotonic() + MAX_WAIT_S
         while not re.search(pattern, self.output):
-            if not self._process.is_alive() or monotonic() > patient_until:
+            if not self._process.is_alive() or monotonic() > deadline:
                 raise Ended(f"was never up: {self.output}")
             sleep(0.02)
 
@@ -247,7 +248,7 @@ class Running:
             os.killpg(self._pid, signal.SIGINT)
 
     def end(self, status: int) -> None:
-        """Wait for its end; 130 means Ctrl-C."""
+        """Wait for the end of the command; status 130 means Ctrl-C."""
         self._process.join(MAX_WAIT_S)
         if self._process.exitcode not in (status, 130 if status == 0 else status):
             raise Ended(f"ended with {self._process.exitcode} instead of {status}: {self.output}")
@@ -256,7 +257,7 @@ class Running:
 
 
 def parse_only(script: list[str]) -> None:
-    """Run a script and end where the parser would return."""
+    """Run a script until its parser has read the arguments, and end then."""
     parse = argparse.ArgumentParser.parse_args
 
     def parse_and_end(*given: Any, **named: Any) -> NoReturn:

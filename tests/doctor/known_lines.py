@@ -41,7 +41,8 @@ _BLANK = re.compile(r"\{(\w+)[^}]*\}")
 
 
 def lines_of(check: ModuleType) -> list[FindingText]:
-    """The lines of one file. Of both ports, which have the same lines, only the phloSAR's."""
+    """The lines of one check. The two ports have the same lines, so only those of the phloSAR's port
+    count."""
     if check is port:
         return list(port.LINES["phloSAR"].values())
     return [value for value in vars(check).values() if isinstance(value, FindingText)]

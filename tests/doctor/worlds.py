@@ -150,14 +150,14 @@ def heartbeats(system: int, component: int, kind: int, autopilot: int) -> Callab
 
 @dataclass(frozen=True)
 class World:
-    """A healthy pair with a change or a replacement."""
+    """A healthy vehicle and a healthy board. An argument changes or replaces one of them."""
 
     vehicle: Callable[[], Vehicle] = Vehicle
     phlosar: Callable[[], SimulatedPhlosar] | None = None
     firmware: Callable[[], Callable[[bytes], bytes]] = quick_board
     """Answers if there is no simulated phloSAR: received bytes to sent bytes."""
     start: Callable[[Config, Path], ServiceConfiguration] = lambda config, folder: look.given(config, "test")
-    """Makes what the service would start with, from the right links and a folder for files."""
+    """Makes the configuration of the service from one with the right links, and from a folder for files."""
     stranger: Callable[[int], bytes] | None = None
     """Makes a frame of another program from a count; it is sent to the companion ten times a second."""
     ask: Callable[[Vehicle], RadioQuestion] | None = None

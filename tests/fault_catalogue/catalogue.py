@@ -255,7 +255,7 @@ COMPANION = (
     Row(
         "display_error",
         "an exception in cycles left, named values, screen, log or files",
-        "the service, which switches it off or restarts it",
+        "the service, which switches the part off or restarts it",
         "failed, flight goes on",
         Cleared.AT_ONCE,
         safe_state="continues",
@@ -399,7 +399,7 @@ NETWORK = (
     Row(
         "gateway_killed",
         "the process of page and broker is killed or hangs",
-        "the service, after 2 s of silence; it starts it again",
+        "the service, after 2 s of silence; it starts the process again",
         "page and broker stopped",
         Cleared.AT_ONCE,
         safe_state="continues; the broker shows the vehicle offline meanwhile",
@@ -650,7 +650,7 @@ SENSORS = (
         "nothing: a fault needs 3 readings in a row",
         "",
         Cleared.AT_ONCE,
-        safe_state="continues below its setpoint: each one opens a valve for 1 ms",
+        safe_state="continues below its setpoint: each wrong reading opens a valve for 1 ms",
     ),
     Row(
         "bottle_sensor_open",
@@ -722,7 +722,7 @@ PNEUMATICS = (
     Row(
         "evp_stuck_ajar",
         "inflation valve stuck at 30 % while held",
-        "the cycles left, as an event: the regulator vents the air again",
+        "the cycles left report an event: the regulator vents the air again",
         "bottle lost air at once",
         Cleared.AT_ONCE,
         safe_state="continues, and loses air",

@@ -45,8 +45,8 @@ def nothing(flight: Watched) -> None:
 
 @dataclass(frozen=True)
 class Injection:
-    """The fault begins while the vine is inflated to its highest pressure or held there, and ends `lasts_s`
-    later."""
+    """The fault begins in a phase of the flight: while the vine is inflated to its highest pressure, held
+    there, or vented. It ends `lasts_s` later."""
 
     begin: Act
     end: Act = nothing
@@ -83,7 +83,8 @@ def restore_vehicle_link(flight: Watched) -> None:
 
 
 def disarm(flight: Watched) -> None:
-    """Disarm, as in a crash. The altitude stops before, so only HEARTBEAT shows it."""
+    """Disarm, as in a crash. The altitude messages stop before, so only HEARTBEAT shows that it is
+    disarmed."""
     lose_altitude(flight)
     flight.autopilot.disarm()
 

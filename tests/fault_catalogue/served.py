@@ -64,7 +64,8 @@ class Served:
         await asyncio.wait([self._port_task])
 
     async def serve(self, terminal: int | None = None) -> None:
-        """Start the service, on a terminal with its live view, and wait until the switch is accepted."""
+        """Start the service, and wait until the switch is accepted. With `terminal` it shows its live view
+        there."""
         self.ground.texts.clear()
         flights = len(self._logs)
         self.autopilot.set_rc(SWITCH, LOW)

@@ -43,7 +43,8 @@ class Program(NamedTuple):
 
 
 class Instructions(NamedTuple):
-    """The instructions of a step. Each call and its counting add up to six."""
+    """The instructions of a step. Each number includes up to six instructions of the call and its
+    counting."""
 
     receive: int
     step: int
@@ -85,7 +86,7 @@ def run(program: Program, inputs: Iterable[BoardInput], folder: Path) -> Run:
 
 
 def trace(program: Program, inputs: Iterable[BoardInput], folder: Path) -> Iterator[tuple[str, list[int]]]:
-    """The same, but slow: for each counted operation, its name and the addresses of its instructions."""
+    """A slow run. Yields for each counted operation its name and the addresses of its instructions."""
     _prepare(inputs, folder)
     options = ("-singlestep", "-d", "exec,nochain", "-D", "/dev/stdout")
     with subprocess.Popen([*_command(program), *options], cwd=folder, stdout=subprocess.PIPE) as emulator:
@@ -112,7 +113,7 @@ def trace(program: Program, inputs: Iterable[BoardInput], folder: Path) -> Itera
 
 
 def results(chip: Chip, folder: Path) -> Run:
-    """The results of a run. The counts are valid only if the run counted."""
+    """The results of a run. The counts are valid only if the emulator ran with `_COUNTING`."""
     data = (folder / "outputs").read_bytes()
     one, two = struct.unpack_from("<II", data)
     return Run(_instructions(chip, two - one), list(_read(chip, data, 8)))

@@ -26,7 +26,7 @@ dvp_duty solenoid mode faults number kept sent
 PACKET = 64
 """Bytes that a board's port receives or sends at a time."""
 FULL_EVP_DUTY = 31457
-"""Default of the settings."""
+"""Duty cycle of the fully open inflation valve with the default settings."""
 _MOST_SENT = 1024
 
 
@@ -107,7 +107,7 @@ class HostBoard:
         library.phlosar_step(firmware, step.now_us, step.cv, step.reservoir, step.supply, outputs)
         size = library.phlosar_take_output(firmware, self._buffer, min(_MOST_SENT, step.fetched))
         mode = library.phlosar_mode(firmware)
-        # A real board also asks only while it does not regulate.
+        # A real board, too, stores settings only while it does not regulate.
         unsaved = mode != Mode.REGULATE and library.phlosar_unsaved(firmware, self._image)
         return Done(
             outputs.evp_duty,

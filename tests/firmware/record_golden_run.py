@@ -69,7 +69,7 @@ class Recorder:
         self.wires: Wires = as_they_are
         """Changes the counts between converter and core."""
         self.clock_us = clock_us
-        """Lead of its clock over the time. It may grow, as when steps are late."""
+        """Lead of the board's clock over the simulated time. It grows if steps are late."""
         self.fetched = PACKET
         self.stored = power_up.stored
         self._power_up = power_up
@@ -184,7 +184,7 @@ class World:
         self.board.wires = as_they_are
 
     def is_in(self, mode: Mode, faults: Fault = Fault.NONE) -> None:
-        """Check that this recording shows what it is for."""
+        """Check the board's state, so that the recording contains the case for which it is made."""
         assert (self.board.mode, self.board.faults) == (mode, faults), (self.board.mode, self.board.faults)
 
 

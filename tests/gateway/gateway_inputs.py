@@ -18,7 +18,7 @@ CYCLES = CyclesLeft(31.2, 27.9, 35.0, 12.0, 18.4, 102.0, 15.0, 1.4, 80.0, 65.0, 
 
 
 def start(**mqtt: Any) -> GatewayStart:
-    """The built-in configuration without a page."""
+    """The service's first message, with the built-in configuration and without a page."""
     return GatewayStart(configured(**mqtt), "1.2.3")
 
 

@@ -1,7 +1,7 @@
 """Recorded runs of rigs with hidden effects, from an independent simulator.
 
-It is written from the definitions of the rig, the files and the causes in words. It shares no code and no
-numbers with `flying_vines`. So an error in one of them shows as a difference.
+It was written from definitions in words: of the rig, of the files and of the causes. It shares no code and no
+numbers with `flying_vines`. So an error in either of the two shows as a difference.
 
     truth = draw("clear", seed=7)           the hidden effects, the rig, the runs
     runs = make(truth)                      the recorded runs

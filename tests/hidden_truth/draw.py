@@ -16,11 +16,12 @@
 | `several_outside` | two to four causes, spread likewise, and a clear effect that is not in the table |
 | `rounded` | readings rounded, or noise correlated; one clear cause, or none in a quarter |
 
-Every hidden effect is visible: its gap is above `SHOWS`. With several effects this is the gap of a fit with
-all the others, so two effects that look the same are never hidden together. With rounded readings or
-correlated noise a gap counts less, in proportion to the information in a reading. The largest of several gaps
-is at least `LEADS` times the next one. A draw without these properties is drawn again, for example if the
-Venturi stalls only at pressures that no run reaches.
+Every hidden effect is visible: its gap is above `SHOWS` (in `faint`, within `FAINT`). If there are several
+effects, the gap of each is that of a fit with all the others, so two effects that look the same are never
+hidden together. With rounded readings or correlated noise a gap counts less, in proportion to the information
+in a reading. The largest of several gaps is at least `LEADS` times the next one (not in `pair`). A draw
+without these properties is drawn again, for example if the Venturi stalls only at pressures that no run
+reaches.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ CONVERTER_STEPS = (0.5, 5.0)
 """In standard deviations of the noise."""
 CORRELATION_S = (0.02, 0.2)
 NOT_REPLAYED = "x_repeats"
-"""Its effect is not in the inputs, so nothing can be fitted together with it."""
+"""A simulation from the inputs cannot show this effect, so no fit can include it together with others."""
 _VISCOUS = {"cv_leak": "viscous_leak", "reservoir_leak": "reservoir_viscous_leak"}
 _DRAWN = tuple(name for name in CAUSES if name not in _VISCOUS.values())
 """The causes that are drawn. Afterwards half of the leaks become viscous leaks."""
@@ -82,7 +83,7 @@ _LEAKS = 90
 
 @dataclass(frozen=True)
 class NotDrawn(Exception):
-    """No draw of a tier and seed is visible in the data: the ranges are wrong."""
+    """No draw of this tier and seed is visible in the data: the ranges of strengths are wrong."""
 
     tier: str
     seed: int

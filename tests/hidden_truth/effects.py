@@ -40,7 +40,7 @@ def _less(value: float, share: float) -> float:
     return value * share
 
 
-def _wider(resistance: float, share: float) -> float:
+def _larger(resistance: float, share: float) -> float:
     return resistance / share
 
 
@@ -52,7 +52,7 @@ def _lower_stall(value: float, share: float) -> float:
     return _STALL_FROM_KPA + (value - _STALL_FROM_KPA) * share
 
 
-def _later_ceiling(value: float, share: float) -> float:
+def _higher_ceiling(value: float, share: float) -> float:
     return value / share
 
 
@@ -104,7 +104,7 @@ _ALL = (
         3_000.0,
         20_000.0,
         lambda p, value: p._replace(reservoir_leak_SL_per_s_kPa=1.0 / value),
-        _wider,
+        _larger,
         seen_without_cv=True,
     ),
     Effect(
@@ -113,7 +113,7 @@ _ALL = (
         200.0,
         1_500.0,
         lambda p, value: p._replace(cv_leak_SL_per_s_kPa=1.0 / value),
-        _wider,
+        _larger,
     ),
     Effect(
         "compressible_flow",
@@ -197,7 +197,7 @@ _ALL = (
         5e4,
         3.5e5,
         lambda p, value: p._replace(cv_viscous_leak_SL_per_s_kPa2=1.0 / value),
-        _wider,
+        _larger,
     ),
     Effect(
         "reservoir_viscous_leak",
@@ -205,7 +205,7 @@ _ALL = (
         2e6,
         1.4e7,
         lambda p, value: p._replace(reservoir_viscous_leak_SL_per_s_kPa2=1.0 / value),
-        _wider,
+        _larger,
         seen_without_cv=True,
     ),
     # Outside the table: resistance R (1 + k w), dw/dt = u − w/τ, of a coil that warms up while it is driven.
@@ -235,7 +235,7 @@ _ALL = (
         100.0,
         600.0,
         lambda p, value: p._replace(relief_kPa=14.0, relief_kPa_s_per_SL=value),
-        _wider,
+        _larger,
     ),
     # A second chamber behind a restriction of 150 kPa s/SL.
     Effect(
@@ -263,8 +263,8 @@ _ALL = (
     ),
     # Vibration of the frame in the CV's line, sampled below its rate.
     Effect("x_vibration", "amplitude_kPa", 0.3, 1.5, lambda p, value: p._replace(hum_kPa=value, hum_Hz=43.7)),
-    # The converter ends below what the CV reaches.
-    Effect("x_ceiling", "ceiling_kPa", 15.0, 40.0, _set("cv_ceiling_kPa"), _later_ceiling),
+    # The converter's range ends below the highest pressure of the CV.
+    Effect("x_ceiling", "ceiling_kPa", 15.0, 40.0, _set("cv_ceiling_kPa"), _higher_ceiling),
     # A share of the samples repeats the previous readings of both sensors.
     Effect("x_repeats", "share", 0.03, 0.3, _set("repeat_share")),
 )

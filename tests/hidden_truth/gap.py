@@ -3,9 +3,9 @@
 The fit of the baseline may change every number of the rig within its tolerance, and the initial pressures of
 every run freely. It uses at most four rounds of Gauss and Newton's method, with exact bounds in the linear
 problem. Derivatives are at the nominal rig; with known effects they are new in each round. The result comes
-from a simulation, so the gap is never below that of an exact fit. For a faint effect the difference is far
-less than the gap's own noise, whose standard deviation is about 2 √gap. For a strong effect the
-number only shows that the baseline does not fit.
+from a simulation, so the gap is never below that of an exact fit. For a faint effect the difference from an
+exact fit is far less than the gap's own noise, whose standard deviation is about 2 √gap. For a strong effect
+the number only shows that the baseline does not fit.
 
 If rows are lost, the fit gets the true inputs: the gap is due to the effect, not to the loss.
 """
@@ -118,7 +118,8 @@ class _Linear:
 def _jacobian(
     residuals: Callable[[Array], list[Array]], at: Array, parts: list[Array], numbers: int
 ) -> Array:
-    """Finite differences. An initial pressure acts only on its own run, so all are changed at once."""
+    """Finite differences. An initial pressure acts only on its own run, so those of all runs are changed at
+    once."""
     runs = len(parts)
     jacobian = np.zeros((sum(one.size for one in parts), at.size))
     own = np.repeat(np.arange(runs), [one.size for one in parts])

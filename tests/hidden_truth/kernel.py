@@ -17,12 +17,12 @@ Points that the definitions leave open are interpreted like this:
 - `compressible_flow`: the conductance is matched at 690 kPa into 0 kPa with standard ambient pressure and
   with the rig's true resistance, so that with `evp_restriction` the restricted valve is matched.
   The pressure ratio there is 0.128; with a smaller b this flow is subcritical. Nothing flows back.
-- `ambient_drop`: gauge pressures are states; both rise by the rate while absolute pressures do not.
+- `ambient_drop`: the states are the gauge pressures; they rise by the rate while the absolute pressures stay.
   Absolute pressure is gauge pressure plus the ambient of that moment.
 - `cv_compliance` conserves mass: d(P_abs V)/dt = αΣQ. Together with `cv_heating` the wall's work enters the
   energy: V dP_abs/dt + γ P_abs dV/dt = γα(Q_in − T Q_out) − P_abs V/T (T − 1)/τ, which is the equation
   of one effect if the other is off.
-- A viscous leak goes to the present ambient pressure, and lets air in if the pressure is below it.
+- A viscous leak goes to the present ambient pressure, and lets air in if the gauge pressure is negative.
 - Leaks count like other flows: out at the gas's temperature, in at ambient temperature.
 - "Never backwards while the Venturi's supply valve is open" depends on the valve's command.
 
@@ -50,7 +50,7 @@ GAMMA = 1.4
 RATED_KPA = 690.0
 """Pressure at which the ISO 6358 valve has the flow of Ohm's law."""
 OUTLET_MATCH_KPA = 69.0
-"""The same for a solenoid that follows ISO 6358."""
+"""Pressure at which a solenoid that follows ISO 6358 has the flow of Ohm's law."""
 LAMINAR = 0.999
 """Above this pressure ratio an outlet's flow falls linearly to zero, because the square root would be
 infinitely steep."""
@@ -121,11 +121,11 @@ class Control(NamedTuple):
 
     closed_loop: bool
     venturi: bool = True
-    """True if the loop uses it."""
+    """True if the loop uses the Venturi."""
     guard_kPa: float = math.inf
     """Open loop: above this reading the inflation valve is shut until the plan's next move. If that move
     would inflate, the inflation valve stays shut, and solenoid and Venturi follow the row. During any other
-    inflation they are shut."""
+    inflation, solenoid and Venturi are shut."""
     stall_from: int = -1
     """The host hangs from the first sample after this one at which the inflation valve is shut; -1: never."""
     stall_samples: int = 0
@@ -367,8 +367,8 @@ def _fly(
     readings of CV and reservoir, and 1 where the host hung.
 
     `plan` is command, EVP, DVP, solenoid. In closed loop the command counts, otherwise the openings.
-    `noise_kPa` is for both readings, `chance` is uniform in 0…1. `clean` is a reading before noise: the
-    chi-square of the truth compares readings with clean ones.
+    `noise_kPa` is for both readings, `chance` is uniform in 0…1. A clean reading is a reading before the
+    noise: the chi-square of the truth compares noisy with clean readings.
     """
     n = time_s.size
     out = np.zeros((n, 8))
@@ -399,7 +399,7 @@ def _fly(
         if i > 0 and chance[i] < p.repeat_share:
             out[i, 3:7] = out[i - 1, 3:7]
 
-        # Inputs from here on.
+        # The inputs from this sample to the next.
         s_before = s
         if control.stall_samples > hung and i > control.stall_from >= 0 and (hung > 0 or u == 0.0):
             hung += 1

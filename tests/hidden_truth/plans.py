@@ -32,7 +32,7 @@ class Plan:
 
 
 def steady_time(duration_s: float, period_s: float = PERIOD_S) -> Array:
-    """Rounded as written, in milliseconds."""
+    """Even sample times, rounded to milliseconds as in the files."""
     time: Array = np.arange(round(duration_s / period_s), dtype=np.float64)
     return (time * period_s).round(3)
 

@@ -18,9 +18,10 @@ class Truth:
     `variant` is the special property of the case within its tier:
 
     - `cells`: 5 % of the cells of either pressure, and 2 s of both, are empty;
-    - `held`: rows are missing, single random ones without a change of the inputs, and 2 s in which the host
-      hung and the inputs were constant. So the rule of the file format for missing rows is true;
-    - `lost`: the same rows are missing only in the record. The rig continued, so the rule is false;
+    - `held`: rows are missing: single random ones without a change of the inputs, and 2 s in which the host
+      hung. The inputs were constant meanwhile, as the file format promises for missing rows;
+    - `lost`: as many rows are missing, but only from the record. The inputs continued to change, so this
+      promise is broken;
     - `uneven`, `discharge`, `noise` (stated wrongly), `without_…` (a column), `rounded` (by a converter),
       `correlated` (noise).
     """
@@ -41,8 +42,8 @@ class Truth:
     gap: float = 0.0
     """Chi-square of the baseline's best fit minus that of the truth, on the recorded data."""
     shares: tuple[float, ...] = ()
-    """For each hidden effect: the share of `gap` that comes back without it, after a fit of the others with
-    each strength within `gap.KNOWN` of itself."""
+    """For each hidden effect: the share of `gap` that comes back without it, after a fit of the other
+    effects, whose strengths may change within `gap.KNOWN`."""
     converter_step: float = 0.0
     """Step of both converters in standard deviations of the noise; 0: as fine as the files."""
     correlation_s: float = 0.0

@@ -1,4 +1,4 @@
-"""What this package adds keeps the promises of its kind."""
+"""The package's actuator keeps the promises of an actuator, and its segment becomes faster."""
 
 from model_of_board import Board
 from our_lab.air_pump import AirPump

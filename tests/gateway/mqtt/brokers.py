@@ -74,7 +74,7 @@ class Broker:
         path = mosquitto()
         if path is None:
             pytest.skip(f"needs mosquitto: {MOSQUITTO_HOW}")
-        # As root it would change to another user, who cannot read the tests' folders.
+        # Started by root, mosquitto would change to another user, who cannot read the tests' folders.
         file = self.folder / f"mosquitto-{self.port}.conf"
         file.write_text(f"user root\nlistener {self.port} 127.0.0.1\n{self._settings}\n")
         return [path, "-c", str(file)]

@@ -17,7 +17,7 @@ MAX_WAIT_S = 10.0
 
 
 class Vehicle:
-    """Its service sends a snapshot ten times a second and carries out requests, unless it is deaf."""
+    """A vehicle whose service sends a snapshot ten times a second, and carries out requests if not `deaf`."""
 
     def __init__(self, **settings: Any) -> None:
         self.feed = Feed(start(**settings), self._receive)
