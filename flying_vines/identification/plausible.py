@@ -1,9 +1,9 @@
 """Checks before any fit that the recorded columns can be what their names say.
 
 A recording is only refused if no rig can give it, not even a worn one. A possible rig has a reservoir of 20
-to 900 kPa and a control volume of -60 to 210 kPa. Its sensors have offsets up to 25 kPa (reservoir) and 5 kPa
-(control volume), gains wrong by a fifth, and another noise than the rig file says. It is at any altitude, and
-its valves may be blocked.
+to 900 kPa and a control volume of -60 to 210 kPa; both may be evacuated. Its sensors have offsets up to 25
+kPa (reservoir) and 5 kPa (control volume), gains wrong by a fifth, and another noise than the rig file says.
+It is at any altitude, and its valves may be blocked.
 
 Numbers in psi, bar or MPa are often also possible in kPa. They are refused only if their noise shows the
 other unit; if only one column looks wrong, the air flow must show it too. EVP is the inflation valve, DVP the
@@ -49,7 +49,7 @@ class _Channel(NamedTuple):
 
 
 _CV = _Channel("cv_pressure_kPa", "cv_kPa", -130.0, 280.0, 0.0)
-_RESERVOIR = _Channel("reservoir_pressure_kPa", "reservoir_kPa", -60.0, 1200.0, 200.0)
+_RESERVOIR = _Channel("reservoir_pressure_kPa", "reservoir_kPa", -130.0, 1200.0, 200.0)
 _CHANNELS = (_CV, _RESERVOIR)
 _CYLINDER_KPA = 40_000.0
 """Highest pressure of gas cylinders and rockets' tanks."""

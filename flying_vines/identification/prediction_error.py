@@ -22,8 +22,9 @@ from flying_vines.identification.threads import mapped
 from flying_vines.physics.arrays import Array, BoolArray
 
 SHOWN_S = 0.5
-STRETCHES = 8
-"""A run has this many stretches of equal length; every second one is held out."""
+STRETCHES = 14
+"""A run has this many stretches of equal length; every second one is held out. Each half of a run has an odd
+number of them. Otherwise all inflations of a cycle that is repeated twice or four times may be held out."""
 BLOCK_S = 4.0
 MIN_BLOCKS = 25
 """Minimum number of blocks in all runs together: a short recording has shorter blocks. If there were only
@@ -82,7 +83,7 @@ class HeldOutErrors:
 
 
 def in_odd_stretch(time_s: Array) -> BoolArray:
-    """(n,): every other eighth of a run."""
+    """(n,): every other one of the stretches of a run."""
     since = time_s - time_s[0]
     odd: BoolArray = (since * STRETCHES // (since[-1] * (1.0 + 1e-9))) % 2 == 1
     return odd

@@ -404,10 +404,10 @@ def _chi2_if_possible(candidate: Candidate) -> float:
 
 
 def _distinct(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The first candidate of each set of causes."""
+    """The first candidate of each set of causes. All laws of a thing, such as a leak, count as one cause."""
     first: dict[frozenset[str], Candidate] = {}
     for candidate in candidates:
-        first.setdefault(frozenset(candidate.names), candidate)
+        first.setdefault(frozenset(cause.law_of or cause.name for cause in candidate.causes), candidate)
     return list(first.values())
 
 

@@ -74,7 +74,8 @@ class Pump:
     """A pump from ambient into the control volume, in place of reservoir and inflation valve.
 
     The inflation signal u drives it: Q = u · free flow · max(0, 1 − P_cv / stall pressure). The default is a
-    small diaphragm pump.
+    small diaphragm pump. A supply of constant pressure behind a valve is such a pump, too: the stall pressure
+    is that of the supply.
     """
 
     free_flow_SL_per_s: Positive = 0.04

@@ -34,6 +34,8 @@ TABLE = {
     "hose": "flow_resistance_kPa_s_per_SL",
     "pump_flow": "scale",
     "pump_stall": "scale",
+    "pump_curve": "critical_pressure_ratio",
+    "choked_outlet": "critical_pressure_ratio",
     "evp_heating": "share",
     "cv_sensor_drift": "rate_kPa_per_min",
     "reservoir_sensor_drift": "rate_kPa_per_min",

@@ -14,7 +14,7 @@ from flying_vines.identification.diagnose import diagnose
 from flying_vines.physics.effects import cause_named, setup
 from flying_vines.physics.plant.compiled import replay
 from flying_vines.physics.plant.plant import at_rest
-from flying_vines.physics.rig import ControlVolume, Pump, Rig
+from flying_vines.physics.rig import ControlVolume, Pump, Rig, Solenoid
 
 EVERY_MS = 20
 Valves = tuple[float, float, float, float]
@@ -70,6 +70,8 @@ DRIFTS = ("cv_sensor_drift", "reservoir_sensor_drift", "ambient_drop", "cv_senso
 PUMPS = ("pump_flow", "pump_stall", "cv_leak", "dead_volume")
 PUMPED = [(2.0, 1.0, 0.0, 0.0), (2.0, 0.0, 0.0, 1.0), (8.0, 0.7, 0.0, 0.0), (2.0, 0.0, 0.0, 0.0)]
 PUMP_RIG = Rig(cv=ControlVolume(0.3), pump=Pump(0.05, 40.0))
+SUPPLIED = [(0.6, 1.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (2.0, 0.0, 0.0, 1.0), (1.5, 0.5, 0.0, 0.0)] * 3
+SUPPLIED_RIG = Rig(cv=ControlVolume(0.3), pump=Pump(0.8, 300.0), solenoid=Solenoid(300.0))
 HELD = [(60.0, 0.0, 0.0, 0.0)]
 FOUND = (
     Found("viscous_leak", {"conductance_constant_kPa2_s_per_SL": 4e5}, LEAKS, FILL_AND_HOLD),
@@ -86,6 +88,20 @@ FOUND = (
     ),
     Found("pump_flow", {"scale": 0.8}, PUMPS, PUMPED, PUMP_RIG),
     Found("pump_stall", {"scale": 1.2}, PUMPS, PUMPED, PUMP_RIG),
+    Found(
+        "pump_curve",
+        {"critical_pressure_ratio": 0.4},
+        (*PUMPS, "pump_curve", "choked_outlet"),
+        SUPPLIED,
+        SUPPLIED_RIG,
+    ),
+    Found(
+        "choked_outlet",
+        {"critical_pressure_ratio": 0.4},
+        (*PUMPS, "pump_curve", "choked_outlet"),
+        SUPPLIED,
+        SUPPLIED_RIG,
+    ),
     Found(
         "hose",
         {"flow_resistance_kPa_s_per_SL": 60.0, "volume_L": 0.05},

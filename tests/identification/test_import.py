@@ -444,6 +444,54 @@ def test_several_runs_in_a_file(tmp_path: Path) -> None:
     assert list(proposed(tmp_path / "b.csv", column).runs) == ["b_1", "b_2"]
 
 
+@pytest.mark.parametrize("names", ["Druck;Ventil ein;Ventil aus", "pressure;V1;V2", "p;state;open"])
+def test_the_two_valves_of_a_gripper_are_told_apart_by_the_pressure(tmp_path: Path, names: str) -> None:
+    """0.25 L, 2 s to 90 kPa through a resistance of 400 from 150 kPa, a hold, and a fall through 300."""
+    kPa, rows = 0.0, []
+    for i in range(800):
+        inflates, vents = i % 400 < 200, i % 400 >= 300
+        rows.append(f"{20 * i};{kPa / 6.894757:.4f};{int(inflates)};{int(vents)}".replace(".", ","))
+        kPa += 0.02 * 101.325 / 0.25 * (inflates * (150.0 - kPa) / 400.0 - vents * kPa / 300.0)
+    first, *valves = names.split(";")
+    header = ";".join(["Zeit [ms]", f"{first} [psi]", *valves])
+    (tmp_path / "a.csv").write_text("\n".join(["Messung 3", header, *rows]))
+    found = propose(tmp_path / "a.csv", Answers(), {"": 0.25})
+    assert [column.meaning for column in found.answers.columns[1:]] == [
+        "cv_pressure",
+        "evp_opening",
+        "solenoid",
+    ]
+    write_case([found], tmp_path / "case")
+    rig = read_case(tmp_path / "case").rig
+    assert rig.solenoid.flow_resistance_kPa_s_per_SL == pytest.approx(300.0, rel=0.02)
+    assert rig.pump is not None and rig.pump.stall_pressure_kPa == pytest.approx(150.0, rel=0.02)
+    assert rig.tolerance("solenoid.flow_resistance_kPa_s_per_SL") == 80.0
+
+
+def test_the_valves_between_a_tank_and_a_chamber_are_estimated(tmp_path: Path) -> None:
+    tank_kPa, kPa, rows = 400.0, 0.0, []
+    for i in range(400):
+        opening, vents = 0.5 * (20 <= i < 80), i >= 200
+        rows.append(f"{i / 50},{tank_kPa:.3f},{kPa:.3f},{opening},{int(vents)}")
+        flow = opening * (tank_kPa - kPa) / 500.0
+        tank_kPa -= 0.02 * 101.325 / 5.0 * flow
+        kPa += 0.02 * 101.325 / 0.5 * (flow - vents * kPa / 150.0)
+    (tmp_path / "a.csv").write_text("\n".join(["t (s),tank kPa,chamber kPa,inlet valve,vent", *rows]))
+    write_case([propose(tmp_path / "a.csv", Answers(), {"cv": 0.5, "reservoir": 5.0})], tmp_path / "case")
+    rig = read_case(tmp_path / "case").rig
+    assert rig.evp.flow_resistance_kPa_s_per_SL == pytest.approx(500.0, rel=0.03)
+    assert rig.solenoid.flow_resistance_kPa_s_per_SL == pytest.approx(150.0, rel=0.03)
+
+
+def test_an_evacuated_vessel_that_leaks(tmp_path: Path) -> None:
+    rows = "\n".join(f"{i / 10},{-62.0 * 0.9982**i:.2f}" for i in range(900))
+    found = proposed(tmp_path / "cup.csv", f"t(s),vacuum (kPa)\n{rows}")
+    assert found.missing == () and found.answers.setup.outlet == "shut"
+    write_case([found], tmp_path / "case")
+    run = read_case(tmp_path / "case").runs[0]
+    assert run.reservoir_kPa[0] == pytest.approx(-62.0) and not run.evp_opening.any()
+
+
 def test_a_valve_needs_the_volume_of_its_reservoir(tmp_path: Path) -> None:
     path = copied(tmp_path, "pump_and_chamber.csv")
     pump = propose(path, Answers(), {"cv": 0.1})

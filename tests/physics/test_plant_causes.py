@@ -374,7 +374,7 @@ def test_every_cause_of_the_table_is_a_setting() -> None:
     causes = {cause.name for cause in catalogue()}
     sensors = {name for name in causes if "sensor" in name}
     # tests/physics/test_pump_and_hose.py has the equations of these.
-    elsewhere = {"pump_flow", "pump_stall", "hose"}
+    elsewhere = {"pump_flow", "pump_stall", "pump_curve", "choked_outlet", "hose"}
     assert set(STANDING) | sensors | elsewhere == causes | {"none"}
     assert len(sensors) == 7
 

@@ -65,6 +65,8 @@ CAUSE_NUMBERS: dict[str, dict[str, float]] = {
     "hose": {"flow_resistance_kPa_s_per_SL": 30.0, "volume_L": 0.05},
     "pump_flow": {"scale": 1.2},
     "pump_stall": {"scale": 0.8},
+    "pump_curve": {"critical_pressure_ratio": 0.25},
+    "choked_outlet": {"critical_pressure_ratio": 0.4},
     "evp_heating": {"share": 0.3, "time_constant_s": 2.0},
     "cv_sensor_drift": {"rate_kPa_per_min": 4.0},
     "reservoir_sensor_drift": {"rate_kPa_per_min": -20.0},

@@ -18,7 +18,7 @@ from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.simulator import Simulator
 from flying_vines.physics.plant.true_rig import true_rig_from, true_rig_text
 from flying_vines.physics.plant.wall import Wall
-from flying_vines.physics.rig import ControlVolume, Hose, Pump, Rig, RigError, rig_from
+from flying_vines.physics.rig import ControlVolume, Hose, Pump, Rig, RigError, Solenoid, rig_from
 
 PUMPED = Rig(cv=ControlVolume(0.2), pump=Pump(0.05, 40.0))
 
@@ -50,6 +50,34 @@ def test_the_pumps_causes_scale_its_two_numbers() -> None:
         plant = setup(PUMPED, cause, scale=1.2).plant
         expected = risen_kPa(0.7, flow=flow, stall_kPa=stall_kPa)
         assert run(Simulator(plant), 0.7, pump=1.0).conditions.cv_kPa == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_choked_supply_fills_a_chamber_at_a_constant_rate() -> None:
+    """Up to P = b (P_max + p_a) − p_a the flow is Q_max/φ(r₀); here r₀ is below b, so φ(r₀) = 1."""
+    supplied = Rig(cv=ControlVolume(0.2), pump=Pump(0.5, 400.0))
+    plant = setup(supplied, "pump_curve", critical_pressure_ratio=0.5).plant
+    simulator = run(Simulator(plant), 0.4, pump=1.0)
+    assert simulator.conditions.cv_kPa == pytest.approx(ALPHA_KPA * 0.5 / 0.2 * 0.4, rel=1e-9)
+    # Half open, half the flow; at the pressure of the supply, none.
+    half = run(Simulator(plant), 0.8, pump=0.5)
+    assert half.conditions.cv_kPa == pytest.approx(simulator.conditions.cv_kPa, rel=1e-9)
+    assert run(simulator, 20.0, pump=1.0).conditions.cv_kPa == pytest.approx(400.0, abs=0.05)
+    over = Simulator(plant, at_rest(plant, cv_kPa=410.0))
+    assert run(over, 1.0, pump=1.0).conditions.cv_kPa == pytest.approx(410.0)
+
+
+def test_a_choked_outlet_lets_the_absolute_pressure_fall_exponentially() -> None:
+    """V dp/dt = −α C p while p_a/p is below b; C gives the flow of Ohm's law at 100 kPa gauge."""
+    pumped = Rig(cv=ControlVolume(0.2), pump=Pump(0.5, 400.0), solenoid=Solenoid(300.0))
+    plant = setup(pumped, "choked_outlet", critical_pressure_ratio=0.5).plant
+    atmosphere = 101.325
+    ratio = atmosphere / (100.0 + atmosphere)
+    share = math.sqrt(1.0 - ((ratio - 0.5) / 0.5) ** 2)
+    per_kPa = 100.0 / 300.0 / ((100.0 + atmosphere) * share)
+    simulator = run(Simulator(plant, at_rest(plant, cv_kPa=300.0)), 0.5, vent=True)
+    fallen = (300.0 + atmosphere) * math.exp(-ALPHA_KPA * per_kPa / 0.2 * 0.5)
+    assert simulator.conditions.cv_kPa + atmosphere == pytest.approx(fallen, rel=1e-9)
+    assert run(simulator, 20.0, vent=True).conditions.cv_kPa == pytest.approx(0.0, abs=0.05)
 
 
 def test_a_pump_takes_its_air_from_ambient() -> None:

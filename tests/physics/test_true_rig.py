@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from flying_vines.physics.effects import catalogue, setup
+from flying_vines.physics.effects import catalogue, cause_named, setup
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
 from flying_vines.physics.plant.likely_effects import likely_effects
@@ -48,6 +48,8 @@ EVERY_CAUSE = {
     "hose": {"flow_resistance_kPa_s_per_SL": 30.0, "volume_L": 0.05},
     "pump_flow": {"scale": 1.2},
     "pump_stall": {"scale": 0.8},
+    "pump_curve": {"critical_pressure_ratio": 0.25},
+    "choked_outlet": {"critical_pressure_ratio": 0.4},
     "evp_heating": {"share": 0.1, "time_constant_s": 30.0},
     "cv_sensor_drift": {"rate_kPa_per_min": 1.0},
     "reservoir_sensor_drift": {"rate_kPa_per_min": -5.0},
@@ -95,7 +97,7 @@ def test_the_table_of_causes_is_the_whole_one() -> None:
 
 @pytest.mark.parametrize("cause", EVERY_CAUSE)
 def test_a_cause_in_a_file_is_the_cause(cause: str, tmp_path: Path) -> None:
-    believed = Rig(cv=ControlVolume(0.25), pump=Pump() if cause.startswith("pump_") else None)
+    believed = Rig(cv=ControlVolume(0.25), pump=Pump() if "pump" in cause_named(cause).needs else None)
     rig = TrueRig(believed, causes={cause: EVERY_CAUSE[cause]})
     assert rig.setup == setup(believed, cause, **EVERY_CAUSE[cause])
     path = tmp_path / "rig.toml"
@@ -104,7 +106,8 @@ def test_a_cause_in_a_file_is_the_cause(cause: str, tmp_path: Path) -> None:
 
 
 def test_all_causes_at_once() -> None:
-    rig = TrueRig(causes={name: own for name, own in EVERY_CAUSE.items() if not name.startswith("pump_")})
+    causes = {name: own for name, own in EVERY_CAUSE.items() if "pump" not in cause_named(name).needs}
+    rig = TrueRig(causes=causes)
     made = rig.setup
     assert made.plant.effects.evp_motion == ValveMotion(0.02, 0.1, 0.2, 0.05, 0.1, 30.0)
     assert made.plant.rig.evp.flow_resistance_kPa_s_per_SL == pytest.approx(1.2 * 2042.0)

@@ -128,6 +128,10 @@ class _Signal:
             and (self.levels > 0.2 * len(steps))
         )
 
+    def is_pressure(self) -> bool:
+        """True if its unit is one of pressure. The pressure of a leaking vacuum rises all the time."""
+        return self.unit is not None and self.unit.quantity == "pressure"
+
     def is_count(self) -> bool:
         """True for 0, 1, 2, …: the numbers of the rows."""
         return bool(np.all(np.diff(self.readings) == 1.0))
@@ -140,6 +144,10 @@ class _Signal:
         return top in (1.0, 100.0, 255.0, 1023.0, 4095.0) and bool(
             ends > 0.3 and np.all(x >= 0.0) and np.all(x % 1 == 0)
         )
+
+    def is_on_off(self) -> bool:
+        """True for a signal with two values, one of which is 0."""
+        return self.levels == 2 and float(np.min(self.readings)) == 0.0
 
     def is_held(self) -> bool:
         """True for a signal that changes seldom, as a target does."""
@@ -177,7 +185,7 @@ EVIDENCE: tuple[tuple[str, _Test, Mapping[str, float]], ...] = (
     ("rises all the time", lambda s: s.is_rising() and not s.is_count(), {"time": 4}),
     ("rises all the time", lambda s: s.is_rising() and s.is_count(), {"time": 1.5}),
     ("does not rise all the time", lambda s: not s.is_rising(), {"time": -20}),
-    ("rises all the time", _Signal.is_rising, dict.fromkeys((m for m in WORDS if m != "time"), -4.0)),
+    ("rises all the time", lambda s: s.is_rising() and not s.is_pressure(), dict.fromkeys((m for m in WORDS if m != "time"), -4.0)),
     ("the first column", lambda s: s.number == 1, {"time": 1}),
     ("changes seldom", _Signal.is_held, {"command_kPa": 1, "run": 0.5, "solenoid": 0.5}),
     ("always the same", lambda s: s.levels <= 1, {"evp_opening": -6, "dvp_opening": -12, "solenoid": -12,
@@ -198,6 +206,11 @@ _LONG = 5
 _VACUUM = 0.003
 """Maximum ratio of lowest to highest reading of a vacuum gauge. A sensor of gauge pressure that comes so
 near 0 also reads below 0."""
+_VESSELS = ("cv_pressure", "reservoir_pressure")
+_DRIVEN = 0.5
+"""Minimum rise or fall of a pressure while a valve is open, as a share of the pressure's span."""
+_SURE = 9.0
+"""Points of a column whose meaning the pressure shows."""
 _UNIT_FITS, _UNIT_CONTRADICTS = 3.0, -9.0
 _NAMED_ONLY = ("command_kPa", "ambient_pressure")
 """A unit alone does not make a column one of these."""
@@ -245,6 +258,7 @@ def _guess_meanings(
         for meaning in WORDS:
             if signal.number not in answered and meaning not in answered.values():
                 scores[signal.number, meaning], reasons[signal.number, meaning] = _score(signal, meaning)
+    _compare_valves(signals, scores, reasons)
     _compare_pressures(signals, scores, set(answered.values()))
     guessed = {}
     while scores and scores[best := max(scores, key=lambda pair: scores[pair])] > 0.0:
@@ -329,6 +343,39 @@ def _best_meanings(signals: Sequence[_Signal], scores: Mapping[tuple[int, str], 
     return {number: meaning for number, meaning in best.items() if scores.get((number, meaning), 0.0) > 0.0}
 
 
+def _compare_valves(
+    signals: Sequence[_Signal], scores: dict[tuple[int, str], float], reasons: dict[tuple[int, str], str]
+) -> None:
+    """Adds points if the only pressure rises with one on/off signal, and falls with another.
+
+    The pressure is then that of a chamber, the first signal its inflation valve, and the second its outlet.
+    """
+    best = _best_meanings(signals, scores)
+    pressures = [signal for signal in signals if best.get(signal.number) in _VESSELS]
+    if len(pressures) != 1:
+        return
+    rises = {s.number: _rise(pressures[0].values, s.values) for s in signals if s.is_on_off()}
+    if not rises or not min(rises.values()) < -_DRIVEN < _DRIVEN < max(rises.values()):
+        return
+    found = [(pressures[0].number, "cv_pressure", "two valves move it")]
+    for number, rise in rises.items():
+        if abs(rise) > _DRIVEN:
+            meaning, verb = ("evp_opening", "rises") if rise > 0.0 else ("solenoid", "falls")
+            found.append((number, meaning, f"the pressure {verb} with it"))
+    for number, meaning, why in found:
+        if (pair := (number, meaning)) in scores:
+            scores[pair], reasons[pair] = scores[pair] + _SURE, why
+
+
+def _rise(pressure: Array, signal: Array) -> float:
+    """Rise of the pressure while a signal is on, as a share of its span."""
+    there = np.isfinite(pressure) & np.isfinite(signal)
+    pressure, signal = pressure[there], signal[there]
+    span = float(np.ptp(pressure)) if len(pressure) else 0.0
+    change = np.diff(pressure, append=pressure[-1:])
+    return float(change[signal > 0.0].sum()) / span if span > 0.0 else 0.0
+
+
 def _compare_pressures(
     signals: Sequence[_Signal], scores: dict[tuple[int, str], float], taken: Set[str]
 ) -> None:
@@ -338,15 +385,14 @@ def _compare_pressures(
     it does not fall while the valve is open. Otherwise it is the reservoir's. If a target would be the only
     pressure of a file, it is read as one of these two instead.
     """
-    pairs = ("cv_pressure", "reservoir_pressure")
     best = _best_meanings(signals, scores)
-    if not {*taken, *best.values()} & {*pairs}:
+    if not {*taken, *best.values()} & {*_VESSELS}:
         for signal in signals:
             scores.pop((signal.number, "command_kPa"), None)
         best = _best_meanings(signals, scores)
     driven = not {"command_kPa", "evp_opening"}.isdisjoint({*taken, *best.values()})
     opening = next((s for s in signals if best.get(s.number) == "evp_opening"), None)
-    pressures = [signal for signal in signals if best.get(signal.number) in pairs]
+    pressures = [signal for signal in signals if best.get(signal.number) in _VESSELS]
     levels = [float(np.median(s.readings)) * (s.unit.factor if s.unit else 1.0) for s in pressures]
     for signal, level in zip(pressures, levels, strict=True):
         p = signal.readings
@@ -355,7 +401,7 @@ def _compare_pressures(
         falls |= opening is not None and _empties(signal.values, opening.values)
         reservoir = level == max(levels) if len(levels) > 1 else falls or not driven
         # Another column may have been answered as this pressure.
-        if (pair := (signal.number, pairs[int(reservoir)])) in scores:
+        if (pair := (signal.number, _VESSELS[int(reservoir)])) in scores:
             scores[pair] += 1.5
 
 

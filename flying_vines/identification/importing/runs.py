@@ -33,8 +33,8 @@ from flying_vines.identification.importing.columns import (
     ImportedColumn,
     guess_columns,
 )
+from flying_vines.identification.importing.filling import guessed_pump, guessed_valve
 from flying_vines.identification.importing.layout import ForeignTable, read_foreign
-from flying_vines.identification.importing.pump import PUMP_TOLERANCE_PERCENT, guessed_pump
 from flying_vines.identification.importing.spikes import is_spike
 from flying_vines.identification.importing.units import parse_unit, psi_instead
 from flying_vines.identification.noise import MIN_KPA, measured_noise, rounded_noise, rounding_step
@@ -57,8 +57,11 @@ _CASE_COLUMNS = {
 }
 _PRESSURES = {"cv_pressure": "cv", "reservoir_pressure": "reservoir"}
 _VALVES = ("evp_opening", "dvp_opening", "solenoid")
-_RESISTANCE_TOLERANCE_PERCENT = 50.0
-"""Tolerance of an outlet's flow resistance that was estimated from the fall of the pressure."""
+_OUTLET_TOLERANCE_PERCENT = 50.0
+"""Tolerance of the flow resistance of a vessel's outlet, estimated from the fall of the pressure."""
+_CHAMBER_TOLERANCE_PERCENT = 80.0
+"""Tolerance of guesses about what fills and empties a chamber. Leaks, hoses, the sensor and the gas's
+temperature change rise and fall as well."""
 _MAX_VALVE_S = 3.0
 """Maximum time constant of a fall through an opened outlet; a slower fall is a leak."""
 _VACUUM_KPA = 130.0
@@ -328,7 +331,7 @@ def _with_valves(path: Path, answers: Answers, runs: dict[str, Run], notes: list
 
 
 def _rises(pressure_kPa: Array) -> bool:
-    p = pressure_kPa[np.isfinite(pressure_kPa)]
+    p = _from_ambient(pressure_kPa[np.isfinite(pressure_kPa)])
     gain_kPa = float(np.median(np.sort(p)[-5:]) - np.median(p[:5])) if len(p) else 0.0
     return gain_kPa > 1.0 + 0.15 * float(np.ptp(p))
 
@@ -371,7 +374,8 @@ def _from(run: Run, start_s: float) -> Run:
 
 def _only_leaks(run: Run, opens_s: float | None) -> bool:
     """True if the pressure falls too slowly for an outlet that opens at this time."""
-    fall_s = _fall_s({**run, "evp_opening": np.where(run["time"] >= (opens_s or 0.0), 1.0, 0.0)})
+    open_after = np.where(run["time"] >= (opens_s or 0.0), 1.0, 0.0)
+    fall_s = _fall_s(run["time"], run["reservoir_pressure"], open_after)
     return opens_s is None or fall_s is None or fall_s > _MAX_VALVE_S
 
 
@@ -390,7 +394,7 @@ def _filled_time(time_s: Array, pressure_kPa: Array) -> float | None:
     It is filled if the first pressure is below half of the highest.
     """
     there = np.isfinite(pressure_kPa)
-    t, p = time_s[there], pressure_kPa[there]
+    t, p = time_s[there], _from_ambient(pressure_kPa[there])
     if len(p) < MIN_SAMPLES:
         return None
     top = int(np.argmax(p))
@@ -403,7 +407,7 @@ def _opening_time(time_s: Array, pressure_kPa: Array, *, late: bool) -> float | 
     With `late`, a smaller first step also belongs to the fall: the outlet opened shortly before a reading.
     """
     there = np.isfinite(pressure_kPa)
-    t, p = time_s[there], pressure_kPa[there]
+    t, p = time_s[there], _from_ambient(pressure_kPa[there])
     if len(p) < MIN_SAMPLES or float(p[0] - np.min(p)) < 0.5 * abs(float(p[0])):
         return None
     rates = np.diff(p) / np.maximum(np.diff(t), 1e-9)
@@ -444,7 +448,10 @@ def _guessed_setup(said: Answers, answers: Answers) -> Iterator[ImportQuestion]:
 
 
 def _rig_tables(proposal: Proposal) -> dict[str, Any]:
-    """The tables of rig.toml: the answers, the noise of the readings, and the resistance of an outlet."""
+    """The tables of rig.toml: the answers, the noise of the readings, and guesses about pump and valves.
+
+    The valves of a rig with a Venturi have their defaults: its vacuum changes the fall.
+    """
     tables: dict[str, Any] = {name: dict(table) for name, table in proposal.answers.rig.items()}
     if proposal.answers.setup.gas:
         tables.setdefault("gas", {"name": proposal.answers.setup.gas})
@@ -452,7 +459,7 @@ def _rig_tables(proposal: Proposal) -> dict[str, Any]:
         tables["tolerance_percent"] = dict(rig_from(proposal.answers.rig).tolerance_percent)
     runs = list(proposal.runs.values())
     if proposal.answers.setup.source == "pump":
-        _add_guess(tables, "pump", guessed_pump(runs, tables["cv"]["volume_L"]), PUMP_TOLERANCE_PERCENT)
+        _add_guess(tables, "pump", guessed_pump(runs, tables["cv"]["volume_L"]), _CHAMBER_TOLERANCE_PERCENT)
     sensors = tables.setdefault("sensors", {})
     for pressure, vessel in _PRESSURES.items():
         readings = [run[pressure] for run in runs if pressure in run]
@@ -460,12 +467,33 @@ def _rig_tables(proposal: Proposal) -> dict[str, Any]:
             sensors[f"{vessel}_noise_std_kPa"] = float(f"{_noise_kPa(readings):.3g}")
     if all("cv_pressure" not in run for run in runs):
         tables.pop("cv", None)
-        seconds = [s for run in runs if (s := _fall_s(run)) is not None]
-        if seconds and "flow_resistance_kPa_s_per_SL" not in tables.get("evp", {}):
-            R = float(np.median(seconds)) * ALPHA_KPA / tables["reservoir"]["volume_L"]
-            guessed = {"flow_resistance_kPa_s_per_SL": float(f"{R:.4g}")}
-            _add_guess(tables, "evp", guessed, _RESISTANCE_TOLERANCE_PERCENT)
+        opening = [run.get("evp_opening", np.ones_like(run["time"])) for run in runs]
+        falls = zip(runs, opening, strict=True)
+        seconds = [_fall_s(run["time"], run["reservoir_pressure"], opened) for run, opened in falls]
+        _add_resistance(tables, "evp", seconds, "reservoir", _OUTLET_TOLERANCE_PERCENT)
+    elif all("dvp_opening" not in run for run in runs):
+        seconds = [_fall_s(run["time"], run["cv_pressure"], _only_outlet(run)) for run in runs]
+        _add_resistance(tables, "solenoid", seconds, "cv", _CHAMBER_TOLERANCE_PERCENT)
+        if "reservoir_pressure" in runs[0]:
+            guessed = guessed_valve(runs, tables["cv"]["volume_L"])
+            _add_guess(tables, "evp", guessed, _CHAMBER_TOLERANCE_PERCENT)
     return tables
+
+
+def _only_outlet(run: Run) -> Array:
+    """Opening of a chamber's outlet while nothing fills the chamber; else 0."""
+    outlet = np.nan_to_num(run.get("solenoid", np.zeros_like(run["time"])))
+    return np.where(np.nan_to_num(run["evp_opening"]) > 0.0, 0.0, outlet)
+
+
+def _add_resistance(
+    tables: dict[str, Any], valve: str, seconds: Sequence[float | None], vessel: str, tolerance_percent: float
+) -> None:
+    """Add the flow resistance of a valve that empties a vessel, from the time constant of each run."""
+    if known := [s for s in seconds if s is not None]:
+        R = float(np.median(known)) * ALPHA_KPA / tables[vessel]["volume_L"]
+        guessed = {"flow_resistance_kPa_s_per_SL": float(f"{R:.4g}")}
+        _add_guess(tables, valve, guessed, tolerance_percent)
 
 
 def _add_guess(
@@ -484,11 +512,16 @@ def _noise_kPa(readings: Sequence[Array]) -> float:
     return measured_noise(readings, least, may_correlate=False).std_kPa
 
 
-def _fall_s(run: Run) -> float | None:
+def _from_ambient(pressure_kPa: Array) -> Array:
+    """The pressure; that of an evacuated vessel with the other sign, so that it also falls to ambient."""
+    evacuated = -np.nanmin(pressure_kPa, initial=0.0) > np.nanmax(pressure_kPa, initial=0.0)
+    return -pressure_kPa if evacuated else pressure_kPa
+
+
+def _fall_s(time_s: Array, pressure_kPa: Array, opening: Array) -> float | None:
     """Time constant through the fully open outlet; None if the outlet is shut or the fall is too short."""
-    there = np.isfinite(run["reservoir_pressure"])
-    time_s, p = run["time"][there], run["reservoir_pressure"][there]
-    opening = run["evp_opening"][there] if "evp_opening" in run else np.ones_like(p)
+    there = np.isfinite(pressure_kPa)
+    time_s, p, opening = time_s[there], _from_ambient(pressure_kPa[there]), opening[there]
     use = (opening > 0.0) & (p > 0.1 * np.max(p, initial=0.0))
     first_gap = np.flatnonzero(np.diff(use.astype(int)) < 0)
     if len(first_gap):

@@ -3,8 +3,8 @@
     Q = s C p₁ φ(p₂/p₁)
 
 Pressures are absolute, φ is that of `compressible_flow`. C is chosen so that the open outlet has the flow of
-Ohm's law from 100 to 0 kPa gauge at 101.325 kPa ambient. The vine of a rig with a reservoir stays below 21 kPa
-gauge, where its outlet does not choke.
+Ohm's law from 100 to 0 kPa gauge at 101.325 kPa ambient. Only for rigs with a pump: the vine of a rig with a
+reservoir stays below 21 kPa gauge, where its outlet does not choke.
 """
 
 from __future__ import annotations

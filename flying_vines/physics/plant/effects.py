@@ -21,10 +21,10 @@ from flying_vines.physics.rig import Hose
 class Effects:
     """Effects of a rig; each one may be left out.
 
-    `*_law`: flow of a fully open valve (None: Ohm's law with the rig's resistance). `pump_curve`: how a pump's
-    flow falls (None: linearly). `*_wall`: heat between
-    wall and gas (None: isothermal gas). `*_motion`, `*_coil`: how a valve follows its command. `*_leak`:
-    permanent openings to ambient; those of one volume add up. `ambient`: None is 101.325 kPa and 293.15 K.
+    `*_law`: flow of a fully open valve (None: Ohm's law with the rig's resistance). `pump_curve`: the
+    flow of a pump against pressure (None: it falls linearly). `*_wall`: heat between wall and gas (None:
+    isothermal gas). `*_motion`, `*_coil`: how a valve follows its command. `*_leak`: permanent openings
+    to ambient; those of one volume add up. `ambient`: None is 101.325 kPa and 293.15 K.
     """
 
     evp_law: FlowLaw | None = None

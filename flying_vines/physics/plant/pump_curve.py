@@ -13,16 +13,16 @@ from flying_vines.physics.rig import Pump
 class ChokedPump:
     """The flow of ISO 6358 from a constant supply at the stall pressure P_max:
 
-        Q = u Q_max φ(r) / φ(r₀),   r = (P_cv + p_a)/(P_max + p_a),   r₀ = p_a/(P_max + p_a), p_a = 101.325 kPa
+        Q = u Q_max φ(r) / φ(r₀),   r = (P_cv + p_a)/(P_max + p_a),   r₀ = p_a/(P_max + p_a)
 
-    Q_max is the pump's free flow, into 0 kPa gauge. φ: see `Iso6358`.
+    Q_max is the free flow, into 0 kPa gauge, p_a = 101.325 kPa. φ: see `Iso6358`.
     """
 
     critical_pressure_ratio: float = 0.3
 
 
 def pump_law(pump: Pump, curve: ChokedPump | None, gas: GasProperties) -> FlowLaw:
-    """The law of the flow from P_max to the chamber. Without a curve the flow falls linearly to 0 at P_max."""
+    """The law of the flow from P_max to the chamber. Without a curve it falls linearly to 0 at P_max."""
     if curve is None:
         return Ohm(pump.flow_resistance_kPa_s_per_SL)
     return iso6358_matching(
