@@ -33,7 +33,7 @@ from flying_vines.config.config import ItemConfig
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import AutopilotKind
 
-JUMP, CONDITION = 177, 112
+JUMP, CONDITION, LOITER_UNLIMITED = 177, 112, 17
 NAN = math.nan
 
 
@@ -110,6 +110,20 @@ def test_items_behind_the_end_never_run() -> None:
     assert errors("ardupilot", HOME, (TAKEOFF,), (WP,), (SCRIPT, 2)) == []
     waits = errors("ardupilot", HOME, (TAKEOFF,), (WP,), (SCRIPT, 2), (DELAY, 6), (SCRIPT, 0), (DELAY, 1))
     assert waits == []
+
+
+@pytest.mark.parametrize(("kind", "head", "vine"), [("ardupilot", (HOME,), SCRIPT), ("px4", (), ACTUATOR)])
+def test_an_item_that_never_runs_comes_with_the_reason(
+    kind: AutopilotKind, head: tuple[tuple[float, ...], ...], vine: int
+) -> None:
+    at = 2 + len(head)
+    loiter = errors(kind, *head, (TAKEOFF,), (WP,), (LOITER_UNLIMITED,), (vine, 0), (LAND,), frame=3)
+    assert f"no item runs after item {at} (endless loiter); move it before that item" in loiter[-1]
+    jump = (JUMP, at + 2, 1)
+    skipped = errors(kind, *head, (TAKEOFF,), (WP,), jump, (vine, 0), (WP,), (LAND,))
+    assert [text.partition(": ")[2] for text in skipped] == [
+        "never runs: a jump skips it; move it, or remove the jump"
+    ]
 
 
 def test_an_item_in_front_runs_on_the_ground() -> None:
