@@ -298,8 +298,9 @@ def _advice(case: CheckedMission, bend: PlannedBend) -> str:
 
 
 def _overtaken(case: CheckedMission) -> Iterator[MissionFinding]:
-    for bend, after in itertools.pairwise(case.budget.bends):
-        if bend.motion is None or bend.ruling.verdict == "refused":
+    accepted = [bend for bend in case.budget.bends if bend.ruling.verdict != "refused"]
+    for bend, after in itertools.pairwise(accepted):
+        if bend.motion is None:
             continue
         gap_s = after.step.t_s - bend.step.t_s
         takes_s = bend.motion.duration_s

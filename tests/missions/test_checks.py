@@ -186,6 +186,18 @@ def test_too_low_too_long_and_still_bent() -> None:
     assert short.findings == []
 
 
+def test_a_refused_item_does_not_end_the_bend_before_it() -> None:
+    def found(hold_s: float) -> list[str]:
+        bend, outside, straight, wait = (SCRIPT, 1, 30), (SCRIPT, 1, 90), (SCRIPT, 0), (DELAY, hold_s)
+        given = items(HOME, (TAKEOFF,), (WP,), bend, wait, outside, wait, straight, wait, (DELAY, 9), (LAND,))
+        return finding_texts(reviewed(given, "ardupilot"))
+
+    long = found(100.0)
+    assert len(long) == 2 and "refused: 90° is outside" in long[1]
+    assert "item 3 " in long[0] and "stays bent for 200 s, but safety vents it after 120 s" in long[0]
+    assert "item 7 follows at once and replaces it" in found(0.05)[0]
+
+
 def test_an_angle_outside_the_curve() -> None:
     found = errors("ardupilot", HOME, (TAKEOFF,), (WP,), (SCRIPT, 1, 90), (WP,), (LAND,))
     assert "refused: 90° is outside the vine's 0…60°" in found[0]
