@@ -51,7 +51,7 @@ class PlannedBend:
     refuse it then, or refuses it already at the expected pressure."""
     motion: Motion | None
     ends_s: float
-    """End of the motion: vine at rest, next item, or landing, whichever is first."""
+    """End of the motion: vine at rest, next item that is not refused, or landing, whichever is first."""
     bent_s: float
     """Time under pressure."""
     before: Range
@@ -139,9 +139,11 @@ class _MissionRun:
         for i, step in enumerate(steps):
             until_s = min(landing_s, steps[i + 1].t_s if i + 1 < len(steps) else math.inf)
             self._advance(step.t_s)
-            bends.append(self._bend(step, until_s))
+            bends.append(self._bend(step))
             if bends[i].ruling.verdict != "refused":
                 held = i
+            if held is not None and self._motion is not None:
+                bends[held] = self._followed(bends[held], self._motion, until_s)
             self._advance(until_s)
             if held is not None and self._low_at_s is not None:
                 bends[held] = replace(bends[held], low_at_s=self._low_at_s)
@@ -166,41 +168,40 @@ class _MissionRun:
         last = self._plan.steps[-1] if self._plan.steps else None
         return self._plan.length_s if last is None or last.item.command not in ENDS else last.t_s
 
-    def _bend(self, step: TimelineStep, until_s: float) -> PlannedBend:
+    def _bend(self, step: TimelineStep) -> PlannedBend:
+        """Judge an item, and begin its motion if it is not refused."""
         intent, problem = self._rules.for_command(step.item.command, step.item.params)
         if intent is not None and not problem:
             problem = self._planner.problem(intent)
-        before = self._air.range_kPa()
-        if intent is None or problem:
-            refused = Ruling("refused", problem)
-            cycles = self._air.estimate().cycles_left()
-            return PlannedBend(step, intent, refused, "", None, step.t_s, 0.0, before, before, 0.0, cycles)
-        motion = self._planned(intent)
-        ruling = self._judge(motion, step.height_m, before.expected)
-        doubt = ""
-        if ruling.verdict != "refused":
-            worst = self._judge(motion, step.height_m, before.low)
-            doubt = worst.reason if worst.verdict == "refused" else ""
-            if ruling.rate_scale < 1.0:
-                motion = self._planned(intent, ruling.rate_scale)
-            self._motion, self._bent_kPa = replace(motion, started_at=step.t_s), motion.bent_kPa
-        length_s = motion.duration_s if ruling.verdict != "refused" else 0.0
-        ends_s = min(step.t_s + length_s, max(until_s, step.t_s))
-        bent_s = max(0.0, until_s - step.t_s) if motion.stays_bent else ends_s - step.t_s
+        before, cycles = self._air.range_kPa(), self._air.estimate().cycles_left()
+        ruling, doubt, motion = Ruling("refused", problem), "", None
+        if intent is not None and not problem:
+            motion = self._planned(intent)
+            ruling = self._judge(motion, step.height_m, before.expected)
+            if ruling.verdict != "refused":
+                worst = self._judge(motion, step.height_m, before.low)
+                doubt = worst.reason if worst.verdict == "refused" else ""
+                if ruling.rate_scale < 1.0:
+                    motion = self._planned(intent, ruling.rate_scale)
+                self._motion, self._bent_kPa = replace(motion, started_at=step.t_s), motion.bent_kPa
+        return PlannedBend(step, intent, ruling, doubt, motion, step.t_s, 0.0, before, before, 0.0, cycles)
+
+    def _followed(self, bend: PlannedBend, motion: Motion, until_s: float) -> PlannedBend:
+        """The bend with what its motion does until `until_s`. A refused item does not end it."""
+        lasts_s = max(0.0, until_s - bend.step.t_s)
+        moves_s = min(motion.duration_s, lasts_s)
+        ends_s = bend.step.t_s + moves_s
+        bend = replace(bend, bent_s=lasts_s if motion.stays_bent else moves_s)
+        if ends_s <= self._t_s:
+            return bend
         self._advance(ends_s)
         after = self._air.range_kPa()
-        return PlannedBend(
-            step,
-            intent,
-            ruling,
-            doubt,
-            motion,
-            ends_s,
-            bent_s if ruling.verdict != "refused" else 0.0,
-            before,
-            after,
-            before.expected - after.expected,
-            self._air.estimate().cycles_left(),
+        return replace(
+            bend,
+            ends_s=ends_s,
+            after=after,
+            air_kPa=bend.before.expected - after.expected,
+            cycles=self._air.estimate().cycles_left(),
         )
 
     def _planned(self, intent: Intent, rate_scale: float = 1.0) -> Motion:

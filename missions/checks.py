@@ -22,6 +22,7 @@ from flying_vines.vehicle.mission.item import (
     CONDITION_YAW,
     DELAY,
     LAND,
+    LOITER_UNLIMITED,
     RETURN,
     SPEED,
     TAKEOFF,
@@ -46,7 +47,7 @@ from missions.budget import AirBudget, PlannedBend
 from missions.build import BEND_LESS
 from missions.home import home_fits, on_earth
 from missions.item_for_intent import described, item_for_intent, over_the_wire, suggestion
-from missions.timeline import ENDS, MAX_LENGTH_S, MAX_STEPS, Timeline
+from missions.timeline import MAX_LENGTH_S, MAX_STEPS, Timeline
 
 BURST = 8
 """PX4 executes at most this many non-navigation items in a row. Of a longer row it loses the first ones."""
@@ -64,6 +65,7 @@ _NAMES = {
     WAYPOINT: "waypoint",
     RETURN: "return",
     LAND: "land",
+    LOITER_UNLIMITED: "endless loiter",
     TAKEOFF: "take-off",
     DELAY: "wait",
     SPEED: "change speed",
@@ -223,14 +225,17 @@ def _places(case: CheckedMission) -> Iterator[MissionFinding]:
 
 
 def _never(case: CheckedMission) -> Iterator[MissionFinding]:
-    end = next((item for item in case.items if item.command in ENDS), None)
+    end, last = case.timeline.end, case.timeline.steps[-1] if case.timeline.steps else None
     for item in filter(case.is_vine, case.timeline.never):
         if end is not None and item.seq > end.seq:
             after = f"item {end.seq} ({name_of(end)})"
-            yield case.error(item, f"never runs: no item runs after {after}; move it before that item")
+            why = f"no item runs after {after}; move it before that item"
+        elif case.kind == "ardupilot" and last is not None and not last.flown and item.seq > last.item.seq:
+            only = "after the last waypoint ArduPilot runs only one more item"
+            why = f"{only}; add a NAV_DELAY or a waypoint after each"
         else:
-            last = "after the last waypoint ArduPilot runs only one more item"
-            yield case.error(item, f"never runs: {last}; add a NAV_DELAY or a waypoint after each")
+            why = "a jump skips it; move it, or remove the jump"
+        yield case.error(item, f"never runs: {why}")
 
 
 def _on_the_ground(case: CheckedMission) -> Iterator[MissionFinding]:
@@ -293,8 +298,9 @@ def _advice(case: CheckedMission, bend: PlannedBend) -> str:
 
 
 def _overtaken(case: CheckedMission) -> Iterator[MissionFinding]:
-    for bend, after in itertools.pairwise(case.budget.bends):
-        if bend.motion is None or bend.ruling.verdict == "refused":
+    accepted = [bend for bend in case.budget.bends if bend.ruling.verdict != "refused"]
+    for bend, after in itertools.pairwise(accepted):
+        if bend.motion is None:
             continue
         gap_s = after.step.t_s - bend.step.t_s
         takes_s = bend.motion.duration_s

@@ -48,6 +48,7 @@ MAX_LENGTH_S = 6 * 3600.0
 _TURN_S = 10.0
 _HOLD_IN_PARAM1 = {WAYPOINT, SPLINE, LOITER_TIME, DELAY}
 ENDS = (LAND, RETURN, VTOL_LAND)
+_NOTHING_AFTER = (*ENDS, LOITER_UNLIMITED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +86,12 @@ class Timeline:
     def length_s(self) -> float:
         return max((step.ends_s for step in self.steps), default=0.0)
 
+    @property
+    def end(self) -> MissionItem | None:
+        """The item that ends the mission (landing, return, endless loiter); None if the items run out."""
+        last = self.steps[-1].item if self.steps else None
+        return last if last is not None and last.command in _NOTHING_AFTER else None
+
 
 def timeline(items: Sequence[MissionItem], kind: AutopilotKind, home: Home) -> Timeline:
     """Predict the flight of the items."""
@@ -118,7 +125,7 @@ class _Flight:
             if self._autopilot.waits_for(item):
                 self._fly(item)
                 trailing = 0
-                ended = item.command in (*ENDS, LOITER_UNLIMITED)
+                ended = item.command in _NOTHING_AFTER
             else:
                 self._run(item)
                 trailing += 1

@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 from firmware_link.protocol import Fault
-from flying_vines.config.config import Config
+from flying_vines.config.config import Config, InterlocksConfig
 from flying_vines.supply import AirNeeded
 from flying_vines.vine.motion import Motion
 
@@ -101,6 +101,11 @@ class LossEnded:
     """The loss `name` ended. The vine stays as it is until a new trigger."""
 
     name: str
+
+
+def needed_kPa(top_kPa: float, spending_kPa: float, interlocks: InterlocksConfig) -> float:
+    """The reservoir pressure below which a bend is refused: for its end, its air and the reserve."""
+    return top_kPa + interlocks.reserve_kPa + spending_kPa
 
 
 class Safety:
@@ -267,9 +272,9 @@ class Safety:
                 return "altitude not known"
             if now.altitude_m < self._interlocks.min_altitude_m:
                 return f"at {now.altitude_m:.1f} m, below {self._interlocks.min_altitude_m:g} m"
-        needed_kPa = motion.top_kPa + self._interlocks.reserve_kPa + air.spending_kPa
-        if not now.reservoir_kPa >= needed_kPa:
-            return f"bottle at {now.reservoir_kPa:.0f} kPa, needs {needed_kPa:.0f}"
+        least_kPa = needed_kPa(motion.top_kPa, air.spending_kPa, self._interlocks)
+        if not now.reservoir_kPa >= least_kPa:
+            return f"bottle at {now.reservoir_kPa:.0f} kPa, needs {least_kPa:.0f}"
         return None
 
     def _on_bench(self, now: SafetyInputs) -> bool:

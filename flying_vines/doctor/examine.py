@@ -78,7 +78,9 @@ async def examine(
     add([network.check_broker(await broker.facts(config.mqtt))])
 
     own = config.firmware.is_phlosar  # a device that is no phloSAR gets no bytes from us
-    board = None if phlosar is None or not own else FirmwareProbe(phlosar, examined.prior)
+    board = None
+    if phlosar is not None and own:
+        board = FirmwareProbe(phlosar, examined.prior, config.limits.max_kPa, examined.learned)
     watch = None if vehicle is None else VehicleWatch(vehicle, config, examined.signing)
     over, asked = asyncio.Event(), False
     async with asyncio.TaskGroup() as tasks:

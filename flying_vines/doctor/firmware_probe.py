@@ -17,6 +17,7 @@ from firmware_link.settings import SettingsExchange
 from flying_vines.config.address import Address
 from flying_vines.service.link_watch import LinkEvent, LinkWatch
 from flying_vines.supply import CyclesLeft, ReservoirEstimate, RigPrior, TelemetryReader
+from flying_vines.supply.cycles_left import Learned
 
 REST_S = 1.0
 """Readings are averaged over this time, at the start and at the end. Hello has vented the vine."""
@@ -44,16 +45,24 @@ class FirmwareFacts:
     reservoir_kPa: float = math.nan
     reservoir_falls_kPa_per_s: float = 0.0
     cycles_left: CyclesLeft | None = None
+    full_bend_spends_kPa: float = 0.0
+    """The reservoir's expected fall by a bend to `limits.max_kPa`."""
 
 
 class FirmwareProbe:
-    """Listens and sends requests at `address` while `run` runs."""
+    """Listens and sends requests at `address` while `run` runs.
 
-    def __init__(self, address: Address, prior: RigPrior) -> None:
+    `full_bend_kPa` is the pressure of the largest bend, gauge; `learned` has the air of earlier flights.
+    """
+
+    def __init__(
+        self, address: Address, prior: RigPrior, full_bend_kPa: float, learned: Learned | None = None
+    ) -> None:
+        self._full_bend_kPa = full_bend_kPa
         self._settings_exchange = SettingsExchange()
         self._watch = LinkWatch(address, self._settings_exchange)
         self._reader = TelemetryReader(prior)
-        self._reservoir = ReservoirEstimate(prior)
+        self._reservoir = ReservoirEstimate(prior, learned)
         self._readings: list[tuple[float, Telemetry]] = []
         self._boots: set[int] = set()
 
@@ -88,6 +97,7 @@ class FirmwareProbe:
             good_frames=now.good_frames - before.good_frames,
             round_trip_s=session.round_trip_s,
             restarts=max(0, len(self._boots) - 1),
+            full_bend_spends_kPa=self._reservoir.spending_kPa(self._full_bend_kPa),
         )
         return with_readings(facts, self._readings, self._reservoir.cycles_left())
 

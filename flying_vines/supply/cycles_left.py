@@ -67,7 +67,7 @@ PRIOR_CYCLES = 0.05
 """Weight of the assumed cycle, in flown cycles."""
 RECENT_INFLATIONS = 10
 MAX_PAUSE_S = 30.0
-"""A longer pause is a wait, not part of the rhythm of cycles. `CyclesLeft.minutes` has the cost of a wait."""
+"""The rest of a longer pause is a wait, not part of the rhythm. `CyclesLeft.minutes` has its cost."""
 LONG_PAUSE = 4.0
 """A pause of this many times the usual one is a wait, too, if it is longer than `SHORT_PAUSE_S`."""
 SHORT_PAUSE_S = 5.0
@@ -184,12 +184,12 @@ class _Mix:
         keep = math.exp(-cycles / MEMORY_CYCLES)
         self.cycles = keep * self.cycles + cycles
         self._assumed_cycles *= keep
-        pause_s = min(MAX_PAUSE_S, max(0.0, inflation.spent.time_s - inflation.given_s))
-        counted_s = pause_s
-        if self._pause_s is not None and pause_s > max(SHORT_PAUSE_S, LONG_PAUSE * self._pause_s):
+        whole_s = max(0.0, inflation.spent.time_s - inflation.given_s)
+        pause_s = counted_s = min(MAX_PAUSE_S, whole_s)
+        if self._pause_s is not None and whole_s > max(SHORT_PAUSE_S, LONG_PAUSE * self._pause_s):
             counted_s = self._pause_s
         self._pause_s = pause_s if self._pause_s is None else 0.9 * self._pause_s + 0.1 * pause_s
-        waited_s = max(0.0, inflation.spent.time_s - inflation.given_s - counted_s)
+        waited_s = whole_s - counted_s
         spent = inflation.spent._replace(time_s=inflation.spent.time_s - waited_s)
         self._sums = [keep * a + b for a, b in zip(self._sums, spent, strict=True)]
         self._venturi_kPa_s = keep * self._venturi_kPa_s + inflation.spent.venturi_s * supply_kPa_abs

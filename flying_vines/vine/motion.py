@@ -91,7 +91,6 @@ def plan(
             path.hold(segment.for_s)
         elif isinstance(segment, Sine):
             path.swing(segment)
-    furthest_kPa = curve.bent_kPa(path.peak_kPa, before_kPa)
     return Motion(
         name=name,
         started_at=started_at,
@@ -105,7 +104,7 @@ def plan(
         rise_kPa=path.rise_kPa,
         duration_s=path.t,
         rate_kPa_per_s=rate_kPa_per_s,
-        bent_kPa=curve.bent_kPa(path.at_kPa, furthest_kPa),
+        bent_kPa=path.bent_kPa,
     )
 
 
@@ -118,7 +117,7 @@ class _Path:
         self._curve = curve
         self._rate_kPa_per_s = rate_kPa_per_s
         self._max_kPa = max_kPa
-        self._bent_kPa = bent_kPa
+        self.bent_kPa = bent_kPa
         """The bend after the segments so far, as in `BendCurve.bent_kPa`."""
         self.pieces: list[tuple[float, float, Callable[[float], float]]] = []
         self.t = 0.0
@@ -130,9 +129,9 @@ class _Path:
         """Go to an angle or a pressure, in `min_s` or longer."""
         pressure = kPa or 0.0
         if deg is not None:
-            pressure = self._curve.toward_kPa(self._curve.pressure_kPa(deg), self._bent_kPa)
+            pressure = self._curve.toward_kPa(self._curve.pressure_kPa(deg), self.bent_kPa)
         pressure = self._clipped(pressure)
-        self._bent_kPa = self._curve.bent_kPa(pressure, self._bent_kPa)
+        self.bent_kPa = self._curve.bent_kPa(pressure, self.bent_kPa)
         self._aim(pressure)
         self._move(pressure, min_s)
 
@@ -153,8 +152,8 @@ class _Path:
         self.at_kPa, self.peak_kPa = swing(duration_s), max(self.peak_kPa, low, high)
         halves = math.floor(2.0 * sine.cycles)
         for turn in range(max(0, halves - 1), halves + 1):
-            self._bent_kPa = self._curve.bent_kPa(high if turn % 2 else low, self._bent_kPa)
-        self._bent_kPa = self._curve.bent_kPa(self.at_kPa, self._bent_kPa)
+            self.bent_kPa = self._curve.bent_kPa(high if turn % 2 else low, self.bent_kPa)
+        self.bent_kPa = self._curve.bent_kPa(self.at_kPa, self.bent_kPa)
 
     def _clipped(self, kPa: float) -> float:
         return min(max(kPa, 0.0), self._max_kPa)

@@ -20,6 +20,7 @@ local MOST_WAITING = 10
 
 local HEARTBEAT, COMMAND_LONG, COMMAND_ACK = 0, 76, 77
 local USER_1 = 31010
+local AUTOPILOT = 1 -- the component id from which ArduPilot sends
 local ERROR, WARNING, INFO = 3, 4, 6
 
 assert(param:add_table(TABLE_KEY, "VINE_", 2), "Vine: cannot add parameters")
@@ -41,6 +42,12 @@ local function own_system()
   return math.floor(param:get("MAV_SYSID") or param:get("SYSID_THISMAV") or 1)
 end
 
+-- True for the answer to our command. The companion also answers ground stations that send USER_1.
+local function answers_us(message)
+  local command, system, to = string.unpack("<I2xxxxxxBB", message, 13)
+  return command == USER_1 and system == own_system() and to == AUTOPILOT
+end
+
 -- Handles the companion's messages: its channel, and its acknowledgement of an item.
 local function listen()
   for _ = 1, 10 do
@@ -54,7 +61,8 @@ local function listen()
     if system == own_system() and from == math.floor(component:get()) then
       if id == HEARTBEAT then
         companion_channel = chan
-      elseif id == COMMAND_ACK and string.unpack("<I2", message, 13) == USER_1 then
+      -- A repeat has an answer of its own, which may come when the next item is first but not yet sent.
+      elseif id == COMMAND_ACK and waiting[1] and waiting[1].sends > 0 and answers_us(message) then
         table.remove(waiting, 1)
       end
     end

@@ -103,7 +103,7 @@ WORLDS: dict[str, World] = {
     "a GPS": World(firmware=gps),
     "silence": World(firmware=silent),
     "next version": World(firmware=of_next_version),
-    "bottle empty": World(phlosar=lambda: phlosar(reservoir_kPa=30.0)),
+    "bottle empty": World(phlosar=lambda: phlosar(reservoir_kPa=61.8)),
     "latched fault": World(phlosar=after_a_watchdog),
 }
 
@@ -154,7 +154,7 @@ def test_of_a_healthy_pair_one_may_fly(seen: dict[str, Examined], world: str) ->
         ("a GPS", "phloSAR", "this is another device"),
         ("silence", "phloSAR", "the port is open but silent"),
         ("next version", "phloSAR", "update the host"),
-        ("bottle empty", "bottle", "needs 61"),
+        ("bottle empty", "bottle", "62 kPa; a bend to 20.7 kPa needs 63"),
         ("latched fault", "phloSAR", "latched: watchdog reset"),
     ],
 )

@@ -277,7 +277,9 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (firmware.VINE_OFF, of_firmware(cv_kPa=4.1)),
     (firmware.VINE_OFF, of_firmware(cv_kPa=math.nan)),
     (firmware.BOTTLE, of_firmware()),
+    (firmware.BOTTLE, of_firmware(reservoir_kPa=66.0, full_bend_spends_kPa=5.0)),
     (firmware.BOTTLE_EMPTY, of_firmware(reservoir_kPa=60.0)),
+    (firmware.BOTTLE_EMPTY, of_firmware(reservoir_kPa=65.0, full_bend_spends_kPa=5.0)),
     (firmware.BOTTLE_LOW, of_firmware(cycles_left=replace(FIRMWARE.cycles_left, expected=9.0))),  # type: ignore[type-var]
     (firmware.BOTTLE_SENSOR, of_firmware(reservoir_kPa=-20.0)),
     (firmware.BOTTLE_SENSOR, of_firmware(reservoir_kPa=math.nan)),

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from bottle_bench import DEMONSTRATION, Bench
 from serial.tools.list_ports_common import ListPortInfo
 from waiting import MAX_WAIT_S
 
@@ -26,6 +27,8 @@ from flying_vines.doctor.checks.service import Process
 from flying_vines.doctor.look import broker, clock, disk, machine, ports, processes
 from flying_vines.doctor.look import configuration as look
 from flying_vines.service import host_clock
+from flying_vines.supply import nominal
+from flying_vines.supply.learned_file import text_of
 
 HOLD_A_TERMINAL = (
     "import os, sys; os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY); print('open', flush=True); input()"
@@ -339,6 +342,20 @@ def test_a_configuration_is_read_with_all_that_it_names(tmp_path: Path) -> None:
     path.write_text("[vehicle]\nlnk = 3\n")
     with pytest.raises(ConfigError, match="lnk"):
         look.read(path)
+
+
+def test_the_air_that_earlier_flights_learned_is_read(tmp_path: Path) -> None:
+    path = write(tmp_path, 'rig = ""')
+    assert look.read(path).learned is None
+    bench = Bench()
+    bench.rest(6.0)
+    bench.bend()
+    learned = bench.estimate.learned
+    assert learned is not None
+    (tmp_path / "vine.air.json").write_text(text_of(nominal(DEMONSTRATION), learned))
+    assert look.read(path).learned == learned
+    (tmp_path / "vine.air.json").write_text("{")
+    assert look.read(path).learned is None
 
 
 def test_a_process_has_a_readable_name() -> None:

@@ -6,7 +6,21 @@ from dataclasses import replace
 
 import msgspec
 import pytest
-from mission_building import HEAD, HOMES, built, finding_texts, reviewed, waypoint
+from mission_building import (
+    DELAY,
+    HEAD,
+    HOME,
+    HOMES,
+    LAND,
+    SCRIPT,
+    TAKEOFF,
+    WP,
+    built,
+    finding_texts,
+    items,
+    reviewed,
+    waypoint,
+)
 
 from flying_vines.config import config as configuration
 from flying_vines.physics.plant.effects import Effects
@@ -16,7 +30,7 @@ from flying_vines.simulation.mission_flight import fly, with_flight
 from flying_vines.supply import nominal
 from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import AutopilotKind
-from missions.budget import budget
+from missions.budget import PlannedBend, budget
 from missions.report import as_json
 from missions.review import review
 from missions.timeline import timeline
@@ -57,6 +71,18 @@ def test_a_bend_has_the_pressure_of_the_curve_and_takes_air() -> None:
     assert 0.8 < bend.air_kPa < 10.0
     assert bend.after.expected == pytest.approx(bend.before.expected - bend.air_kPa)
     assert bend.after.high - bend.after.low > bend.before.high - bend.before.low
+
+
+def test_a_refused_item_changes_nothing_of_the_bend_before_it() -> None:
+    def first_bend(*between: tuple[float, ...]) -> PlannedBend:
+        reach, waits = (SCRIPT, 2), ((DELAY, 2), *between, (DELAY, 8))
+        return reviewed(items(HOME, (TAKEOFF,), (WP,), reach, *waits, (LAND,)), "ardupilot").budget.bends[0]
+
+    alone, followed = first_bend(), first_bend((SCRIPT, 1, 90))
+    assert followed.ends_s - followed.step.t_s == pytest.approx(5.0)
+    assert (followed.ends_s, followed.bent_s) == (alone.ends_s, alone.bent_s)
+    assert followed.air_kPa == pytest.approx(alone.air_kPa, abs=0.01)
+    assert followed.after.low == pytest.approx(alone.after.low, abs=0.01)
 
 
 def test_more_bends_take_more_air_and_leave_fewer_cycles() -> None:

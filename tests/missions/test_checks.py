@@ -33,7 +33,7 @@ from flying_vines.config.config import ItemConfig
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import AutopilotKind
 
-JUMP, CONDITION = 177, 112
+JUMP, CONDITION, LOITER_UNLIMITED = 177, 112, 17
 NAN = math.nan
 
 
@@ -112,6 +112,20 @@ def test_items_behind_the_end_never_run() -> None:
     assert waits == []
 
 
+@pytest.mark.parametrize(("kind", "head", "vine"), [("ardupilot", (HOME,), SCRIPT), ("px4", (), ACTUATOR)])
+def test_an_item_that_never_runs_comes_with_the_reason(
+    kind: AutopilotKind, head: tuple[tuple[float, ...], ...], vine: int
+) -> None:
+    at = 2 + len(head)
+    loiter = errors(kind, *head, (TAKEOFF,), (WP,), (LOITER_UNLIMITED,), (vine, 0), (LAND,), frame=3)
+    assert f"no item runs after item {at} (endless loiter); move it before that item" in loiter[-1]
+    jump = (JUMP, at + 2, 1)
+    skipped = errors(kind, *head, (TAKEOFF,), (WP,), jump, (vine, 0), (WP,), (LAND,))
+    assert [text.partition(": ")[2] for text in skipped] == [
+        "never runs: a jump skips it; move it, or remove the jump"
+    ]
+
+
 def test_an_item_in_front_runs_on_the_ground() -> None:
     found = errors("ardupilot", HOME, (SCRIPT, 1, 30), (TAKEOFF,), (WP,), (LAND,))
     assert found == [
@@ -170,6 +184,18 @@ def test_too_low_too_long_and_still_bent() -> None:
     assert "still bent when the mission ends" in finding_texts(long, "warning")[0]
     short = reviewed(built(HEAD + waypoint("{ profile = 'reach', hold_s = 200 }"), "px4"), "px4")
     assert short.findings == []
+
+
+def test_a_refused_item_does_not_end_the_bend_before_it() -> None:
+    def found(hold_s: float) -> list[str]:
+        bend, outside, straight, wait = (SCRIPT, 1, 30), (SCRIPT, 1, 90), (SCRIPT, 0), (DELAY, hold_s)
+        given = items(HOME, (TAKEOFF,), (WP,), bend, wait, outside, wait, straight, wait, (DELAY, 9), (LAND,))
+        return finding_texts(reviewed(given, "ardupilot"))
+
+    long = found(100.0)
+    assert len(long) == 2 and "refused: 90° is outside" in long[1]
+    assert "item 3 " in long[0] and "stays bent for 200 s, but safety vents it after 120 s" in long[0]
+    assert "item 7 follows at once and replaces it" in found(0.05)[0]
 
 
 def test_an_angle_outside_the_curve() -> None:

@@ -224,6 +224,26 @@ def test_acknowledgements_of_others_and_of_other_commands_are_not_for_it(autopil
     assert [m.confirmation for _, m in autopilot.sent] == [0, 1]
 
 
+def test_an_answer_to_a_ground_station_is_not_for_it(autopilot: ArduPilot) -> None:
+    autopilot.item(1, 40.0)
+    autopilot.run(20)
+    for system, component in ((255, 190), (1, 154)):
+        autopilot.deliver(mavlink.MAVLink_command_ack_message(31010, 0, 0, 0, system, component))
+    autopilot.run(600)
+    assert [m.confirmation for _, m in autopilot.sent] == [0, 1]
+
+
+def test_the_answer_to_a_repeat_does_not_remove_the_next_item(autopilot: ArduPilot) -> None:
+    for angle_deg in (10.0, 20.0):
+        autopilot.item(1, angle_deg)
+    autopilot.run(600)
+    assert [(m.param2, m.confirmation) for _, m in autopilot.sent] == [(10.0, 0), (10.0, 1)]
+    for _ in range(2):
+        autopilot.deliver(mavlink.MAVLink_command_ack_message(31010, 0, 0, 0, 1, 1))
+    autopilot.run(600)
+    assert [(m.param2, m.confirmation) for _, m in autopilot.sent[2:]] == [(20.0, 0), (20.0, 1)]
+
+
 def test_nothing_is_sent_before_a_message_of_the_companion() -> None:
     autopilot = ArduPilot()
     autopilot.deliver(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), 255, 190, TELEMETRY)

@@ -123,6 +123,21 @@ def test_a_pause_is_a_wait_and_not_the_rhythm() -> None:
     assert after.expected > 0.8 * before.expected
 
 
+def test_a_long_wait_is_no_rhythm_either_after_slow_bends() -> None:
+    rhythms_s = []
+    for wait_s in (8.0, 300.0):
+        bench = Bench(cost_kPa=2.07, leak_per_s=1e-3)
+        bench.rest(6.0)
+        for rest_s in (*[8.0] * 5, wait_s):
+            bench.bend()
+            bench.rest(rest_s)
+        bench.bend()
+        bench.left()
+        assert bench.estimate.basis is not None
+        rhythms_s.append(bench.estimate.basis.cycle.spent.time_s)
+    assert rhythms_s[1] == pytest.approx(rhythms_s[0], rel=0.02)
+
+
 def test_a_slower_rhythm_with_a_leak_gives_the_reason_for_the_lower_number() -> None:
     reported = Reported(Bench(cost_kPa=2.07, leak_per_s=1e-3))
     reported.rest(6.0)

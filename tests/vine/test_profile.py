@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import msgspec
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from examples import examples
@@ -251,6 +251,21 @@ def test_with_hysteresis_no_limit_is_exceeded_and_the_final_angle_is_right(
     if isinstance(last, Step | Ramp) and last.to_deg is not None:
         ended_deg = bent_along(curve, motion, bent_kPa)[1][-1]
         assert ended_deg == pytest.approx(min(max(asked[-1], 0.0), 60.0), abs=0.01)
+
+
+@given(segments, st.floats(0, 20), st.floats(0, 6), rates, st.floats(0, 4))
+@example([Step(to_kPa=0.0), Step(to_kPa=3.0)], 10.0, 0.0, 10.0, 2.0)
+@settings(max_examples=examples(80), deadline=None)
+def test_a_motion_ends_with_the_bend_of_a_vine_that_followed_it(
+    parts: list[Segment], start_kPa: float, further_kPa: float, rate_kPa_per_s: float, width_kPa: float
+) -> None:
+    curve = BendCurve([(0, 0), (5, 0), (20.7, 60)], width_kPa)
+    bent_kPa = start_kPa + min(further_kPa, width_kPa)
+    motion = plan(parts, curve, start_kPa, rate_kPa_per_s, MAX_KPA, bent_kPa)
+    for begin_s, end_s, pressure_kPa in motion.pieces:
+        for i in range(1001):
+            bent_kPa = curve.bent_kPa(pressure_kPa((end_s - begin_s) * i / 1000), bent_kPa)
+    assert motion.bent_kPa == pytest.approx(bent_kPa, abs=0.02)
 
 
 # Nested profiles.

@@ -6,7 +6,7 @@ import math
 
 from firmware_link.protocol import Setting, Welcome, fault_names
 from flying_vines.config.config import Config
-from flying_vines.core.safety import FAULT_SENTENCES
+from flying_vines.core.safety import FAULT_SENTENCES, needed_kPa
 from flying_vines.doctor.finding import DoctorFinding, FindingText
 from flying_vines.doctor.firmware_probe import FirmwareFacts
 
@@ -224,11 +224,11 @@ def _vine(facts: FirmwareFacts, config: Config) -> DoctorFinding:
 
 def _bottle(facts: FirmwareFacts, config: Config) -> list[DoctorFinding]:
     kPa, full_kPa, most_kPa = facts.reservoir_kPa, config.pneumatics.full_kPa, config.limits.max_kPa
-    needed_kPa = config.interlocks.reserve_kPa + most_kPa
+    least_kPa = needed_kPa(most_kPa, facts.full_bend_spends_kPa, config.interlocks)
     if not kPa >= -BELOW_ZERO_KPA:
         return [BOTTLE_SENSOR(kPa=kPa)]
-    if kPa < needed_kPa:
-        return [BOTTLE_EMPTY(kPa=kPa, most=most_kPa, needed=needed_kPa)]
+    if kPa < least_kPa:
+        return [BOTTLE_EMPTY(kPa=kPa, most=most_kPa, needed=least_kPa)]
     found = []
     if facts.reservoir_falls_kPa_per_s > FALLS_KPA_PER_S:
         found.append(BOTTLE_LOSES(rate=facts.reservoir_falls_kPa_per_s))

@@ -11,6 +11,8 @@ from flying_vines.doctor.checks.configuration import ConfigurationFacts
 from flying_vines.physics.rig import RigError
 from flying_vines.service.persistent_state import PersistentState
 from flying_vines.supply import RigPrior, nominal
+from flying_vines.supply.cycles_left import Learned
+from flying_vines.supply.learned_file import learned_from
 from flying_vines.supply.rig_file_prior import load_rig_file_prior
 from flying_vines.vehicle.component.parameter_file import ParameterFileError
 from flying_vines.vehicle.component.parameters import Parameters
@@ -28,6 +30,8 @@ class ServiceConfiguration:
     state: Path | None
     """The folder of the persistent state; None for a configuration without a file."""
     signing_timestamp: Path | None
+    learned: Learned | None = None
+    """The air that earlier flights learned."""
 
     @property
     def config(self) -> Config:
@@ -73,7 +77,9 @@ def read(path: Path) -> ServiceConfiguration:
         disarming=str(state.disarming) if _exists(state.disarming) else "",
         latched=state.read_latched(),
     )
-    return ServiceConfiguration(facts, prior, signing, state.parameters.parent, state.signing_timestamp)
+    learned, _ = learned_from(state.read_learned(), prior)
+    folder, timestamp = state.parameters.parent, state.signing_timestamp
+    return ServiceConfiguration(facts, prior, signing, folder, timestamp, learned)
 
 
 def given(config: Config, name: str) -> ServiceConfiguration:
