@@ -12,9 +12,13 @@ from typing import Any
 
 import command_line
 import pytest
-from recorded_flight import one_bend
+from recorded_flight import BEGAN, HIGH, LOW, fly, new_flight, one_bend
 
+from flying_vines.core.events import Asked
 from flying_vines.record.reader import FlightLog
+from flying_vines.record.recorder import Recorder
+from flying_vines.record.summary import summarise
+from flying_vines.vine.intent import ArmPneumatics, BendTo, ClearLatchedFaults, Hold, StartBench, VentVine
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +53,20 @@ def test_list_has_a_line_a_flight(flights: Path, run: Runner, tmp_path: Path) ->
     assert (said["bends"], said["refused"], said["armed_s"]) == (1, 0, 0.0)
     assert 500.0 < said["lowest_reservoir_kPa"] < 690.0 and 0.1 < said["size_MB"] < 1.0
     assert "no flights yet" in run("list", tmp_path)[0]
+
+
+def test_only_a_bend_counts_as_a_bend(tmp_path: Path) -> None:
+    recorder, flight = Recorder(tmp_path, BEGAN, t=0.0), new_flight()
+    fly(flight, recorder, ((3.0, LOW), (5.0, HIGH)))
+    requests = (ArmPneumatics(), StartBench(), ClearLatchedFaults(), Hold(), BendTo(20.0), VentVine())
+    for intent in requests:
+        flight.core.handle(Asked(5.0, "page", intent, seen_at=5.0))
+    recorder.close()
+    log = FlightLog(recorder.folder)
+    said = [entry.fields for entry in log.entries(("decision",))]
+    assert [one["safety"] for one in said] == 7 * ["accepted"]
+    assert sum(one["setpoint_kPa"] > 0.0 for one in said) == 6
+    assert summarise(log).bends == 2
 
 
 def test_list_goes_on_over_what_cannot_be_read(flights: Path, run: Runner, tmp_path: Path) -> None:
