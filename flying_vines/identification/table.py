@@ -147,7 +147,7 @@ def _names(path: Path, lines: Sequence[str]) -> tuple[int, str, list[str]]:
 
 
 def _header(line: str, comment: bool) -> tuple[str, list[str]] | None:
-    """Separator and column names of a header. `comment`: only a comment counts, and is read without its mark."""
+    """Separator and column names of a header. `comment`: only a comment counts, without its mark."""
     if TIME not in line or (comment and _COMMENT.match(line) is None):
         return None
     separator = _separator(line)

@@ -7,6 +7,7 @@ import contextlib
 import os
 import socket
 from collections.abc import AsyncIterator
+from pathlib import Path
 from typing import Any, cast
 
 import command_line
@@ -249,7 +250,7 @@ def test_an_address_that_cannot_be_used_is_named(
         raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
     monkeypatch.setattr("socket.getaddrinfo", unknown)
-    with open(os.devnull) as nothing_typed:
+    with Path(os.devnull).open() as nothing_typed:
         monkeypatch.setattr("sys.stdin", nothing_typed)
         status, _, err = command_line.run(capsys, "fake", "autopilot", "--to", "companion:14540", *listen)
     assert (status, err) == (2, "flying-vines: companion:14540: Name or service not known\n")

@@ -53,7 +53,7 @@ async def waits(monkeypatch: pytest.MonkeyPatch, *connections: list[Any]) -> lis
             raise asyncio.CancelledError
 
     monkeypatch.setattr(page_socket, "ClientSession", lambda **_: Page(list(connections)))
-    monkeypatch.setattr(page_socket.asyncio, "sleep", sleep)
+    monkeypatch.setattr(asyncio, "sleep", sleep)
     with pytest.raises(asyncio.CancelledError):
         await PageSocket(socket_of("drone"), "", lambda text: None).run()
     return slept
