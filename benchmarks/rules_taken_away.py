@@ -64,17 +64,19 @@ class Module:
     path: str
     tests: tuple[str, ...]
     functions: tuple[str, ...] = ()
+    tables: tuple[str, ...] = ()
 
 
 MODULES = (
-    Module("flying_vines/core/safety.py", CORE_TESTS),
+    Module("flying_vines/core/safety.py", CORE_TESTS, tables=("_LOSSES", "_LIMITS")),
+    Module("flying_vines/core/asked.py", CORE_TESTS),
+    Module("flying_vines/core/board_mode.py", CORE_TESTS),
     Module(
         "flying_vines/core/core.py",
         CORE_TESTS,
         (
-            *("_trigger_of", "_request_problem", "_decide", "_outdated", "_carry_out_without_air", "_hold"),
-            *("_clear_faults", "_note_mode", "_on_firmware_link", "_note_rc_use", "_conditions"),
-            *("_enter", "_leave", "_drive"),
+            *("_decide", "_outdated", "_carry_out_without_air", "_hold", "_clear_faults"),
+            *("_on_firmware_link", "_note_rc_use", "_conditions", "_enter", "_leave", "_drive"),
         ),
     ),
     Module("flying_vines/vehicle/radio/pilot.py", RADIO_TESTS),
@@ -120,7 +122,7 @@ class Rule:
 
 
 def rules_of(module: Module) -> list[Rule]:
-    """The rules, in the order of the source."""
+    """The rules, in the order of the source. Raises `LookupError` if the module lacks a function or table."""
     source = (ROOT / module.path).read_text(encoding="utf-8")
     lines = [0]
     for line in source.encode().splitlines(keepends=True):
@@ -134,17 +136,22 @@ def rules_of(module: Module) -> list[Rule]:
         return Rule(module, function, node.lineno, begins, ends, text, instead)
 
     found = []
+    missing = {*module.functions, *module.tables}
     tree = ast.parse(source)
     for function in ast.walk(tree):
         if isinstance(function, ast.FunctionDef) and (
             not module.functions or function.name in module.functions
         ):
+            missing.discard(function.name)
             found += [rule(node, function.name, instead) for node, instead in _conditions(function)]
     for table in tree.body:
         if isinstance(table, ast.AnnAssign) and isinstance(table.value, ast.Dict):
             name = ast.unparse(table.target)
-            if name in ("_LOSSES", "_LIMITS"):
+            if name in module.tables:
+                missing.discard(name)
                 found += [rule(value, name, "(lambda *_: None)") for value in table.value.values]
+    if missing:
+        raise LookupError(f"{module.path} has no {', '.join(sorted(missing))}")
     return sorted(set(found), key=lambda rule: (rule.begins, rule.ends))
 
 

@@ -10,14 +10,16 @@ from firmware_link.protocol import GetSetting, HostMessage, Message, Refusal, Se
 
 _REQUEST_AGAIN_S = 0.2
 _MAX_TRIES = 10
+_WHOLE = ("dead_man_ms", "telemetry_Hz")
+"""Settings that the firmware stores as whole numbers, as `Welcome` has them. It would cut off a fraction."""
 
 
 class SettingsExchange:
     """Requests one setting after another until all are known, then makes `changes` (by name).
 
     Send the messages of `due` whenever the session is READY. Unanswered requests are repeated. The exchange
-    is finished when `done` or `problem` is set. If one of the changes is unknown or out of range, none is
-    made.
+    is finished when `done` or `problem` is set. If one of the changes is unknown or its value is not allowed,
+    none is made.
     """
 
     def __init__(self, changes: Mapping[str, float] | None = None) -> None:
@@ -92,5 +94,7 @@ class SettingsExchange:
             # Written so that NaN is refused, too.
             if not setting.least <= value <= setting.most:
                 return f"{name} must be from {setting.least:g} to {setting.most:g}, not {value:g}"
-            self._changes[name] = struct.unpack("<f", struct.pack("<f", value))[0]
+            (self._changes[name],) = struct.unpack("<f", struct.pack("<f", value))
+            if name in _WHOLE and not self._changes[name].is_integer():
+                return f"{name} must be a whole number, not {value}"
         return ""

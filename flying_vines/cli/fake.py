@@ -96,7 +96,7 @@ def _fake_autopilot(arguments: argparse.Namespace) -> int:
     except* OSError as group:
         taken = group.exceptions[0]
     if taken is not None:
-        fail(f"{' '.join(arguments.listen)}: {getattr(taken, 'strerror', None) or taken}")
+        fail(str(getattr(taken, "strerror", None) or taken))
     return 0
 
 
@@ -125,5 +125,5 @@ def _fake_phlosar(arguments: argparse.Namespace) -> int:
     except RigError as error:
         fail(str(error))
     except OSError as error:
-        fail(f"{arguments.link}: {error.strerror or error}")
+        fail(f"{arguments.link or 'the pseudo-terminal'}: {error.strerror or error}")
     return 0

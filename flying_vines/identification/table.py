@@ -112,6 +112,12 @@ def read_table(path: Path) -> RunTable:
     return RunTable(path, header, columns, [number + 1 for number in kept], remarks)
 
 
+def has_header(path: Path) -> bool:
+    """True if a line of the file names the columns. It is read up to this line. Raises `OSError`."""
+    with path.open(encoding="utf-8-sig", errors="replace") as lines:
+        return any(_header(line, comment) for line in lines for comment in (False, True))
+
+
 def _rows(path: Path, lines: Sequence[str], kept: Sequence[int], separator: str) -> Iterator[list[str]]:
     """The cells of each line in `kept` (numbered from 0)."""
     reader = csv.reader((lines[number] for number in kept), delimiter=separator)
@@ -135,13 +141,18 @@ def _names(path: Path, lines: Sequence[str]) -> tuple[int, str, list[str]]:
     """Line number of the header (from 0), separator, and column names."""
     for comment in (False, True):
         for at, line in enumerate(lines):
-            if TIME not in line or (comment and _COMMENT.match(line) is None):
-                continue
-            separator = _separator(line)
-            names = [name.strip() for name in _cells(_COMMENT.sub("", line) if comment else line, separator)]
-            if TIME in names:
-                return at, separator, names
+            if header := _header(line, comment):
+                return at, *header
     raise CaseError(_no_names(path, lines))
+
+
+def _header(line: str, comment: bool) -> tuple[str, list[str]] | None:
+    """Separator and column names of a header. `comment`: only a comment counts, without its mark."""
+    if TIME not in line or (comment and _COMMENT.match(line) is None):
+        return None
+    separator = _separator(line)
+    names = [name.strip() for name in _cells(_COMMENT.sub("", line) if comment else line, separator)]
+    return (separator, names) if TIME in names else None
 
 
 def _separator(line: str) -> str:

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import get_args
 
 from flying_vines.record.folders import MCAP
 from flying_vines.record.reader import LAST, FlightLog, LogError
 from flying_vines.record.topics import DECISION, SNAPSHOT
+from flying_vines.vine.intent import Intent
+
+_NO_MOTIONS = {str(kind()) for kind in get_args(Intent) if not fields(kind)}
+"""Intents without a target, such as a hold. They do not bend the vine, but a motion may run after them."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +53,8 @@ def summarise(log: FlightLog) -> Summary:
         f = entry.fields
         if entry.topic == DECISION:
             refused += f["safety"] == "refused"
-            bends += f["safety"] != "refused" and f["setpoint_kPa"] > 0.0 and f["trigger"] != "failsafe"
+            moves = f["safety"] != "refused" and f.get("intent") not in _NO_MOTIONS
+            bends += moves and f["setpoint_kPa"] > 0.0
             continue
         if f["armed"] and before_t is not None:
             armed_s += f["t"] - before_t

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.core.events import carried_out_unrequested
 from flying_vines.record.mcap_file import McapFile
@@ -56,13 +57,16 @@ def export_for_viewers(log: FlightLog, folder: Path) -> list[Path]:
     with paths[0].open("wb") as file:
         mcap = McapFile(file, _TOPICS, "flying-vines")
         flushed_ns = 0
+        vehicle = ""
         for entry in log.entries((*_COPIED, DECISION, NOTICE, MAVLINK_IN)):
             if entry.unix_ns - flushed_ns > _CHUNK_NS:
                 mcap.flush()
                 flushed_ns = entry.unix_ns
+            if entry.topic == SNAPSHOT:
+                vehicle = entry.fields["vehicle"]
             if entry.topic in _COPIED:
                 mcap.add(_NUMBERS[entry.topic], entry.unix_ns, entry.data)
-            elif message := _fix(entry) if entry.topic == MAVLINK_IN else _text(entry):
+            elif message := _fix(entry, vehicle) if entry.topic == MAVLINK_IN else _text(entry):
                 name = "location" if entry.topic == MAVLINK_IN else "log"
                 mcap.add(_NUMBERS[name], entry.unix_ns, msgspec.json.encode(message))
         mcap.finish()
@@ -90,10 +94,17 @@ def _log(entry: LogEntry, level: int, message: str, name: str) -> dict[str, Any]
     return {"timestamp": _time(entry), "level": level, "message": message, "name": name}
 
 
-def _fix(entry: LogEntry) -> dict[str, Any] | None:
-    """The autopilot's position as foxglove.LocationFix; its accuracy is not known."""
-    at = entry.fields.get(_POSITION)
+def _fix(entry: LogEntry, vehicle: str) -> dict[str, Any] | None:
+    """The autopilot's position as foxglove.LocationFix; its accuracy is not known.
+
+    `vehicle`: as in the latest snapshot. It ends with the system id.
+    """
+    message = entry.fields
+    at = message.get(_POSITION)
     if at is None or not (at["lat"] or at["lon"]):
+        return None
+    is_autopilot = message["component_id"] == mavlink.MAV_COMP_ID_AUTOPILOT1
+    if not is_autopilot or vehicle.split()[-1:] != [str(message["system_id"])]:
         return None
     return {
         "timestamp": _time(entry),

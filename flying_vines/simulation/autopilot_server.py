@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import cast
 
 from flying_vines.config.address import NetworkAddress, parse_address
@@ -65,15 +66,21 @@ class AutopilotServer:
         return (asyncio.get_running_loop().time() - self._start_s) * self._speed
 
     async def run(self) -> None:
-        """Serve until cancelled. Raises `OSError` if a TCP port is in use, and any error of a stimulus."""
+        """Serve until cancelled.
+
+        Raises `OSError` if an address cannot be used; its text names the address. Raises any error of a
+        stimulus.
+        """
         loop = asyncio.get_running_loop()
         self._start_s = loop.time()
         servers: list[asyncio.Server] = []
         try:
             for link, address in self._peers.items():
-                await self._connect(link, address)
-            for host, port in self._listen:
-                servers.append(await loop.create_server(lambda: _TcpClient(self), host, port))
+                with _named(address):
+                    await self._connect(link, address)
+            for address in self._listen:
+                with _named(address):
+                    servers.append(await loop.create_server(lambda: _TcpClient(self), *address))
             self.ports = [server.sockets[0].getsockname()[1] for server in servers]
             self.ready.set()
             slot = 0
@@ -188,6 +195,16 @@ class _TcpClient(asyncio.Protocol):
     def close(self) -> None:
         if self._transport is not None:
             self._transport.close()
+
+
+@contextmanager
+def _named(address: SocketAddress) -> Iterator[None]:
+    """Let an `OSError` name the address."""
+    try:
+        yield
+    except OSError as error:
+        host, port = address
+        raise OSError(error.errno, f"{host}:{port}: {error.strerror or error}") from None
 
 
 def _host_and_port(peer: str | SocketAddress) -> SocketAddress:

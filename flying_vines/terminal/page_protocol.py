@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import msgspec
 
@@ -28,8 +28,19 @@ class VineScale(NamedTuple):
     full_kPa: float
 
 
+_Found = TypeVar("_Found")
+
+
 class InvalidMessageError(Exception):
     """The message is not valid for a page of this version."""
+
+
+class _Answer(msgspec.Struct):
+    """The page's answer to request `id`."""
+
+    id: int
+    safety: Literal["accepted", "limited", "refused", "unanswered"]
+    reason: str
 
 
 class PageDecoder:
@@ -48,11 +59,7 @@ class PageDecoder:
 
     def take(self, t: float, text: str) -> list[Decision | Notice]:
         """Take in a message at `t`; returns the new events. Raises `InvalidMessageError`."""
-        try:
-            message = msgspec.json.decode(text)
-            return self._take(t, message)
-        except (msgspec.DecodeError, LookupError, TypeError, ValueError) as error:
-            raise InvalidMessageError(f"invalid message from the page: {error}") from None
+        return _decoded(text, lambda message: self._take(t, message))
 
     def _take(self, t: float, message: Any) -> list[Decision | Notice]:
         match message["kind"]:
@@ -91,12 +98,15 @@ class VentRequest:
         self._seen_at: float | None = None
         self._sent_at = -math.inf
         self._number = 0
+        self._first_number = 1
+        """The number of the first request of the latest press."""
 
     def press(self, t: float, seen: Snapshot | None) -> None:
         """`seen`: the snapshot on the screen; newer faults are not cleared."""
         self.pressed_at = t
         self._seen_at = seen.t if seen else None
         self._sent_at = -math.inf
+        self._first_number = self._number + 1
 
     def pop_message(self, t: float) -> str | None:
         """The message to send at time `t`, or None. A returned message counts as sent."""
@@ -108,15 +118,32 @@ class VentRequest:
         return msgspec.json.encode(request).decode()
 
     def take(self, t: float, text: str) -> str | None:
-        """The page's answer to the request as a sentence; None for other messages."""
-        message = msgspec.json.decode(text)
-        if self.pressed_at is None or message.get("kind") != "answer" or message["safety"] == "unanswered":
+        """The page's answer to the request as a sentence; None for other messages.
+
+        Raises `InvalidMessageError`. An answer to an earlier press is no answer to this one.
+        """
+        answer = _decoded(text, _answer)
+        if self.pressed_at is None or answer is None or answer.safety == "unanswered":
+            return None
+        if not self._first_number <= answer.id <= self._number:
             return None
         after_s = t - self.pressed_at
         self.pressed_at = None
-        if message["safety"] == "refused":
-            return f"VENT refused: {message['reason']}"
+        if answer.safety == "refused":
+            return f"VENT refused: {answer.reason}"
         return f"VENT confirmed after {after_s:.2f} s"
+
+
+def _decoded(text: str, read: Callable[[Any], _Found]) -> _Found:
+    """What `read` finds in a message. Raises `InvalidMessageError`."""
+    try:
+        return read(msgspec.json.decode(text))
+    except (msgspec.DecodeError, LookupError, TypeError, ValueError) as error:
+        raise InvalidMessageError(f"invalid message from the page: {error}") from None
+
+
+def _answer(message: Any) -> _Answer | None:
+    return msgspec.convert(message, _Answer) if message["kind"] == "answer" else None
 
 
 def _actions(happened: Sequence[dict[str, Any]]) -> list[Decision | Notice]:

@@ -44,6 +44,7 @@ class PageSocket:
         self._headers = {"Authorization": f"Bearer {token}"} if token else {}
         self._take = take
         self._to_send: asyncio.Queue[str] = asyncio.Queue(maxsize=1)
+        self._backoff_s = FIRST_BACKOFF_S
 
     def send(self, text: str) -> None:
         """Send if there is a link; otherwise drop the text, because it would be late."""
@@ -52,7 +53,6 @@ class PageSocket:
 
     async def run(self) -> None:
         """Run until cancelled. Raises `NotAdmittedError`."""
-        backoff_s = FIRST_BACKOFF_S
         async with ClientSession(
             headers=self._headers, timeout=ClientTimeout(connect=OPENS_WITHIN_S)
         ) as session:
@@ -68,10 +68,8 @@ class PageSocket:
                     self.problem = f"{error.host}:{error.port}: {os.strerror(error.errno or 0)}"
                 except (ClientError, OSError) as error:
                     self.problem = str(error) or type(error).__name__
-                else:
-                    backoff_s = FIRST_BACKOFF_S
-                await asyncio.sleep(backoff_s)
-                backoff_s = min(2.0 * backoff_s, MAX_BACKOFF_S)
+                await asyncio.sleep(self._backoff_s)
+                self._backoff_s = min(2.0 * self._backoff_s, MAX_BACKOFF_S)
 
     async def _communicate(self, session: ClientSession) -> None:
         async with asyncio.timeout(OPENS_WITHIN_S):
@@ -86,6 +84,7 @@ class PageSocket:
                     message = await viewing.receive(LATE_S)
                     if message.type is not WSMsgType.TEXT:
                         return
+                    self._backoff_s = FIRST_BACKOFF_S
                     self._take(message.data)
             finally:
                 sending.cancel()

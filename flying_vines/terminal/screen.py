@@ -54,8 +54,13 @@ def describe(what: dict[str, object]) -> str:
         parts.append(str(what["command"]))
     params = what.get("params")
     if isinstance(params, list):
-        parts.append("(" + ", ".join(f"{p:g}" for p in params) + ")")
+        parts.append("(" + ", ".join(map(_param, params)) + ")")
     return " ".join(parts)
+
+
+def _param(value: float | None) -> str:
+    """A parameter as text. NaN means that it is not used; the page and the log have None instead."""
+    return "–" if value is None or math.isnan(value) else f"{value:g}"
 
 
 def decision_table(decisions: Sequence[Decision]) -> Table:

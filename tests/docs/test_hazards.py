@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import ast
 import re
+import sys
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import pytest
+
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+
+from rules_taken_away import MODULES, rules_of
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "hazards.md").read_text(encoding="utf-8")
@@ -48,3 +54,10 @@ def test_each_row_has_a_test_that_exists(row: list[str]) -> None:
     assert found and TEST.sub("", proof).strip(" ,") == ""
     for path, name in found:
         assert name in functions(path), f"{path} has no {name}"
+
+
+def test_the_rules_that_are_taken_away_are_all_found() -> None:
+    assert sum(len(rules_of(module)) for module in MODULES) > 300
+    for lost in (replace(MODULES[0], functions=("watch", "gone")), replace(MODULES[0], tables=("_GONE",))):
+        with pytest.raises(LookupError, match=r"core/safety\.py has no (gone|_GONE)$"):
+            rules_of(lost)

@@ -76,6 +76,14 @@ def test_changes_are_made_and_kept() -> None:
     assert board.firmware.settings["dead_man_ms"] == 200
 
 
+def test_each_setting_takes_a_fraction_or_refuses_it() -> None:
+    """The host must know each setting that the firmware rounds: otherwise its change never succeeds."""
+    for setting in Board().exchange().settings:
+        fraction = setting.least + 0.301 * (setting.most - setting.least)
+        exchange = Board().exchange({setting.name: fraction})
+        assert exchange.done or "must be a whole number" in exchange.problem, setting.name
+
+
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
@@ -83,6 +91,8 @@ def test_changes_are_made_and_kept() -> None:
         ({"colour": 1.0}, "no setting colour: it has cv_limit_kPa, "),
         ({"dead_man_ms": 900.0}, "dead_man_ms must be from 50 to 300, not 900"),
         ({"dead_man_ms": float("nan")}, "not nan"),
+        ({"dead_man_ms": 200.25}, "dead_man_ms must be a whole number, not 200.25"),
+        ({"cv_limit_kPa": 25.5, "telemetry_Hz": 100.5}, "telemetry_Hz must be a whole number, not 100.5"),
         ({"cv_limit_kPa": 25.0, "dead_man_ms": 900.0}, "dead_man_ms must be from"),
     ],
 )

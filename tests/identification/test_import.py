@@ -28,7 +28,7 @@ from flying_vines.identification.importing.answers_file import (
 )
 from flying_vines.identification.importing.columns import ImportedColumn, guess_columns
 from flying_vines.identification.importing.layout import read_foreign
-from flying_vines.identification.importing.runs import Proposal, Run, propose, write_case
+from flying_vines.identification.importing.runs import Proposal, Run, is_foreign, propose, write_case
 from flying_vines.identification.importing.units import UNITS, Unit, parse_unit, psi_instead, unit_in
 from flying_vines.identification.parallel_diagnosis import read_any
 from flying_vines.identification.recording import CaseError
@@ -490,6 +490,24 @@ def test_an_evacuated_vessel_that_leaks(tmp_path: Path) -> None:
     write_case([found], tmp_path / "case")
     run = read_case(tmp_path / "case").runs[0]
     assert run.reservoir_kPa[0] == pytest.approx(-62.0) and not run.evp_opening.any()
+
+
+@pytest.mark.parametrize(
+    ("text", "foreign"),
+    [
+        ("settle_time_s,tank kPa\n0,1\n", True),
+        ("t (s),tank kPa,note\n0,1,the former time_s\n", True),
+        ("# from the column time_s\nt (s),tank kPa\n0,1\n", True),
+        ("\ufefftime_s,cv_pressure_kPa\r\n0,1\r\n", False),
+        ('cv_pressure_kPa;"time_s"\r0;1\r', False),
+        ("a rig\n# time_s\tcv_pressure_kPa\n0\t1\n", False),
+        ("time_s,cv_pressure_kPa,note\n0,1,20 \u00b0C\n", False),
+    ],
+)
+def test_only_a_column_time_s_makes_a_case(text: str, foreign: bool, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(text.encode("cp1252" if "\u00b0" in text else "utf-8"))
+    assert is_foreign(path) == foreign
 
 
 def test_a_valve_needs_the_volume_of_its_reservoir(tmp_path: Path) -> None:

@@ -12,9 +12,14 @@ from typing import Any
 
 import command_line
 import pytest
-from recorded_flight import one_bend
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from recorded_flight import BEGAN, HIGH, LOW, fly, new_flight, one_bend
 
+from flying_vines.core.events import Asked, VehicleMessage
 from flying_vines.record.reader import FlightLog
+from flying_vines.record.recorder import Recorder
+from flying_vines.record.summary import summarise
+from flying_vines.vine.intent import ArmPneumatics, BendTo, ClearLatchedFaults, Hold, StartBench, VentVine
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +54,20 @@ def test_list_has_a_line_a_flight(flights: Path, run: Runner, tmp_path: Path) ->
     assert (said["bends"], said["refused"], said["armed_s"]) == (1, 0, 0.0)
     assert 500.0 < said["lowest_reservoir_kPa"] < 690.0 and 0.1 < said["size_MB"] < 1.0
     assert "no flights yet" in run("list", tmp_path)[0]
+
+
+def test_only_a_bend_counts_as_a_bend(tmp_path: Path) -> None:
+    recorder, flight = Recorder(tmp_path, BEGAN, t=0.0), new_flight()
+    fly(flight, recorder, ((3.0, LOW), (5.0, HIGH)))
+    requests = (ArmPneumatics(), StartBench(), ClearLatchedFaults(), Hold(), BendTo(20.0), VentVine())
+    for intent in requests:
+        flight.core.handle(Asked(5.0, "page", intent, seen_at=5.0))
+    recorder.close()
+    log = FlightLog(recorder.folder)
+    said = [entry.fields for entry in log.entries(("decision",))]
+    assert [one["safety"] for one in said] == 7 * ["accepted"]
+    assert sum(one["setpoint_kPa"] > 0.0 for one in said) == 6
+    assert summarise(log).bends == 2
 
 
 def test_list_goes_on_over_what_cannot_be_read(flights: Path, run: Runner, tmp_path: Path) -> None:
@@ -123,6 +142,20 @@ def test_export_for_viewers_holds_all_that_its_layouts_name(
     said = list(FlightLog(folder).entries(("decision", "notice")))
     shown = [one.fields for one in said if not one.fields.get("of_decision")]
     assert len(texts) == sum(one.get("severity") != 7 for one in shown)
+
+
+def test_only_the_position_of_our_own_vehicle_is_exported(run: Runner, tmp_path: Path) -> None:
+    recorder, flight = Recorder(tmp_path / "flights", BEGAN, t=0.0), new_flight()
+    fly(flight, recorder, ((3.0, LOW),))
+    for system, component in ((2, 1), (1, 191)):
+        message = mavlink.MAVLink_global_position_int_message(3000, 10**8, 10**8, 0, 0, 0, 0, 0, 0)
+        message.pack(mavlink.MAVLink(None, system, component))
+        flight.core.handle(VehicleMessage(3.0, message))
+    recorder.close()
+    run("export", recorder.folder, "--viewers", "-o", tmp_path)
+    fixes = [entry.fields for entry in FlightLog(tmp_path / "viewers.mcap").entries(("location",))]
+    assert len(fixes) > 5
+    assert all(fix["latitude"] != 10.0 for fix in fixes)
 
 
 def test_a_bundle_holds_the_flight_and_no_key(flights: Path, run: Runner, tmp_path: Path) -> None:

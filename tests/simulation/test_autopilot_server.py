@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import socket
 from collections.abc import AsyncIterator
+from pathlib import Path
 from typing import Any, cast
 
+import command_line
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from real_time import real_time
@@ -232,9 +235,25 @@ async def test_time_can_run_fast() -> None:
 
 async def test_a_port_that_is_taken_ends_the_run() -> None:
     async with on_tcp(FakeAutopilot()) as server:
-        second = AutopilotServer(FakeAutopilot(), None, listen=[f"tcpin:127.0.0.1:{server.ports[0]}"])
-        with pytest.raises(OSError):
+        taken = f"127.0.0.1:{server.ports[0]}"
+        second = AutopilotServer(FakeAutopilot(), None, listen=[("127.0.0.1", 0), f"tcpin:{taken}"])
+        with pytest.raises(OSError) as error:
             await asyncio.wait_for(second.run(), 5.0)
+        assert (error.value.strerror or "").startswith(f"{taken}: ")
+
+
+@pytest.mark.parametrize("listen", [(), ("--listen", "tcpin:127.0.0.1:5760")])
+def test_an_address_that_cannot_be_used_is_named(
+    listen: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def unknown(*_: object, **__: object) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr("socket.getaddrinfo", unknown)
+    with Path(os.devnull).open() as nothing_typed:
+        monkeypatch.setattr("sys.stdin", nothing_typed)
+        status, _, err = command_line.run(capsys, "fake", "autopilot", "--to", "companion:14540", *listen)
+    assert (status, err) == (2, "flying-vines: companion:14540: Name or service not known\n")
 
 
 @pytest.mark.parametrize("address", ["tcp:127.0.0.1:5760", "tcpin:127.0.0.1", "tcpin:127.0.0.1:99999"])

@@ -205,6 +205,17 @@ def test_a_rig_file_that_is_wrong_is_one_line(
 # The serial port.
 
 
+def test_a_computer_without_pseudo_terminals_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def out_of_ptys() -> tuple[int, int]:
+        raise OSError("out of pty devices")
+
+    monkeypatch.setattr("os.openpty", out_of_ptys)
+    ended, _, err = command_line.run(capsys, "fake", "phlosar")
+    assert (ended, err) == (2, "flying-vines: the pseudo-terminal: out of pty devices\n")
+
+
 class FakeClock:
     def __init__(self) -> None:
         self.now_s = 0.0

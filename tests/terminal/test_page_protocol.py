@@ -117,3 +117,36 @@ def test_a_vent_that_is_refused_is_not_asked_for_again() -> None:
     said = '{"kind": "answer", "id": 1, "safety": "refused", "reason": "you may only watch"}'
     assert vent.take(1.1, said) == "VENT refused: you may only watch"
     assert vent.pop_message(9.0) is None
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"kind": "answer"},
+        {"kind": "answer", "id": 1, "safety": "refused"},
+        {"kind": "answer", "id": 1, "safety": "of another version", "reason": ""},
+        {"kind": "answer", "id": "1", "safety": "accepted", "reason": ""},
+        {},
+    ],
+)
+def test_an_answer_that_cannot_be_read_is_reported_and_confirms_nothing(wrong: dict[str, Any]) -> None:
+    vent = VentRequest()
+    vent.press(1.0, None)
+    vent.pop_message(1.0)
+    with pytest.raises(InvalidMessageError):
+        vent.take(1.1, json.dumps(wrong))
+    assert vent.pressed_at is not None
+
+
+def test_a_late_answer_to_an_earlier_press_confirms_nothing() -> None:
+    vent = VentRequest()
+    vent.press(1.0, None)
+    first, second = (json.loads(vent.pop_message(t) or "")["id"] for t in (1.0, 1.0 + VENT_AGAIN_S))
+    answer = {"kind": "answer", "safety": "accepted", "reason": ""}
+    assert vent.take(2.0, json.dumps({**answer, "id": first}))
+    vent.press(5.0, None)
+    third = json.loads(vent.pop_message(5.0) or "")["id"]
+    for number in (second, third + 1):
+        assert vent.take(5.1, json.dumps({**answer, "id": number})) is None
+    assert vent.pop_message(5.0 + VENT_AGAIN_S) is not None
+    assert vent.take(5.6, json.dumps({**answer, "id": third})) == "VENT confirmed after 0.60 s"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 
 import pytest
 from page_bench import snapshot
@@ -62,3 +63,12 @@ def test_without_a_fault_it_shows_what_vented_and_the_awaited_request(width: int
 def test_only_a_request_is_accepted_in_green(trigger: str, style: str) -> None:
     line = event_line(Decision(2.0, trigger, {}, "vent", "accepted", "", 0.0), 0.0)
     assert line is not None and style in {str(span.style) for span in line.spans}
+
+
+@pytest.mark.parametrize("unused", [math.nan, None])
+def test_params_have_six_digits_and_an_unused_one_is_a_dash(unused: float | None) -> None:
+    """0.1 is a 32-bit float. The page and the log write NaN as null."""
+    item = {"seq": 3, "command": 31010, "params": [0.10000000149011612, unused, -45.0, 2.0]}
+    line = event_line(Decision(2.0, "mission_item", item, "wave", "accepted", "", 20.0), 0.0)
+    assert line is not None
+    assert "mission item #3 31010 (0.1, –, -45, 2) → wave: accepted" in line.plain

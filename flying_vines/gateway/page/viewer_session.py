@@ -114,7 +114,9 @@ class ViewerSession:
         missed = 0
         while True:
             try:
-                news: Sequence[_Message] = await asyncio.wait_for(reader.next(), BEAT_S)
+                # `wait_for` would lose a cancellation that arrives together with the news.
+                async with asyncio.timeout(BEAT_S):
+                    news: Sequence[_Message] = await reader.next()
             except TimeoutError:
                 news = (_Beat(),)
             if reader.missed > missed:

@@ -39,6 +39,7 @@ from flying_vines.identification.importing.spikes import is_spike
 from flying_vines.identification.importing.units import parse_unit, psi_instead
 from flying_vines.identification.noise import MIN_KPA, measured_noise, rounded_noise, rounding_step
 from flying_vines.identification.recording import CaseError, counted
+from flying_vines.identification.table import has_header
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.rig import rig_from
@@ -160,7 +161,7 @@ def is_foreign(path: Path) -> bool:
     if not path.is_file() or path.suffix.casefold() == ".toml":
         return False
     try:
-        return answers_path(path).exists() or b"time_s" not in path.read_bytes()
+        return answers_path(path).exists() or not has_header(path)
     except OSError:
         return False
 

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import dataclasses
 import json
+import math
 import os
 import signal
 import time
@@ -20,6 +21,7 @@ from real_time import real_time
 from required_programs import need
 from waiting import MAX_WAIT_S, until
 
+from flying_vines.core.events import Decision
 from flying_vines.core.pending_bend import PendingBend
 from flying_vines.core.snapshot import Snapshot
 from flying_vines.gateway import page_token
@@ -325,6 +327,16 @@ async def test_problems_and_cycles_left_are_visible_without_scrolling(
                 assert (SWITCH.awaited in said) == (shown.waiting is not None)
                 assert ("Nothing is wrong" in said) == (name == "bent")
                 assert "1481 bends to 15 kPa left" in await page.inner_text("#cycles")
+
+
+async def test_params_have_six_digits_and_an_unused_one_is_a_dash(browser: Browser) -> None:
+    item = {"seq": 3, "command": 31010, "params": [0.10000000149011612, math.nan, -45.0, 2.0]}
+    async with served() as bench, showing(bench, STATES["bent"]):
+        page, wrong = await opened(browser, bench.url, DESKTOP)
+        bench.happen(Decision(2.0, "mission_item", item, "wave", "accepted", "", 20.0))
+        await until_shown(page, "#events", "wave: accepted")
+        assert "mission item #3 31010 (0.1, –, -45, 2) → wave" in await page.inner_text("#events")
+        assert not wrong
 
 
 async def test_a_confirmed_vent_is_not_shown_for_ever(browser: Browser) -> None:

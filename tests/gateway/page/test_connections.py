@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
+from typing import Any, cast
 
 import msgspec
 import pytest
 from page_bench import snapshot
 
-from flying_vines.gateway.messages import SnapshotMessage, raw
+from flying_vines.config import config
+from flying_vines.gateway.feed import Feed
+from flying_vines.gateway.messages import GatewayStart, SnapshotMessage, raw
 from flying_vines.gateway.page.connections import (
     MAX_NEW,
     MAX_PILOTS,
@@ -17,7 +21,27 @@ from flying_vines.gateway.page.connections import (
 )
 from flying_vines.gateway.page.history import HISTORY_S, History
 from flying_vines.gateway.page.request import MAX_AT_ONCE, MAX_PER_S, PageRequest, read_request
+from flying_vines.gateway.page.viewer_session import ViewerSession
 from flying_vines.gateway.token_bucket import TokenBucket
+
+
+class OpenSocket:
+    """A viewer that only watches."""
+
+    async def send_str(self, text: str) -> None:
+        pass
+
+    def __aiter__(self) -> OpenSocket:
+        return self
+
+    async def __anext__(self) -> Any:
+        await asyncio.Event().wait()
+
+
+async def turns(count: int) -> None:
+    """Let all tasks go on `count` times."""
+    for _ in range(count):
+        await asyncio.sleep(0)
 
 
 def test_a_flood_from_one_address_pushes_out_its_own() -> None:
@@ -129,3 +153,16 @@ def test_a_pressure_that_is_not_known_is_remembered_as_that() -> None:
     history = History()
     history.take(SnapshotMessage(raw(snapshot(1.0, cv_kPa=math.nan, reservoir_kPa=math.nan))))
     assert msgspec.json.encode(tuple(history.samples)) == b"[[1.0,null,0.0,null]]"
+
+
+@pytest.mark.parametrize("later", range(6))
+async def test_a_session_that_is_ended_together_with_news_ends(later: int) -> None:
+    feed = Feed(GatewayStart(config.default(), "1.2.3"), lambda message: None)
+    session = ViewerSession(feed, History(), cast(Any, OpenSocket()), may_ask=False)
+    serving = asyncio.create_task(session.serve())
+    await turns(10)
+    feed.take(SnapshotMessage(raw(snapshot())))
+    await turns(later)
+    serving.cancel()
+    await turns(20)
+    assert serving.cancelled()

@@ -10,6 +10,9 @@ export const sentence = (text) => text && text[0].toUpperCase() + text.slice(1);
 
 export const plain = (name) => name.replaceAll("_", " ");
 
+// A parameter: a 32-bit float, so more digits would not be true. Null means that it is not used.
+const param = (value) => (value === null ? "–" : Number(value.toPrecision(6)));
+
 // Triggers that nobody requested: they vent or hold the vine. As in `core/events.py`.
 const UNREQUESTED = ["failsafe", "link"];
 
@@ -21,7 +24,7 @@ function details(what) {
   const parts = [];
   if ("seq" in what) parts.push(`#${what.seq ?? "?"}`);
   if ("command" in what) parts.push(what.command);
-  if (Array.isArray(what.params)) parts.push(`(${what.params.join(", ")})`);
+  if (Array.isArray(what.params)) parts.push(`(${what.params.map(param).join(", ")})`);
   return parts.join(" ");
 }
 
