@@ -39,8 +39,6 @@ class PlantNumbers(NamedTuple):
     """A plant, for ticks of `tick_s`."""
 
     tick_s: float
-    min_steps: int
-    """Minimum integration steps in a tick."""
     gamma: float
     reservoir_per_L: float
     reservoir_heat: Heat
@@ -111,7 +109,6 @@ def numbers_of(plant: Plant, tick_s: float) -> PlantNumbers:
     )
     return PlantNumbers(
         tick_s=tick_s,
-        min_steps=1,
         gamma=gas.gamma,
         reservoir_per_L=1.0 / rig.reservoir.volume_L,
         reservoir_heat=reservoir_heat,
