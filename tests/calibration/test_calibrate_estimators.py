@@ -311,7 +311,7 @@ def test_a_large_vessel_counts_only_after_its_gas_has_cooled() -> None:
         setpoint,
         setpoint,
         650.0 - flowed_kPa / RESERVOIR_L + 0.2 * np.random.default_rng(2).standard_normal(len(t_s)),
-        0.1 * (np.diff(flowed_kPa, prepend=0.0) > 0.0),
+        np.where(np.diff(flowed_kPa, prepend=0.0) > 0.0, 0.1, 0.0),
         np.zeros(len(t_s)),
         ~held,
     )
