@@ -148,6 +148,11 @@ class Calibrator:
         left_s = 0.0 if self.ended else max(0.0, total_s - done_s)
         return CalibrationProgress(share, left_s, self._doing)
 
+    def cv_kPa(self, snapshot: Snapshot) -> float:
+        """The vine's pressure, less the zero of its sensor if that is measured."""
+        zero = self.findings.estimate("cv_zero_kPa")
+        return snapshot.cv_kPa - (zero.value if zero else 0.0)
+
     # Inputs.
 
     def begin(self, t: float) -> list[Output]:
@@ -340,9 +345,8 @@ class Calibrator:
         yield from self._wait(self.plan.hold_s)
 
     def _cv_kPa(self) -> float:
-        zero = self.findings.estimate("cv_zero_kPa")
         assert self._snapshot is not None
-        return self._snapshot.cv_kPa - (zero.value if zero else 0.0)
+        return self.cv_kPa(self._snapshot)
 
     def _enter(self, text: str) -> Generator[None]:
         yield from self._ask_person("enter", text, PERSON_TIMEOUT_S)

@@ -168,6 +168,10 @@ class CalibrationDriver:
                     self.terminal.show(shown)
             self._outputs.popleft()
 
+    def vented(self, snapshot: Snapshot) -> bool:
+        """True if the core has vented the vine, and its pressure is low or unknown."""
+        return snapshot.doing == "vented" and not self.calibrator.cv_kPa(snapshot) >= VENTED_KPA
+
     def outcome(self, folder: Path, log_problem: str) -> CalibrationOutcome:
         """Call it after the calibration has ended."""
         calibrator = self.calibrator
@@ -187,11 +191,6 @@ def result_of(task: EvaluationTask) -> object:
         return task.run()
     except Exception as error:
         return error
-
-
-def vented(snapshot: Snapshot) -> bool:
-    """True if the core has vented the vine, and its pressure is low or unknown."""
-    return snapshot.doing == "vented" and not snapshot.cv_kPa >= VENTED_KPA
 
 
 def flight_start(plan: CalibrationPlan, context: CalibrationContext) -> recorder.FlightStart:

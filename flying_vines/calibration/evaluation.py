@@ -54,8 +54,8 @@ class StageRecording:
 
     @property
     def _less_zero(self) -> Readings:
-        zero_kPa = self.findings.estimate("cv_zero_kPa")
-        return self.readings.less_zero(zero_kPa.value if zero_kPa else 0.0)
+        cv, reservoir = map(self.findings.estimate, ("cv_zero_kPa", "reservoir_zero_kPa"))
+        return self.readings.less_zero(cv.value if cv else 0.0, reservoir.value if reservoir else 0.0)
 
     @property
     def _vine(self) -> vine_air.VineAir:
@@ -65,10 +65,16 @@ class StageRecording:
         known = Estimate(volume.assumed or 1.0, 0.0)
         if volume.value is not None and volume.low is not None and volume.high is not None:
             known = Estimate.of_interval(volume.value, volume.low, volume.high)
+        zero = self.findings.estimate("reservoir_zero_kPa")
         return vine_air.fit_vine_air(
             self._less_zero,
             vine_air.AirInputs(
-                plan.user_config.pneumatics, known, plan.top_kPa, plan.settling_s, ambient_kPa
+                plan.user_config.pneumatics,
+                known,
+                plan.top_kPa,
+                plan.settling_s(self.stage),
+                ambient_kPa,
+                zero.sd if zero else vine_air.RESERVOIR_ZERO_SD_KPA,
             ),
         )
 

@@ -134,10 +134,10 @@ class CalibrationPlan:
             stage.max_repeats * sum(move.air_kPa for move in stage.again) for stage in self.stages
         )
 
-    @property
-    def settling_s(self) -> float:
-        """Time after an inflation until the pressure shows how much air is in the vine."""
-        return SETTLED_SHARE * self.hold_s
+    def settling_s(self, stage: str) -> float:
+        """Time after an inflation until the pressure shows how much air is in the vine, or in the vessel."""
+        litres = self.request.vessel_L if stage == "vessel" else None
+        return SETTLED_SHARE * (self.hold_s if litres is None else _hold_s(litres))
 
     def summary(self) -> str:
         """Time and air, as text."""

@@ -47,9 +47,11 @@ class Readings:
         since_s = np.where(last >= 0, self.t_s - opened_s[np.maximum(last, 0)], np.inf)
         return since_s > OUTLET_LAG_S if len(opened_s) else np.ones(len(self), bool)
 
-    def less_zero(self, cv_zero_kPa: float) -> Readings:
-        """The readings with the zero of the vine's sensor subtracted."""
-        return replace(self, cv_kPa=self.cv_kPa - cv_zero_kPa)
+    def less_zero(self, cv_zero_kPa: float, reservoir_zero_kPa: float) -> Readings:
+        """The readings with the zeros of both sensors subtracted."""
+        return replace(
+            self, cv_kPa=self.cv_kPa - cv_zero_kPa, reservoir_kPa=self.reservoir_kPa - reservoir_zero_kPa
+        )
 
     def stretches(self, where: BoolArray) -> Iterator[slice]:
         """Each run of consecutive rows that are True, in order."""

@@ -28,7 +28,6 @@ from flying_vines.calibration.driver import (
     load_context,
     planned,
     result_of,
-    vented,
 )
 from flying_vines.calibration.plan import CalibrationPlan, CalibrationRequest
 from flying_vines.calibration.terminal import CalibrationTerminal
@@ -140,7 +139,7 @@ async def _run(
                 driver.carry_out(calibrator.stop(service.now, INTERRUPTED))
             driver.step(service.now, service.core.snapshot(service.now))
         until = service.now + LAST_VENT_S
-        while service.now < until and not vented(service.core.snapshot(service.now)):
+        while service.now < until and not driver.vented(service.core.snapshot(service.now)):
             await _pass(serving, tasks)
     finally:
         service.stop()

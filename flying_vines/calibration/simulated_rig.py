@@ -23,7 +23,6 @@ from flying_vines.calibration.driver import (
     load_context,
     planned,
     result_of,
-    vented,
 )
 from flying_vines.calibration.plan import CalibrationPlan, CalibrationRequest
 from flying_vines.calibration.real_rig import EVERY_STEP_HZ
@@ -139,7 +138,7 @@ def _run(
                 driver.carry_out(calibrator.stop(world.now, INTERRUPTED))
             driver.step(world.now, snapshot)
         last = number + round(LAST_VENT_S / STEP_S)
-        while number < last and not vented(step(number)):
+        while number < last and not driver.vented(step(number)):
             number += 1
         driver.actions.extend(world.feed(Stop(world.now)))
     finally:

@@ -45,7 +45,7 @@ NO_EFFECT_SD = 1e-9
 GAIN_SD = 0.01
 """Relative standard deviation of the ratio of both sensors' gains."""
 RESERVOIR_ZERO_SD_KPA = 8.0
-"""Standard deviation of the zero of the reservoir's sensor. A measured zero is not subtracted here."""
+"""Standard deviation of the zero of the reservoir's sensor, if it was not measured."""
 VINE_LEAK_SD = 0.03
 """Relative standard deviation of the vine's leak: the regulator has an error, and the pressure at the valves
 differs from that at the leak."""
@@ -61,7 +61,7 @@ VESSEL_SD = 0.01
 
 @dataclass(frozen=True)
 class AirInputs:
-    """The inputs of the balance. The zero of the vine's sensor is already subtracted."""
+    """The inputs of the balance. Measured zeros of the sensors are already subtracted."""
 
     pneumatics: PneumaticsConfig
     reservoir_L: Estimate
@@ -69,6 +69,7 @@ class AirInputs:
     settling_s: float
     """Time after an inflation until the gas of the vine is at ambient temperature again."""
     ambient_kPa: float
+    reservoir_zero_sd_kPa: float = RESERVOIR_ZERO_SD_KPA
 
     @property
     def relative_sd(self) -> float:
@@ -77,7 +78,7 @@ class AirInputs:
 
     def flow_sd(self, at_kPa: float) -> float:
         """Relative standard deviation of a flow that is proportional to the reservoir's pressure."""
-        return hypot(self.relative_sd, RESERVOIR_ZERO_SD_KPA / (at_kPa + self.ambient_kPa))
+        return hypot(self.relative_sd, self.reservoir_zero_sd_kPa / (at_kPa + self.ambient_kPa))
 
     def full_flow_ratio(self, at_kPa: float) -> float:
         """Choked flow from the full reservoir, relative to the flow from a reservoir at `at_kPa`."""
@@ -114,7 +115,7 @@ class VineAir:
 
 
 def fit_vine_air(readings: Readings, known: AirInputs) -> VineAir:
-    """Fit the balance of a whole recording. The zero of the vine's sensor is already subtracted."""
+    """Fit the balance of a whole recording. Measured zeros of the sensors are already subtracted."""
     columns = _columns(readings, known.top_kPa)
     ratio = known.pneumatics.cv_volume_L / known.pneumatics.reservoir_volume_L
     venturi = ALPHA_KPA / known.reservoir_L.value / known.pneumatics.dvp_flow_resistance_kPa_s_per_SL

@@ -280,8 +280,9 @@ def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> f
         ]
     elif n.has_cv:
         rates.append(n.gamma * ALPHA_KPA * (at_the_valves + leak) / n.cv.flat_L)
-    walls = ((n.reservoir_heat, 1.0 / n.reservoir_per_L), (n.cv_heat, n.cv.flat_L))
-    for wall_per_s in (heat_per_s(heat, volume_L) for heat, volume_L in walls):
+    reservoir_L = 1.0 / n.reservoir_per_L
+    walls = ((n.reservoir_heat, reservoir_L, reservoir_L), (n.cv_heat, n.cv.flat_L, n.cv.full_L))
+    for wall_per_s in (heat_per_s(*wall) for wall in walls):
         if wall_per_s > 0.0:
             rates.append(_resolved_heat_per_s(1.0 / wall_per_s))
     return max(rates)

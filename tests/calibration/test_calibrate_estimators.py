@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from firmware_link.protocol import Fault, Mode, Telemetry
 from flying_vines.calibration import angle, outlet_resistance, valve, vine_air, zero
+from flying_vines.calibration.evaluation import StageRecording
 from flying_vines.calibration.findings import (
     Estimate,
     Findings,
@@ -19,10 +20,12 @@ from flying_vines.calibration.findings import (
     Result,
     SettingProposal,
 )
+from flying_vines.calibration.plan import CalibrationRequest, plan
 from flying_vines.calibration.readings import Readings, ReadingsBuffer
 from flying_vines.calibration.reservoir_balance import Bins, fit_balance
 from flying_vines.calibration.simulated_rig import CURVE, HYSTERESIS_KPA, SimulatedAngleReader
 from flying_vines.calibration.vine_air import AirInputs, VineAir, fit_vine_air, volumes
+from flying_vines.config import config
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.arrays import Array, BoolArray
 from flying_vines.supply.rig_prior import Prior
@@ -268,6 +271,71 @@ def test_without_a_volume_what_depends_on_it_is_unknown(seen: tuple[Readings, Vi
             if finding.name.startswith(("cv_volume", "evp", "outlet")):
                 assert finding.value is None and finding.note
         assert result.proposals == ()
+
+
+# Stages.
+
+
+def recorded(stage: str, readings: Readings, findings: Findings, **request: float) -> Result:
+    calibration = plan(config.default(), CalibrationRequest(asks_angles=False, **request))  # type: ignore[arg-type]
+    return StageRecording(calibration, stage, readings, findings, 101.325).result()
+
+
+def test_a_large_vessel_counts_only_after_its_gas_has_cooled() -> None:
+    """Warm gas of a rise fills a part of the vessel, and the regulator replaces it as it cools."""
+    step_s, tau_s = 0.01, 2.0
+    points = [(0.0, 0.0)]
+
+    def move(seconds: float, kPa: float) -> None:
+        points.append((points[-1][0] + seconds, kPa))
+
+    for _ in range(3):
+        move(6.0, 0.0)
+        for level in (1, 2, 3):
+            move(0.5, TOP_KPA * level / 3.0)
+            move(7.5, TOP_KPA * level / 3.0)
+        move(step_s, 0.0)
+    move(6.0, 0.0)
+    t_s = np.arange(0.0, points[-1][0], step_s)
+    setpoint = np.interp(t_s, *np.transpose(points))
+    setpoint[np.diff(setpoint, prepend=0.0) < -1e-9] = 0.0
+    held = setpoint > 0.0
+    rises = np.clip(np.diff(setpoint, prepend=0.0), 0.0, None)
+    warm_kPa = np.zeros(len(t_s))
+    for k in np.flatnonzero(held):
+        warm_kPa[k] = warm_kPa[k - 1] * np.exp(-step_s / tau_s) + 0.2 * rises[k]
+    flowed_kPa = np.cumsum(np.clip(np.diff(setpoint - warm_kPa, prepend=0.0), 0.0, None))
+    readings = Readings(
+        t_s,
+        held,
+        setpoint,
+        setpoint,
+        650.0 - flowed_kPa / RESERVOIR_L + 0.2 * np.random.default_rng(2).standard_normal(len(t_s)),
+        np.where(np.diff(flowed_kPa, prepend=0.0) > 0.0, 0.1, 0.0),
+        np.zeros(len(t_s)),
+        ~held,
+    )
+    (found,) = recorded("vessel", readings, Findings(), vessel_L=1.0).findings
+    assert found.low is not None and found.high is not None
+    assert found.low <= RESERVOIR_L <= found.high
+
+
+def test_the_measured_zero_of_the_reservoirs_sensor_is_used() -> None:
+    resistance, zero_kPa = 20_000.0, 30.0
+    still = resting(30.0, 0.0, 4, step_s=0.01)
+    leaking = 600.0 * np.exp(-still.t_s * 101.325 / (resistance * RESERVOIR_L))
+    readings = replace(still, reservoir_kPa=still.reservoir_kPa - 600.0 + leaking + zero_kPa)
+    zero_found = zero.reservoir_zero(replace(still, reservoir_kPa=still.reservoir_kPa - 600.0 + zero_kPa))
+
+    def leak(findings: Findings) -> MeasuredQuantity:
+        result = recorded("bottle_leak", readings, findings, bottle_volume_L=RESERVOIR_L)
+        return next(found for found in result.findings if found.name == "bottle_leak_kPa_s_per_SL")
+
+    known, unknown = leak(Findings().with_result(zero_found)), leak(Findings())
+    assert known.value is not None and known.low is not None and known.high is not None
+    assert known.value == pytest.approx(resistance, rel=0.01)
+    assert unknown.low is not None and unknown.high is not None
+    assert known.high - known.low < 0.8 * (unknown.high - unknown.low)
 
 
 # Angles.

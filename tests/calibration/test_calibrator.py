@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from unittest.mock import Mock
 
 import pytest
 from calibration_worlds import CoreWorld, PaperWorld
@@ -12,6 +13,8 @@ from hypothesis import strategies as st
 
 from examples import examples
 from flying_vines.calibration.calibrator import Calibrator, EvaluationTask, Question, StageBegan, StageResult
+from flying_vines.calibration.driver import CalibrationDriver
+from flying_vines.calibration.findings import Findings, MeasuredQuantity
 from flying_vines.calibration.plan import STAGES, CalibrationRequest, plan
 from flying_vines.config import config
 from flying_vines.core.events import Decision
@@ -95,6 +98,20 @@ def test_the_last_request_is_always_to_vent(after: int, how: str) -> None:
     assert world.asked[-1] == VentVine() and not world.bent
     # Nothing follows.
     assert calibrator.tick(world.now + 1.0, world.snapshot) == calibrator.stop(world.now, "again") == []
+
+
+@pytest.mark.parametrize(("zero_kPa", "reads_kPa", "vented"), [(3.0, 3.5, True), (-3.0, 0.0, False)])
+def test_the_last_vent_ends_when_the_vine_is_vented_by_its_measured_zero(
+    zero_kPa: float, reads_kPa: float, vented: bool
+) -> None:
+    world = PaperWorld(plan(CONFIG, BLIND))
+    found = MeasuredQuantity("cv_zero_kPa", "zero", "kPa", zero_kPa, zero_kPa, zero_kPa)
+    world.calibrator.findings = Findings((found,))
+    nothing = Mock()
+    driver = CalibrationDriver(world.calibrator, nothing, nothing, nothing, nothing)
+    assert driver.vented(replace(world.snapshot, cv_kPa=reads_kPa)) == vented
+    assert driver.vented(replace(world.snapshot, cv_kPa=math.nan))
+    assert not driver.vented(replace(world.snapshot, doing="regulating"))
 
 
 def test_too_little_air_is_refused_before_anything_moves() -> None:

@@ -103,8 +103,32 @@ def test_a_curve_between_points_below_ambient_and_beyond_its_end() -> None:
     assert [curve_SL_per_s(measured, p_kPa) for p_kPa in at] == pytest.approx(
         [0.0, 0.0, 0.01, 0.02, 0.03, -0.01], abs=2e-4
     )
-    for wrong in (((0.0, 0.0),), ((0.0, 0.1), (1.0, 0.2)), ((0.0, 0.0), (1.0, 0.2), (2.0, 0.1))):
-        with pytest.raises(ValueError, match="curve"):
-            Curve(wrong)
     rig = true_rig_from({"cv": {}, "effects": {"cv_leak_curve": {"points": [[0, 0], [10, 0], [30, 0.02]]}}})
     assert rig.setup.plant.effects.cv_leak_curve == Curve(((0.0, 0.0), (10.0, 0.0), (30.0, 0.02)))
+
+
+@pytest.mark.parametrize(
+    ("points", "says"),
+    [
+        (((0.0, 0.0),), "a leak's curve needs its points"),
+        (((0.0, 0.1), (1.0, 0.2)), "the first at 0 kPa without flow"),
+        (
+            ((0.0, 0.0), (1.0, 0.2), (2.0, 0.1)),
+            "flow of a leak's curve must not fall: at 2 kPa it is 0.1 SL/s",
+        ),
+        (
+            ((0.0, 0.0), (2.0, 0.1), (1.5, 0.2)),
+            "pressures of a leak's curve must rise: 1.5 kPa is after 2 kPa",
+        ),
+        (((0.0, 0.0), (math.inf, 0.1)), "must rise: inf kPa"),
+        (((0.0, 0.0), (1.0, math.inf)), "it is inf SL/s"),
+    ],
+)
+def test_an_impossible_curve_is_refused(points: tuple[tuple[float, float], ...], says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        Curve(points)
+
+
+def test_the_flow_of_a_curve_may_stay_constant() -> None:
+    flat = Curve(((0.0, 0.0), (10.0, 0.02), (30.0, 0.02))).numbers
+    assert curve_SL_per_s(flat, 20.0) == pytest.approx(0.02, abs=2e-4)

@@ -16,6 +16,7 @@ from flying_vines.physics.plant.likely_effects import likely_effects
 from flying_vines.physics.plant.plant import Conditions, Held, Plant
 from flying_vines.physics.plant.rates import conditions, rates
 from flying_vines.physics.plant.simulator import Simulator
+from flying_vines.physics.plant.tick import _MAX_STEP
 from flying_vines.physics.plant.venturi import Ejector
 from flying_vines.physics.plant.volume import Compliant
 from flying_vines.physics.rig import ControlVolume, Rig
@@ -105,7 +106,7 @@ def test_finer_steps_change_less_than_a_hundredth_of_a_kilopascal() -> None:
     """Also with warming coils, without scipy."""
     plant = Plant(Rig(), likely_effects())
     usual, fine = Simulator(plant), Simulator(plant)
-    fine.numbers = fine.numbers._replace(min_steps=16)
+    fine.numbers = fine.numbers._replace(standing_per_s=16.0 * _MAX_STEP / fine.numbers.tick_s)
     worst = 0.0
     for command in switching(3.0, 5):
         usual.advance(command)

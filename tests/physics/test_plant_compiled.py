@@ -20,7 +20,7 @@ from flying_vines.physics.plant.numbers import PlantNumbers, numbers_of
 from flying_vines.physics.plant.plant import Conditions, Plant, State, at_rest
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, read, rested
 from flying_vines.physics.plant.simulator import SHUT, Simulator
-from flying_vines.physics.plant.tick import tick
+from flying_vines.physics.plant.tick import _MAX_STEP, tick
 from flying_vines.physics.plant.valve_response import ValveMotion, dead_zone
 from flying_vines.physics.plant.venturi import Ejector
 from flying_vines.physics.plant.volume import Compliant, Pouch
@@ -209,7 +209,7 @@ def test_finer_steps_change_little_whatever_the_rig(monkeypatch: pytest.MonkeyPa
 
 
 def finer(plant: Plant, tick_s: float) -> PlantNumbers:
-    return numbers_of(plant, tick_s)._replace(min_steps=40)
+    return numbers_of(plant, tick_s)._replace(standing_per_s=40.0 * _MAX_STEP / tick_s)
 
 
 def test_it_starts_in_the_given_state_and_writes_at_the_given_interval() -> None:

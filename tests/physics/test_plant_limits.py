@@ -125,6 +125,9 @@ def test_between_the_limits_of_heat_transfer() -> None:
         isothermal, abs=0.05
     )
     assert after_10_s(Effects(reservoir_wall=Wall(1e9))) == pytest.approx(adiabatic, abs=1e-5)
+    # A wall that is much lighter than the gas, and insulated outside, gives no heat.
+    light = Wall(0.1, capacity_J_per_K=1e-3, outer_conductance_W_per_K=0.0)
+    assert after_10_s(Effects(reservoir_wall=light)) == pytest.approx(adiabatic, abs=0.05)
 
 
 @pytest.mark.long

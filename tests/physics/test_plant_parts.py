@@ -17,7 +17,6 @@ from flying_vines.physics.plant.ambient import (
     Steady,
     air_at,
     isa_pressure_kPa,
-    isa_temperature_K,
 )
 from flying_vines.physics.plant.coil import Coil, current_A, resistance_ohm, temperature_after_K
 from flying_vines.physics.plant.effects import Effects
@@ -177,10 +176,9 @@ def test_a_warm_coil_passes_less_current() -> None:
 
 def test_a_coil_comes_to_rest_where_heat_in_is_heat_out() -> None:
     coil = Coil(heat_capacity_J_per_K=1.0)
-    simulator = Simulator(Plant(Rig(), Effects(evp_coil=coil)), tick_s=0.05)
+    final_K = 293.15
     for _ in range(20_000):
-        simulator.advance(Inputs(1.0, 0.0, False))
-    final_K = simulator.evp_coil_K
+        final_K = temperature_after_K(coil, final_K, current_A(coil, 1.0, final_K), 293.15, 0.05)
     current = current_A(coil, 1.0, final_K)
     assert current**2 * resistance_ohm(coil, final_K) == pytest.approx((final_K - 293.15) / 25.0, rel=1e-9)
     assert 320.0 < final_K < 350.0
@@ -225,7 +223,6 @@ def test_the_pressure_at_the_valves_is_above_the_one_in_the_volume() -> None:
 def test_the_standard_atmosphere() -> None:
     for altitude_m, expected in ((0, 101.3), (1000, 89.9), (2000, 79.5), (3000, 70.1), (4000, 61.6)):
         assert isa_pressure_kPa(altitude_m) == pytest.approx(expected, abs=0.05)
-    assert isa_temperature_K(2000.0) == pytest.approx(275.15)
 
 
 def test_a_sealed_tank_shows_more_at_altitude() -> None:

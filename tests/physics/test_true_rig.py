@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
@@ -142,6 +142,46 @@ def test_causes_change_what_is_likely() -> None:
     )
     untouched = {f.name for f in fields(Effects)} - {"evp_motion", "cv_shape", "evp_law"}
     assert all(getattr(made, name) == getattr(likely, name) for name in untouched)
+
+
+@pytest.mark.parametrize(
+    ("cause", "numbers", "effect", "changed"),
+    [
+        ("evp_lag", {"time_constant_s": 0.0}, "evp_motion", {"time_constant_s": 0.0}),
+        ("evp_hysteresis", {"width": 0.0}, "evp_motion", {"backlash_width": 0.0}),
+        ("cv_compliance", {"per_kPa": 0.0}, "cv_shape", {"per_kPa": 0.0}),
+        ("solenoid_slow_close", {"delay_s": 0.0}, "solenoid_timing", {"closing_s": 0.0}),
+    ],
+)
+def test_a_cause_without_effect_changes_what_is_likely(
+    cause: str, numbers: dict[str, float], effect: str, changed: dict[str, float]
+) -> None:
+    made = TrueRig(likely=True, causes={cause: numbers}).setup.plant.effects
+    assert getattr(made, effect) == replace(getattr(likely_effects(), effect), **changed)
+
+
+@pytest.mark.parametrize(
+    ("cause", "numbers", "effect"),
+    [
+        ("cv_heating", {"time_constant_s": 0.0}, "cv_wall"),
+        ("reservoir_cooling", {"time_constant_s": 0.0}, "reservoir_wall"),
+        ("orifice_leak", {"sonic_conductance_SL_per_s_kPa": 0.0}, "cv_orifice_leak"),
+        ("reservoir_orifice_leak", {"sonic_conductance_SL_per_s_kPa": 0.0}, "reservoir_orifice_leak"),
+    ],
+)
+def test_a_cause_without_effect_removes_the_effect(
+    cause: str, numbers: dict[str, float], effect: str
+) -> None:
+    effects = Effects(cv_orifice_leak=Iso6358(1e-6), reservoir_orifice_leak=Iso6358(1e-6))
+    made = TrueRig(likely=True, effects=effects, causes={cause: numbers}).setup.plant.effects
+    assert getattr(made, effect) is None
+
+
+def test_a_law_of_a_cause_replaces_the_whole_law() -> None:
+    effects = Effects(evp_law=Iso6358(1e-3, 0.5, subsonic_index=0.6))
+    number = {"critical_pressure_ratio": 0.3}
+    made = TrueRig(effects=effects, causes={"compressible_flow": number}).setup.plant.effects
+    assert made == setup(Rig(), "compressible_flow", **number).plant.effects
 
 
 def test_everything_is_read_and_written_again() -> None:

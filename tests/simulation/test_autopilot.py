@@ -12,6 +12,7 @@ from autopilot_world import (
     LAND,
     TAKEOFF,
     WAYPOINT,
+    Peer,
     World,
     changes,
     flown,
@@ -151,6 +152,41 @@ def test_an_upload_is_asked_for_again_and_then_given_up() -> None:
     world.on(20.0)
     assert len(world.gcs.of("MISSION_REQUEST")) == 8
     assert [message.type for message in world.gcs.of("MISSION_ACK")] == [15]
+
+
+def item_message(seq: int, command: int) -> Any:
+    return mavlink.MAVLink_mission_item_int_message(1, 1, seq, 3, command, 0, 1, 0, 0, 0, 0, 0, 0, 10)
+
+
+@pytest.mark.parametrize(("kind", "refused"), [("ardupilot", 14), ("px4", 1)])
+def test_another_sender_does_not_join_an_upload(kind: AutopilotKind, refused: int) -> None:
+    world = World(FakeAutopilot(kind))
+    world.companion.hello()
+    world.gcs.say(mavlink.MAVLink_mission_count_message(1, 1, 2))
+    world.companion.say(mavlink.MAVLink_mission_count_message(1, 1, 5))
+    world.on(0.1)
+    assert [ack.type for ack in world.companion.of("MISSION_ACK")] == [refused]
+    world.companion.say(item_message(0, 21))
+    world.on(0.1)
+    # ArduPilot answers where the upload came from.
+    denied = [ack.type for ack in world.gcs.of("MISSION_ACK") if ack.target_component == 191]
+    assert denied == ([14] if kind == "ardupilot" else [])
+    assert ("REJ. MIS ITEM: partner id mismatch\t" in world.companion.texts()) == (kind == "px4")
+    for seq in range(2):
+        world.gcs.say(item_message(seq, 22))
+        world.on(0.1)
+    assert world.gcs.of("MISSION_ACK")[-1].type == 0
+    assert [stored.command for stored in world.autopilot.items][1:] == [22]
+
+
+@pytest.mark.parametrize(("kind", "takes"), [("ardupilot", True), ("px4", False)])
+def test_only_ardupilot_takes_an_item_from_another_link(kind: AutopilotKind, takes: bool) -> None:
+    world = World(FakeAutopilot(kind))
+    world.companion.hello()
+    world.gcs.say(mavlink.MAVLink_mission_count_message(1, 1, 1))
+    Peer(world, "companion", 255, 190, 6).say(item_message(0, 22))
+    world.on(0.5)
+    assert [ack.type for ack in world.gcs.of("MISSION_ACK")] == ([0] if takes else [])
 
 
 def test_px4_reports_a_mission_id_that_changes_with_the_mission() -> None:

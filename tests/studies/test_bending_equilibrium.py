@@ -159,6 +159,15 @@ def test_each_limit_can_end_it() -> None:
     assert bend(msgspec.structs.replace(vine, tip_load_N=0.0)).end is None
 
 
+def test_the_dead_zone_of_a_soft_film_belongs_to_the_maximum_bend() -> None:
+    vine = load_vine("cpam")
+    soft = msgspec.structs.replace(vine.actuator, modulus_MPa=30.0)
+    found = bend(msgspec.structs.replace(vine, actuator=soft, max_kPa=100.0))
+    most = float(np.max(found.angle_deg))
+    assert found.angle_deg[-1] < 0.5 * most
+    assert found.at(found.angle_deg, found.dead_zone_kPa) == pytest.approx(0.05 * most)
+
+
 def test_a_load_beyond_what_the_straight_vine_bears_ends_it_at_once() -> None:
     found = bend(msgspec.structs.replace(load_vine("pouch"), tip_load_N=5.0))
     assert found.usable_kPa == 0.0

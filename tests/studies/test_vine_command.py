@@ -47,7 +47,6 @@ def test_json_has_curve_tip_air_and_limits(capsys: pytest.CaptureFixture[str]) -
     assert {limit["name"] for limit in found["limits"]} == {
         "wrinkling",
         "collapse",
-        "axial",
         "contraction",
         "burst",
     }

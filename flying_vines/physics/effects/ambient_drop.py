@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from flying_vines.physics.cause import Cause, Parameter
 from flying_vines.physics.plant.ambient import Climb
 from flying_vines.physics.plant.setup import Setup
 
 
 def apply(base: Setup, rate_kPa_per_s: float) -> Setup:
-    return base.with_effects(ambient=Climb(rate_kPa_per_s))
+    return base.with_effects(ambient=partial(Climb, falls_kPa_per_s=rate_kPa_per_s))
 
 
 CAUSE = Cause(

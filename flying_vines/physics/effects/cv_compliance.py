@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from flying_vines.physics.cause import Cause, Parameter
 from flying_vines.physics.plant.setup import Setup
 from flying_vines.physics.plant.volume import Compliant
 
 
 def apply(base: Setup, per_kPa: float) -> Setup:
-    return base.with_effects(cv_shape=Compliant(per_kPa))
+    return base.with_effects(cv_shape=partial(Compliant, per_kPa=per_kPa))
 
 
 CAUSE = Cause(

@@ -5,13 +5,16 @@ w is the warmth of the coil, 0…1: dw/dt = (u − w) / τ, and w = 0 at the sta
 
 from __future__ import annotations
 
+from functools import partial
+
 from flying_vines.physics.cause import Cause, Parameter
 from flying_vines.physics.plant.setup import Setup
 from flying_vines.physics.plant.valve_response import ValveMotion
 
 
 def apply(base: Setup, share: float, time_constant_s: float) -> Setup:
-    return base.with_effects(evp_motion=ValveMotion(heating_share=share, heating_time_s=time_constant_s))
+    heating = partial(ValveMotion, heating_share=share, heating_time_s=time_constant_s)
+    return base.with_effects(evp_motion=heating)
 
 
 CAUSE = Cause(

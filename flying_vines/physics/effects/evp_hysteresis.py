@@ -4,13 +4,15 @@ only moves when it must. A command of 0 shuts the valve and resets the backlash.
 
 from __future__ import annotations
 
+from functools import partial
+
 from flying_vines.physics.cause import Cause, Parameter
 from flying_vines.physics.plant.setup import Setup
 from flying_vines.physics.plant.valve_response import ValveMotion
 
 
 def apply(base: Setup, width: float) -> Setup:
-    return base.with_effects(evp_motion=ValveMotion(backlash_width=width))
+    return base.with_effects(evp_motion=partial(ValveMotion, backlash_width=width))
 
 
 CAUSE = Cause(

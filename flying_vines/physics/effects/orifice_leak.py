@@ -9,7 +9,7 @@ from flying_vines.physics.plant.setup import Setup
 
 def apply(base: Setup, sonic_conductance_SL_per_s_kPa: float) -> Setup:
     if sonic_conductance_SL_per_s_kPa == 0.0:
-        return base
+        return base.with_effects(cv_orifice_leak=None)
     return base.with_effects(
         cv_orifice_leak=orifice(sonic_conductance_SL_per_s_kPa, base.plant.rig.gas.properties)
     )

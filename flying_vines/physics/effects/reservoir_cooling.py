@@ -7,6 +7,8 @@ p is the absolute pressure, θ the temperature of the gas over that of ambient a
 
 from __future__ import annotations
 
+from functools import partial
+
 from flying_vines.physics.cause import Cause, Parameter
 from flying_vines.physics.plant.setup import Setup
 from flying_vines.physics.plant.wall import Wall
@@ -14,8 +16,8 @@ from flying_vines.physics.plant.wall import Wall
 
 def apply(base: Setup, time_constant_s: float) -> Setup:
     if time_constant_s == 0.0:
-        return base
-    return base.with_effects(reservoir_wall=Wall(time_constant_s))
+        return base.with_effects(reservoir_wall=None)
+    return base.with_effects(reservoir_wall=partial(Wall, time_constant_s=time_constant_s))
 
 
 CAUSE = Cause(

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from flying_vines.physics.cause import Cause, Parameter
 from flying_vines.physics.plant.setup import Setup
 from flying_vines.physics.plant.valve_response import SolenoidTiming
 
 
 def apply(base: Setup, delay_s: float) -> Setup:
-    return base.with_effects(solenoid_timing=SolenoidTiming(closing_s=delay_s))
+    return base.with_effects(solenoid_timing=partial(SolenoidTiming, closing_s=delay_s))
 
 
 CAUSE = Cause(

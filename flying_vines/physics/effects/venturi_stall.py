@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from flying_vines.physics.cause import Cause, Parameter
 from flying_vines.physics.plant.setup import Setup
 from flying_vines.physics.plant.venturi import Ejector
 
 
 def apply(base: Setup, supply_pressure_kPa: float) -> Setup:
-    return base.with_effects(ejector=Ejector(stall_supply_kPa=supply_pressure_kPa))
+    return base.with_effects(ejector=partial(Ejector, stall_supply_kPa=supply_pressure_kPa))
 
 
 CAUSE = Cause(

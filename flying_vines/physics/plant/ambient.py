@@ -97,8 +97,3 @@ def air_between(before: Air, after: Air, dt_s: float) -> Air:
 def isa_pressure_kPa(altitude_m: float) -> float:
     """p = 101.325 (1 − 0.0065 h / 288.15)^5.25588: the ICAO standard atmosphere below 11 km."""
     return STANDARD_PRESSURE_KPA * float((1.0 - 0.0065 * altitude_m / 288.15) ** 5.25588)
-
-
-def isa_temperature_K(altitude_m: float) -> float:
-    """T = 288.15 − 0.0065 h: the ICAO standard atmosphere below 11 km."""
-    return 288.15 - 0.0065 * altitude_m

@@ -46,8 +46,10 @@ class Curve:
         if len(self.points) < 2 or self.points[0] != (0.0, 0.0):
             raise ValueError("a leak's curve needs its points, the first at 0 kPa without flow")
         for (p1, q1), (p2, q2) in pairwise(self.points):
-            if not (p2 > p1 and q2 >= q1 and math.isfinite(q2)):
-                raise ValueError(f"a leak's curve must rise: at {p2:g} kPa its flow is {q2:g} SL/s")
+            if not p1 < p2 < math.inf:
+                raise ValueError(f"the pressures of a leak's curve must rise: {p2:g} kPa is after {p1:g} kPa")
+            if not q1 <= q2 < math.inf:
+                raise ValueError(f"the flow of a leak's curve must not fall: at {p2:g} kPa it is {q2:g} SL/s")
 
     @property
     def numbers(self) -> CurveNumbers:
@@ -69,7 +71,7 @@ def curve_of(flow_SL_per_s: Callable[[float], float], up_to_kPa: float = 200.0) 
 
     The function is called at 65 pressures from 0 to `up_to_kPa`, closer together near 0. Beyond them the
     last line continues; below ambient pressure the same flow comes in. ValueError if the flow at 0 kPa
-    is not 0, or if the flow falls anywhere.
+    is not 0, or if the flow falls or is infinite anywhere.
     """
     return Curve(tuple((p, float(flow_SL_per_s(p))) for p in _ends_kPa(up_to_kPa)))
 

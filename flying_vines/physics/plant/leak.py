@@ -15,8 +15,8 @@ from flying_vines.physics.gas import AIR, GasProperties, nozzle_critical_ratio
 from flying_vines.physics.plant.curve import Curve, CurveNumbers, curve_SL_per_s
 from flying_vines.physics.plant.flow import Iso6358, Ohm, Opening, flow_SL_per_s
 
-_TOP_KPA = 1000.0
-"""Absolute pressure up to which the steepest flow of a viscous leak is computed."""
+TOP_KPA = 1000.0
+"""Absolute pressure up to which the plant's fastest rates are computed."""
 
 
 @dataclass(frozen=True)
@@ -82,5 +82,5 @@ def leak_of(laws: Iterable[LeakLaw | Curve | None], gas: GasProperties = AIR) ->
             curve = law.numbers
         elif law is not None:
             viscous += 1.0 / law.conductance_constant_kPa2_s_per_SL
-    steepest = ohmic + 2.0 * _TOP_KPA * viscous + orifice.steepest_SL_per_s_kPa + curve.steepest_SL_per_s_kPa
+    steepest = ohmic + 2.0 * TOP_KPA * viscous + orifice.steepest_SL_per_s_kPa + curve.steepest_SL_per_s_kPa
     return Leak(ohmic, viscous, orifice, curve, steepest)

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.gas import GasProperties
 from flying_vines.physics.plant.coil import Coil
 from flying_vines.physics.plant.flow import FlowLaw, Ohm, Opening
-from flying_vines.physics.plant.leak import Leak, leak_of
+from flying_vines.physics.plant.leak import TOP_KPA, Leak, leak_of
 from flying_vines.physics.plant.plant import Plant
 from flying_vines.physics.plant.pump_curve import pump_law
 from flying_vines.physics.plant.valve_response import ValveMotion, ticks
@@ -39,8 +39,6 @@ class PlantNumbers(NamedTuple):
     """A plant, for ticks of `tick_s`."""
 
     tick_s: float
-    min_steps: int
-    """Minimum integration steps in a tick."""
     gamma: float
     reservoir_per_L: float
     reservoir_heat: Heat
@@ -104,14 +102,13 @@ def numbers_of(plant: Plant, tick_s: float) -> PlantNumbers:
         * reservoir_gas
         * (steepest + reservoir_leak.steepest_SL_per_s_kPa)
         / rig.reservoir.volume_L,
-        heat_per_s(reservoir_heat, rig.reservoir.volume_L),
-        heat_per_s(cv_heat, cv.flat_L),
+        heat_per_s(reservoir_heat, rig.reservoir.volume_L, rig.reservoir.volume_L),
+        heat_per_s(cv_heat, cv.flat_L, cv.full_L),
         evp.lag_per_s,
         dvp.lag_per_s,
     )
     return PlantNumbers(
         tick_s=tick_s,
-        min_steps=1,
         gamma=gas.gamma,
         reservoir_per_L=1.0 / rig.reservoir.volume_L,
         reservoir_heat=reservoir_heat,
@@ -159,6 +156,15 @@ def _valve(
     )
 
 
-def heat_per_s(heat: Heat, volume_L: float) -> float:
-    """Upper bound of the rate constants of heat exchange (gas and wall), at half an atmosphere or more."""
-    return heat.per_air / ALPHA_KPA + heat.fixed / (0.5 * ALPHA_KPA * volume_L) + heat.wall_per_s
+def heat_per_s(heat: Heat, least_L: float, most_L: float) -> float:
+    """Upper bound of the rate constants of heat exchange (gas and wall), at 0.5 to 10 atmospheres.
+
+    `least_L`, `most_L`: the volume of the gas.
+    """
+    most_J_per_K = TOP_KPA * most_L * heat.per_g1 / STANDARD_TEMPERATURE_K
+    gas_per_s = heat.per_air / ALPHA_KPA
+    return (
+        gas_per_s * (1.0 + most_J_per_K * heat.per_capacity_K_per_J)
+        + heat.fixed / (0.5 * ALPHA_KPA * least_L)
+        + heat.wall_per_s
+    )

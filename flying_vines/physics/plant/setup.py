@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from flying_vines.physics.plant.effects import Effects
@@ -24,14 +25,17 @@ class Setup:
         return replace(self, plant=replace(self.plant, rig=replace(self.plant.rig, **tables)))
 
     def with_effects(self, **parts: Any) -> Setup:
-        """This setup with these fields of `Effects`.
+        """This setup with these fields of `Effects`. An effect replaces the existing one.
 
-        If the existing effect has every parameter that the new one sets, only these parameters change. If
-        not, the new effect replaces the existing one. A parameter is set if it differs from its default.
+        A `partial` of an effect, such as `partial(ValveMotion, delay_s=0.01)`, changes only the named
+        parameters if the existing effect has them all. If not, it replaces the existing one.
         """
         there = self.plant.effects
-        merged = {name: _merged(getattr(there, name), part) for name, part in parts.items()}
-        return replace(self, plant=replace(self.plant, effects=replace(there, **merged)))
+        made = {
+            name: _changed(getattr(there, name), part) if isinstance(part, partial) else part
+            for name, part in parts.items()
+        }
+        return replace(self, plant=replace(self.plant, effects=replace(there, **made)))
 
 
 def perfect(rig: Rig, effects: Effects | None = None) -> Setup:
@@ -43,11 +47,6 @@ def perfect(rig: Rig, effects: Effects | None = None) -> Setup:
     )
 
 
-def changed(part: Any) -> dict[str, Any]:
-    """The fields of a dataclass that differ from their defaults."""
-    return {f.name: v for f in fields(part) if (v := getattr(part, f.name)) != f.default}
-
-
-def _merged(old: Any, new: Any) -> Any:
-    given = changed(new)
-    return replace(old, **given) if old is not None and all(hasattr(old, name) for name in given) else new
+def _changed(old: Any, part: partial[Any]) -> Any:
+    has_them = old is not None and all(hasattr(old, name) for name in part.keywords)
+    return replace(old, *part.args, **part.keywords) if has_them else part()

@@ -59,10 +59,6 @@ class Simulator:
         memory = self._memory
         return Held(memory.evp.target, memory.dvp.target, memory.solenoid_open, memory.venturi_stalled)
 
-    @property
-    def evp_coil_K(self) -> float:
-        return self._memory.evp.coil_K
-
     def advance(self, command: Inputs) -> bool:
         """Run one tick with this command. False if the last tick had the same inputs and changed nothing."""
         evp, dvp, solenoid = command

@@ -98,7 +98,7 @@ def tick(
     ):
         fine_ticks = _FINE_TICKS
     quickest = quickest_per_s(numbers, air, state, held) * tick_s
-    steps = max(numbers.min_steps, ceil(quickest / _MAX_STEP))
+    steps = max(1, ceil(quickest / _MAX_STEP))
     if fine_ticks > 0 and quickest > _SHORT_STEP * steps:
         steps *= _FINER
     step_s = tick_s / steps

@@ -32,7 +32,7 @@ from flying_vines.physics.effects import NONE, catalogue, cause_named
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.likely_effects import likely_effects
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, Sensor
-from flying_vines.physics.plant.setup import Setup, changed, perfect
+from flying_vines.physics.plant.setup import Setup, perfect
 from flying_vines.physics.rig import WITHOUT_PUMP, Rig, RigError, Sensors, number_error, read_rig, rig_from
 
 _EFFECTS: dict[str, dict[str, type]] = {
@@ -152,8 +152,13 @@ def true_rig_text(rig: TrueRig) -> str:
         effect = getattr(rig.effects, name)
         if effect is not None:
             kind = {"kind": type(effect).__name__.lower()} if len(kinds) > 1 else {}
-            tables.append((f"effects.{name}", {**kind, **changed(effect)}))
+            tables.append((f"effects.{name}", {**kind, **_not_default(effect)}))
     return "\n".join(_toml(name, values) for name, values in tables)
+
+
+def _not_default(effect: Any) -> dict[str, Any]:
+    """The parameters of an effect that differ from their defaults."""
+    return {f.name: v for f in fields(effect) if (v := getattr(effect, f.name)) != f.default}
 
 
 def _caused(made: Setup, name: str, parameters: Mapping[str, float]) -> Setup:

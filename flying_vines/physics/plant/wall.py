@@ -54,7 +54,7 @@ class Heat(NamedTuple):
     """Inverse heat capacity of the wall; 0: the wall is at ambient temperature."""
     outer_conductance_W_per_K: float = 0.0
     wall_per_s: float = 0.0
-    """Rate constant of the wall's temperature."""
+    """Rate constant of the wall's temperature, without the conductance that `per_air` gives."""
     inflow_at_ambient: bool = False
     per_g1: float = 0.0
     """1/(γ−1): J for each kPa·L."""

@@ -21,6 +21,7 @@ from flying_vines.vehicle.mission.storage import (
     ACCEPTED,
     CANCELLED,
     CAPACITY,
+    DENIED,
     ERROR,
     INVALID_SEQUENCE,
     NO_SPACE,
@@ -35,6 +36,7 @@ _WRITE_PERIOD_S = 0.008
 """Time per uploaded item on ArduPilot, as recorded."""
 _CRITICAL, _INFO = 2, 6
 _UNEXPECTED = b"WPM: REJ. CMD: Req. WP was unexpected\t"
+_MISMATCH = b"REJ. MIS ITEM: partner id mismatch\t"
 
 
 @dataclass(slots=True)
@@ -151,6 +153,9 @@ class MissionStorage:
 
     def _begin(self, link: str, message: Any, has_space: bool) -> None:
         system, component = _reply(message)
+        if self._upload is not None and not self._is_uploader(self._upload, link, message):
+            self._ack(link, system, component, DENIED if self._kind == "ardupilot" else ERROR)
+            return
         if message.count > CAPACITY or not has_space:
             self._ack(link, system, component, NO_SPACE)
             return
@@ -170,8 +175,13 @@ class MissionStorage:
         upload = self._upload
         if upload is None or self._kind == "ardupilot" or message.type != CANCELLED:
             return
-        if (upload.link, upload.system, upload.component) == (link, *_reply(message)):
+        if self._is_uploader(upload, link, message):
             self._stop()
+
+    def _is_uploader(self, upload: _Upload, link: str, message: Any) -> bool:
+        """True if the sender of this message is the one that uploads. ArduPilot does not look at the link."""
+        same_link = self._kind == "ardupilot" or upload.link == link
+        return same_link and (upload.system, upload.component) == _reply(message)
 
     def _request_item(self) -> None:
         upload = self._upload
@@ -204,15 +214,23 @@ class MissionStorage:
         if upload is None:
             self._ack(link, *_reply(message), ERROR)
             return
+        uploader = self._is_uploader(upload, link, message)
+        if self._kind == "px4" and not uploader:
+            self._send(link, mavlink.MAVLink_statustext_message(_CRITICAL, _MISMATCH))
+            return
+        # ArduPilot answers on the upload's link, wherever the item came from.
         if message.seq != upload.next_seq:
             if message.seq > upload.next_seq:
-                self._ack(link, *_reply(message), INVALID_SEQUENCE)
+                self._ack(upload.link, *_reply(message), INVALID_SEQUENCE)
+            return
+        if not uploader:
+            self._ack(upload.link, *_reply(message), DENIED)
             return
         try:
             item = self._stored(item_of(message))
         except MissionRefused as refused:
             self._stop()
-            self._ack(link, upload.system, upload.component, refused.result)
+            self._ack(upload.link, upload.system, upload.component, refused.result)
             return
         self._write(item)
         upload.next_seq += 1

@@ -25,7 +25,7 @@ SATURATED = 0.95
 """Share of the free contraction from which more pressure has little effect."""
 POINTS = 240
 
-LimitName = Literal["wrinkling", "collapse", "axial", "contraction", "burst"]
+LimitName = Literal["wrinkling", "collapse", "contraction", "burst"]
 
 
 class Limit(NamedTuple):
@@ -106,7 +106,9 @@ class BendingCurve:
     @property
     def dead_zone_kPa(self) -> float:
         """The pressure at 5 % of the maximum bend."""
-        return float(np.interp(0.05 * self.angle_deg[-1], self.angle_deg, self.pressure_kPa))
+        # The bend of a soft film may fall again.
+        bent = np.maximum.accumulate(self.angle_deg)
+        return float(np.interp(0.05 * bent[-1], bent, self.pressure_kPa))
 
     def at(self, values: Array, pressure_kPa: float) -> float:
         """One of the arrays at a pressure, interpolated."""
@@ -175,7 +177,6 @@ def _limits(found: BendingCurve) -> Sequence[Limit]:
         )
         if load > 0.0
         else Limit("collapse", None, "the base folds only under a load, and tip_load_N is 0", True),
-        met("axial", found.force_N, body.axial_N, f"a pull of {body.axial_N:.3g} N crushes the body"),
         met(
             "contraction",
             np.where(stalled, 1.0, found.contraction[1:] / np.maximum(found.free_contraction[1:], 1e-9)),

@@ -11,7 +11,7 @@ from flying_vines.vehicle.mission.item import MissionItem
 AutopilotKind = Literal["ardupilot", "px4"]
 
 ACCEPTED, ERROR, UNSUPPORTED_FRAME, UNSUPPORTED, NO_SPACE = 0, 1, 2, 3, 4
-INVALID_PARAM1, INVALID_SEQUENCE, CANCELLED = 6, 13, 15
+INVALID_PARAM1, INVALID_SEQUENCE, DENIED, CANCELLED = 6, 13, 14, 15
 """MAV_MISSION_RESULT."""
 
 CAPACITY = 700
