@@ -296,10 +296,11 @@ class Search:
                 tried += exchanged
                 better = self._first_that_pays(exchanged, chosen)
                 leaders = sorted([*leaders, *exchanged], key=lambda c: (not c.possible, c.fit.chi2))
-            for _ in range(AHEAD):
+            for step in range(AHEAD):
                 if better is not None or chosen.adequate:
                     break
-                leaders = self._leaders(self.further(_distinct(leaders)[:BEAM]))
+                bases = [*(self._with_flow_laws(chosen) if step == 0 else ()), *_distinct(leaders)[:BEAM]]
+                leaders = self._leaders(self.further(bases))
                 tried += leaders
                 better = self._first_that_pays(filter(self._explains_nearly_all, leaders), chosen)
             if better is None:
@@ -320,6 +321,19 @@ class Search:
         several = range(len(chosen.causes)) if len(chosen.causes) > 1 else ()
         without = mapped(partial(self._without, chosen), several)
         return SearchResult(self, [*tried, *without], chosen, tuple(without))
+
+    def _with_flow_laws(self, candidate: Candidate) -> list[Candidate]:
+        """The candidate with all flow laws that it lacks; empty if it has them all.
+
+        A law cannot be weak, and it changes every flow. So it may fit worse until other causes are there.
+        """
+        laws = [cause for cause in self.catalogue if cause.is_flow_law and cause not in candidate.causes]
+        if not laws or len(candidate.causes) + len(laws) > MAX_CAUSES:
+            return []
+        fit = self.problem.at(candidate.fit.point.freed(self.keys))
+        for cause in laws:
+            fit = self.problem.begun(fit.point, cause)
+        return [Candidate(self.problem, self._fit(fit.point))]
 
     def _explains_nearly_all(self, candidate: Candidate) -> bool:
         """True if little is left of the null model's slow residuals, or if two causes predict much better."""

@@ -148,6 +148,8 @@ class Cause:
     law_of: str = ""
     """Name of a thing that several causes describe by different laws, such as "a leak of the reservoir". A
     set of causes has at most one of these causes. Empty if only this cause describes the thing."""
+    is_flow_law: bool = False
+    """True if it replaces the baseline's law of a valve's flow: no value makes it weak."""
     defined_in: str = ""
     """File or package of a cause from outside this project."""
 

@@ -444,7 +444,10 @@ def _guessed_setup(said: Answers, answers: Answers) -> Iterator[ImportQuestion]:
         )
         yield ImportQuestion("setup.outlet", text, "", str(answers.setup.outlet))
     if said.setup.source is None and answers.setup.source is not None:
-        text = "what fills the chamber: pump, or reservoir (through a valve)"
+        text = (
+            "what fills the chamber: pump (or a supply of constant pressure behind a valve), or reservoir "
+            "(a vessel behind a valve)"
+        )
         yield ImportQuestion("setup.source", text, "", answers.setup.source)
 
 

@@ -46,4 +46,5 @@ CAUSE = Cause(
     experiment="Vent the control volume from its highest pressure.",
     apply=apply,
     needs=("pump",),
+    is_flow_law=True,
 )

@@ -54,4 +54,5 @@ CAUSE = Cause(
     experiment="Discharge the reservoir from full to empty through the open inflation valve.",
     apply=apply,
     needs=("reservoir",),
+    is_flow_law=True,
 )

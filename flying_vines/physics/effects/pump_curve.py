@@ -34,4 +34,5 @@ CAUSE = Cause(
     experiment="Fill the empty control volume until the pressure no longer rises.",
     apply=apply,
     needs=("pump",),
+    is_flow_law=True,
 )
