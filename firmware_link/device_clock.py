@@ -17,7 +17,7 @@ FORGETS = 0.25
 """Seconds by which a difference between the clocks decays in each second. So a board that stalled once counts
 as current again. A board whose clock runs at less than three quarters of ours always counts as stale."""
 MAX_BEHIND_S = 1.0
-"""More than the delay in a serial port's buffer."""
+"""Maximum of `behind_s`. It is longer than the delay in a serial port's buffer."""
 LEAP_S = 1.0
 AGREES_S = 0.05
 """After a leap the next message must continue from there within this tolerance."""

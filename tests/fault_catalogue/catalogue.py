@@ -108,7 +108,7 @@ VEHICLE = (
     Row(
         "override_ends",
         "an override ends at a bent position after a vent",
-        "the switch comes back after the override's time",
+        "the switch returns after `RC_OVERRIDE_TIME`",
         "is back where it was, move it again",
         Cleared.TRIGGER,
         safe_state="nothing bends",

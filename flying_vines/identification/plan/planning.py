@@ -290,7 +290,7 @@ def recommend(
     max_s: float = MAX_S,
     outlets: Collection[str] = OUTLETS,
 ) -> Recommendation:
-    """The runs that best separate these causes from each other; `none` may be among them.
+    """The runs that best separate these causes from each other. One of the causes may be `none`.
 
     Runs that the service can do are preferred if they separate the causes. A further run is only recommended
     if it separates more.

@@ -41,7 +41,7 @@ class PouchMotor(
         return self.count * self.pouch_length_mm / 1000.0
 
     def state(self, pressure_kPa: ArrayLike, bulge: ArrayLike) -> ActuatorState:
-        """θ is 90° times the bulge."""
+        """The state at `bulge`, 0 (flat) to 1 (θ = 90°, no force): θ is 90° times `bulge`."""
         p, theta = 1000.0 * np.asarray(pressure_kPa, float), 0.5 * np.pi * np.asarray(bulge, float)
         flat, width = self.pouch_length_mm / 1000.0, self.width_mm / 1000.0
         stiffness = self.modulus_MPa * self.film_um

@@ -20,8 +20,8 @@ MIN_REPEAT_S = 0.5
 FIRST_REPEAT_LATER_S = 0.25
 """The first repeat is 0.5 or 1 s old. Its assumed age is the middle: 0.5 s plus this."""
 BEFORE_A_REPEAT_S = 0.4
-"""A repeat's item ran at least 0.5 s ago, less the link's jitter. So an item whose command arrived within
-this time before the repeat ran later than the repeat's item."""
+"""A repeat's item ran at least 0.5 s ago, less the link's jitter. If the command of another item arrived
+within this time before the repeat, that other item ran later than the repeat's item."""
 SAME_BURST_S = 3.0
 """Commands within this time may be of consecutive items: PX4 sends such items within milliseconds, and the
 last repeat of an item 2 s after the item."""
