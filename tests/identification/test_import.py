@@ -483,6 +483,18 @@ def test_the_valves_between_a_tank_and_a_chamber_are_estimated(tmp_path: Path) -
     assert rig.solenoid.flow_resistance_kPa_s_per_SL == pytest.approx(150.0, rel=0.03)
 
 
+def test_a_chamber_of_which_only_the_outlet_was_recorded(tmp_path: Path) -> None:
+    kPa, rows = 50.0, []
+    for i in range(400):
+        rows.append(f"{i / 50},{kPa:.3f},{int(100 <= i < 200)}")
+        kPa -= (100 <= i < 200) * 0.02 * 101.325 / 0.2 * kPa / 600.0
+    (tmp_path / "a.csv").write_text("\n".join(["t,chamber kPa,vent", *rows]))
+    write_case([propose(tmp_path / "a.csv", Answers(), {"": 0.2})], tmp_path / "case")
+    case = read_case(tmp_path / "case")
+    assert case.rig.reservoir.volume_L == 0.2 and np.isfinite(case.runs[0].reservoir_kPa).all()
+    assert case.rig.evp.flow_resistance_kPa_s_per_SL == pytest.approx(600.0, rel=0.03)
+
+
 def test_an_evacuated_vessel_that_leaks(tmp_path: Path) -> None:
     rows = "\n".join(f"{i / 10},{-62.0 * 0.9982**i:.2f}" for i in range(900))
     found = proposed(tmp_path / "cup.csv", f"t(s),vacuum (kPa)\n{rows}")

@@ -294,15 +294,25 @@ def _doubtful_units(answers: Answers, said: Answers, runs: Mapping[str, Run]) ->
 
 def _with_valves(path: Path, answers: Answers, runs: dict[str, Run], notes: list[str]) -> dict[str, Run]:
     """The runs with the valve columns that the case format needs; guesses the outlet and the source."""
-    has = set(next(iter(runs.values())))
     setup, name = answers.setup, path.name
+    has = set(next(iter(runs.values())))
+    if "cv_pressure" in has and not has & {"reservoir_pressure", "evp_opening"}:
+        if any(_rises(run["cv_pressure"]) for run in runs.values()):
+            raise CaseError(
+                f"{path}: the chamber is filled, but no column looks like its pump or valve; name it: "
+                f"--column N=evp_opening{_read_as(answers.columns)}"
+            )
+        notes.append(
+            f"{name}: a chamber alone is written as a reservoir; the rig file has no other vessel for it"
+        )
+        for column in answers.columns:
+            column.meaning = "reservoir_pressure" if column.meaning == "cv_pressure" else column.meaning
+        runs = {k: _renamed(run, "cv_pressure", "reservoir_pressure") for k, run in runs.items()}
+        has = set(next(iter(runs.values())))
     if has & set(_VALVES) and "cv_pressure" not in has:
         if "evp_opening" not in has and "solenoid" in has:
             notes.append(f"{name}: the outlet of the vessel is written as evp_opening")
-            return {
-                k: {"evp_opening" if m == "solenoid" else m: v for m, v in run.items()}
-                for k, run in runs.items()
-            }
+            return {k: _renamed(run, "solenoid", "evp_opening") for k, run in runs.items()}
         return runs
     if has & set(_VALVES):
         if "reservoir_pressure" not in has:
@@ -317,18 +327,11 @@ def _with_valves(path: Path, answers: Answers, runs: dict[str, Run], notes: list
             f"{path}: no column is the inflation valve; name it: --column N=evp_opening, or leave out "
             f"one of the pressures: --column N={IGNORED}{_read_as(answers.columns)}"
         )
-    if "cv_pressure" in has:
-        if any(_rises(run["cv_pressure"]) for run in runs.values()):
-            raise CaseError(
-                f"{path}: the chamber is filled, but no column looks like its pump or valve; name it: "
-                f"--column N=evp_opening{_read_as(answers.columns)}"
-            )
-        notes.append(
-            f"{name}: a chamber alone is written as a reservoir; the rig file has no other vessel for it"
-        )
-        for column in answers.columns:
-            column.meaning = "reservoir_pressure" if column.meaning == "cv_pressure" else column.meaning
     return {run_name: _alone(run, answers, notes, run_name) for run_name, run in runs.items()}
+
+
+def _renamed(run: Run, meaning: str, new: str) -> Run:
+    return {new if name == meaning else name: values for name, values in run.items()}
 
 
 def _rises(pressure_kPa: Array) -> bool:
@@ -339,8 +342,6 @@ def _rises(pressure_kPa: Array) -> bool:
 
 def _alone(run: Run, answers: Answers, notes: list[str], name: str) -> Run:
     """A vessel of which only the pressure was recorded, with the opening of its outlet."""
-    run = {**run, "reservoir_pressure": run.get("cv_pressure", run.get("reservoir_pressure", run["time"]))}
-    run.pop("cv_pressure", None)
     filled_s = _filled_time(run["time"], run["reservoir_pressure"])
     if filled_s is not None:
         notes.append(f"{name}: the vessel is filled until {filled_s:.6g} s; these rows are left out")
@@ -478,7 +479,7 @@ def _rig_tables(proposal: Proposal) -> dict[str, Any]:
     elif all("dvp_opening" not in run for run in runs):
         seconds = [_fall_s(run["time"], run["cv_pressure"], _only_outlet(run)) for run in runs]
         _add_resistance(tables, "solenoid", seconds, "cv", _CHAMBER_TOLERANCE_PERCENT)
-        if "reservoir_pressure" in runs[0]:
+        if {"reservoir_pressure", "evp_opening"} <= set(runs[0]):
             guessed = guessed_valve(runs, tables["cv"]["volume_L"])
             _add_guess(tables, "evp", guessed, _CHAMBER_TOLERANCE_PERCENT)
     return tables
@@ -486,8 +487,9 @@ def _rig_tables(proposal: Proposal) -> dict[str, Any]:
 
 def _only_outlet(run: Run) -> Array:
     """Opening of a chamber's outlet while nothing fills the chamber; else 0."""
-    outlet = np.nan_to_num(run.get("solenoid", np.zeros_like(run["time"])))
-    return np.where(np.nan_to_num(run["evp_opening"]) > 0.0, 0.0, outlet)
+    shut = np.zeros_like(run["time"])
+    outlet, inflation = (np.nan_to_num(run.get(valve, shut)) for valve in ("solenoid", "evp_opening"))
+    return np.where(inflation > 0.0, 0.0, outlet)
 
 
 def _add_resistance(
