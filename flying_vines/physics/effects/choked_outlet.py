@@ -9,7 +9,8 @@ reservoir stays below 21 kPa gauge, where its outlet does not choke.
 
 from __future__ import annotations
 
-from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.cause import Cause
+from flying_vines.physics.effects.compressible_flow import CRITICAL_PRESSURE_RATIO
 from flying_vines.physics.plant.flow import iso6358_matching
 from flying_vines.physics.plant.setup import Setup
 
@@ -32,17 +33,7 @@ def apply(base: Setup, critical_pressure_ratio: float) -> Setup:
 CAUSE = Cause(
     name="choked_outlet",
     what="The outlet chokes, as compressible flow does.",
-    parameters=(
-        Parameter(
-            "critical_pressure_ratio",
-            low=0.0,
-            high=0.7,
-            seeds=(0.3,),
-            neutral=None,
-            typical=(0.35, 0.12),
-            source="ISO 6358, as for compressible_flow",
-        ),
-    ),
+    parameters=(CRITICAL_PRESSURE_RATIO,),
     experiment="Vent the control volume from its highest pressure.",
     apply=apply,
     needs=("pump",),

@@ -34,23 +34,21 @@ def apply(base: Setup, critical_pressure_ratio: float) -> Setup:
     )
 
 
+CRITICAL_PRESSURE_RATIO = Parameter(
+    "critical_pressure_ratio",
+    low=0.0,
+    high=0.7,
+    seeds=(0.3,),
+    neutral=None,
+    typical=(0.35, 0.12),
+    source=("ISO 6358: 0.5 for an orifice, 0.2 to 0.4 with fittings, 0 for long tubes; an ideal nozzle 0.53"),
+)
+"""b of ISO 6358."""
+
 CAUSE = Cause(
     name="compressible_flow",
     what="The proportional valves choke, as compressible flow does.",
-    parameters=(
-        Parameter(
-            "critical_pressure_ratio",
-            low=0.0,
-            high=0.7,
-            seeds=(0.3,),
-            neutral=None,
-            typical=(0.35, 0.12),
-            source=(
-                "ISO 6358: 0.5 for an orifice, 0.2 to 0.4 with fittings, 0 for long "
-                "tubes; an ideal nozzle 0.53"
-            ),
-        ),
-    ),
+    parameters=(CRITICAL_PRESSURE_RATIO,),
     experiment="Discharge the reservoir from full to empty through the open inflation valve.",
     apply=apply,
     needs=("reservoir",),

@@ -8,7 +8,8 @@ baseline the flow falls linearly.
 
 from __future__ import annotations
 
-from flying_vines.physics.cause import Cause, Parameter
+from flying_vines.physics.cause import Cause
+from flying_vines.physics.effects.compressible_flow import CRITICAL_PRESSURE_RATIO
 from flying_vines.physics.plant.pump_curve import ChokedPump
 from flying_vines.physics.plant.setup import Setup
 
@@ -20,17 +21,7 @@ def apply(base: Setup, critical_pressure_ratio: float) -> Setup:
 CAUSE = Cause(
     name="pump_curve",
     what="The flow of the pump or supply valve does not fall linearly: it chokes.",
-    parameters=(
-        Parameter(
-            "critical_pressure_ratio",
-            low=0.0,
-            high=0.7,
-            seeds=(0.3,),
-            neutral=None,
-            typical=(0.35, 0.12),
-            source="ISO 6358, as for compressible_flow",
-        ),
-    ),
+    parameters=(CRITICAL_PRESSURE_RATIO,),
     experiment="Fill the empty control volume until the pressure no longer rises.",
     apply=apply,
     needs=("pump",),
