@@ -129,8 +129,8 @@ class Fit:
 
 
 _PARALLEL = 1e-5
-"""A trace of which a smaller share (of the squares) is orthogonal to the fitted directions gains nothing: a
-few permille are the curvature of a finite step."""
+"""A trace is nearly parallel to the fitted directions if less than this share of its squares is orthogonal to
+them. It gains nothing: its orthogonal part is only the curvature of a finite step."""
 
 
 class Tangents:

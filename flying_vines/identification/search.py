@@ -296,13 +296,8 @@ class Search:
                 tried += exchanged
                 better = self._first_that_pays(exchanged, chosen)
                 leaders = sorted([*leaders, *exchanged], key=lambda c: (not c.possible, c.fit.chi2))
-            for step in range(AHEAD):
-                if better is not None or chosen.adequate:
-                    break
-                bases = [*(self._with_flow_laws(chosen) if step == 0 else ()), *_distinct(leaders)[:BEAM]]
-                leaders = self._leaders(self.further(bases))
-                tried += leaders
-                better = self._first_that_pays(filter(self._explains_nearly_all, leaders), chosen)
+            if better is None and not chosen.adequate:
+                better, leaders = self._ahead(chosen, leaders, tried)
             if better is None:
                 break
             chosen, fewer = self._pruned(better)
@@ -321,6 +316,21 @@ class Search:
         several = range(len(chosen.causes)) if len(chosen.causes) > 1 else ()
         without = mapped(partial(self._without, chosen), several)
         return SearchResult(self, [*tried, *without], chosen, tuple(without))
+
+    def _ahead(
+        self, chosen: Candidate, leaders: Sequence[Candidate], tried: list[Candidate]
+    ) -> tuple[Candidate | None, list[Candidate]]:
+        """Add up to `AHEAD` causes that do not pay one by one; the set that pays, or None, and the leaders."""
+        bases = [*self._with_flow_laws(chosen), *_distinct(leaders)[:BEAM]]
+        better, found = None, list[Candidate]()
+        for _ in range(AHEAD):
+            found = self._leaders(self.further(bases))
+            tried += found
+            better = self._first_that_pays(filter(self._explains_nearly_all, found), chosen)
+            if better is not None:
+                break
+            bases = _distinct(found)[:BEAM]
+        return better, found
 
     def _with_flow_laws(self, candidate: Candidate) -> list[Candidate]:
         """The candidate with all flow laws that it lacks; empty if it has them all.

@@ -355,7 +355,7 @@ def _compare_valves(
     pressures = [signal for signal in signals if best.get(signal.number) in _VESSELS]
     if len(pressures) != 1:
         return
-    rises = {s.number: _rise(pressures[0].values, s.values) for s in signals if s.is_on_off()}
+    rises = {s.number: _rises(pressures[0].values, s.values)[0] for s in signals if s.is_on_off()}
     if not rises or not min(rises.values()) < -_DRIVEN < _DRIVEN < max(rises.values()):
         return
     found = [(pressures[0].number, "cv_pressure", "two valves move it")]
@@ -368,13 +368,16 @@ def _compare_valves(
             scores[pair], reasons[pair] = scores[pair] + _SURE, why
 
 
-def _rise(pressure: Array, signal: Array) -> float:
-    """Rise of the pressure while a signal is on, as a share of its span."""
-    there = np.isfinite(pressure) & np.isfinite(signal)
-    pressure, signal = pressure[there], signal[there]
+def _rises(pressure: Array, opening: Array) -> tuple[float, float]:
+    """Rise of a pressure while a valve is open, and while it is shut, as shares of the pressure's span."""
+    there = np.isfinite(pressure) & ~is_spike(pressure)
+    pressure, opening = pressure[there], opening[there]
     span = float(np.ptp(pressure)) if len(pressure) else 0.0
-    change = np.diff(pressure, append=pressure[-1:])
-    return float(change[signal > 0.0].sum()) / span if span > 0.0 else 0.0
+    if span == 0.0:
+        return 0.0, 0.0
+    change = np.diff(pressure, append=pressure[-1:]) / span
+    is_open = opening > 0.02 * np.nanmax(opening, initial=0.0)
+    return float(change[is_open].sum()), float(change[~is_open].sum())
 
 
 def _compare_pressures(
@@ -408,15 +411,11 @@ def _compare_pressures(
 
 def _empties(pressure: Array, opening: Array) -> bool:
     """True if a pressure falls towards ambient pressure while the valve is open, and only then."""
-    there = np.isfinite(pressure) & ~is_spike(pressure)
-    pressure, opening = pressure[there], opening[there]
-    if np.min(pressure, initial=0.0) < -0.1 * np.max(pressure, initial=0.0):
+    good = pressure[np.isfinite(pressure) & ~is_spike(pressure)]
+    if np.min(good, initial=0.0) < -0.1 * np.max(good, initial=0.0):
         return False
-    change = np.diff(pressure, append=pressure[-1:])
-    is_open = opening > 0.02 * np.nanmax(opening, initial=0.0)
-    span = np.ptp(pressure) if len(pressure) else 0.0
-    fall, rest = np.nansum(change[is_open]), np.nansum(change[~is_open])
-    return bool(fall < -0.3 * span and rest > 0.2 * fall)
+    fall, rest = _rises(pressure, opening)
+    return fall < -0.3 and rest > 0.2 * fall
 
 
 def _unit(

@@ -40,10 +40,10 @@ def guessed_pump(runs: Sequence[Mapping[str, Array]], volume_L: float) -> dict[s
     numbers = default.free_flow_SL_per_s, max(default.stall_pressure_kPa, top_kPa)
     if rises and top_kPa > 0.0:
         rows = [(rise.opening, -rise.opening * rise.cv_kPa) for rise in rises]
-        (rise, falls), _ = nnls(np.array(rows), np.array([rise.rate_kPa_per_s for rise in rises]))
-        if rise > 0.0:
-            stall_kPa = rise / falls if falls > 0.0 else np.inf
-            numbers = rise * volume_L / ALPHA_KPA, min(max(stall_kPa, top_kPa), _MAX_STALL * top_kPa)
+        (a, b), _ = nnls(np.array(rows), np.array([rise.rate_kPa_per_s for rise in rises]))
+        if a > 0.0:
+            stall_kPa = a / b if b > 0.0 else np.inf
+            numbers = a * volume_L / ALPHA_KPA, min(max(stall_kPa, top_kPa), _MAX_STALL * top_kPa)
     flow, stall_kPa = (float(f"{number:.3g}") for number in numbers)
     return {"free_flow_SL_per_s": flow, "stall_pressure_kPa": stall_kPa}
 

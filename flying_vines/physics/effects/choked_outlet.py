@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from flying_vines.physics.cause import Cause
 from flying_vines.physics.effects.compressible_flow import CRITICAL_PRESSURE_RATIO
-from flying_vines.physics.plant.flow import iso6358_matching
+from flying_vines.physics.plant.flow import choked_law
 from flying_vines.physics.plant.setup import Setup
 
 _MATCHED_KPA = 100.0
@@ -19,13 +19,12 @@ _MATCHED_KPA = 100.0
 
 def apply(base: Setup, critical_pressure_ratio: float) -> Setup:
     rig = base.plant.rig
-    law = iso6358_matching(
+    law = choked_law(
         rig.solenoid.flow_resistance_kPa_s_per_SL,
         _MATCHED_KPA,
-        critical_pressure_ratio=critical_pressure_ratio,
-        laminar_ratio=0.999,
-        temperature_dependent=False,
-        gas=rig.gas.properties,
+        critical_pressure_ratio,
+        rig.gas.properties,
+        one_way=False,
     )
     return base.with_effects(solenoid_law=law)
 

@@ -11,22 +11,18 @@ There is no backflow. ISO 6358-1:2013.
 from __future__ import annotations
 
 from flying_vines.physics.cause import Cause, Parameter
-from flying_vines.physics.plant.flow import Iso6358, iso6358_matching
+from flying_vines.physics.plant.flow import Iso6358, choked_law
 from flying_vines.physics.plant.setup import Setup
+
+_MATCHED_KPA = 690.0
 
 
 def apply(base: Setup, critical_pressure_ratio: float) -> Setup:
     rig = base.plant.rig
 
     def law(flow_resistance_kPa_s_per_SL: float) -> Iso6358:
-        return iso6358_matching(
-            flow_resistance_kPa_s_per_SL,
-            critical_pressure_ratio=critical_pressure_ratio,
-            laminar_ratio=0.999,
-            temperature_dependent=False,
-            one_way=True,
-            gas=rig.gas.properties,
-        )
+        gas = rig.gas.properties
+        return choked_law(flow_resistance_kPa_s_per_SL, _MATCHED_KPA, critical_pressure_ratio, gas)
 
     return base.with_effects(
         evp_law=law(rig.evp.flow_resistance_kPa_s_per_SL),

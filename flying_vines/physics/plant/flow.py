@@ -174,3 +174,25 @@ def iso6358_matching(
         temperature_dependent=temperature_dependent,
         one_way=one_way,
     )
+
+
+def choked_law(
+    flow_resistance_kPa_s_per_SL: float,
+    at_kPa: float,
+    critical_pressure_ratio: float,
+    gas: GasProperties,
+    one_way: bool = True,
+) -> Iso6358:
+    """ISO 6358 as the causes use it: no influence of temperature, and linear above p₂/p₁ = 0.999.
+
+    It has the flow of Ohm's law from `at_kPa` (gauge) to atmosphere.
+    """
+    return iso6358_matching(
+        flow_resistance_kPa_s_per_SL,
+        at_kPa,
+        critical_pressure_ratio=critical_pressure_ratio,
+        laminar_ratio=0.999,
+        temperature_dependent=False,
+        one_way=one_way,
+        gas=gas,
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from flying_vines.physics.gas import GasProperties
-from flying_vines.physics.plant.flow import FlowLaw, Ohm, iso6358_matching
+from flying_vines.physics.plant.flow import FlowLaw, Ohm, choked_law
 from flying_vines.physics.rig import Pump
 
 
@@ -25,12 +25,5 @@ def pump_law(pump: Pump, curve: ChokedPump | None, gas: GasProperties) -> FlowLa
     """The law of the flow from P_max to the chamber. Without a curve it falls linearly to 0 at P_max."""
     if curve is None:
         return Ohm(pump.flow_resistance_kPa_s_per_SL)
-    return iso6358_matching(
-        pump.flow_resistance_kPa_s_per_SL,
-        pump.stall_pressure_kPa,
-        critical_pressure_ratio=curve.critical_pressure_ratio,
-        laminar_ratio=0.999,
-        temperature_dependent=False,
-        one_way=True,
-        gas=gas,
-    )
+    stall_kPa, ratio = pump.stall_pressure_kPa, curve.critical_pressure_ratio
+    return choked_law(pump.flow_resistance_kPa_s_per_SL, stall_kPa, ratio, gas)
