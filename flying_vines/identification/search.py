@@ -320,7 +320,7 @@ class Search:
     def _ahead(
         self, chosen: Candidate, leaders: Sequence[Candidate], tried: list[Candidate]
     ) -> tuple[Candidate | None, list[Candidate]]:
-        """Add up to `AHEAD` causes that do not pay one by one; the set that pays, or None, and the leaders."""
+        """The set that pays after up to `AHEAD` more causes, or None; and the leaders. Not each has to pay."""
         bases = [*self._with_flow_laws(chosen), *_distinct(leaders)[:BEAM]]
         better, found = None, list[Candidate]()
         for _ in range(AHEAD):
