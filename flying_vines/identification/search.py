@@ -320,7 +320,10 @@ class Search:
     def _ahead(
         self, chosen: Candidate, leaders: Sequence[Candidate], tried: list[Candidate]
     ) -> tuple[Candidate | None, list[Candidate]]:
-        """The set that pays after up to `AHEAD` more causes, or None; and the leaders. Not each has to pay."""
+        """Add up to `AHEAD` causes of which not each has to pay.
+
+        Returns the set that pays, or None, and the leaders.
+        """
         bases = [*self._with_flow_laws(chosen), *_distinct(leaders)[:BEAM]]
         better, found = None, list[Candidate]()
         for _ in range(AHEAD):
