@@ -135,7 +135,9 @@ class Firmware:
             min(_FULL_SCALE, round(supply)),
             outputs,
         )
-        return Inputs(outputs.evp_duty / self._full_evp, outputs.dvp_duty / self._full_dvp, outputs.solenoid)
+        # A setting that a host has raised since the start cannot open a valve further than fully.
+        evp, dvp = outputs.evp_duty / self._full_evp, outputs.dvp_duty / self._full_dvp
+        return Inputs(min(1.0, evp), min(1.0, dvp), outputs.solenoid)
 
     def _power_up(self, watchdog: bool) -> None:
         library, rows = self._library, setting_rows()
