@@ -85,6 +85,8 @@ STRAIGHT_S = 3.0
 STRAIGHTENED_S = 3.0
 LIMIT = "limit: "
 """Prefix of the names of triggers that the service cannot distinguish from the pilot's moves."""
+FRESH_S = 2.0
+"""A fresh move after a request of others is straight for less than this time."""
 FLICK_S = 0.3
 """A position that lasts longer has been noticed."""
 BOOTS_S = 1.5
@@ -238,11 +240,14 @@ class MonitoredFlight:
         self._rc_shown = False
         """True if a message has shown the present loss."""
         self._override: int | None = None
-        self._overridden = 0
         self._stood: set[int] = set()
         self._override_sent_s = self._override_ends_s = 0.0
         self._vented = False
-        """True if anything but the switch has vented the vine since the switch moved."""
+        """True if a ground station has certainly vented the vine since the switch moved."""
+        self._overruled = False
+        """True if anything but the switch may have moved the vine since the last fresh move."""
+        self._straight_s = -math.inf
+        """When the switch last left a bending position."""
         self._health_reported_s = -math.inf
         self._stalled_until_s = 0.0
         self._mended_unpowered: set[str] | None = None
@@ -334,6 +339,10 @@ class MonitoredFlight:
         if self._unseen or self._override is not None:
             return
         self._vented = False
+        if left > 0 and position == 0:
+            self._straight_s = self.now_s
+        is_fresh = self._is_fresh(left)
+        overruled = self._overruled and not (is_fresh and position > 0)
         if self.setup.has_real_receiver:
             self.monitor.withdraw(_switch_to(left), self.now_s + LEFT_S)
         certain = self.now_s >= self._surely_settled_s
@@ -341,10 +350,17 @@ class MonitoredFlight:
             self._switch_asks(position, certain=certain and lasted)
             if position > 0 and self.setup.has_real_receiver:
                 self._standing = len(self.monitor.begins)
-            if certain and lasted and position > 0 and not came_back and self._nothing_is_against_it:
+            may_bend = position > 0 and is_fresh and not came_back
+            if certain and lasted and may_bend and self._nothing_is_against_it:
                 self._expected = self.now_s, _switch_to(position)
+        self._overruled = overruled
         if not certain:
             self._settle()
+
+    def _is_fresh(self, left: int) -> bool:
+        """True if the service may not take the move for the end of an override."""
+        in_time = not self._overruled or self.now_s < self._straight_s + FRESH_S
+        return self.setup.autopilot == "px4" or (left == 0 and in_time)
 
     @property
     def _nothing_is_against_it(self) -> bool:
@@ -382,8 +398,6 @@ class MonitoredFlight:
     def override(self, position: int) -> None:
         """A ground station overrides the switch, and repeats its message."""
         before = self._position if self._override is None else self._override
-        if self._override is None:
-            self._overridden = self._position
         self._override, self._override_sent_s = position, -math.inf
         self._override_ends_s = math.inf
         self._expected = None
@@ -406,8 +420,7 @@ class MonitoredFlight:
             self.autopilot.receive(self.now_s, "gcs", self._station.encode(message, 255))
         elif self.now_s >= self._override_ends_s - STEP_S:
             before, self._override = self._override, None
-            came_back = self._position == self._overridden
-            if self._position != before and not (self._position > 0 and self._vented and came_back):
+            if self._position != before and not (self._position > 0 and self._vented):
                 # The end of the override looks like a move of the pilot. A move to straight clears faults.
                 self._switch_asks(self._position, certain=False, what=f"{LIMIT}an override expired")
 
@@ -491,9 +504,9 @@ class MonitoredFlight:
         return max(0.0, self._stalled_until_s - self.now_s)
 
     def _asked_by_station(self, what: str, bends: bool, kPa: float | None = None) -> None:
-        self._vented |= not bends
         if self._station_is_received:
             certain = self._surely_forwarded and not self._stalled_s
+            self._vented = certain and not bends
             within_s = COMMANDED_S + (WAITS_S if self.now_s < self._clock_is_new_until_s else 0.0)
             self._asked(what, within_s, bends, by_person=True, certain=certain, kPa=kPa)
 
@@ -515,6 +528,7 @@ class MonitoredFlight:
         """
         now_s = self.now_s if at_s is None else at_s
         self._expected = None
+        self._overruled = True
         within_s += self._stalled_s
         after_s = max(after_s, self._stalled_s)
         if self._vehicle_is_spoiled:
@@ -551,6 +565,7 @@ class MonitoredFlight:
             self.monitor.trigger(self.now_s, CONFIRMED_S, f"{LIMIT}a preset hides the move before it")
         self._unsee("rc")
         self._expected = None
+        self._overruled = True
         if self.setup.holds:
             self.monitor.any_target(math.inf)
 

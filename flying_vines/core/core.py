@@ -465,7 +465,7 @@ class Core:
         )
         self._actions.append(decision)
         if is_newer and trigger.kind not in _BY_PILOT_OR_SAFETY:
-            self._vehicle.pilot.others_asked(straightened=motion is None or motion.only_deflates)
+            self._tell_pilot(trigger.intent)
         if ruling.verdict == "refused":
             request = decision.intent or trigger.kind.replace("_", " ")
             if (seq := trigger.what.get("seq")) is not None:
@@ -474,6 +474,16 @@ class Core:
         elif ruling.verdict == "limited":
             self._notice(t, Severity.NOTICE, f"{decision.intent} limited {ruling.reason}", True)
         return decision
+
+    def _tell_pilot(self, intent: Intent | None) -> None:
+        """Tell the pilot's switch what somebody else has just carried out."""
+        pilot = self._vehicle.pilot
+        if not isinstance(intent, (*VENTING, *MOVING)):
+            pilot.drop_waiting()
+        elif self._motion is None or self._motion.only_deflates:
+            pilot.vented("other")
+        else:
+            pilot.bent_by_other()
 
     # Motions.
 
@@ -511,6 +521,7 @@ class Core:
             self._pending_bend.withdrawn(by, moved)
         elif moved:
             self._pending_bend.stopped(str(trigger.what["event"]))
+            self._vehicle.pilot.vented("safety")
         self._stop_moving(t)
 
     def _note_cut_off(self, t: float) -> None:
@@ -534,6 +545,7 @@ class Core:
             self._bench_until = -math.inf
             if self._motion is not None:
                 self._pending_bend.stopped(f"bench mode is over: {why}")
+                self._vehicle.pilot.vented("safety")
             self._stop_moving(t)
             self._notice(t, Severity.NOTICE, f"bench mode over, {why}: vented")
 
@@ -649,12 +661,13 @@ class Core:
         text = self._link_loss.entered(t, change.name, change.reason, response) or ""
         is_new = self._is_new_text(t, change.name, text)
         relevant = moved or (self._vehicle.state.armed and is_new)
-        self._vehicle.pilot.overtaken()
+        self._vehicle.pilot.drop_waiting()
         if hold:
             self._freeze(t)
         else:
             if moved:
                 self._pending_bend.stopped(change.reason)
+                self._vehicle.pilot.vented("safety")
             self._stop_moving(t)
         if change.name == "autopilot" and not self._vehicle.state.heartbeat_missing:
             self._vehicle.forget_radio()

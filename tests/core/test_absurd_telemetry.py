@@ -18,7 +18,7 @@ from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.supply import ReservoirEstimate, TelemetryReader, nominal
 from flying_vines.supply.physics_checks import PhysicsChecks
 
-from .flights import HIGH, LOW, MIDDLE, airborne, assert_vented, bent, decisions, notices, run_for
+from .flights import HIGH, LOW, airborne, assert_vented, bent, decisions, notices, run_for
 
 ABSURD = [1e30, 1e20, 1e12, 1e9, 5e3, -1e3, -1e9, -1e30, math.nan, math.inf, -math.inf]
 TEXTS = {
@@ -78,8 +78,6 @@ def test_an_impossible_reading_is_a_fault_that_a_person_clears(field: str, value
     texts = [text for text in notices(actions) if "waiting for" not in text]
     assert [text for text in texts if text.startswith(TEXTS[field])] == texts
     assert_vented(flight)
-    flight.autopilot.set_rc(9, MIDDLE)
-    assert [d.safety for d in decisions(run_for(flight, 1.0))] == ["refused"]
     flight.autopilot.set_rc(9, LOW)
     (cleared,) = (text for text in notices(run_for(flight, 1.0)) if "cleared" in text)
     assert cleared.replace("cleared: ", "").startswith(TEXTS[field])

@@ -180,7 +180,7 @@ def test_two_late_answers_in_a_row_are_no_fault() -> None:
     actions += run_for(flight, 0.25)
     flight.world.from_phlosar = lambda data: data
     actions += run_for(flight, 1.0)
-    assert texts_of(actions) == [WAITING]
+    assert texts_of(actions) == [f"{WAITING} within 2 s"]
 
 
 @pytest.mark.parametrize(

@@ -97,6 +97,8 @@ def test_another_switch_channel_waits_for_a_new_move() -> None:
     assert field.set("VINE_SW_CHAN", 7.0) == 7.0
     quiet = field.flight.run(field.flight.world.now + 3.0)
     assert not [action for action in quiet if isinstance(action, Decision)]
+    field.flight.autopilot.set_rc(7, 1000)
+    field.flight.run(field.flight.world.now + 1.0)
     field.flight.autopilot.set_rc(7, 1500)
     moved = field.flight.run(field.flight.world.now + 1.0)
     (decision,) = (action for action in moved if isinstance(action, Decision))

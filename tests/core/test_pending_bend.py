@@ -31,8 +31,8 @@ def test_a_vent_by_another_person_waits_for_the_switch_and_is_reported_once() ->
     flight = bent()
     vent_on_page(flight)
     texts = notices(run_for(flight, 5.0))
-    assert waiting(flight) == PendingBend("vent by the page", UP_AGAIN)
-    assert texts == [f"Vine: waiting for: {UP_AGAIN}"]
+    assert waiting(flight) == PendingBend("vent by the page", f"{UP_AGAIN} within 2 s")
+    assert texts == [f"Vine: waiting for: {UP_AGAIN} within 2 s"]
     flight.autopilot.set_rc(9, LOW)
     run_for(flight, 1.0)
     assert waiting(flight) is None

@@ -109,7 +109,7 @@ VEHICLE = (
         "override_ends",
         "an override ends at a bent position after a vent",
         "the switch returns after `RC_OVERRIDE_TIME`",
-        "is back where it was, move it again",
+        "switch ch9 was overruled, to bend: switch down, then up within 2 s",
         Cleared.TRIGGER,
         safe_state="nothing bends",
         proof="test_an_override_that_ends_is_no_move",

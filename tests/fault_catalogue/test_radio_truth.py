@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import pytest
 from required_programs import needs_compiler
@@ -185,12 +186,17 @@ def test_ardupilot_loss_hidden_in_flight_by_a_parameter() -> None:
     assert_clean(flight)
 
 
-def test_an_override_that_ends_is_no_move() -> None:
+@pytest.mark.parametrize("vented", ["before", "during"])
+def test_an_override_that_ends_is_no_move(vented: Literal["before", "during"]) -> None:
     flight = bent(ardupilot())
-    flight.vent()
-    flight.run(1.0)
+    if vented == "before":
+        flight.vent()
+        flight.run(1.0)
     flight.override(0)
     flight.run(4.0)
+    if vented == "during":
+        flight.vent()
+        flight.run(1.0)
     flight.stop_override()
     flight.run(6.0)
     assert_clean(flight)
@@ -459,7 +465,7 @@ class RestartsLimitsAtEachLoss(Core):
             ReadsNoParameters,
             partial(test_ardupilot_switch_moved_in_a_hidden_loss_bends_nothing, {"FS_THR_ENABLE": 0}),
         ),
-        (AcceptsEndsOfOverrides, test_an_override_that_ends_is_no_move),
+        (AcceptsEndsOfOverrides, partial(test_an_override_that_ends_is_no_move, "before")),
         (
             DoesNotRereadItems,
             partial(test_a_mission_is_executed_as_stored_at_its_start, "ardupilot", 0.2, *OTHERS[0]),

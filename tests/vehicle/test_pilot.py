@@ -335,10 +335,13 @@ def test_if_ardupilot_hides_losses_the_switch_only_straightens() -> None:
     assert len(radio.bends) == 1
 
 
+OVERRULED = "Vine: switch ch9 was overruled, to bend: switch down, then up within 2 s"
+
+
 def overridden(radio: Radio, ends_after_s: float) -> None:
     """The pilot bends, a ground station vents; then it overrides the switch, and the override ends."""
     radio.move(2, 1.0)
-    radio.pilot.others_asked(straightened=True)
+    radio.pilot.vented("other")
     radio.move(0, ends_after_s)
     radio.move(2, 1.0)
 
@@ -347,10 +350,72 @@ def test_an_override_that_ends_bends_nothing_again() -> None:
     radio = Radio("ardupilot")
     overridden(radio, 7.0)
     assert len(radio.bends) == 1
-    assert radio.texts[-1] == "Vine: switch ch9 is back where it was, move it again"
+    assert radio.texts[-1] == OVERRULED
+    radio.move(0, 2.5)
+    radio.move(2, 1.0)
+    assert len(radio.bends) == 1, "an override may have ended again"
     radio.move(0, 1.0)
     radio.move(2, 1.0)
-    assert len(radio.bends) == 2, "a new move counts"
+    assert len(radio.bends) == 2, "a fresh move counts"
+    radio.move(0, 10.0)
+    radio.move(2, 1.0)
+    assert len(radio.bends) == 3, "and after it any move"
+
+
+@given(
+    transmitter=st.sampled_from([1, 2]),
+    overridden=st.sampled_from([0, 1, 2]),
+    vent_at_s=st.floats(0.0, 4.0),
+    lasts_s=st.floats(3.0, 8.0),
+    repeats=st.integers(1, 3),
+)
+def test_after_a_vent_by_others_no_end_of_an_override_bends_the_vine(
+    transmitter: int, overridden: int, vent_at_s: float, lasts_s: float, repeats: int
+) -> None:
+    """The ground station vents before or during its first override."""
+    radio = Radio("ardupilot")
+    radio.move(transmitter, 1.0)
+    radio.move(overridden, min(vent_at_s, lasts_s))
+    radio.pilot.vented("other")
+    bent = len(radio.bends)
+    radio.run(max(0.0, lasts_s - vent_at_s))
+    for _ in range(repeats):
+        radio.move(transmitter, 1.0)
+        radio.move(0, lasts_s)
+    radio.move(transmitter, 2.0)
+    assert len(radio.bends) == bent
+    assert radio.texts[-1] == OVERRULED
+
+
+def test_a_vent_by_others_is_not_forgotten_in_a_loss_of_rc() -> None:
+    radio = Radio("ardupilot")
+    radio.pilot.vented("other")
+    radio.steps += 120  # our process paused
+    radio.run(3.0)
+    radio.move(2, 1.0)
+    assert radio.bends == []
+
+
+def test_an_override_that_never_expires_may_still_be_released() -> None:
+    radio = Radio("ardupilot")
+    radio.receive(param_value("RC_OVERRIDE_TIME", -1.0))
+    radio.pilot.vented("other")
+    radio.move(2, 1.0)
+    assert radio.bends == []
+    assert radio.texts[-1] == OVERRULED.removesuffix(" within 2 s")
+    radio.move(0, 5.0)
+    radio.move(2, 1.0)
+    assert len(radio.bends) == 1
+
+
+def test_a_pilot_can_move_the_switch_in_time_however_soon_an_override_expires() -> None:
+    radio = Radio("ardupilot")
+    radio.receive(param_value("RC_OVERRIDE_TIME", 0.5))
+    radio.pilot.vented("other")
+    radio.move(2, 1.0)
+    radio.move(0, 0.8)
+    radio.move(2, 1.0)
+    assert len(radio.bends) == 1
 
 
 @pytest.mark.parametrize("parameter", [("RC_OPTIONS", 2.0), ("RC_OVERRIDE_TIME", 0.0)])
@@ -381,7 +446,7 @@ def test_an_override_whose_end_is_reported_is_no_move() -> None:
 def test_a_waiting_bend_is_cancelled_by_another_request() -> None:
     radio = Radio()
     radio.move(2, 1.0)
-    radio.pilot.others_asked(straightened=True)
+    radio.pilot.vented("other")
     radio.run(4.0)
     assert radio.bends == []
 
@@ -399,7 +464,7 @@ def test_a_switch_that_comes_back_from_a_preset_bends_nothing_again(
     radio.move(2, 3.0)
     assert len(radio.bends) == 1
     if vented:
-        radio.pilot.others_asked(straightened=True)
+        radio.pilot.vented("other")
     radio.lose(lasts_s)
     radio.restore(5.0)
     assert len(radio.bends) == 1
@@ -421,7 +486,7 @@ def test_a_straightening_clears_only_faults_up_to_its_move() -> None:
 def test_a_loss_cancels_a_waiting_bend() -> None:
     radio = Radio()
     radio.move(2, 1.0)
-    radio.pilot.overtaken()
+    radio.pilot.drop_waiting()
     radio.run(3.0)
     assert radio.bends == []
 
@@ -463,7 +528,7 @@ def test_values_that_release_no_override_do_not_affect_the_pilots_moves(channel:
 def test_after_a_bend_by_another_source_the_switch_counts_as_before() -> None:
     radio = Radio("ardupilot")
     radio.move(2, 1.0)
-    radio.pilot.others_asked(straightened=False)
+    radio.pilot.bent_by_other()
     radio.move(0, 7.0)
     radio.move(2, 1.0)
     assert len(radio.bends) == 2
@@ -472,9 +537,9 @@ def test_after_a_bend_by_another_source_the_switch_counts_as_before() -> None:
 def test_a_second_straightening_does_not_hide_an_override_that_ends() -> None:
     radio = Radio("ardupilot")
     radio.move(2, 1.0)
-    radio.pilot.others_asked(straightened=True)
+    radio.pilot.vented("other")
     radio.move(0, 1.0)
-    radio.pilot.others_asked(straightened=True)
+    radio.pilot.vented("other")
     radio.run(6.0)
     radio.move(2, 1.0)
     assert len(radio.bends) == 1
@@ -500,7 +565,7 @@ def test_another_parameter_keeps_a_waiting_bend() -> None:
 def test_a_preset_does_not_bring_back_a_bend_that_was_cancelled() -> None:
     radio = Radio(preset={9: 1000})
     radio.move(2, 1.0)
-    radio.pilot.overtaken()
+    radio.pilot.drop_waiting()
     radio.lose(0.9)
     radio.restore(5.0)
     assert radio.bends == []
@@ -638,10 +703,12 @@ def test_a_status_that_reports_a_loss_confirms_no_bend(steps: int) -> None:
     assert all(t < lost_s + BITS_AFTER_S for t in radio.bends)
 
 
-def test_a_request_before_the_switch_is_accepted_blocks_no_later_move() -> None:
+def test_a_vent_before_the_switch_is_accepted_blocks_no_fresh_move() -> None:
     radio = Radio("ardupilot")
     radio.pilot.forget()
-    radio.pilot.others_asked(straightened=True)
+    radio.pilot.vented("other")
     radio.run(3.0)
+    radio.move(2, 1.0)
+    radio.move(0, 1.0)
     radio.move(2, 1.0)
     assert len(radio.bends) == 1

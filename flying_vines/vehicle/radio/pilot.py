@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 from flying_vines.config.config import Config
 from flying_vines.vehicle.autopilots.autopilot import Autopilot
@@ -23,6 +24,8 @@ HEALTH_REPORTS_APART_S = 2.0
 """PX4's minimum time between two health reports (min_reporting_interval). So it may report a loss late."""
 OVERRIDE_SLACK_S = 0.7
 """Uncertainty of the time at which an override ends."""
+MIN_FLICK_S = 1.0
+"""A pilot needs up to this time to move the switch down and up."""
 RELEASED_US = 65534
 IGNORED_US = (0, 65535)
 
@@ -68,9 +71,10 @@ class Pilot:
         self._hides_loss = ""
         self._by_station = False
         self._override_ends_at = -math.inf
-        self._overruled_position: int | None = None
-        """The bending position that the switch had when somebody else straightened the vine."""
-        self._left_overruled_at = math.inf
+        self._vented_by: Literal["", "safety", "other"] = ""
+        """Who vented the vine, if it was not the switch and nothing has bent it since."""
+        self._left_bend_at: float | None = None
+        """When the switch last went from a bending position to a straight one, since that vent."""
 
     @property
     def channel(self) -> int:
@@ -93,24 +97,28 @@ class Pilot:
         self.forget()
         self.parameters.forget()
 
-    def overtaken(self) -> None:
+    def drop_waiting(self) -> None:
         """Drop a waiting move, because something newer has happened."""
         if self._waiting is not None:
             self._positions.add(self._waiting.move.position)
         self._waiting = None
 
-    def others_asked(self, straightened: bool) -> None:
-        """Somebody other than the pilot moved the vine.
+    def vented(self, by: Literal["safety", "other"]) -> None:
+        """Safety or another person, mission or package vented the vine.
 
-        When an RC override ends, the switch seems to return to its position. If somebody else has
-        straightened the vine, such a return must not bend it again.
+        When an RC override ends, the switch seems to move, and nothing distinguishes this from a move of the
+        pilot. So the switch must then go from a bending position to a straight one and back. If it was no
+        loss or fault that vented, a ground station may use overrides to keep the vine straight: then the
+        switch must come back faster than an override expires.
         """
-        self.overtaken()
-        position = self.switch.position
-        if not straightened:
-            self._overruled_position = None
-        elif position is not None and self._rules.bends(position):
-            self._overruled_position, self._left_overruled_at = position, math.inf
+        self.drop_waiting()
+        self._vented_by = "other" if self._vented_by == "other" else by
+        self._left_bend_at = None
+
+    def bent_by_other(self) -> None:
+        """Another person, mission or package bent the vine."""
+        self.drop_waiting()
+        self._vented_by = ""
 
     def handle(
         self, t: float, message: MavlinkMessage, autopilot: Autopilot, vented: bool = False
@@ -161,7 +169,7 @@ class Pilot:
         others = [other for other in range(len(self._config.switch.positions)) if other != position]
         straight = [other for other in others if not self._rules.bends(other)] or others
         nearest = min(straight, key=lambda other: abs(other - position))
-        return "switch down, then up" if nearest < position else "switch up, then down"
+        return ("switch down, then up" if nearest < position else "switch up, then down") + self._in_time
 
     def requests(self, t: float, system_id: int, autopilot: Autopilot) -> list[MavlinkMessage]:
         return self.parameters.requests(t, system_id, autopilot)
@@ -183,10 +191,19 @@ class Pilot:
     def _loss_shows_within_s(self) -> float:
         return self.radio.autopilot.rc_loss_shows_within_s(self.parameters.values)
 
+    @property
+    def _flick_s(self) -> float:
+        """Maximum time that the switch may be straight in a fresh move after somebody vented."""
+        return max(MIN_FLICK_S, self._override_lasts_s - OVERRIDE_SLACK_S)
+
+    @property
+    def _in_time(self) -> str:
+        limited = self._vented_by == "other" and 0.0 < self._override_lasts_s < math.inf
+        return f" within {self._flick_s:.0f} s" if limited else ""
+
     def _lose(self) -> None:
         self.switch.lose()
         self._waiting = None
-        self._overruled_position = None
 
     def _report_parameters(self, t: float) -> list[PilotOutput]:
         hides, before = self.hides_loss, self._hides_loss
@@ -218,7 +235,14 @@ class Pilot:
             return self._moved(t, event, vented)
         if event is not None:
             self._positions = {event.position}
-        return [self._move_again(t, "moved while RC was lost")] if isinstance(event, MovedUnseen) else []
+        if not isinstance(event, MovedUnseen):
+            return []
+        self._note_straight(t, event)
+        return [self._move_again(t, "moved while RC was lost")]
+
+    def _note_straight(self, t: float, move: SwitchMove | MovedUnseen) -> None:
+        if self._rules.bends(move.before) and not self._rules.bends(move.position):
+            self._left_bend_at = t
 
     def _keep_waiting(self, waiting: _Waiting) -> None:
         if self.switch.reads(self.radio.switch_us) != waiting.move.position:
@@ -235,18 +259,16 @@ class Pilot:
             hold_s = self._loss_shows_within_s
             text = f"Vine: hold switch ch{self.channel} for {hold_s:.1f} s to bend"
             return [Notice(t, Severity.INFO, text)]
-        if move.before == self._overruled_position:
-            self._left_overruled_at = t
+        self._note_straight(t, move)
         must_wait = self._must_wait(move.position)
         if bends and (why := self._why_not_the_pilots(t, move)):
-            self._overruled_position = None
             return [self._move_again(t, why)]
         if bends and (hides := self.hides_loss):
             return [self._refused(t, move, f"{hides} hides a lost transmitter")]
         if must_wait:
             self._waiting = _Waiting(move, origin, t, self.radio.stamp_s)
         if bends:
-            self._overruled_position = None
+            self._vented_by = ""
             return [] if must_wait else self._bend(t, move)
         if not must_wait:
             self._positions = {move.position}
@@ -269,10 +291,9 @@ class Pilot:
             return ""
         if abs(t - self._override_ends_at) < OVERRIDE_SLACK_S:
             return "moved as an override ended"
-        away_s = t - self._left_overruled_at
-        if move.position == self._overruled_position and away_s > lasts_s - OVERRIDE_SLACK_S:
-            return "is back where it was"
-        return ""
+        left_at = None if self._rules.bends(move.before) else self._left_bend_at
+        late = left_at is None or (self._vented_by == "other" and t - left_at > self._flick_s)
+        return "was overruled" if self._vented_by and late else ""
 
     def _waits_to_bend(self, waiting: _Waiting) -> bool:
         return self._rules.bends(waiting.move.position)
@@ -321,4 +342,6 @@ class Pilot:
         return {"channel": self.channel, "position": move.position, "from": move.before}
 
     def _move_again(self, t: float, what: str) -> Notice:
-        return Notice(t, Severity.NOTICE, f"Vine: switch ch{self.channel} {what}, move it again")
+        fresh_move = self.fresh_move if self._vented_by else ""
+        how = f"to bend: {fresh_move}" if fresh_move else "move it again"
+        return Notice(t, Severity.NOTICE, f"Vine: switch ch{self.channel} {what}, {how}")
