@@ -13,7 +13,8 @@ from flying_vines.supply import Features, RigPrior
 from flying_vines.supply.physics_checks.expected import Expected, expected
 from flying_vines.supply.physics_checks.filling import Filling, StuckVineSensor
 from flying_vines.supply.physics_checks.leak import VineLeak
-from flying_vines.supply.physics_checks.reservoir import Hot, ReservoirLoss, ReservoirSensor
+from flying_vines.supply.physics_checks.reservoir import Hot, ReservoirLoss
+from flying_vines.supply.physics_checks.reservoir_sensor import ReservoirSensor
 from flying_vines.supply.physics_checks.venting import VentingCheck
 from flying_vines.supply.physics_checks.vine_sensor import SuddenFall, Unsteady, Zero
 
