@@ -67,7 +67,7 @@ MEMORY_CYCLES = 15.0
 PRIOR_CYCLES = 0.05
 """Weight of the assumed cycle, in flown cycles."""
 RECENT_INFLATIONS = 10
-SURE_SHARE = 0.5
+SURE_SHARE = 0.75
 """The share of the learned air that a bend surely uses, in addition to `SURE_SDS` of its uncertainty."""
 SURE_SDS = 2.0
 MAX_PAUSE_S = 30.0
@@ -282,6 +282,11 @@ class ReservoirEstimate:
             self._add(use.inflation, self.filter)
         if use.block is not None or use.inflation is not None:
             self._cycle_kPa = self._cost_kPa(self.filter)
+
+    @property
+    def rose_kPa(self) -> float:
+        """A sudden rise of the pressure that `ReportedCycles` has not reported yet."""
+        return max(0.0, self.filter.jumped_kPa) if self.filter else 0.0
 
     def cut_off(self) -> None:
         """The present movement is replaced before its end: nothing is learned from this movement."""

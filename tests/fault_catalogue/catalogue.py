@@ -723,7 +723,7 @@ PNEUMATICS = (
         "evp_stuck_ajar",
         "inflation valve stuck at 30 % while held",
         "the cycles left report an event: the regulator vents the air again",
-        "bottle lost air at once",
+        "reservoir lost air at once",
         Cleared.AT_ONCE,
         safe_state="continues, and loses air",
     ),

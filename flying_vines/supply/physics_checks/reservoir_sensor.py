@@ -11,7 +11,7 @@ air than the reading alone. While the vehicle is disarmed a rise is a refill, an
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from typing import Protocol
 
 from flying_vines.physics.constants import GAMMA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.wall import COOLING_K, heat_capacity_J_per_K
@@ -35,8 +35,14 @@ WORKING_OPENING = 0.6
 """A regulator holds a bent vine with a smaller opening of its inflation valve."""
 REFILL_KPA = 5.0
 """A rise by this much while the vehicle is disarmed is a refill."""
+ARMED_S = 2.0
+"""A rise that began before the vehicle was armed is over after this time."""
 WARMS_KPA_PER_S = 0.15
 """Fastest warming without a bend, as in the sun: 0.06 K/s at 700 kPa."""
+WARMTH_KPA = 12.0
+"""So fast a warming ends after this rise: 4 K at 700 kPa, as in the sun after the shade."""
+WARMS_ON_KPA_PER_S = 0.01
+"""Warming that goes on, as during a morning: 13 K in an hour."""
 BENDS_S = 5.0
 """For this time after a rise of the vine no warming is assumed: it is less than the air that is not counted."""
 RIGHT_S = 5.0
@@ -44,8 +50,22 @@ RIGHT_S = 5.0
 VINE_FILTER_S = 0.1
 TURN_KPA = 2.0
 """A smaller fall is noise, not a turn."""
+RISES = "rises without filling"
+STAYS = "does not fall as the vine fills"
 MAX_SHARE = 0.9
 """Keeps the steps of the temperatures stable."""
+
+
+class LearnedUse(Protocol):
+    """What the estimate of the cycles left knows of the air."""
+
+    @property
+    def sure_use_kPa(self) -> float:
+        """The air that all bends so far have surely used. It only grows."""
+
+    @property
+    def rose_kPa(self) -> float:
+        """A sudden rise of the pressure that is not reported yet."""
 
 
 class _Cold:
@@ -96,22 +116,26 @@ class _Block:
 class ReservoirSensor:
     """Finds a reservoir's sensor that reads more than the reservoir can have.
 
-    `sure_use_kPa` gives the air that all bends so far have surely used, as learned in flight. The finding stays
-    until the sensor reads less than the account again, or until a person clears it.
+    The finding stays until the sensor reads less than the account again, or until a person clears it.
     """
 
-    def __init__(self, rig: Expected, sure_use_kPa: Callable[[], float] = lambda: 0.0) -> None:
+    def __init__(self, rig: Expected, learned: LearnedUse | None = None) -> None:
         self._rig = rig
-        self._sure_use_kPa = sure_use_kPa
-        self._used_kPa = math.nan
-        """`sure_use_kPa` at the last message."""
+        self._learned = learned
+        self._used_kPa = learned.sure_use_kPa if learned else 0.0
+        """The learned use up to the last message."""
         self._cv_kPa = self._top_kPa = math.nan
         self._reading_kPa = math.nan
         self._unchanged_kPa = 0.0
         """Expected fall since the reading last changed."""
         self._calm_s = 0.0
         self._since_rise_s = math.inf
+        self._rose_kPa = 0.0
+        """The learned rise at the last message."""
+        self._armed_s = 0.0
         self._armed = False
+        self.found_at = -math.inf
+        """When the latest finding began."""
         self._begin()
 
     def _begin(self) -> None:
@@ -124,6 +148,7 @@ class ReservoirSensor:
         """Mean of the last block."""
         self._by_volume_kPa = self._by_learned_kPa = self._low_kPa = math.inf
         """The account with the least air of any vine of this volume, with the learned air, and without bends."""
+        self._warmth_kPa = WARMTH_KPA
         self._right_s = 0.0
         self._finding: str | None = None
 
@@ -134,14 +159,20 @@ class ReservoirSensor:
 
     def look(self, now: Features) -> str | None:
         reservoir_kPa = now.reservoir_kPa
-        if now.armed and not self._armed and self._finding is None:
+        self._armed_s = self._armed_s + now.device_dt_s if now.armed else 0.0
+        armed = self._armed_s > ARMED_S
+        if armed and not self._armed and self._finding is None:
             self._begin()  # a slow refill on the ground ends here
-        self._armed = now.armed
+        self._armed = armed
         if reservoir_kPa is None:
             return self._finding
         self._spend(now, reservoir_kPa)
-        if self._unchanged_kPa > STUCK_KPA and self._finding is None:
-            self._find(f"stuck at {reservoir_kPa:.0f} kPa", reservoir_kPa)
+        if self._finding is None:
+            if self._unchanged_kPa > STUCK_KPA:
+                self._find(now.t, f"stuck at {reservoir_kPa:.0f} kPa", reservoir_kPa)
+            elif self._rose() and armed and reservoir_kPa > self._most_kPa + MARGIN_KPA:
+                self._find(now.t, self._what(reservoir_kPa, MARGIN_KPA), reservoir_kPa)
+        self._rose_kPa = self._learned.rose_kPa if self._learned else 0.0
         if self._is_calm(now):
             block = self._block.add(reservoir_kPa, min(now.device_dt_s, MAX_BRIDGED_S))
             if block is not None:
@@ -156,16 +187,17 @@ class ReservoirSensor:
         """Lower the account by the air that the vine has surely taken."""
         rise_kPa = self._follow_vine(now)
         volume_kPa = self._rig.reservoir_fall_kPa(self._rig.min_air_SL(rise_kPa))
-        used_kPa = self._sure_use_kPa()
-        learned_kPa = used_kPa - self._used_kPa if used_kPa > self._used_kPa else 0.0
-        self._used_kPa = used_kPa
+        used_kPa = self._learned.sure_use_kPa if self._learned else 0.0
         self._by_volume_kPa -= volume_kPa
-        self._by_learned_kPa -= learned_kPa
+        self._by_learned_kPa -= used_kPa - self._used_kPa
+        self._used_kPa = used_kPa
         self._unchanged_kPa = self._unchanged_kPa + volume_kPa if reservoir_kPa == self._reading_kPa else 0.0
         self._reading_kPa = reservoir_kPa
         self._since_rise_s = 0.0 if rise_kPa > 0.0 else self._since_rise_s + now.device_dt_s
+        self._warmth_kPa = min(WARMTH_KPA, self._warmth_kPa + WARMS_ON_KPA_PER_S * now.device_dt_s)
         if self._since_rise_s > BENDS_S:
-            warmer_kPa = WARMS_KPA_PER_S * now.device_dt_s
+            warmer_kPa = min(self._warmth_kPa, WARMS_KPA_PER_S * now.device_dt_s)
+            self._warmth_kPa -= warmer_kPa
             self._by_volume_kPa += warmer_kPa
             self._by_learned_kPa += warmer_kPa
             self._low_kPa += warmer_kPa
@@ -200,14 +232,21 @@ class ReservoirSensor:
             self._begin()
             return
         elif kPa > self._most_kPa + margin_kPa:
-            rises = kPa > self._low_kPa + margin_kPa
-            self._find("rises without filling" if rises else "does not fall as the vine fills", kPa)
+            self._find(t, self._what(kPa, margin_kPa), kPa)
             return
         self._by_volume_kPa = min(self._by_volume_kPa, air_kPa)
         self._by_learned_kPa = min(self._by_learned_kPa, air_kPa)
         self._low_kPa = min(self._low_kPa, air_kPa)
 
-    def _find(self, what: str, kPa: float) -> None:
+    def _rose(self) -> bool:
+        """The estimate has found a sudden rise, which it would report as a refill."""
+        return self._learned is not None and self._learned.rose_kPa > self._rose_kPa
+
+    def _what(self, kPa: float, margin_kPa: float) -> str:
+        return RISES if kPa > self._low_kPa + margin_kPa else STAYS
+
+    def _find(self, t: float, what: str, kPa: float) -> None:
+        self.found_at = t
         self._finding = f"reservoir sensor {what}: cycles unknown"
         self._right_s = 0.0
         # A stuck sensor must not be right again because of its noise.
