@@ -441,8 +441,8 @@ class Core:
         On the ground this also ends the doubt in the reservoir's sensor.
         """
         had_faults = bool(self._safety.reasons) or self._supply.sensor_in_doubt
-        if not self._vehicle.state.armed and self._supply.believe_sensor(seen_at):
-            self._notice(t, Severity.NOTICE, "reservoir sensor is believed again")
+        if not self._vehicle.state.armed:
+            self._supply.believe_sensor(seen_at)
         now = self._conditions(t)
         cleared = self._safety.clear(now, seen_at)
         if now.faults and self._safety.firmware_faults_seen(seen_at):

@@ -27,6 +27,7 @@ from flying_vines.supply.learned_file import learned_from, text_of
 from flying_vines.supply.physics_checks import (
     AIR_LOSSES,
     CHECKS,
+    Expected,
     PhysicsChecks,
     PhysicsFinding,
     ReservoirSensor,
@@ -54,6 +55,10 @@ AIR_UNKNOWN = AirNeeded(math.inf, math.inf)
 """Used after the estimate has failed: no reservoir has so much air, so every bend is refused."""
 
 
+def _as_it_is(sensor: ReservoirSensor, _: Expected) -> ReservoirSensor:
+    return sensor
+
+
 class SupplyMonitor:
     """Call `read` and `find` for each telemetry message, and `tick` at each tick.
 
@@ -73,7 +78,7 @@ class SupplyMonitor:
         """The number of measured cycles that was stored last; NaN after an event, to store the air again."""
         self._kept_at = -math.inf
         self._sensor = ReservoirSensor(expected(prior, config.checks), self.reservoir)
-        checks = CHECKS | {SENSOR: lambda _: self._sensor}
+        checks = CHECKS | {SENSOR: partial(_as_it_is, self._sensor)}
         self._checks = PhysicsChecks(prior, config.checks, checks if self.has_reservoir else {})
         self._own_checks = own_checks(prior, config.checks)
         self._own_levels = config.checks.own
@@ -102,13 +107,11 @@ class SupplyMonitor:
         """The reservoir's sensor is wrong, so the air left is unknown."""
         return SENSOR in self._checks.present
 
-    def believe_sensor(self, seen_at: float) -> bool:
-        """A person says that the reservoir's sensor is right. False if they have not seen that it is wrong."""
-        if not self.sensor_in_doubt or self._sensor.found_at > seen_at:
-            return False
-        self._sensor.clear()
-        del self._checks.present[SENSOR]
-        return True
+    def believe_sensor(self, seen_at: float) -> None:
+        """A person says that the reservoir's sensor is right, if they have seen that it was in doubt."""
+        if self.sensor_in_doubt and self._sensor.found_at <= seen_at:
+            self._sensor.clear()
+            del self._checks.present[SENSOR]
 
     @property
     def faults(self) -> dict[str, str]:
@@ -167,7 +170,8 @@ class SupplyMonitor:
         if not (flown or changed or abs(reservoir.read_at - self._cycles_at) >= CYCLES_EVERY_S):
             return ""
         self._cycles_at = reservoir.read_at
-        event = self._parts.run(t, "cycles left", lambda: cycles.update(t, lost, in_doubt), None)
+        armed = self.features is not None and self.features.armed
+        event = self._parts.run(t, "cycles left", lambda: cycles.update(t, lost, in_doubt, armed), None)
         if event is None:
             cycles.left = None
         return event or ""

@@ -59,10 +59,11 @@ class ReportedCycles:
         self.lost = False
         self.in_doubt = False
 
-    def update(self, t: float, lost: bool, in_doubt: bool = False) -> str:
+    def update(self, t: float, lost: bool, in_doubt: bool = False, armed: bool = False) -> str:
         """Predict. Returns the event as text; empty if none.
 
-        `lost`: a fault that loses air is latched. `in_doubt`: the reservoir's sensor is wrong.
+        `lost`: a fault that loses air is latched. `in_doubt`: the reservoir's sensor is wrong. `armed`: nobody
+        can refill the reservoir.
         """
         if self.lost and not lost:
             # Somebody has repaired the rig: the air of a bend and the leaks are unknown again.
@@ -84,7 +85,7 @@ class ReportedCycles:
             self._forget()
             self.left = None
             self._estimate.restart()
-            return "reservoir sensor is right again, cycles left are learned again"
+            return "reservoir sensor is believed again, cycles left are learned again"
         new, basis, air = self._estimate.cycles_left(), self._estimate.basis, self._estimate.filter
         if new is None or basis is None or air is None:
             self.left = None
@@ -102,7 +103,8 @@ class ReportedCycles:
         if jumped_kPa and self._is_reported(t, new):
             self._forget()
             self._compare(t, new, basis)
-            return f"{'reservoir refilled' if jumped_kPa > 0.0 else 'reservoir lost air at once'}, {new}"
+            refilled = "reservoir pressure rose" if armed else "reservoir refilled"
+            return f"{refilled if jumped_kPa > 0.0 else 'reservoir lost air at once'}, {new}"
         return self._compare(t, new, basis)
 
     def _forget(self) -> None:

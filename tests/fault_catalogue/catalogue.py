@@ -674,7 +674,7 @@ SENSORS = (
         "bottle_sensor_stuck",
         "reservoir sensor stuck",
         "check `bottle_sensor`: the vine took air, and all readings are equal",
-        "bottle sensor stuck at",
+        "reservoir sensor stuck at",
         Cleared.AT_ONCE,
         safe_state="continues; the pilot is warned",
     ),

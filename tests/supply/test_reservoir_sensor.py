@@ -1,4 +1,4 @@
-"""A wrong sensor of the reservoir is found, and the cycles left are unknown. Warming and cold gas are no fault."""
+"""A wrong sensor of the reservoir is found: cycles unknown. Warming and cold gas are no fault."""
 
 from __future__ import annotations
 
@@ -82,6 +82,17 @@ def test_a_jump_up_of_an_armed_vehicles_reading_is_no_refill(jump_kPa: float) ->
     assert bench.in_doubt == RISES
     assert cycles.update(bench.t, False, bool(bench.in_doubt)) == ""
     assert cycles.left is None
+
+
+def test_a_rise_that_the_check_allows_is_not_called_a_refill_in_flight() -> None:
+    bench = Bench(start_kPa=400.0)
+    cycles = ReportedCycles(bench.estimate)
+    bench.fly(4)
+    cycles.update(bench.t, False, armed=True)
+    assert bench.estimate.filter is not None
+    bench.estimate.filter.jumped_kPa = 7.0
+    bench.t += 20.0
+    assert cycles.update(bench.t, False, armed=True).startswith("reservoir pressure rose, ")
 
 
 def test_a_refill_of_a_disarmed_vehicle_is_no_fault_and_gives_new_cycles() -> None:
@@ -172,7 +183,7 @@ def test_a_sensor_that_was_frozen_for_30_s_is_found_and_is_right_again() -> None
     bench.rest(4.0)
     assert bench.in_doubt == ""
     event = cycles.update(bench.t, False, in_doubt=False)
-    assert event == "reservoir sensor is right again, cycles left are learned again"
+    assert event == "reservoir sensor is believed again, cycles left are learned again"
     bench.bend(6)
     cycles.update(bench.t, False)
     left = cycles.left

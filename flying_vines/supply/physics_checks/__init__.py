@@ -12,13 +12,14 @@ from flying_vines.supply.physics_checks.checks import (
     PhysicsFinding,
     own_checks,
 )
-from flying_vines.supply.physics_checks.expected import expected
+from flying_vines.supply.physics_checks.expected import Expected, expected
 from flying_vines.supply.physics_checks.reservoir_sensor import ReservoirSensor
 
 __all__ = [
     "AIR_LOSSES",
     "CHECKS",
     "Check",
+    "Expected",
     "PhysicsChecks",
     "PhysicsFinding",
     "ReservoirSensor",

@@ -33,8 +33,6 @@ CALM_S = 0.3
 """After a flow the pressure at the sensor needs this time."""
 WORKING_OPENING = 0.6
 """A regulator holds a bent vine with a smaller opening of its inflation valve."""
-REFILL_KPA = 5.0
-"""A rise by this much while the vehicle is disarmed is a refill."""
 ARMED_S = 2.0
 """A rise that began before the vehicle was armed is over after this time."""
 WARMS_KPA_PER_S = 0.15
@@ -147,7 +145,7 @@ class ReservoirSensor:
         self._block_kPa = math.nan
         """Mean of the last block."""
         self._by_volume_kPa = self._by_learned_kPa = self._low_kPa = math.inf
-        """The account with the least air of any vine of this volume, with the learned air, and without bends."""
+        """The account, less the least air of any vine of this volume; less the learned air; without bends."""
         self._warmth_kPa = WARMTH_KPA
         self._right_s = 0.0
         self._finding: str | None = None
@@ -228,8 +226,8 @@ class ReservoirSensor:
             if self._right_s < RIGHT_S:
                 return
             self._finding = None
-        elif not armed and kPa > self._low_kPa + max(REFILL_KPA, margin_kPa):
-            self._begin()
+        elif not armed and kPa > self._low_kPa + margin_kPa:
+            self._begin()  # a refill
             return
         elif kPa > self._most_kPa + margin_kPa:
             self._find(t, self._what(kPa, margin_kPa), kPa)
