@@ -191,8 +191,8 @@ class SupplyMonitor:
     def _changed(self, t: float) -> str | None:
         """The learned air as text, if it must be stored now; empty text to forget it.
 
-        It must be stored after new cycles or an event, at most once in `KEEP_EVERY_S`. What a wrong sensor has
-        taught is forgotten.
+        It must be stored after new cycles or an event, at most once in `KEEP_EVERY_S`. What a wrong sensor
+        has taught is forgotten.
         """
         reservoir = self.reservoir
         if self._cycles.in_doubt:

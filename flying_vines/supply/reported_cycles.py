@@ -62,8 +62,8 @@ class ReportedCycles:
     def update(self, t: float, lost: bool, in_doubt: bool = False, armed: bool = False) -> str:
         """Predict. Returns the event as text; empty if none.
 
-        `lost`: a fault that loses air is latched. `in_doubt`: the reservoir's sensor is wrong. `armed`: nobody
-        can refill the reservoir.
+        `lost`: a fault that loses air is latched. `in_doubt`: the reservoir's sensor is wrong. `armed`: a
+        rise is no refill.
         """
         if self.lost and not lost:
             # Somebody has repaired the rig: the air of a bend and the leaks are unknown again.

@@ -1,7 +1,7 @@
 """Checks the reservoir's sensor against an account of the air, over the whole flight.
 
-The account is the maximum that a right sensor can read. Each bend lowers it by the least air that the bend
-has surely used, and each reading lowers it to the air that this reading shows. Only slow warming raises it. So a
+The account is the maximum that a right sensor can read. Each bend lowers it by the air that the bend has
+surely used, and each reading lowers it to the air that this reading shows. Only slow warming raises it. So a
 reading above the account is wrong, whatever the reason: the sensor is stuck, drifts up, or jumped up.
 
 A cold gas warms up again, and then the reading rises without filling. So a reading shows up to `_Cold` more
@@ -42,7 +42,7 @@ WARMTH_KPA = 12.0
 WARMS_ON_KPA_PER_S = 0.01
 """Warming that goes on, as during a morning: 13 K in an hour."""
 BENDS_S = 5.0
-"""For this time after a rise of the vine no warming is assumed: it is less than the air that is not counted."""
+"""For this time after a rise of the vine no warming is assumed: the air that is not counted is more."""
 RIGHT_S = 5.0
 """A sensor is right again when it has read less than the account for this time."""
 VINE_FILTER_S = 0.1
