@@ -219,7 +219,8 @@ class ReservoirSensor:
         before_kPa = kPa if self._block_at is None else self._block_kPa
         self._block_at, self._block_kPa = t, kPa
         air_kPa = kPa + self._cold.fall(before_kPa - kPa, dt_s, kPa)
-        armed, self._block_armed = self._block_armed, self._armed
+        armed = self._block_armed and self._armed
+        self._block_armed = self._armed
         margin_kPa = MARGIN_KPA + NOISE_SDS * sd_kPa
         if self._finding is not None:
             self._right_s = self._right_s + BLOCK_S if kPa < self._most_kPa else 0.0
