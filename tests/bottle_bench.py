@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
 
 from firmware_link.protocol import Fault, Mode, Telemetry
-from flying_vines.config.config import PneumaticsConfig
+from flying_vines.config.config import ChecksConfig, PneumaticsConfig
 from flying_vines.supply import CyclesLeft, ReservoirEstimate, TelemetryReader, nominal
+from flying_vines.supply.physics_checks import CHECKS, PhysicsChecks, ReservoirSensor, expected
 
 DEMONSTRATION = PneumaticsConfig()
 
@@ -18,13 +20,25 @@ class Bench:
     `cost_kPa` is the reservoir's fall for a rise of the vine by 20.7 kPa; `leak_per_s` is the share of the
     pressure that is lost each second. The gas cools with the outflow: each lost kPa lowers the reading by
     another 0.4 kPa, which comes back with the time constant `recovery_s`.
+
+    `lie` changes a reading of the sensor. `in_doubt` is the finding of the check of the sensor.
     """
 
     def __init__(
-        self, cost_kPa: float = 6.1, leak_per_s: float = 0.0, start_kPa: float = 690.0, seed: int = 1
+        self,
+        cost_kPa: float = 6.1,
+        leak_per_s: float = 0.0,
+        start_kPa: float = 690.0,
+        seed: int = 1,
+        pneumatics: PneumaticsConfig = DEMONSTRATION,
     ) -> None:
-        self.reader = TelemetryReader(nominal(DEMONSTRATION))
-        self.estimate = ReservoirEstimate(nominal(DEMONSTRATION))
+        prior, limits = nominal(pneumatics), ChecksConfig()
+        self.reader = TelemetryReader(prior)
+        self.estimate = ReservoirEstimate(prior)
+        self.sensor = ReservoirSensor(expected(prior, limits), self.estimate)
+        self.checks = PhysicsChecks(prior, limits, CHECKS | {"bottle_sensor": lambda _: self.sensor})
+        self.lie: Callable[[float], float] = lambda reading_kPa: reading_kPa
+        self.armed = True
         self.t = 0.0
         self.reservoir_kPa = start_kPa
         self.cold_kPa = 0.0
@@ -33,6 +47,11 @@ class Bench:
         self.venturi_kPa_per_s = 0.0
         self.leak_per_s = leak_per_s
         self._random = random.Random(seed)
+
+    @property
+    def in_doubt(self) -> str:
+        finding = self.checks.present.get("bottle_sensor")
+        return finding.sentence if finding else ""
 
     def left(self) -> CyclesLeft:
         left = self.estimate.cycles_left()
@@ -72,7 +91,7 @@ class Bench:
         mode: Mode = Mode.REGULATE,
     ) -> None:
         if reservoir_kPa is None:
-            reservoir_kPa = self._random.gauss(self.reservoir_kPa - self.cold_kPa, 1.2)
+            reservoir_kPa = self.lie(self._random.gauss(self.reservoir_kPa - self.cold_kPa, 1.2))
         cv_kPa = self._random.gauss(setpoint_kPa, 0.15)
         telemetry = Telemetry(
             round(self.t * 1000),
@@ -86,7 +105,9 @@ class Bench:
             dvp,
             solenoid,
         )
-        self.estimate.update(self.reader.read(self.t, telemetry))
+        features = self.reader.read(self.t, telemetry, self.armed)
+        self.estimate.update(features)
+        self.checks.take(features)
 
     def rest(self, seconds: float) -> None:
         self.see(seconds, 0.0, 0.0)

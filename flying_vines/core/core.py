@@ -266,7 +266,7 @@ class Core:
                     self._notice(t, Severity.INFO if is_new else Severity.DEBUG, ready)
                 case fw.TelemetryReceived(telemetry):
                     self._actions.append(Measured(t, telemetry))
-                    features = self._supply.read(t, telemetry)
+                    features = self._supply.read(t, telemetry, self._vehicle.state.armed)
                     made_at = t - self._firmware.telemetry_age(t)
                     self._board_mode.note(made_at, telemetry.mode, self._commanded_mode)
                     if telemetry.faults or features.cv_lower_kPa > self.config.limits.overpressure_kPa:
@@ -436,9 +436,14 @@ class Core:
         self._drive(t)
 
     def _clear_faults(self, t: float, seen_at: float = math.inf) -> bool:
-        """Clear the faults that a person may clear. Returns True if there was any loss or fault before."""
+        """Clear the faults that a person may clear. Returns True if there was any loss or fault before.
+
+        On the ground this also ends the doubt in the reservoir's sensor.
+        """
+        had_faults = bool(self._safety.reasons) or self._supply.sensor_in_doubt
+        if not self._vehicle.state.armed:
+            self._supply.believe_sensor(seen_at)
         now = self._conditions(t)
-        had_faults = bool(self._safety.reasons)
         cleared = self._safety.clear(now, seen_at)
         if now.faults and self._safety.firmware_faults_seen(seen_at):
             self._to_firmware(self._firmware.clear_faults(t, now.faults))

@@ -24,20 +24,39 @@ from flying_vines.supply import (
 )
 from flying_vines.supply.cycles_left import AirNeeded
 from flying_vines.supply.learned_file import learned_from, text_of
-from flying_vines.supply.physics_checks import AIR_LOSSES, CHECKS, PhysicsChecks, PhysicsFinding, own_checks
+from flying_vines.supply.physics_checks import (
+    AIR_LOSSES,
+    CHECKS,
+    Expected,
+    PhysicsChecks,
+    PhysicsFinding,
+    ReservoirSensor,
+    expected,
+    own_checks,
+)
 from flying_vines.vehicle.notice import Notice, Severity
 
 CYCLES_EVERY_S = 2.0
 """Interval of the predictions of cycles left. A prediction takes milliseconds of the loop's time."""
 
+FORGOTTEN = -1.0
+"""Instead of the number of stored cycles: nothing is stored."""
+
 KEEP_EVERY_S = 10.0
 """Minimum interval between two writes of the learned air to disk."""
+
+SENSOR = "bottle_sensor"
+"""While this check finds something, the cycles left are unknown."""
 
 NO_AIR_NEEDED = AirNeeded(0.0, 0.0)
 """For an actuator without a reservoir."""
 
 AIR_UNKNOWN = AirNeeded(math.inf, math.inf)
 """Used after the estimate has failed: no reservoir has so much air, so every bend is refused."""
+
+
+def _as_it_is(sensor: ReservoirSensor, _: Expected) -> ReservoirSensor:
+    return sensor
 
 
 class SupplyMonitor:
@@ -58,15 +77,17 @@ class SupplyMonitor:
         self._kept_cycles = self.reservoir.measured_cycles
         """The number of measured cycles that was stored last; NaN after an event, to store the air again."""
         self._kept_at = -math.inf
-        self._checks = PhysicsChecks(prior, config.checks, CHECKS if self.has_reservoir else {})
+        self._sensor = ReservoirSensor(expected(prior, config.checks), self.reservoir)
+        checks = CHECKS | {SENSOR: partial(_as_it_is, self._sensor)}
+        self._checks = PhysicsChecks(prior, config.checks, checks if self.has_reservoir else {})
         self._own_checks = own_checks(prior, config.checks)
         self._own_levels = config.checks.own
         self._cycles = ReportedCycles(self.reservoir)
         self._cycles_at = -math.inf
         self._low_warned = False
 
-    def read(self, t: float, telemetry: Telemetry) -> Features:
-        features = self.features = self._reader.read(t, telemetry)
+    def read(self, t: float, telemetry: Telemetry, armed: bool) -> Features:
+        features = self.features = self._reader.read(t, telemetry, armed)
         return features
 
     def find(self, t: float, features: Features) -> list[PhysicsFinding]:
@@ -80,6 +101,17 @@ class SupplyMonitor:
             needed = self._own_levels[name] == "fault"
             found = found + run(t, f"check {name}", partial(checks.take, features), none, needed)
         return found
+
+    @property
+    def sensor_in_doubt(self) -> bool:
+        """The reservoir's sensor is wrong, so the air left is unknown."""
+        return SENSOR in self._checks.present
+
+    def believe_sensor(self, seen_at: float) -> None:
+        """A person says that the reservoir's sensor is right, if they have seen that it was in doubt."""
+        if self.sensor_in_doubt and self._sensor.found_at <= seen_at:
+            self._sensor.clear()
+            del self._checks.present[SENSOR]
 
     @property
     def faults(self) -> dict[str, str]:
@@ -121,7 +153,7 @@ class SupplyMonitor:
         if self._learned_problem:
             outputs.append(Notice(t, Severity.NOTICE, f"Vine: {self._learned_problem}"))
             self._learned_problem = ""
-        if learned := self._changed(t):
+        if (learned := self._changed(t)) is not None:
             outputs.append(KeepLearned(t, learned))
         return outputs
 
@@ -133,10 +165,13 @@ class SupplyMonitor:
         reservoir, cycles = self.reservoir, self._cycles
         lost = any(name in faults for name in AIR_LOSSES)
         flown = cycles.left is None or cycles.left.measured_cycles != reservoir.measured_cycles
-        if not (flown or lost != cycles.lost or abs(reservoir.read_at - self._cycles_at) >= CYCLES_EVERY_S):
+        in_doubt = self.sensor_in_doubt
+        changed = (lost, in_doubt) != (cycles.lost, cycles.in_doubt)
+        if not (flown or changed or abs(reservoir.read_at - self._cycles_at) >= CYCLES_EVERY_S):
             return ""
         self._cycles_at = reservoir.read_at
-        event = self._parts.run(t, "cycles left", lambda: cycles.update(t, lost), None)
+        armed = self.features is not None and self.features.armed
+        event = self._parts.run(t, "cycles left", lambda: cycles.update(t, lost, in_doubt, armed), None)
         if event is None:
             cycles.left = None
         return event or ""
@@ -153,16 +188,20 @@ class SupplyMonitor:
             self._low_warned = False
         return ""
 
-    def _changed(self, t: float) -> str:
-        """The learned air as text, if it must be stored now; else empty.
+    def _changed(self, t: float) -> str | None:
+        """The learned air as text, if it must be stored now; empty text to forget it.
 
-        It must be stored after new cycles or an event, at most once in `KEEP_EVERY_S`.
+        It must be stored after new cycles or an event, at most once in `KEEP_EVERY_S`. What a wrong sensor
+        has taught is forgotten.
         """
         reservoir = self.reservoir
+        if self._cycles.in_doubt:
+            forgotten, self._kept_cycles = self._kept_cycles == FORGOTTEN, FORGOTTEN
+            return None if forgotten else ""
         if reservoir.measured_cycles == self._kept_cycles or t < self._kept_at + KEEP_EVERY_S:
-            return ""
+            return None
         learned = reservoir.learned
         if learned is None:
-            return ""
+            return None
         self._kept_cycles, self._kept_at = reservoir.measured_cycles, t
         return text_of(self._prior, learned)

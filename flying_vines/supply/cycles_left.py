@@ -13,6 +13,7 @@ the interval of ln n. Pouch: the bending pouch of the actuator.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -66,6 +67,9 @@ MEMORY_CYCLES = 15.0
 PRIOR_CYCLES = 0.05
 """Weight of the assumed cycle, in flown cycles."""
 RECENT_INFLATIONS = 10
+SURE_SHARE = 0.75
+"""The share of the learned air that a bend surely uses, in addition to `SURE_SDS` of its uncertainty."""
+SURE_SDS = 2.0
 MAX_PAUSE_S = 30.0
 """The rest of a longer pause is a wait, not part of the rhythm. `CyclesLeft.minutes` has its cost."""
 LONG_PAUSE = 4.0
@@ -221,6 +225,11 @@ class ReservoirEstimate:
         self._demand = SupplyCost(prior)
         self._mix = _Mix(prior)
         self._inflations: list[ObservedInflation] = []
+        self.sure_use_kPa = 0.0
+        """The air that the bends so far have surely used, as learned. It only grows."""
+        self._known: deque[Rates] = deque(maxlen=RECENT_INFLATIONS)
+        """What was learned before each of the last bends. So a sensor that begins to be wrong does not teach
+        at once that bends use no air."""
         self._warmed_up = False
         self.measured_cycles = 0.0
         """The number of flown cycles from which the cost was learned."""
@@ -274,6 +283,11 @@ class ReservoirEstimate:
         if use.block is not None or use.inflation is not None:
             self._cycle_kPa = self._cost_kPa(self.filter)
 
+    @property
+    def rose_kPa(self) -> float:
+        """A sudden rise of the pressure that `ReportedCycles` has not reported yet."""
+        return max(0.0, self.filter.jumped_kPa) if self.filter else 0.0
+
     def cut_off(self) -> None:
         """The present movement is replaced before its end: nothing is learned from this movement."""
         self._use.cut_off()
@@ -282,6 +296,7 @@ class ReservoirEstimate:
         """Forget the air that a bend takes, and the leaks: vine or reservoir were repaired or exchanged."""
         self._use.cut_off()
         self.filter = self._rates = None
+        self._known.clear()
         self._cycle_kPa = math.nan
         self.measured_cycles = 0.0
         self._warmed_up = False
@@ -289,6 +304,8 @@ class ReservoirEstimate:
     def _add(self, inflation: ObservedInflation, air: ReservoirFilter) -> None:
         if inflation.cut_off:
             return
+        self._known.append(air.rates)
+        self.sure_use_kPa += max(_sure_kPa(known, inflation.spent) for known in self._known)
         if self._prior.packed_kPa > 0.0 and not self._warmed_up:
             # The pouch was packed flat, so the first cycle differs from all later ones.
             self._warmed_up = True
@@ -444,6 +461,16 @@ class ReservoirEstimate:
             setpoints_kPa=tuple(min(swing, 1.2 * swing * (i + 0.5) / TRACE) for i in range(TRACE)),
             spent=self._mix.mean().spent,
         )
+
+
+def _sure_kPa(known: Rates, spent: Spent) -> float:
+    """Lower bound of the air that an inflation has used."""
+    amounts = (spent.rise_kPa, spent.flat)
+    mean = sum(rate * amount for rate, amount in zip(known.mean, amounts, strict=False))
+    variance = sum(
+        known.covariance[i][k] * a * b for i, a in enumerate(amounts) for k, b in enumerate(amounts)
+    )
+    return max(0.0, SURE_SHARE * (mean - SURE_SDS * math.sqrt(max(0.0, variance))))
 
 
 def _min_cost_kPa(p: PneumaticsConfig) -> float:

@@ -57,9 +57,14 @@ class ReportedCycles:
         self._from_before = estimate.measured_cycles > 0.0
         """An earlier run has learned this rig, and may have reported another number just before."""
         self.lost = False
+        self.in_doubt = False
 
-    def update(self, t: float, lost: bool) -> str:
-        """Predict. `lost`: a fault that loses air is latched. Returns the event as text; empty if none."""
+    def update(self, t: float, lost: bool, in_doubt: bool = False, armed: bool = False) -> str:
+        """Predict. Returns the event as text; empty if none.
+
+        `lost`: a fault that loses air is latched. `in_doubt`: the reservoir's sensor is wrong. `armed`: a
+        rise is no refill.
+        """
         if self.lost and not lost:
             # Somebody has repaired the rig: the air of a bend and the leaks are unknown again.
             self.lost = self._from_before = False
@@ -67,6 +72,20 @@ class ReportedCycles:
             self._estimate.restart()
             return "cycles left are learned again"
         self.lost = lost
+        was_in_doubt, self.in_doubt = self.in_doubt, in_doubt
+        if in_doubt and not lost:
+            if self._estimate.filter is not None:
+                self._estimate.filter.jumped_kPa = 0.0
+            self._forget()
+            self.left = None
+            return ""
+        if was_in_doubt and not in_doubt:
+            # The wrong readings have taught a wrong use of air.
+            self._from_before = False
+            self._forget()
+            self.left = None
+            self._estimate.restart()
+            return "reservoir sensor is believed again, cycles left are learned again"
         new, basis, air = self._estimate.cycles_left(), self._estimate.basis, self._estimate.filter
         if new is None or basis is None or air is None:
             self.left = None
@@ -84,7 +103,8 @@ class ReportedCycles:
         if jumped_kPa and self._is_reported(t, new):
             self._forget()
             self._compare(t, new, basis)
-            return f"{'bottle refilled' if jumped_kPa > 0.0 else 'bottle lost air at once'}, {new}"
+            refilled = "reservoir pressure rose" if armed else "reservoir refilled"
+            return f"{refilled if jumped_kPa > 0.0 else 'reservoir lost air at once'}, {new}"
         return self._compare(t, new, basis)
 
     def _forget(self) -> None:

@@ -40,6 +40,8 @@ class Features(NamedTuple):
     t: float
     """Arrival time of the message."""
     telemetry: Telemetry
+    armed: bool
+    """The vehicle is armed."""
     reservoir_kPa: float | None
     """The reading with the sensor's gain and offset corrected; None if it is not valid."""
     reservoir_smooth_kPa: float | None
@@ -128,7 +130,7 @@ class TelemetryReader:
         self._device_time_ms: int | None = None
         self._states = _States()
 
-    def read(self, t: float, telemetry: Telemetry) -> Features:
+    def read(self, t: float, telemetry: Telemetry, armed: bool = False) -> Features:
         """The features of a message that arrived at time `t`."""
         reservoir_kPa = self._read_reservoir(t, telemetry)
         lower_kPa, self._cv_kPa = min(self._cv_kPa, telemetry.cv_kPa), telemetry.cv_kPa
@@ -149,6 +151,7 @@ class TelemetryReader:
         return Features(
             t=t,
             telemetry=telemetry,
+            armed=armed,
             reservoir_kPa=reservoir_kPa,
             reservoir_smooth_kPa=self._reservoir_smooth_kPa,
             cv_lower_kPa=lower_kPa,

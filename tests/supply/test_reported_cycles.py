@@ -190,8 +190,8 @@ def test_a_refill_and_a_burst_are_reported_once_each() -> None:
     reported.bench.reservoir_kPa = 300.0
     reported.rest(30.0)
     assert len(reported.events) == 2
-    assert reported.events[0].startswith("bottle refilled, ")
-    assert reported.events[1].startswith("bottle lost air at once, ")
+    assert reported.events[0].startswith("reservoir refilled, ")
+    assert reported.events[1].startswith("reservoir lost air at once, ")
 
 
 def test_the_number_after_a_jump_agrees_with_that_at_the_jump() -> None:
@@ -207,7 +207,7 @@ def test_the_number_after_a_jump_agrees_with_that_at_the_jump() -> None:
         patch.setattr(bench.estimate, "cycles_left", lambda: predicted[-1])
         air.jumped_kPa = -300.0
         assert reported.left.expected == 21.0
-        assert reported.events == ["bottle lost air at once, 21 cycles left (10-40)"]
+        assert reported.events == ["reservoir lost air at once, 21 cycles left (10-40)"]
         bench.t += 2.0
         predicted.append(replace(before, expected=70.0, low=51.0, high=96.0))
         after = reported.left

@@ -13,13 +13,17 @@ from flying_vines.supply import Features, RigPrior
 from flying_vines.supply.physics_checks.expected import Expected, expected
 from flying_vines.supply.physics_checks.filling import Filling, StuckVineSensor
 from flying_vines.supply.physics_checks.leak import VineLeak
-from flying_vines.supply.physics_checks.reservoir import Hot, ReservoirLoss, ReservoirSensor
+from flying_vines.supply.physics_checks.reservoir import Hot, ReservoirLoss
+from flying_vines.supply.physics_checks.reservoir_sensor import ReservoirSensor
 from flying_vines.supply.physics_checks.venting import VentingCheck
 from flying_vines.supply.physics_checks.vine_sensor import SuddenFall, Unsteady, Zero
 
 BRIDGING = ("filling",)
 """These checks count only air that certainly went in, so they continue over a gap. All others restart at each
 gap: twice a second if a fifth of 10 Hz telemetry is lost."""
+
+ENDURING = ("bottle_sensor",)
+"""These checks keep an account of the whole flight, also over long gaps. Their findings stay."""
 
 AIR_LOSSES = ("filling", "sudden_fall", "bottle_loss")
 """After one of these faults no air is left for a bend."""
@@ -38,7 +42,8 @@ class PhysicsFinding:
 
 
 class Check(Protocol):
-    """One physics check. After a gap in the telemetry a new object replaces it, if not in `BRIDGING`."""
+    """One physics check. After a gap in the telemetry a new object replaces it, if it is neither in
+    `BRIDGING` nor in `ENDURING`."""
 
     def look(self, now: Features) -> str | None:
         """Take in one telemetry message. Returns the finding while it is present."""
@@ -76,12 +81,14 @@ class PhysicsChecks:
         self.present: dict[str, PhysicsFinding] = {}
         self.counts: Counter[str] = Counter()
         """The number of findings of each check."""
-        self.restart()
+        self._checks = {name: check(self._rig) for name, check in made_by.items()}
 
     def restart(self) -> None:
-        """Start all checks again, because the time before is unknown."""
-        self._checks = {name: check(self._rig) for name, check in self._made_by.items()}
-        self.present = {}
+        """Start all checks again that do not endure, because the time before is unknown."""
+        for name, check in self._made_by.items():
+            if name not in ENDURING:
+                self._checks[name] = check(self._rig)
+                self.present.pop(name, None)
 
     def take(self, now: Features) -> list[PhysicsFinding]:
         """Take in one telemetry message. Returns the new findings."""
@@ -92,7 +99,7 @@ class PhysicsChecks:
         new: list[PhysicsFinding] = []
         gap = now.continuity == "gap"
         for name, check in self._checks.items():
-            if gap and name not in BRIDGING:
+            if gap and name not in BRIDGING and name not in ENDURING:
                 self._checks[name] = self._made_by[name](self._rig)
                 self.present.pop(name, None)
                 continue

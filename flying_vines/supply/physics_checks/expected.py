@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from flying_vines.config.config import ChecksConfig
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.plant.flow import Opening
+from flying_vines.physics.plant.wall import Wall
 from flying_vines.supply import Features, RigPrior
 from flying_vines.supply.air_use import driving_kPa
 from flying_vines.supply.rig_prior import AMBIENT_KPA, MIN_RISE_SHARE, conductance_SL_per_s_kPa
@@ -36,6 +37,8 @@ class Expected:
     vine_min_L: float
     vine_max_L: float
     reservoir_L: float
+    wall: Wall
+    """The reservoir's wall."""
     full_kPa: float
     evp_law: Opening
     """As rated."""
@@ -92,6 +95,7 @@ def expected(prior: RigPrior, checks: ChecksConfig) -> Expected:
         vine_min_L=p.cv_volume_L / checks.volume_factor,
         vine_max_L=p.cv_volume_L * checks.volume_factor,
         reservoir_L=p.reservoir_volume_L,
+        wall=prior.wall,
         full_kPa=p.full_kPa,
         evp_law=prior.evp_law.numbers(),
         dvp_SL_per_s_kPa=conductance_SL_per_s_kPa(p.dvp_flow_resistance_kPa_s_per_SL, p.full_kPa),

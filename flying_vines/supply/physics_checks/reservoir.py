@@ -20,15 +20,6 @@ SHARE_OF_EVP = 1.0 / 3.0
 HOT = 1.06
 """Limit as a share of the full reservoir's pressure. The error band of a good sensor ends below it."""
 HIGH_S = 1.0
-STUCK_KPA = 1.5
-"""A reading is stuck if it did not change at all while a fall by this much was expected."""
-BLIND_KPA = 15.0
-"""A sensor is blind if a fall by this much was expected and its reading fell by less than a fifth of it."""
-TURN_KPA = 2.0
-"""A smaller fall is noise, not a turn."""
-VINE_FILTER_S = 0.1
-RESTART_S = 120.0
-"""Restart after this time, because warming by the sun may hide a slower fall."""
 
 
 class ReservoirLoss:
@@ -76,51 +67,6 @@ class ReservoirLoss:
             if lost_kPa > MARGIN_KPA + self._noise_kPa + SHARE_OF_EVP * open_kPa_per_s * seconds:
                 return f"bottle loses {lost_kPa / seconds:.0f} kPa/s too much"
         return None
-
-
-class ReservoirSensor:
-    """Finds a stuck or blind sensor: the vine filled, and the reading did not fall."""
-
-    def __init__(self, rig: Expected) -> None:
-        self._rig = rig
-        self._cv_kPa = self._top_kPa = 0.0
-        self._reading_kPa: float | None = None
-        self._unchanged_kPa = 0.0
-        """Expected fall since the reading last changed."""
-        self._begin(0.0)
-
-    def _begin(self, reservoir_kPa: float) -> None:
-        self._since_s = 0.0
-        self._expected_kPa = 0.0
-        self._first_kPa = self._smooth_kPa = reservoir_kPa
-
-    def look(self, now: Features) -> str | None:
-        reservoir_kPa = now.telemetry.reservoir_kPa
-        if self._reading_kPa is None:
-            self._begin(reservoir_kPa)
-            self._cv_kPa = self._top_kPa = now.cv_median_kPa
-        self._since_s += now.device_dt_s
-        self._smooth_kPa += (reservoir_kPa - self._smooth_kPa) * min(1.0, now.device_dt_s / BLOCK_S)
-        expected_kPa = self._rig.reservoir_fall_kPa(self._rig.min_air_SL(self._follow_vine(now)))
-        self._expected_kPa += expected_kPa
-        self._unchanged_kPa = (
-            self._unchanged_kPa + expected_kPa if reservoir_kPa == self._reading_kPa else 0.0
-        )
-        self._reading_kPa = reservoir_kPa
-        if self._unchanged_kPa > STUCK_KPA:
-            return f"bottle sensor stuck at {reservoir_kPa:.0f} kPa"
-        if self._expected_kPa > BLIND_KPA and self._first_kPa - self._smooth_kPa < 0.2 * self._expected_kPa:
-            return "bottle reading stays as vine fills: sensor or kink"
-        if self._expected_kPa > BLIND_KPA or self._since_s > RESTART_S:
-            self._begin(self._smooth_kPa)
-        return None
-
-    def _follow_vine(self, now: Features) -> float:
-        """Take in the vine's pressure. Returns its rise."""
-        self._cv_kPa += (now.cv_median_kPa - self._cv_kPa) * min(1.0, now.device_dt_s / VINE_FILTER_S)
-        rise_kPa = max(0.0, self._cv_kPa - self._top_kPa)
-        self._top_kPa = self._cv_kPa if rise_kPa else min(self._top_kPa, self._cv_kPa + TURN_KPA)
-        return rise_kPa
 
 
 class Hot:

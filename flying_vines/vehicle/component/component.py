@@ -115,7 +115,9 @@ class Component:
             *self._values.due(t, time_boot_ms, values),
         ]
         if config.telemetry.fuel_status:
-            reservoir_kPa = values.get("RES_KPA", math.nan)
+            # While the cycles left are unknown, the reading may be wrong: a level would look right.
+            known = math.isfinite(values.get("CYC_LEFT", math.nan))
+            reservoir_kPa = values.get("RES_KPA", math.nan) if known else math.nan
             due.extend(self._fuel.due(t, reservoir_kPa, config.pneumatics.full_kPa))
         for message in due:
             self._queue.put(message)
