@@ -44,6 +44,7 @@ from flying_vines.core.events import (
 from flying_vines.core.isolated_parts import IsolatedParts
 from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.pending_bend import PendingBend, PendingBendTracker, source
+from flying_vines.core.request_lines import RequestLines
 from flying_vines.core.restarts import Restarts
 from flying_vines.core.safety import LossEnded, ResponseNeeded, Ruling, Safety, SafetyInputs
 from flying_vines.core.snapshot import Snapshot
@@ -91,6 +92,7 @@ MOVING = (StartProfile, BendTo, SetPressure)
 _BY_PILOT_OR_SAFETY = {"switch", *UNREQUESTED}
 """Triggers of the pilot's own switch and of safety. All others come from another person, the mission or an
 installed package."""
+_NEVER_FLOODS = (*_BY_PILOT_OR_SAFETY, "mission_item")
 
 _SENSOR_TEXTS = {
     "cv_kPa": "vine sensor reads",
@@ -153,6 +155,9 @@ class Core:
         self._bench_until = -math.inf
         self._requested_at = -math.inf
         self._board_mode = BoardMode()
+        self._request_lines = RequestLines()
+        self._motion_before: Motion | None = None
+        """The motion before the latest request."""
         self._restarts = Restarts(self._actuator)
         self._restart_noted = False
         """True from a board restart until the board is ready again."""
@@ -324,6 +329,7 @@ class Core:
     def _decide(self, t: float, trigger: Trigger) -> Decision:
         """Let safety judge a trigger. Carry out its intent, or refuse it with a reason."""
         now = self._check_safety(t)
+        self._motion_before = self._motion
         intent = trigger.intent
         if trigger.by_person and self._on_bench:
             self._bench_until = t + BENCH_S
@@ -454,6 +460,8 @@ class Core:
             self._requested_at = max(self._requested_at, t - trigger.age_s)
         if ruling.verdict == "refused" and motion is None:
             self._pending_bend.refused(trigger.kind, ruling.reason)
+        line = self._line(t, trigger, ruling)
+        changes_nothing = motion is self._motion_before
         decision = Decision(
             t=t,
             trigger=trigger.kind,
@@ -462,18 +470,27 @@ class Core:
             safety=ruling.verdict,
             reason=ruling.reason,
             setpoint_kPa=round(motion.aim_kPa, 3) if motion else 0.0,
+            shown=not (changes_nothing and line.source) or self._request_lines.take(line),
         )
         self._actions.append(decision)
         if is_newer and trigger.kind not in _BY_PILOT_OR_SAFETY:
             self._vehicle.pilot.others_asked(straightened=motion is None or motion.only_deflates)
-        if ruling.verdict == "refused":
-            request = decision.intent or trigger.kind.replace("_", " ")
-            if (seq := trigger.what.get("seq")) is not None:
-                request = f"item {seq}" + (f", {decision.intent}" if decision.intent else "")
-            self._notice(t, Severity.WARNING, f"refused {request}: {ruling.reason}", True)
-        elif ruling.verdict == "limited":
-            self._notice(t, Severity.NOTICE, f"{decision.intent} limited {ruling.reason}", True)
+        if decision.shown and ruling.verdict != "accepted":
+            self._show(line)
         return decision
+
+    def _line(self, t: float, trigger: Trigger, ruling: Ruling) -> Notice:
+        """A decision as a text. Only requests that others can send in floods have a source."""
+        request = str(trigger.intent or trigger.kind.replace("_", " "))
+        severity, text = Severity.NOTICE, f"{request} {ruling.verdict} {ruling.reason}".rstrip()
+        if ruling.verdict == "refused":
+            if (seq := trigger.what.get("seq")) is not None:
+                request = f"item {seq}" + (f", {trigger.intent}" if trigger.intent else "")
+            severity, text = Severity.WARNING, f"refused {request}: {ruling.reason}"
+        sender = "" if trigger.kind in _NEVER_FLOODS else trigger.kind
+        if trigger.kind == "command":
+            sender = str(trigger.what.get("from", sender))
+        return Notice(t, severity, f"Vine: {text}", of_decision=True, source=sender)
 
     # Motions.
 
@@ -553,6 +570,8 @@ class Core:
             self._notice(t, Severity.NOTICE, text)
         if text := self._restarts.tick(t):
             self._notice(t, Severity.WARNING, text)
+        for counted in self._request_lines.due(t):
+            self._show(counted)
         self._report_waiting(t)
         self._watch_supply(t)
         self._keep_latched(t)
@@ -800,6 +819,10 @@ class Core:
         self._publish(Notice(t, severity, f"Vine: {text}", of_decision))
 
     def _publish(self, notice: Notice) -> None:
+        if not notice.source or self._request_lines.take(notice):
+            self._show(notice)
+
+    def _show(self, notice: Notice) -> None:
         self._actions.append(notice)
         if notice.severity is not Severity.DEBUG:
-            self._vehicle.component.say(notice.t, notice.severity, notice.text)
+            self._vehicle.component.say(notice)
