@@ -18,7 +18,7 @@ from firmware_link import host as fw
 from firmware_link import protocol
 from flying_vines.config.config import Config
 from flying_vines.core.asked import trigger_of
-from flying_vines.core.board_mode import BoardMode
+from flying_vines.core.board_mode import BoardMode, BoardSetpoint
 from flying_vines.core.events import (
     UNREQUESTED,
     Action,
@@ -106,6 +106,7 @@ _RESPONSE_TEXTS = {
     "telemetry": "vent commanded",
     "venting": "outlet commanded open",
     "regulates": "vent commanded",
+    "setpoint": "vent commanded",
 }
 """For these faults the core cannot see whether the vine is vented. So the text says what is done."""
 
@@ -155,6 +156,7 @@ class Core:
         self._bench_until = -math.inf
         self._requested_at = -math.inf
         self._board_mode = BoardMode()
+        self._board_setpoint = BoardSetpoint()
         self._request_lines = RequestLines()
         self._motion_before: Motion | None = None
         """The motion before the latest request."""
@@ -250,6 +252,7 @@ class Core:
 
     def _on_firmware_link(self, t: float, up: bool) -> None:
         self._board_mode.restart()
+        self._board_setpoint.restart()
         self._restart_noted = False
         if up:
             self._firmware.opened(t)
@@ -274,6 +277,7 @@ class Core:
                     features = self._supply.read(t, telemetry)
                     made_at = t - self._firmware.telemetry_age(t)
                     self._board_mode.note(made_at, telemetry.mode, self._commanded_mode)
+                    self._note_setpoint(made_at, telemetry)
                     if telemetry.faults or features.cv_lower_kPa > self.config.limits.overpressure_kPa:
                         self._check_safety(t)
                     self._estimate(t, features)
@@ -295,9 +299,19 @@ class Core:
         self._restart_noted = True
         self._firmware_problem = "restarted"
         self._board_mode.restart()
+        self._board_setpoint.restart()
         first = self._restarts.note(t)
         why = f"{self._actuator} restarted: {reason}" if first else self._restarts.looping(t)
         self._enter(t, self._safety.latch(t, "firmware_reset", why))
+
+    def _note_setpoint(self, made_at: float, telemetry: protocol.Telemetry) -> None:
+        if self._motion is None or telemetry.mode is not protocol.Mode.REGULATE:
+            self._board_setpoint.restart()
+            return
+        welcome = self._firmware.welcome
+        board_rate_kPa_per_s = welcome.rate_limit_kPa_per_s if welcome else math.inf
+        rate_kPa_per_s = min(self._motion.rate_kPa_per_s, board_rate_kPa_per_s)
+        self._board_setpoint.note(made_at, telemetry.setpoint_kPa, rate_kPa_per_s)
 
     def _estimate(self, t: float, features: Features) -> None:
         """Update the estimates, and run the physics checks."""
@@ -510,6 +524,7 @@ class Core:
         command: fw.HostCommand = fw.VENTING
         if self._motion is not None:
             command = fw.Regulate(self._motion.setpoint_kPa(t + TICK_S), self._motion.rate_kPa_per_s)
+            self._board_setpoint.command(t, command.target_kPa)
         self._to_firmware(self._firmware.command(t, command))
 
     @property
@@ -628,6 +643,7 @@ class Core:
             cv_kPa=features.cv_lower_kPa if features else math.nan,
             reservoir_kPa=supply.reservoir.reservoir_kPa if supply.has_reservoir else math.inf,
             mode_mismatch_s=self._board_mode.mismatch_s(self._commanded_mode),
+            wrong_setpoint_kPa=self._board_setpoint.wrong if self._motion else None,
             restarting=self._restarts.looping(t),
             bench=self._on_bench,
             moving=self._motion is not None,

@@ -1,7 +1,8 @@
 """Finds hardware faults that no sensor reports: the physics differs from the prediction.
 
-`expected` has the bounds of a healthy rig. `filling`, `venting`, `vine_sensor`, `reservoir` and `leak` each
-hold one kind of check. `checks` runs them all. EVP: inflation valve. DVP: valve that supplies the Venturi.
+`expected` has the bounds of a healthy rig. `filling`, `venting`, `setpoint`, `vine_sensor`, `reservoir` and
+`leak` each hold one kind of check. `checks` runs them all. EVP: inflation valve. DVP: valve that supplies the
+Venturi.
 """
 
 from flying_vines.supply.physics_checks.checks import (

@@ -14,12 +14,13 @@ from flying_vines.supply.physics_checks.expected import Expected, expected
 from flying_vines.supply.physics_checks.filling import Filling, StuckVineSensor
 from flying_vines.supply.physics_checks.leak import VineLeak
 from flying_vines.supply.physics_checks.reservoir import Hot, ReservoirLoss, ReservoirSensor
+from flying_vines.supply.physics_checks.setpoint import AboveSetpoint, BelowSetpoint
 from flying_vines.supply.physics_checks.venting import VentingCheck
 from flying_vines.supply.physics_checks.vine_sensor import SuddenFall, Unsteady, Zero
 
-BRIDGING = ("filling",)
-"""These checks count only air that certainly went in, so they continue over a gap. All others restart at each
-gap: twice a second if a fifth of 10 Hz telemetry is lost."""
+BRIDGING = ("filling", "below_setpoint")
+"""These checks count only air that certainly went in, or could go in, so they continue over a gap. All others
+restart at each gap: twice a second if a fifth of 10 Hz telemetry is lost."""
 
 AIR_LOSSES = ("filling", "sudden_fall", "bottle_loss")
 """After one of these faults no air is left for a bend."""
@@ -47,6 +48,8 @@ class Check(Protocol):
 CHECKS: dict[str, Callable[[Expected], Check]] = {
     "filling": Filling,
     "venting": VentingCheck,
+    "below_setpoint": BelowSetpoint,
+    "above_setpoint": AboveSetpoint,
     "sudden_fall": lambda _: SuddenFall(),
     "vine_sensor": StuckVineSensor,
     "vine_zero": Zero,
