@@ -140,7 +140,7 @@ def test_a_flood_leaves_few_lines_on_page_and_terminal_and_each_command_its_answ
     actions = Flood(flight).run(20.0)
     assert len(decisions(actions)) == 20 * FLOOD_HZ, "the log has them all"
     assert len(answers(actions)) >= 20 * FLOOD_HZ - 10
-    gateway = Gateway(config.default(), lambda *_: None, lambda _: None)  # type: ignore[arg-type,return-value]
+    gateway = Gateway(config.default(), lambda *_: None, lambda _: None)  # type: ignore[arg-type]
     for action in actions:
         gateway.action(action)
     assert len(gateway._unsent) <= 4 * (MAX_LINES + 1) * 2
