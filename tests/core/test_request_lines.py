@@ -82,6 +82,14 @@ def test_of_too_many_senders_the_rest_are_counted_together() -> None:
     assert f"(one of {100 - MAX_SOURCES} from {OTHERS})" in count.text
 
 
+def test_a_known_source_keeps_its_lines_when_many_others_come() -> None:
+    lines = RequestLines()
+    assert lines.take(line(0.0, "Vine: refused hold", "255/190"))
+    for i in range(100):
+        lines.take(line(0.0, f"Vine: refused {i}", f"{i}/1"))
+    assert lines.take(line(0.0, "Vine: refused bend 40°", "255/190"))
+
+
 # In flight.
 
 
