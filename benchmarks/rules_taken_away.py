@@ -34,6 +34,7 @@ LONGEST_S = 1200.0
 CORE_TESTS = (
     "tests/core/test_safety.py",
     "tests/core/test_core_board.py",
+    "tests/core/test_board_does_not_follow.py",
     "tests/core/test_core_on_bench.py",
     "tests/core/test_core_arming.py",
     "tests/core/test_core_late.py",
@@ -70,6 +71,11 @@ class Module:
 MODULES = (
     Module("flying_vines/core/safety.py", CORE_TESTS, tables=("_LOSSES", "_LIMITS")),
     Module("flying_vines/core/asked.py", CORE_TESTS),
+    Module("flying_vines/core/request_lines.py", ("tests/core/test_request_lines.py",)),
+    Module(
+        "flying_vines/supply/physics_checks/setpoint.py",
+        ("tests/supply/test_physics_checks.py", "tests/core/test_board_does_not_follow.py"),
+    ),
     Module("flying_vines/core/board_mode.py", CORE_TESTS),
     Module(
         "flying_vines/core/core.py",

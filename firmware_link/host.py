@@ -105,7 +105,7 @@ class TelemetryReceived:
 
 @dataclass(frozen=True, slots=True)
 class ImplausibleTelemetry:
-    """At least two messages in a row had an implausible pressure: see `HostSession.implausible`."""
+    """Too many messages had an implausible pressure: see `HostSession.implausible`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +129,8 @@ PLAUSIBLE_KPA = {
 the same."""
 IMPLAUSIBLE_IN_A_ROW = 2
 """One in 65536 corrupted frames passes the CRC by chance. So a single implausible frame is not a fault."""
+IMPLAUSIBLE_OF_TEN = 5
+"""So many of the last ten frames are a fault, too: a loose contact, or every second frame."""
 _HELLO_PERIOD_S = 0.5
 _PING_PERIOD_S = 1.0
 _MAX_ROUND_TRIP_S = 5.0
@@ -186,8 +188,8 @@ class HostSession:
         self.telemetry_gaps = 0
         """The number of telemetry frames that are missing or implausible."""
         self.implausible: tuple[str, float] | None = None
-        """Field and value of the implausible pressure in the latest telemetry; None if there is none."""
-        self._implausible_frames = 0
+        """Field and value of the latest implausible pressure, while too many frames have one; else None."""
+        self._recent_implausible: deque[bool] = deque(maxlen=10)
         self.round_trip_s: float | None = None
         """Round trip of the latest ping."""
         self.clock_offset_s: float | None = None
@@ -310,14 +312,18 @@ class HostSession:
         if self.welcome is not None:
             periods = self._device_clock.passed_ms * self.welcome.telemetry_Hz / 1000
             self.telemetry_gaps += max(0, round(periods) - 1)
+        recent = self._recent_implausible
         if (found := _implausible(telemetry)) is not None:
             self.telemetry_gaps += 1
-            self._implausible_frames += 1
-            if self._implausible_frames < IMPLAUSIBLE_IN_A_ROW:
+            recent.append(True)
+            in_a_row = list(recent)[-IMPLAUSIBLE_IN_A_ROW:].count(True) == IMPLAUSIBLE_IN_A_ROW
+            if not in_a_row and sum(recent) < IMPLAUSIBLE_OF_TEN:
                 return []
             begun, self.implausible = self.implausible is None, found
             return [ImplausibleTelemetry()] if begun else []
-        self._implausible_frames, self.implausible = 0, None
+        recent.append(False)
+        if self.implausible is not None and sum(recent) < IMPLAUSIBLE_OF_TEN:
+            self.implausible = None
         self.telemetry = telemetry
         self._telemetry_s = t - self._device_clock.behind_s
         return [TelemetryReceived(telemetry)]
@@ -385,7 +391,8 @@ class HostSession:
         self._nonce = (self._nonce + 1) & 0xFFFFFFFF
         self._hello.now()
         self._device_clock.restart()
-        self._implausible_frames, self.implausible = 0, None
+        self._recent_implausible.clear()
+        self.implausible = None
         self._clock.clear()
         self._first_clock = None
         self.round_trip_s = None

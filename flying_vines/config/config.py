@@ -226,6 +226,8 @@ class ChecksConfig(_Table, frozen=True):
     zero_kPa: Annotated[float, Meta(ge=1, le=50)] = 4.0
     filling: CheckLevel = "fault"
     venting: CheckLevel = "fault"
+    below_setpoint: CheckLevel = "warn"
+    above_setpoint: CheckLevel = "fault"
     sudden_fall: CheckLevel = "fault"
     vine_sensor: CheckLevel = "fault"
     vine_zero: CheckLevel = "fault"

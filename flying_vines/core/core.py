@@ -18,7 +18,7 @@ from firmware_link import host as fw
 from firmware_link import protocol
 from flying_vines.config.config import Config
 from flying_vines.core.asked import trigger_of
-from flying_vines.core.board_mode import BoardMode
+from flying_vines.core.board_mode import BoardMode, BoardSetpoint
 from flying_vines.core.events import (
     UNREQUESTED,
     Action,
@@ -44,6 +44,7 @@ from flying_vines.core.events import (
 from flying_vines.core.isolated_parts import IsolatedParts
 from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.pending_bend import PendingBend, PendingBendTracker, source
+from flying_vines.core.request_lines import RequestLines
 from flying_vines.core.restarts import Restarts
 from flying_vines.core.safety import LossEnded, ResponseNeeded, Ruling, Safety, SafetyInputs
 from flying_vines.core.snapshot import Snapshot
@@ -91,6 +92,7 @@ MOVING = (StartProfile, BendTo, SetPressure)
 _BY_PILOT_OR_SAFETY = {"switch", *UNREQUESTED}
 """Triggers of the pilot's own switch and of safety. All others come from another person, the mission or an
 installed package."""
+_NEVER_FLOODS = (*_BY_PILOT_OR_SAFETY, "mission_item")
 
 _SENSOR_TEXTS = {
     "cv_kPa": "vine sensor reads",
@@ -104,6 +106,7 @@ _RESPONSE_TEXTS = {
     "telemetry": "vent commanded",
     "venting": "outlet commanded open",
     "regulates": "vent commanded",
+    "setpoint": "vent commanded",
 }
 """For these faults the core cannot see whether the vine is vented. So the text says what is done."""
 
@@ -153,6 +156,10 @@ class Core:
         self._bench_until = -math.inf
         self._requested_at = -math.inf
         self._board_mode = BoardMode()
+        self._board_setpoint = BoardSetpoint()
+        self._request_lines = RequestLines()
+        self._motion_before: Motion | None = None
+        """The motion before the latest request."""
         self._restarts = Restarts(self._actuator)
         self._restart_noted = False
         """True from a board restart until the board is ready again."""
@@ -245,6 +252,7 @@ class Core:
 
     def _on_firmware_link(self, t: float, up: bool) -> None:
         self._board_mode.restart()
+        self._board_setpoint.restart()
         self._restart_noted = False
         if up:
             self._firmware.opened(t)
@@ -269,6 +277,7 @@ class Core:
                     features = self._supply.read(t, telemetry, self._vehicle.state.armed)
                     made_at = t - self._firmware.telemetry_age(t)
                     self._board_mode.note(made_at, telemetry.mode, self._commanded_mode)
+                    self._note_setpoint(made_at, telemetry)
                     if telemetry.faults or features.cv_lower_kPa > self.config.limits.overpressure_kPa:
                         self._check_safety(t)
                     self._estimate(t, features)
@@ -290,9 +299,19 @@ class Core:
         self._restart_noted = True
         self._firmware_problem = "restarted"
         self._board_mode.restart()
+        self._board_setpoint.restart()
         first = self._restarts.note(t)
         why = f"{self._actuator} restarted: {reason}" if first else self._restarts.looping(t)
         self._enter(t, self._safety.latch(t, "firmware_reset", why))
+
+    def _note_setpoint(self, made_at: float, telemetry: protocol.Telemetry) -> None:
+        if self._motion is None or telemetry.mode is not protocol.Mode.REGULATE:
+            self._board_setpoint.restart()
+            return
+        welcome = self._firmware.welcome
+        board_rate_kPa_per_s = welcome.rate_limit_kPa_per_s if welcome else math.inf
+        rate_kPa_per_s = min(self._motion.rate_kPa_per_s, board_rate_kPa_per_s)
+        self._board_setpoint.note(made_at, telemetry.setpoint_kPa, rate_kPa_per_s)
 
     def _estimate(self, t: float, features: Features) -> None:
         """Update the estimates, and run the physics checks."""
@@ -324,6 +343,7 @@ class Core:
     def _decide(self, t: float, trigger: Trigger) -> Decision:
         """Let safety judge a trigger. Carry out its intent, or refuse it with a reason."""
         now = self._check_safety(t)
+        self._motion_before = self._motion
         intent = trigger.intent
         if trigger.by_person and self._on_bench:
             self._bench_until = t + BENCH_S
@@ -459,6 +479,8 @@ class Core:
             self._requested_at = max(self._requested_at, t - trigger.age_s)
         if ruling.verdict == "refused" and motion is None:
             self._pending_bend.refused(trigger.kind, ruling.reason)
+        line = self._line(t, trigger, ruling)
+        changes_nothing = motion is self._motion_before
         decision = Decision(
             t=t,
             trigger=trigger.kind,
@@ -467,18 +489,27 @@ class Core:
             safety=ruling.verdict,
             reason=ruling.reason,
             setpoint_kPa=round(motion.aim_kPa, 3) if motion else 0.0,
+            shown=not (changes_nothing and line.source) or self._request_lines.take(line),
         )
         self._actions.append(decision)
         if is_newer and trigger.kind not in _BY_PILOT_OR_SAFETY:
             self._tell_pilot(trigger.intent)
-        if ruling.verdict == "refused":
-            request = decision.intent or trigger.kind.replace("_", " ")
-            if (seq := trigger.what.get("seq")) is not None:
-                request = f"item {seq}" + (f", {decision.intent}" if decision.intent else "")
-            self._notice(t, Severity.WARNING, f"refused {request}: {ruling.reason}", True)
-        elif ruling.verdict == "limited":
-            self._notice(t, Severity.NOTICE, f"{decision.intent} limited {ruling.reason}", True)
+        if decision.shown and ruling.verdict != "accepted":
+            self._show(line)
         return decision
+
+    def _line(self, t: float, trigger: Trigger, ruling: Ruling) -> Notice:
+        """A decision as a text. Only requests that others can send in floods have a source."""
+        request = str(trigger.intent or trigger.kind.replace("_", " "))
+        severity, text = Severity.NOTICE, f"{request} {ruling.verdict} {ruling.reason}".rstrip()
+        if ruling.verdict == "refused":
+            if (seq := trigger.what.get("seq")) is not None:
+                request = f"item {seq}" + (f", {trigger.intent}" if trigger.intent else "")
+            severity, text = Severity.WARNING, f"refused {request}: {ruling.reason}"
+        sender = "" if trigger.kind in _NEVER_FLOODS else trigger.kind
+        if trigger.kind == "command":
+            sender = str(trigger.what.get("from", sender))
+        return Notice(t, severity, f"Vine: {text}", of_decision=True, source=sender)
 
     def _tell_pilot(self, intent: Intent | None) -> None:
         """Tell the pilot's switch what somebody else has just carried out."""
@@ -508,6 +539,7 @@ class Core:
         command: fw.HostCommand = fw.VENTING
         if self._motion is not None:
             command = fw.Regulate(self._motion.setpoint_kPa(t + TICK_S), self._motion.rate_kPa_per_s)
+            self._board_setpoint.command(t, command.target_kPa)
         self._to_firmware(self._firmware.command(t, command))
 
     @property
@@ -570,6 +602,8 @@ class Core:
             self._notice(t, Severity.NOTICE, text)
         if text := self._restarts.tick(t):
             self._notice(t, Severity.WARNING, text)
+        for counted in self._request_lines.due(t):
+            self._show(counted)
         self._report_waiting(t)
         self._watch_supply(t)
         self._keep_latched(t)
@@ -626,6 +660,7 @@ class Core:
             cv_kPa=features.cv_lower_kPa if features else math.nan,
             reservoir_kPa=supply.reservoir.reservoir_kPa if supply.has_reservoir else math.inf,
             mode_mismatch_s=self._board_mode.mismatch_s(self._commanded_mode),
+            wrong_setpoint_kPa=self._board_setpoint.wrong if self._motion else None,
             restarting=self._restarts.looping(t),
             bench=self._on_bench,
             moving=self._motion is not None,
@@ -818,6 +853,10 @@ class Core:
         self._publish(Notice(t, severity, f"Vine: {text}", of_decision))
 
     def _publish(self, notice: Notice) -> None:
+        if not notice.source or self._request_lines.take(notice):
+            self._show(notice)
+
+    def _show(self, notice: Notice) -> None:
         self._actions.append(notice)
         if notice.severity is not Severity.DEBUG:
-            self._vehicle.component.say(notice.t, notice.severity, notice.text)
+            self._vehicle.component.say(notice)

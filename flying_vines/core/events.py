@@ -135,6 +135,8 @@ class Decision:
     reason: str
     setpoint_kPa: float
     """First target (gauge) of the motion that runs after this decision; 0 if none runs."""
+    shown: bool = True
+    """False: displays leave it out, because its source has many. A notice gives their number."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,6 +62,8 @@ class SafetyInputs(NamedTuple):
     reservoir_kPa: float = math.nan
     mode_mismatch_s: float = 0.0
     """The board's mode has differed from the commanded one for this time."""
+    wrong_setpoint_kPa: tuple[float, float] | None = None
+    """The board's setpoint that contradicts the commanded one, and the latter."""
     restarting: str = ""
     """A sentence about a series of board restarts; empty after fewer than two restarts."""
     bench: bool = False
@@ -212,6 +214,7 @@ class Safety:
             "sensor": now.sensor_problem,
             "overpressure": self._overpressure(now),
             "regulates": self._regulates(now),
+            "setpoint": self._setpoint(now),
             "firmware_reset": now.restarting,
         }
         return {**{name: cause for name, cause in causes.items() if cause}, **now.physics}
@@ -291,6 +294,13 @@ class Safety:
         """The board regulates after a vent command. The host repeats the command and sends no setpoint."""
         mismatch = not now.moving and now.mode_mismatch_s > MODE_FOLLOWS_WITHIN_S
         return f"{self._actuator} still regulates" if mismatch else None
+
+    def _setpoint(self, now: SafetyInputs) -> str | None:
+        """The board regulates to a pressure that nobody commanded."""
+        if now.wrong_setpoint_kPa is None:
+            return None
+        board_kPa, commanded_kPa = now.wrong_setpoint_kPa
+        return f"{self._actuator} setpoint is {board_kPa:.1f} kPa, commanded {commanded_kPa:.1f}"
 
     def _rc(self, now: SafetyInputs) -> str | None:
         return f"RC lost: {now.rc_problem}" if now.rc_problem else None

@@ -82,6 +82,8 @@ class Gateway(Watcher):
     def action(self, action: Action) -> None:
         if isinstance(action, Notice) and action.severity is Severity.DEBUG:
             return
+        if isinstance(action, Decision) and not action.shown:
+            return
         if isinstance(action, Decision | Notice):
             self._unsent.append(packet(Happened(type(action).__name__.lower(), raw(action))))
 

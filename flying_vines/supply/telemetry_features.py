@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 from firmware_link.protocol import Fault, Mode, Telemetry
@@ -24,6 +25,9 @@ MAX_GAP_S = 0.11
 comes every 0.1 s, plus or minus one step of the board's loop."""
 MAX_BRIDGED_S = 0.5
 """After a longer gap the durations of all states are reset, and the air used in the gap is not known."""
+SPIKE_KPA = 25.0
+"""A reading of the reservoir further from the median of the last three is a spike, or the first of a new
+level. So it counts one message later. A burst reservoir falls by less in 10 ms."""
 REPEATS = Fault.CV_SENSOR | Fault.RESERVOIR_SENSOR
 """With one of these faults the firmware repeats the last valid reading."""
 _CLOCK_MS = 1 << 32
@@ -40,6 +44,7 @@ class Features(NamedTuple):
     t: float
     """Arrival time of the message."""
     telemetry: Telemetry
+    """Without spikes of the reservoir's reading."""
     armed: bool
     """The vehicle is armed."""
     reservoir_kPa: float | None
@@ -124,6 +129,7 @@ class TelemetryReader:
         self._prior = prior
         self._reservoir_smooth_kPa: float | None = None
         self._reservoir_at = 0.0
+        self._reservoir_readings: deque[float] = deque(maxlen=3)
         self._cv_kPa = math.nan
         self._cv_smooth_kPa = math.nan
         self._complete_at: float | None = None
@@ -132,6 +138,7 @@ class TelemetryReader:
 
     def read(self, t: float, telemetry: Telemetry, armed: bool = False) -> Features:
         """The features of a message that arrived at time `t`."""
+        telemetry = self._without_spike(telemetry)
         reservoir_kPa = self._read_reservoir(t, telemetry)
         lower_kPa, self._cv_kPa = min(self._cv_kPa, telemetry.cv_kPa), telemetry.cv_kPa
         complete = self._reservoir_smooth_kPa is not None and math.isfinite(telemetry.cv_kPa)
@@ -171,6 +178,14 @@ class TelemetryReader:
             resting_s=states.resting_s,
             holding_s=states.holding_s,
         )
+
+    def _without_spike(self, telemetry: Telemetry) -> Telemetry:
+        readings = self._reservoir_readings
+        readings.append(telemetry.reservoir_kPa)
+        middle_kPa = sorted(readings)[len(readings) // 2]
+        if len(readings) < 3 or abs(telemetry.reservoir_kPa - middle_kPa) <= SPIKE_KPA:
+            return telemetry
+        return replace(telemetry, reservoir_kPa=middle_kPa)
 
     def _read_reservoir(self, t: float, telemetry: Telemetry) -> float | None:
         # `&` of flags takes a microsecond, and there are almost never faults.

@@ -90,6 +90,8 @@ def _verdict_style(decision: Decision) -> str:
 def event_line(action: Action, began: float) -> Text | None:
     """The line for an action; None if it is not shown."""
     if isinstance(action, Decision):
+        if not action.shown:
+            return None
         line = Text(f"{action.t - began:7.2f}  ")
         line.append(f"{action.trigger.replace('_', ' ')} ", style="bold")
         line.append(f"{describe(action.what)} → {action.intent or '?'}: ".lstrip())

@@ -26,3 +26,5 @@ class Notice:
     text: str
     of_decision: bool = False
     """The text repeats a decision, for displays that do not show decisions."""
+    source: str = ""
+    """Whose request caused the text; empty for what the service itself finds, such as losses and faults."""

@@ -278,6 +278,54 @@ def test_the_zero_of_the_vine_sensor(offset_kPa: float, within_s: float) -> None
     assert checks.faults == {}
 
 
+def regulating(setpoint_kPa: float, cv_kPa: float, **others: float) -> Callable[[float], Telemetry]:
+    telemetry = dataclasses.replace(HELD, setpoint_kPa=setpoint_kPa, cv_kPa=cv_kPa, **others)  # type: ignore[arg-type]
+    return lambda _: telemetry
+
+
+@pytest.mark.parametrize(("reservoir_kPa", "within_s"), [(600.0, 2.1), (150.0, 5.0), (70.0, 11.0)])
+def test_below_the_setpoint_counts_the_air_that_could_go_in(reservoir_kPa: float, within_s: float) -> None:
+    low = regulating(20.0, 5.0, reservoir_kPa=reservoir_kPa)
+    ((at_s, finding),) = stream(checks_of(), low, 20.0)
+    assert (finding.name, finding.level) == ("below_setpoint", "warn")
+    assert 0.6 * within_s <= at_s <= within_s
+
+
+def test_an_empty_reservoir_could_fill_nothing_so_the_vine_is_not_reported() -> None:
+    assert list(stream(checks_of(), regulating(20.0, 0.0, reservoir_kPa=20.0), 30.0)) == []
+
+
+@pytest.mark.parametrize("cv_kPa", [18.1, 21.9])
+def test_a_vine_near_its_setpoint_is_no_finding(cv_kPa: float) -> None:
+    assert list(stream(checks_of(), regulating(20.0, cv_kPa), 30.0)) == []
+
+
+@pytest.mark.parametrize(("setpoint_kPa", "cv_kPa"), [(3.9, -0.5), (0.0, 5.9), (3.9, 5.9)])
+def test_at_a_low_setpoint_the_sensors_zero_is_no_finding(setpoint_kPa: float, cv_kPa: float) -> None:
+    assert list(stream(checks_of(), regulating(setpoint_kPa, cv_kPa), 30.0)) == []
+
+
+def test_far_above_the_setpoint_the_vine_must_lose_a_quarter_in_time() -> None:
+    ((at_s, finding),) = stream(checks_of(), regulating(20.0, 24.0), 5.0)
+    assert (finding.name, finding.level) == ("above_setpoint", "fault")
+    assert 0.8 <= at_s <= 1.1
+
+    def falling(t: float) -> Telemetry:
+        return dataclasses.replace(HELD, setpoint_kPa=1.0, cv_kPa=24.0 * 0.75 ** (t / 0.9))
+
+    assert list(stream(checks_of(), falling, 4.0)) == []
+
+
+@pytest.mark.parametrize("setpoint_kPa", [20.0, 10.0])
+def test_while_the_board_vents_no_setpoint_is_missed(setpoint_kPa: float) -> None:
+    def telemetry_at(t: float) -> Telemetry:
+        return dataclasses.replace(
+            VENTED, mode=Mode.FAULT, setpoint_kPa=setpoint_kPa, cv_kPa=15.0 * 0.5**t, evp_opening=0.0
+        )
+
+    assert list(stream(checks_of(), telemetry_at, 5.0)) == []
+
+
 def test_readings_of_a_good_sensor_are_no_fault() -> None:
     for offset_kPa in (-3.1, 3.1):
         off = dataclasses.replace(VENTED, cv_kPa=offset_kPa)

@@ -22,10 +22,17 @@ from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.component import Component
 from flying_vines.vehicle.component.telemetry import NamedValues
-from flying_vines.vehicle.component.texts import CHUNK_LENGTH, MAX_TEXT_LENGTH, SAME_AGAIN_S, SPACING_S, Texts
+from flying_vines.vehicle.component.texts import (
+    CHUNK_LENGTH,
+    MAX_TEXT_LENGTH,
+    MAX_WAITING,
+    SAME_AGAIN_S,
+    SPACING_S,
+    Texts,
+)
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 from flying_vines.vehicle.mission.storage import AutopilotKind
-from flying_vines.vehicle.notice import Notice
+from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.state import VehicleState
 
 TICK_S = 0.02
@@ -162,7 +169,7 @@ def test_the_bottle_is_sent_as_a_fuel_tank_only_if_configured() -> None:
 def sent_texts(texts: list[str], for_s: float = 20.0) -> list[tuple[float, MavlinkMessage]]:
     ours = component()
     for words in texts:
-        ours.say(0.0, 4, words)
+        ours.say(Notice(0.0, Severity.WARNING, words))
     return of("STATUSTEXT", run(ours, for_s, {}))
 
 
@@ -231,7 +238,7 @@ def test_the_same_text_is_sent_again_only_after_a_while() -> None:
     received = []
     for i in range(1000):
         t = i * TICK_S
-        ours.say(t, 4, "Vine: bottle low")
+        ours.say(Notice(t, Severity.WARNING, "Vine: bottle low"))
         received += [t for m in ours.due(t, 0, {}, 4) if m.get_type() == "STATUSTEXT"]
     assert len(received) == 4
     assert all(gap_s >= SAME_AGAIN_S - 1e-9 for gap_s in gaps_s(received))
@@ -240,7 +247,7 @@ def test_the_same_text_is_sent_again_only_after_a_while() -> None:
 def test_a_flood_of_texts_stays_bounded() -> None:
     ours = component()
     for i in range(1000):
-        ours.say(i * 0.001, 4, f"Vine: {i}")
+        ours.say(Notice(i * 0.001, Severity.WARNING, f"Vine: {i}"))
     sent = of("STATUSTEXT", run(ours, 30.0, {}, start_s=1.0))
     assert len(sent) == 30
     assert sent[-1][1].text == "Vine: 999"
@@ -248,13 +255,27 @@ def test_a_flood_of_texts_stays_bounded() -> None:
 
 def test_a_flood_does_not_interrupt_a_text_that_is_half_sent() -> None:
     texts, long = Texts(), "Vine: " + 150 * "x"
-    texts.say(0.0, 4, long)
+    texts.say(Notice(0.0, Severity.WARNING, long))
     sent = texts.due(0.0)
     for i in range(1000):
-        texts.say(0.01, 4, f"Vine: {i}")
+        texts.say(Notice(0.01, Severity.WARNING, f"Vine: {i}"))
     for i in range(1, 100):
         sent += texts.due(i * SPACING_S)
     assert joined([(0.0, message) for message in sent])[0] == long
+
+
+def test_the_services_own_warning_is_sent_before_refusals_and_never_dropped_for_them() -> None:
+    texts = Texts()
+    for i in range(100):
+        if i == 50:
+            texts.say(Notice(0.0, Severity.WARNING, "Vine: RC lost, vented"))
+        texts.say(Notice(0.0, Severity.WARNING, f"Vine: refused {i}", source="7/1"))
+        texts.say(Notice(0.0, Severity.INFO, f"Vine: news {i}"))
+    sent = [(0.0, message) for i in range(100) for message in texts.due(i * SPACING_S)]
+    came = joined(sent)
+    assert len(came) == MAX_WAITING
+    assert came[0] == "Vine: RC lost, vented"
+    assert all("refused" in text for text in came[1:])
 
 
 # All messages together.
@@ -362,7 +383,7 @@ def test_under_load_at_most_two_messages_are_sent_per_tick() -> None:
     link.sent.clear()
     start_s = link.t
     link.take(mavlink.MAVLink_param_request_list_message(1, US))
-    link.ours.say(link.t, 4, "Vine: " + 120 * "x")
+    link.ours.say(Notice(link.t, Severity.WARNING, "Vine: " + 120 * "x"))
     for _ in range(10):
         link.take(mavlink.MAVLink_command_long_message(1, US, 512, 0, 148, 0, 0, 0, 0, 0, 0))
     link.wait(3.0)

@@ -84,7 +84,7 @@ def test_any_text_is_made_harmless(text: str) -> None:
 def test_no_chunk_begins_with_what_others_look_for(text: str) -> None:
     """Some ground stations show each chunk alone."""
     ours = Component(config.default())
-    ours.say(0.0, 4, text)
+    ours.say(Notice(0.0, Severity.WARNING, text))
     for i in range(20):
         for message in ours.due(i * 0.1, 0, {}, 3):
             if message.get_type() == "STATUSTEXT":

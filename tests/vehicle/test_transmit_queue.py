@@ -112,6 +112,27 @@ def test_a_flood_of_commands_drops_answers_but_no_heartbeat() -> None:
     assert queue.dropped > 0
 
 
+def test_a_flood_of_commands_drops_no_text_and_no_answer_to_another_sender() -> None:
+    queue = TransmitQueue()
+    put: dict[str, list[MavlinkMessage]] = {"STATUSTEXT": [], "COMMAND_ACK": []}
+    left: list[tuple[int, MavlinkMessage]] = []
+    for i in range(500):
+        for number in range(20):
+            queue.put(answer(number))
+        if i % 5 == 0:
+            put["STATUSTEXT"].append(text(i))
+            queue.put(put["STATUSTEXT"][-1])
+        if i % 50 == 10:
+            asked = mavlink.MAVLink_command_long_message(1, 191, 31013, 0, 0, 0, 0, 0, 0, 0, 0)
+            asked._header.srcSystem, asked._header.srcComponent = 255, 190
+            put["COMMAND_ACK"].append(acknowledgement(asked, 0))
+            queue.put(put["COMMAND_ACK"][-1])
+        left += [(i, message) for message in queue.due(i * TICK_S)]
+    left_at = {id(message): i for i, message in left}
+    assert all(left_at[id(message)] - 5 * n <= 2 for n, message in enumerate(put["STATUSTEXT"]))
+    assert all(left_at[id(message)] - 10 - 50 * n <= 50 for n, message in enumerate(put["COMMAND_ACK"]))
+
+
 class Line:
     """A queue that is read as by the core: at each tick, which is never exactly on time, and after each
     event."""

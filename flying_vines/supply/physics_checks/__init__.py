@@ -1,6 +1,6 @@
 """Finds hardware faults that no sensor reports: the physics differs from the prediction.
 
-`expected` has the bounds of a healthy rig. `filling`, `venting`, `vine_sensor`, `reservoir`,
+`expected` has the bounds of a healthy rig. `filling`, `venting`, `setpoint`, `vine_sensor`, `reservoir`,
 `reservoir_sensor` and `leak` each hold one kind of check. `checks` runs them all. EVP: inflation valve. DVP:
 valve that supplies the Venturi.
 """

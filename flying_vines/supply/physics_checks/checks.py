@@ -15,12 +15,13 @@ from flying_vines.supply.physics_checks.filling import Filling, StuckVineSensor
 from flying_vines.supply.physics_checks.leak import VineLeak
 from flying_vines.supply.physics_checks.reservoir import Hot, ReservoirLoss
 from flying_vines.supply.physics_checks.reservoir_sensor import ReservoirSensor
+from flying_vines.supply.physics_checks.setpoint import AboveSetpoint, BelowSetpoint
 from flying_vines.supply.physics_checks.venting import VentingCheck
 from flying_vines.supply.physics_checks.vine_sensor import SuddenFall, Unsteady, Zero
 
-BRIDGING = ("filling",)
-"""These checks count only air that certainly went in, so they continue over a gap. All others restart at each
-gap: twice a second if a fifth of 10 Hz telemetry is lost."""
+BRIDGING = ("filling", "below_setpoint")
+"""These checks count only air that certainly went in, or could go in, so they continue over a gap. All others
+restart at each gap: twice a second if a fifth of 10 Hz telemetry is lost."""
 
 ENDURING = ("bottle_sensor",)
 """These checks keep an account of the whole flight, also over long gaps. Their findings stay."""
@@ -52,6 +53,8 @@ class Check(Protocol):
 CHECKS: dict[str, Callable[[Expected], Check]] = {
     "filling": Filling,
     "venting": VentingCheck,
+    "below_setpoint": BelowSetpoint,
+    "above_setpoint": AboveSetpoint,
     "sudden_fall": lambda _: SuddenFall(),
     "vine_sensor": StuckVineSensor,
     "vine_zero": Zero,

@@ -51,9 +51,13 @@ class Expected:
         effective = max(0.0, (now.min_evp - MAX_DEAD) / (1.0 - MAX_DEAD))
         if effective == 0.0:
             return 0.0
+        return effective * self.open_inflow_SL(now)
+
+    def open_inflow_SL(self, now: Features) -> float:
+        """The air that a fully open valve would certainly have let in since the last message."""
         supply_kPa = AMBIENT_KPA + now.telemetry.reservoir_kPa - SUPPLY_ERROR_KPA
         through = driving_kPa(self.evp_law, supply_kPa, AMBIENT_KPA + max(0.0, now.cv_median_kPa))
-        return now.device_dt_s * (MIN_FLOW * effective * self.evp_law.conductance_SL_per_s_kPa * through)
+        return now.device_dt_s * (MIN_FLOW * self.evp_law.conductance_SL_per_s_kPa * through)
 
     def max_outflow_SL(self, now: Features) -> float:
         """The air that the valves may have taken out of the reservoir since the last message."""

@@ -90,8 +90,8 @@ class Component:
         """Send a heartbeat at once: the autopilot does not know us yet."""
         self._heartbeat.now()
 
-    def say(self, t: float, severity: int, text: str) -> None:
-        self._texts.say(t, severity, text)
+    def say(self, notice: Notice) -> None:
+        self._texts.say(notice)
 
     def send(self, message: MavlinkMessage) -> None:
         self._queue.put(message)

@@ -119,6 +119,7 @@ class Parameters:
         if setting is None:
             return []
         name, index = setting.name, SETTINGS.index(setting)
+        sender = f"{message.get_srcSystem()}/{message.get_srcComponent()}"
         before = value_of(setting, self.config)
         try:
             if message.param_type != mavlink.MAV_PARAM_TYPE_REAL32:
@@ -130,12 +131,12 @@ class Parameters:
             self._keep(name, decimal(message.param_value))
         except ParameterRefused as refusal:
             text = f"Vine: {name} stays {before:g}: {refusal.reason}"
-            return [self._value(index), Notice(t, Severity.WARNING, text)]
+            return [self._value(index), Notice(t, Severity.WARNING, text, source=sender)]
         value = value_of(setting, self.config)
         text = f"Vine: {name} is {value:g}, was {before:g}"
         return [
             self._value(index),
-            Notice(t, Severity.INFO, text),
+            Notice(t, Severity.INFO, text, source=sender),
             Changed(t, name, value, self.config),
         ]
 

@@ -10,11 +10,15 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
+from bisect import bisect_left, insort
 from collections import deque
+from operator import attrgetter
+from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
+from flying_vines.vehicle.notice import Notice
 
 OURS = "Vine:"
 """The prefix of every text. Other programs look for other prefixes."""
@@ -23,8 +27,7 @@ MAX_TEXT_LENGTH = 4 * CHUNK_LENGTH - 1
 """Longer texts are cut, so that a text arrives soon."""
 SPACING_S = 0.1
 MAX_WAITING = 30
-"""Maximum number of queued texts. To send so many takes some seconds. The oldest waiting texts are dropped
-first."""
+"""Maximum number of queued texts. To send so many takes some seconds."""
 SAME_AGAIN_S = 5.0
 """The same text is not sent again within this time, because ground stations speak texts aloud."""
 
@@ -60,41 +63,58 @@ def harmless(text: str) -> str:
     return plain if len(plain) <= MAX_TEXT_LENGTH else plain[: MAX_TEXT_LENGTH - 2].rstrip() + ".."
 
 
+_rank = attrgetter("rank")
+
+
 def _sign(sign: str) -> str:
     if sign.isspace():
         return " "
     return sign if " " < sign <= "~" else "?"
 
 
+class _Waiting(NamedTuple):
+    rank: tuple[int, bool]
+    """Severity, and if somebody's request caused the text. The lowest rank is sent first."""
+    chunks: deque[MavlinkMessage]
+
+
 class Texts:
-    """The queue of status texts. Chunks are spaced, so that people can read them."""
+    """The queue of status texts. Chunks are spaced, so that people can read them.
+
+    The most severe text is sent first. Of two texts of one severity, the service's own (a loss, a fault) is
+    sent before the answer to a request. If too many texts wait, the oldest of the last rank is dropped.
+    """
 
     def __init__(self) -> None:
-        self._texts: deque[deque[MavlinkMessage]] = deque()
+        self._sending: deque[MavlinkMessage] = deque()
+        """The rest of a text of which some chunks have been sent."""
+        self._waiting: list[_Waiting] = []
+        """In the order of sending."""
         self._queued_at: dict[str, float] = {}
         self._sent_at = -math.inf
         self._identity = 0
 
-    def say(self, t: float, severity: int, text: str) -> None:
+    def say(self, notice: Notice) -> None:
         """Queue a text, made harmless. The same text within `SAME_AGAIN_S` is dropped."""
-        text = harmless(text)
+        t, text = notice.t, harmless(notice.text)
         while self._queued_at and t - next(iter(self._queued_at.values())) >= SAME_AGAIN_S:
             del self._queued_at[next(iter(self._queued_at))]
         if text in self._queued_at:
             return
         self._queued_at[text] = t
-        self._texts.append(self._chunks(severity, text.encode("ascii")))
-        if len(self._texts) > MAX_WAITING:
-            del self._texts[1]  # some chunks of the first may have been sent
+        rank = (int(notice.severity), bool(notice.source))
+        chunks = self._chunks(notice.severity, text.encode("ascii"))
+        insort(self._waiting, _Waiting(rank, chunks), key=_rank)
+        if len(self._waiting) > MAX_WAITING:
+            del self._waiting[bisect_left(self._waiting, self._waiting[-1].rank, key=_rank)]
 
     def due(self, t: float) -> list[MavlinkMessage]:
-        if not self._texts or t - self._sent_at < SPACING_S:
+        if not (self._sending or self._waiting) or t - self._sent_at < SPACING_S:
             return []
         self._sent_at = t
-        chunk = self._texts[0].popleft()
-        if not self._texts[0]:
-            self._texts.popleft()
-        return [chunk]
+        if not self._sending:
+            self._sending = self._waiting.pop(0).chunks
+        return [self._sending.popleft()]
 
     def _chunks(self, severity: int, data: bytes) -> deque[MavlinkMessage]:
         parts = [data[i : i + CHUNK_LENGTH] for i in range(0, len(data), CHUNK_LENGTH)]

@@ -2,13 +2,14 @@
 
 PX4 forwards our messages through a buffer for two messages, and drops the rest. So at most two messages leave
 within 20 ms, and at most one of them ranks below an answer. The other place is reserved for an answer or a
-heartbeat.
+heartbeat. When a lower message has waited for 20 ms, the answers leave one place to it: a flood of commands
+cannot hide the text of a fault.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter, deque
 from enum import IntEnum
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -60,15 +61,24 @@ class TransmitQueue:
         self._waiting: dict[Rank, deque[MavlinkMessage]] = {rank: deque() for rank in Rank}
         self._left_at: deque[float] = deque(maxlen=MAX_IN_WINDOW)
         self._low_rank_left_at = -math.inf
+        self._low_rank_waits_since = math.inf
 
     def put(self, message: MavlinkMessage) -> None:
-        """Queue a message. If the queue is full, drop the oldest message of the lowest rank."""
+        """Queue a message. If the queue is full, drop one.
+
+        It is the oldest of the lowest rank; but if more than half of the messages are answers, the oldest
+        answer to the sender that waits for most. So a flood of one sender delays no other sender's answer.
+        """
         rank = _RANKS.get(message.get_msgId(), Rank.ANSWER)
         self._waiting[Rank.ANSWER if isinstance(message, ItemRequest) else rank].append(message)
         self._count += 1
         if self._count > MAX_WAITING:
-            lowest = max(rank for rank, queue in self._waiting.items() if queue)
-            self._waiting[lowest].popleft()
+            answers = self._waiting[Rank.ANSWER]
+            if len(answers) > MAX_WAITING // 2:
+                ((busiest, _),) = Counter(map(_receiver, answers)).most_common(1)
+                answers.remove(next(answer for answer in answers if _receiver(answer) == busiest))
+            else:
+                self._waiting[max(rank for rank, queue in self._waiting.items() if queue)].popleft()
             self._count -= 1
             self.dropped += 1
 
@@ -77,16 +87,29 @@ class TransmitQueue:
         leaving: list[MavlinkMessage] = []
         if not self._count:
             return leaving
+        if math.isinf(self._low_rank_waits_since) and self._low_rank_waits:
+            self._low_rank_waits_since = t
         for rank, queue in self._waiting.items():
             while queue and self._has_room(t, rank):
                 leaving.append(queue.popleft())
                 self._left_at.append(t)
                 if rank > Rank.ANSWER:
                     self._low_rank_left_at = t
+                    self._low_rank_waits_since = t if self._low_rank_waits else math.inf
         self._count -= len(leaving)
         return leaving
+
+    @property
+    def _low_rank_waits(self) -> bool:
+        return any(queue for rank, queue in self._waiting.items() if rank > Rank.ANSWER)
 
     def _has_room(self, t: float, rank: Rank) -> bool:
         if rank > Rank.ANSWER and t - self._low_rank_left_at < _WINDOW_S:
             return False
-        return len(self._left_at) < MAX_IN_WINDOW or t - self._left_at[0] >= _WINDOW_S
+        leaves_a_place = rank is Rank.ANSWER and t - self._low_rank_waits_since >= _WINDOW_S
+        used = sum(t - left_at < _WINDOW_S for left_at in self._left_at)
+        return used + leaves_a_place < MAX_IN_WINDOW
+
+
+def _receiver(answer: MavlinkMessage) -> tuple[int, int]:
+    return getattr(answer, "target_system", 0), getattr(answer, "target_component", 0)
