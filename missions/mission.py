@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from flying_vines.config.toml_text import (
+from flying_vines.files.toml_text import (
     Key,
     dotted,
     explained,

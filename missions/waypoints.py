@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from flying_vines.files.bounded import read_bytes
 from flying_vines.vehicle.mission.item import MissionItem
 
 _HEADER = "QGC WPL 110"
@@ -35,7 +36,7 @@ def read_waypoints(path: str | Path) -> list[MissionItem]:
     """
     path = Path(path)
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_bytes(path).decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise WaypointsError(f"{path}, line 1: this is not a text file") from error
     found = lines[0].strip() if lines else ""

@@ -16,7 +16,7 @@ from msgspec import Meta
 
 from flying_vines.config.address import NetworkAddress, parse_address, parse_broker, who_can_command
 from flying_vines.config.plugins import PluginError, installed, put_in, with_own_segments
-from flying_vines.config.toml_text import (
+from flying_vines.files.toml_text import (
     Key,
     OneLineError,
     dotted,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import math
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Annotated, Any, TypeVar
 
 import msgspec
 
+from flying_vines.files.toml_text import OneLineError, parsed, place, read_text
 from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
 from flying_vines.physics.gas import Gas
 
@@ -21,7 +21,7 @@ NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 _AIR = Gas()
 
 
-class RigError(ValueError):
+class RigError(OneLineError, ValueError):
     """A rig file cannot be used; the text is one sentence for people."""
 
 
@@ -163,16 +163,16 @@ def load_rig(path: Path | str) -> Rig:
 
 
 def read_rig(path: Path | str, made_of: Callable[[Mapping[str, Any]], R]) -> R:
-    """The tables of a rig file, converted by `made_of`; RigErrors name the file."""
+    """The tables of a rig file, converted by `made_of`; RigErrors name the file, and the line of a key."""
+    text = read_text(Path(path), RigError)
     try:
-        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise RigError(f"{path} cannot be read: {reason}") from None
-    try:
-        return made_of(content)
+        return made_of(parsed(text, str(path), RigError))
     except RigError as error:
-        raise RigError(f"{path}: {error}") from None
+        if str(error).startswith(str(path)):
+            raise
+        # A text about a key begins with it.
+        key = tuple(str(error).partition(" ")[0].rstrip(":").split("."))
+        raise RigError(f"{place(text, str(path), key)}: {error}") from None
 
 
 def rig_from(content: Mapping[str, Any]) -> Rig:

@@ -161,7 +161,7 @@ def test_a_key_like_no_other_is_named_without_a_suggestion() -> None:
         ("[vehicle]\nsystem_id = 1.5", 2, "vehicle.system_id", "expected int, got float"),
         ("[vehicle]\nsystem_id = true", 2, "vehicle.system_id", "expected int, got bool"),
         ("[vehicle]\nsystem_id = -1", 2, "vehicle.system_id", "expected int >= 0"),
-        ("[vehicle]\nsystem_id = 256", 2, "vehicle.system_id", "expected int <= 255"),
+        ("[vehicle]\nsystem_id = 256", 2, "vehicle.system_id", "more than 64 bits"),
         ("[vehicle]\nsystem_id = 99999999999999999999", 2, "vehicle.system_id", "expected int <= 255"),
         ("[vehicle]\ncomponent_id = 1", 2, "vehicle.component_id", "expected int >= 2"),
         ("[vehicle]\nrc_rate_Hz = 3.9", 2, "vehicle.rc_rate_Hz", "expected float >= 4.0"),

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from flying_vines.files import bounded
 from flying_vines.identification.case import CaseError, RecordedRun, read_case
 from flying_vines.physics.rig import Rig, load_rig
 from flying_vines.simulation.scenario import csv_text, load_scenario, simulate, write_case
@@ -246,7 +247,7 @@ def test_inputs_without_read_permission(folder: Path, monkeypatch: pytest.Monkey
         raise PermissionError(13, "Permission denied", str(path))
 
     (folder / "run.csv").write_text(text())
-    monkeypatch.setattr(Path, "read_bytes", denied)
+    monkeypatch.setattr(bounded, "opened", denied)
     assert "run.csv: cannot be read: Permission denied" in refused(folder)
     monkeypatch.setattr(Path, "iterdir", denied)
     assert "cannot be read: Permission denied" in refused(folder)

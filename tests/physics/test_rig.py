@@ -115,7 +115,7 @@ def test_tolerances_may_be_written_as_dotted_keys(path: Path) -> None:
         ("[gas]\nname = 'steam'", "gas: 'steam' is not a known gas: the gases are air, N2,"),
         ("[gas]\ngamma = 1.3", "gas: a gas with its own numbers needs both gamma and molar_mass_g_per_mol."),
         ("[gas]\ngamma = 0.9\nmolar_mass_g_per_mol = 4", "gas: gamma of a gas must be between 1 and 5/3"),
-        ("[reservoir", "cannot be read"),
+        ("[reservoir", "rig.toml:1: not TOML"),
     ],
 )
 def test_each_error_is_one_line_with_the_path(path: Path, text: str, message: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from dataclasses import fields, replace
 from pathlib import Path
@@ -279,5 +280,5 @@ def test_an_error_gives_one_line(text: str, says: str, tmp_path: Path) -> None:
     path.write_text(text)
     with pytest.raises(RigError) as caught:
         load_true_rig(path)
-    assert str(caught.value).startswith(f"{path}: {says}")
+    assert re.sub(r"toml:\d+:", "toml:", str(caught.value)).startswith(f"{path}: {says}")
     assert "\n" not in str(caught.value)

@@ -15,7 +15,7 @@ import msgspec
 
 from flying_vines.config.on_disk import put
 from flying_vines.config.toml_edit import table_lines
-from flying_vines.config.toml_text import explained, located, one_line, parsed, read_text
+from flying_vines.files.toml_text import explained, located, one_line, parsed, read_text
 from flying_vines.identification.importing.columns import MEANINGS, ImportedColumn
 from flying_vines.identification.importing.layout import TextLayout
 from flying_vines.identification.importing.units import parse_unit

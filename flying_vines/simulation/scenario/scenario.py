@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_args
 import msgspec
 from msgspec import Meta
 
-from flying_vines.config.toml_text import OneLineError, dotted, not_finite, parsed, read_text
+from flying_vines.files.toml_text import OneLineError, dotted, not_finite, parsed, read_text
 from flying_vines.simulation.scenario.run_kinds import RunKind, ScenarioSegment, Valves
 
 _EXAMPLES = resources.files("flying_vines.simulation.scenario") / "examples"

@@ -9,7 +9,7 @@ from typing import Annotated, get_args
 import msgspec
 from msgspec import Meta
 
-from flying_vines.config.toml_text import OneLineError, explained, located, not_finite, parsed, read_text
+from flying_vines.files.toml_text import OneLineError, explained, located, not_finite, parsed, read_text
 from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
 from flying_vines.studies.bending.body import Body
 from flying_vines.studies.bending.cpam import Cpam

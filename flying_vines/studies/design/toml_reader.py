@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from flying_vines.config.config import ConfigError
-from flying_vines.config.toml_text import explained, located, parsed
+from flying_vines.files.toml_text import explained, located, parsed
 
 
 def decode(text: str, source: str, kind: Any, known: Sequence[str] = ()) -> Any:
