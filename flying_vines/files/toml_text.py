@@ -123,13 +123,21 @@ def not_finite(value: object, at: Key = ()) -> Iterator[Key]:
         yield from not_finite(part, (*at, key))
 
 
-def explained(error: str, known: Callable[[Key], Sequence[str]], inside: Key = ()) -> tuple[Key, str]:
+def explained(
+    error: str,
+    known: Callable[[Key], Sequence[str]],
+    inside: Key = (),
+    raw: object = None,
+    range_of: Callable[[Key], str] = lambda key: "",
+) -> tuple[Key, str]:
     """The key that msgspec's error `... - at `$.a.b[1]`` is about, and the reason in plain words.
 
     Args:
         error: the text of msgspec's error.
         known: returns the keys that a table may have, to suggest one for a mistyped key.
         inside: the key of the table that was decoded.
+        raw: all tables, to quote the value.
+        range_of: returns the range of the number at a key, such as " from 0 to 200"; or an empty text.
     """
     message, _, path = error.partition(" - at ")
     key = (*inside, *key_of(path))
@@ -138,7 +146,51 @@ def explained(error: str, known: Callable[[Key], Sequence[str]], inside: Key = (
         return (*key, unknown[1]), "unknown key" + (f"; did you mean '{near[0]}'?" if near else "")
     if missing := re.search(r"missing required field `(.+?)`", message):
         return key, f"'{missing[1]}' is missing"
+    if wanted := expectation(message, _value_at(raw, key), range_of(key)):
+        return key, wanted
     return key, message.replace("`", "").replace("Expected", "expected").replace("Object", "the table")
+
+
+def expectation(message: str, value: object, within: str = "") -> str:
+    """msgspec's "Expected `float` <= 200.0" in plain words, with the value and its range, if they are known.
+
+    Empty for all other messages.
+    """
+    if expected := _EXPECTED.fullmatch(message):
+        kind, bound, limit = expected.groups()
+        within = within or (f" {_BOUNDS[bound]} {float(limit):g}" if bound else "")
+        word = (
+            str(value).lower()
+            if isinstance(value, bool)
+            else repr(value)
+            if isinstance(value, str)
+            else value
+        )
+        quoted = "" if value is None else f", not {word}"
+        return f"must be {_KINDS.get(kind, kind)}{within}{quoted}"
+    return ""
+
+
+_EXPECTED = re.compile(r"Expected `(\w+)`(?: (<=|>=|<|>) ([^`]+)|, got `.*`)")
+_BOUNDS = {"<=": "of at most", ">=": "of at least", "<": "below", ">": "above"}
+_KINDS = {
+    "int": "a whole number",
+    "float": "a number",
+    "str": "a text in quotes",
+    "bool": "true or false",
+    "array": "a list",
+    "object": "a table",
+}
+
+
+def _value_at(raw: object, key: Key) -> object:
+    """The value at a key; None if there is none."""
+    for part in key:
+        try:
+            raw = raw[part]  # type: ignore[index]  # mypy: any table or list
+        except (LookupError, TypeError):
+            return None
+    return raw
 
 
 def located(text: str, source: str, key: Key, reason: str) -> str:

@@ -174,7 +174,7 @@ def _range(kind: inspect.FloatType | inspect.IntType) -> str:
         return f"above {kind.gt:g}" + ("" if kind.le is None else f", to {kind.le:g}")
     if kind.ge is None:
         return "number"
-    return f"{kind.ge:g} or more" if kind.le is None else f"{kind.ge:g} … {kind.le:g}"
+    return f"{kind.ge:g} or more" if kind.le is None else f"{kind.ge:g} … {kind.le:.12g}"
 
 
 def comments_of(text: str) -> dict[tuple[str, str], str]:
