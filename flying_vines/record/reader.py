@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
-from mcap.records import Channel, Message, Statistics
+from mcap.records import Channel, Message
 
 from flying_vines.files.bounded import opened
 from flying_vines.files.toml_text import one_line
@@ -126,11 +126,11 @@ class FlightLog:
         self.lost, self.cut_off, self._last_ns = 0, data[-len(MAGIC) :] != MAGIC, 0
         names: dict[int, str] = {}
         expected = count = 0
-        for record in read_summary(data):
-            if isinstance(record, Channel):
-                names[record.id] = record.topic
-            elif isinstance(record, Statistics):
-                count = record.message_count
+        for summed in read_summary(data):
+            if isinstance(summed, Channel):
+                names[summed.id] = summed.topic
+            else:
+                count = summed.message_count
         for records in read_chunks(data):
             for record in records:
                 if isinstance(record, Message):

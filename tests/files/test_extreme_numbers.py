@@ -180,5 +180,5 @@ def test_an_extreme_number_of_a_rig(tmp_path: Path, key: tuple[str, str], text: 
 def test_an_extreme_number_of_a_cause(tmp_path: Path, key: tuple[str, str], text: str) -> None:
     (cause,) = (cause for cause in catalogue() if cause.name == key[0])
     values: dict[str, Any] = {p.name: p.seeds[0] for p in cause.parameters} | {key[1]: text}
-    rig = {"cv": {}, "hose": {}} if "hose" in cause.needs else {"cv": {}}
+    rig: dict[str, dict[str, Any]] = {"cv": {}, "hose": {}} if "hose" in cause.needs else {"cv": {}}
     accepted_or_one_line(tmp_path / "rig.toml", toml({**rig, f"causes.{cause.name}": values}))

@@ -184,15 +184,13 @@ def _caused(made: Setup, name: str, parameters: Mapping[str, float]) -> Setup:
             raise RigError(f"{where}.{parameter} is not a parameter: {_listed(known)}.")
         if parameter in _POSITIVE and not value > 0.0:
             raise RigError(f"{where}.{parameter} is {value:g}, and must be above 0.")
-    for parameter in cause.parameters:
-        if parameter.name not in parameters:
-            raise RigError(f"{where}.{parameter.name} is missing.")
-        value = parameters[parameter.name]
-        low, high = _generous(parameter)
-        if value != parameter.neutral and not low <= value <= high:
-            raise RigError(
-                f"{where}.{parameter.name} must be a number from {low:g} to {high:g}, not {value:g}."
-            )
+    for stated in cause.parameters:
+        if stated.name not in parameters:
+            raise RigError(f"{where}.{stated.name} is missing.")
+        value = parameters[stated.name]
+        low, high = _generous(stated)
+        if value != stated.neutral and not low <= value <= high:
+            raise RigError(f"{where}.{stated.name} must be a number from {low:g} to {high:g}, not {value:g}.")
     try:
         caused = cause.put_into(made, parameters)
         # The cause may have set a number of the rig outside its range.
