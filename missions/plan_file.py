@@ -19,7 +19,7 @@ from msgspec import Meta
 from flying_vines.files.bounded import MB
 from flying_vines.files.toml_text import OneLineError, read_text
 from flying_vines.vehicle.autopilots import AUTOPILOTS
-from flying_vines.vehicle.mission.item import GLOBAL_FRAME, WAYPOINT, MissionItem, has_place
+from flying_vines.vehicle.mission.item import GLOBAL_FRAME, MAX_NUMBER, WAYPOINT, MissionItem, has_place
 from flying_vines.vehicle.mission.jumps import JUMP
 from flying_vines.vehicle.mission.reference_vehicle import CRUISE_M_S, Home
 from flying_vines.vehicle.mission.storage import MISSION_FRAME, AutopilotKind
@@ -49,11 +49,14 @@ class PlanFile:
     home: Home
 
 
+ItemNumber = Annotated[float, Meta(ge=-MAX_NUMBER, le=MAX_NUMBER)]
+
+
 class _Item(msgspec.Struct):
     type: str
     command: Annotated[int, Meta(ge=0, le=65535)] = 0
     frame: Annotated[int, Meta(ge=0, le=255)] = MISSION_FRAME
-    params: Annotated[tuple[float | None, ...], Meta(min_length=7, max_length=7)] = (None,) * 7
+    params: Annotated[tuple[ItemNumber | None, ...], Meta(min_length=7, max_length=7)] = (None,) * 7
     autoContinue: bool = True
     doJumpId: int | None = None
     complexItemType: str = ""
@@ -63,7 +66,7 @@ class _Item(msgspec.Struct):
 class _Mission(msgspec.Struct):
     version: Annotated[int, Meta(ge=2, le=2)]
     items: Annotated[tuple[_Item, ...], Meta(min_length=1)]
-    plannedHomePosition: tuple[float, float, float | None]
+    plannedHomePosition: tuple[ItemNumber, ItemNumber, ItemNumber | None]
     firmwareType: int = 0
 
 

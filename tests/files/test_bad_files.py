@@ -266,3 +266,12 @@ def test_toml_that_is_too_deep_or_too_large(text: str, says: str) -> None:
 
 def test_a_long_value_is_cut_in_the_error() -> None:
     assert len(str(OneLineError("a" * 100_000))) < 3000
+
+
+def test_a_mission_item_beyond_32_bits_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "m.waypoints"
+    rows = [f"{seq}\t0\t3\t16\t0\t0\t0\t0\t{place}\t8\t9\t1" for seq, place in enumerate(("47", "1e308"))]
+    path.write_text("\n".join(["QGC WPL 110", *rows]))
+    status, _, err = run(capsys, "mission", "check", path, "--autopilot", "ardupilot")
+    assert (status, err.count("\n")) == (2, 1)
+    assert "line 3: x must be at most 3.4e+38, not '1e308'" in err

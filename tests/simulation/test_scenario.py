@@ -112,7 +112,7 @@ PRBS = RUN + 'kind = "prbs"\nduration_s = 1\n'
         (BENDS + BENDS + 'hold_s = "a"', "runs[1].hold_s: must be a number"),
         (BENDS + "bend_kPa = nan", "runs[0].bend_kPa: is not a finite number"),
         (BENDS + "bend_kPa = 151", "runs[0].bend_kPa: must be a number of at most 150"),
-        (BENDS + "reservoir_kPa = 0", "runs[0].reservoir_kPa: must be a number above 0"),
+        (BENDS + "reservoir_kPa = 0", "runs[0].reservoir_kPa: must be a number of at least 1"),
         (BENDS + "sample_rate_Hz = 60", "runs[0].sample_rate_Hz: 60 does not divide the firmware's 1000 Hz"),
         (BENDS + 'name = "../x"', "runs[0].name: "),
         (BENDS + 'name = "x\\n"', "runs[0].name: "),
