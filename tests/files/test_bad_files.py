@@ -274,4 +274,4 @@ def test_a_mission_item_beyond_32_bits_is_refused(tmp_path: Path, capsys: pytest
     path.write_text("\n".join(["QGC WPL 110", *rows]))
     status, _, err = run(capsys, "mission", "check", path, "--autopilot", "ardupilot")
     assert (status, err.count("\n")) == (2, 1)
-    assert "line 3: x must be at most 3.4e+38, not '1e308'" in err
+    assert "line 3: x must be at most 3.40282e+38, not '1e308'" in err
