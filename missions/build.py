@@ -6,8 +6,8 @@ import math
 from dataclasses import replace
 
 from flying_vines.config.config import Config
-from flying_vines.config.toml_text import Key, dotted, place
 from flying_vines.core.motion_planner import MotionPlanner
+from flying_vines.files.toml_text import Key, dotted, place
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import (
     ABOVE_HOME_FRAME,

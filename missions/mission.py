@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from flying_vines.config.toml_text import (
+from flying_vines.files.toml_text import (
     Key,
     dotted,
     explained,
@@ -112,7 +112,7 @@ def parse(text: str, source: str) -> Mission:
     try:
         return msgspec.convert(raw, Mission)
     except msgspec.ValidationError as error:
-        key, reason = explained(str(error), _known_keys)
+        key, reason = explained(str(error), _known_keys, raw=raw)
         if reason.startswith("Invalid enum"):
             reason += f": give one of {', '.join(_CHOICES.get(str(key[-1]), ()))}"
         raise MissionError(located(text, source, key, reason)) from None

@@ -16,14 +16,17 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
-from flying_vines.config.toml_text import OneLineError, read_text
+from flying_vines.files.bounded import MB
+from flying_vines.files.toml_text import OneLineError, read_text
 from flying_vines.vehicle.autopilots import AUTOPILOTS
-from flying_vines.vehicle.mission.item import GLOBAL_FRAME, WAYPOINT, MissionItem, has_place
+from flying_vines.vehicle.mission.item import GLOBAL_FRAME, MAX_NUMBER, WAYPOINT, MissionItem, has_place
 from flying_vines.vehicle.mission.jumps import JUMP
 from flying_vines.vehicle.mission.reference_vehicle import CRUISE_M_S, Home
 from flying_vines.vehicle.mission.storage import MISSION_FRAME, AutopilotKind
 from missions.home import home_of
 
+PLAN_BYTES = 8 * MB
+"""QGroundControl writes about 500 bytes an item; a survey also stores its whole path."""
 _KINDS = {autopilot.mav_autopilot: kind for kind, autopilot in AUTOPILOTS.items()}
 _MULTIROTOR = 2
 _CRUISE_SPEED_M_S = 15
@@ -46,11 +49,14 @@ class PlanFile:
     home: Home
 
 
+ItemNumber = Annotated[float, Meta(ge=-MAX_NUMBER, le=MAX_NUMBER)]
+
+
 class _Item(msgspec.Struct):
     type: str
     command: Annotated[int, Meta(ge=0, le=65535)] = 0
     frame: Annotated[int, Meta(ge=0, le=255)] = MISSION_FRAME
-    params: Annotated[tuple[float | None, ...], Meta(min_length=7, max_length=7)] = (None,) * 7
+    params: Annotated[tuple[ItemNumber | None, ...], Meta(min_length=7, max_length=7)] = (None,) * 7
     autoContinue: bool = True
     doJumpId: int | None = None
     complexItemType: str = ""
@@ -60,7 +66,7 @@ class _Item(msgspec.Struct):
 class _Mission(msgspec.Struct):
     version: Annotated[int, Meta(ge=2, le=2)]
     items: Annotated[tuple[_Item, ...], Meta(min_length=1)]
-    plannedHomePosition: tuple[float, float, float | None]
+    plannedHomePosition: tuple[ItemNumber, ItemNumber, ItemNumber | None]
     firmwareType: int = 0
 
 
@@ -76,9 +82,11 @@ def read_plan(path: Path, kind: AutopilotKind | None = None) -> PlanFile:
     Raises `PlanFileError` if it cannot be read, has no items, or has items that only QGroundControl can
     convert.
     """
-    text = read_text(path, PlanFileError)
+    text = read_text(path, PlanFileError, most_bytes=PLAN_BYTES)
     try:
         content = msgspec.json.decode(text.encode(), type=_File)
+    except RecursionError:
+        raise PlanFileError(f"{path}: not a plan of QGroundControl: nested too deeply") from None
     except msgspec.MsgspecError as error:
         raise PlanFileError(f"{path}: not a plan of QGroundControl: {_plain(error)}") from None
     if content.fileType != "Plan":

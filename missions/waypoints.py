@@ -8,10 +8,12 @@ PX4. QGroundControl's own files without home have version 120, which MAVProxy re
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.files.bounded import read_bytes
+from flying_vines.vehicle.mission.item import MAX_NUMBER, MissionItem
 
 _HEADER = "QGC WPL 110"
 _WITHOUT_HOME = "QGC WPL 120"
@@ -35,7 +37,7 @@ def read_waypoints(path: str | Path) -> list[MissionItem]:
     """
     path = Path(path)
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_bytes(path).decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise WaypointsError(f"{path}, line 1: this is not a text file") from error
     found = lines[0].strip() if lines else ""
@@ -109,6 +111,9 @@ class _Line:
     def _real(self, index: int, name: str) -> float:
         text = self._columns[index]
         try:
-            return float(text)
+            value = float(text)
         except ValueError:
             raise WaypointsError(f"{self._where}: {name} must be a number, not {text[:40]!r}") from None
+        if math.isfinite(value) and abs(value) > MAX_NUMBER:
+            raise WaypointsError(f"{self._where}: {name} must be at most {MAX_NUMBER:g}, not {text[:40]!r}")
+        return value

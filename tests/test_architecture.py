@@ -11,6 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LEVELS = (
+    ("files",),
     ("physics", "vine", "firmware_link"),
     ("config", "plots"),
     ("vehicle", "supply"),

@@ -14,7 +14,7 @@ from flying_vines.calibration.findings import Findings, MeasuredQuantity, Settin
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config, ConfigError
 from flying_vines.config.toml_edit import value_text, with_value
-from flying_vines.config.toml_text import lines_of_keys
+from flying_vines.files.toml_text import lines_of_keys
 from flying_vines.vine.curve import BendCurve
 
 MAX_RELATIVE_WIDTH = 0.25

@@ -27,6 +27,7 @@ from flying_vines.config.config import Config, PneumaticsConfig
 from flying_vines.config.config_text import configuration_text
 from flying_vines.core.events import Action, StoredState
 from flying_vines.core.snapshot import Snapshot
+from flying_vines.files.bounded import read_bytes
 from flying_vines.record import recorder
 from flying_vines.service.persistent_state import PersistentState
 from flying_vines.supply import RigPrior
@@ -87,7 +88,7 @@ def load_context(user: UserConfiguration) -> tuple[Config, CalibrationContext]:
     prior, rig_text = None, ""
     if rig := configuration.rig_named(config, path):
         prior = load_rig_file_prior(rig, config.pneumatics).prior
-        rig_text = rig.read_text(encoding="utf-8")
+        rig_text = read_bytes(rig).decode()
         flown = msgspec.structs.replace(flown, pneumatics=prior.pneumatics)
     return flown, CalibrationContext(prior, rig_text, stored, signing, state)
 

@@ -69,12 +69,13 @@ def _add_action(
 
 def _reading(run: Callable[[FlightLog, argparse.Namespace], int], arguments: argparse.Namespace) -> int:
     """Find the flight and run the action; a file error becomes one line."""
-    from flying_vines.record.reader import LogError
+    from flying_vines.record.reader import LogError, refuses_foreign
     from flying_vines.record.summary import find_flight
 
     with needs_analysis(), file_errors(arguments.folder, LogError):
         log = find_flight(arguments.flight, arguments.folder)
-        status = run(log, arguments)
+        with refuses_foreign(log):
+            status = run(log, arguments)
     if log.damage:
         print(f"flying-vines: {log.damage}", file=sys.stderr)
     return status
@@ -84,7 +85,7 @@ def _list(arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
     from flying_vines.cli.log_tables import summary_as_json, summary_table
-    from flying_vines.record.reader import FlightLog, LogError, flights_in
+    from flying_vines.record.reader import FlightLog, LogError, flights_in, refuses_foreign
     from flying_vines.record.summary import summarise
 
     if not arguments.folder.is_dir():
@@ -92,7 +93,9 @@ def _list(arguments: argparse.Namespace) -> int:
     summaries, unreadable = [], []
     for folder in flights_in(arguments.folder):
         try:
-            summaries.append(summarise(FlightLog(folder)))
+            log = FlightLog(folder)
+            with refuses_foreign(log):
+                summaries.append(summarise(log))
         except LogError as error:
             unreadable.append(str(error))
     if arguments.json:

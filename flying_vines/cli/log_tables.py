@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
+import msgspec
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -20,6 +21,7 @@ from flying_vines.core.events import (
     KeepParameters,
     LinkChanged,
 )
+from flying_vines.files.bounded import read_bytes
 from flying_vines.record.folders import ABOUT
 from flying_vines.record.reader import FlightLog, LogEntry
 from flying_vines.record.restore import restored
@@ -134,8 +136,8 @@ def _lines(entry: LogEntry, began: float) -> Iterator[Text]:
 def _about(log: FlightLog) -> dict[str, Any] | None:
     """The content of the flight's about file; None if it is missing."""
     try:
-        about: dict[str, Any] = json.loads((log.folder / ABOUT).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        about = msgspec.json.decode(read_bytes(log.folder / ABOUT), type=dict[str, Any])
+    except (OSError, ValueError, RecursionError):
         return None
     return about
 

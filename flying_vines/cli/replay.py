@@ -100,12 +100,14 @@ def _replay_flight(recording: Path, config: Path | None, as_json: bool) -> int:
     from rich.console import Console
 
     from flying_vines.cli.log_tables import show_replay
-    from flying_vines.record.reader import FlightLog, LogError
+    from flying_vines.record.reader import FlightLog, LogError, refuses_foreign
     from flying_vines.simulation.replay import replay_flight
 
     instead = configuration.load(config) if config else None
     try:
-        replay = replay_flight(FlightLog(recording), instead)
+        log = FlightLog(recording)
+        with refuses_foreign(log):
+            replay = replay_flight(log, instead)
     except LogError as error:
         return bad_input(str(error))
     show_replay(replay, as_json, Console())

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from flying_vines.cli.common import FLIGHTS, add_cause_option, fail, file_errors, rig_file_prior
 from flying_vines.config import config as configuration
+from flying_vines.files.bounded import read_bytes
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -53,7 +54,7 @@ def _run(arguments: argparse.Namespace) -> int:
         remembered = Remembered(state, state.read(config), signing, state.read_page_token(config))
     try:
         numbers = known.prior.pneumatics if known else config.pneumatics
-        rig = known.path.read_text(encoding="utf-8") if known else ""
+        rig = read_bytes(known.path).decode() if known else ""
         began = FlightStart(text, numbers, rig, remembered.stored)
         log = Recorder(arguments.out, began, config.log.least_free_MB)
     except OSError as error:

@@ -24,6 +24,7 @@ def add(commands: Any) -> None:
 
 
 def _simulate(arguments: argparse.Namespace) -> int:
+    from flying_vines.files.bounded import read_bytes
     from flying_vines.physics.plant.true_rig import TrueRig, load_true_rig, true_rig_text
     from flying_vines.physics.rig import RigError, load_rig
 
@@ -46,7 +47,7 @@ def _simulate(arguments: argparse.Namespace) -> int:
         except ScenarioError as error:
             fail(f"{arguments.scenario}: {error}")
         took_s = monotonic() - began_s
-        given = arguments.rig.read_bytes()
+        given = read_bytes(arguments.rig)
         try:
             load_rig(arguments.rig)
             paths = write_case(runs, given, folder)

@@ -16,7 +16,7 @@ from msgspec import Meta
 
 from flying_vines.config.address import NetworkAddress, parse_address, parse_broker, who_can_command
 from flying_vines.config.plugins import PluginError, installed, put_in, with_own_segments
-from flying_vines.config.toml_text import (
+from flying_vines.files.toml_text import (
     Key,
     OneLineError,
     dotted,
@@ -27,7 +27,7 @@ from flying_vines.config.toml_text import (
     place,
     read_text,
 )
-from flying_vines.physics.rig import NotNegative, Positive
+from flying_vines.physics.rig import FlowResistance, ReservoirVolume, VineVolume, range_of
 from flying_vines.vine.curve import BendCurve
 from flying_vines.vine.intent import CommandName
 from flying_vines.vine.profile import PressureProfile, Segment, Sine, ends_kPa, flatten
@@ -47,6 +47,10 @@ ITEM_COMMANDS = {
 
 _TOPIC_LEVEL = re.compile(r"[\w.-]{1,64}", re.ASCII)
 
+MAX_PROFILES = 200
+"""The page has a button for each, and each may unroll to 10,000 segments."""
+MAX_ITEMS = 1000
+
 CheckLevel = Literal["fault", "warn"]
 
 SEGMENTS = tuple(str(segment.__struct_config__.tag) for segment in get_args(Segment))
@@ -59,6 +63,16 @@ Param = Literal["param1", "param2", "param3", "param4", "param5", "param6", "par
 def param_index(param: Param) -> int:
     """The index of a parameter in a list of all: 0 for param1."""
     return int(param.removeprefix("param")) - 1
+
+
+# Generous: a hundred times what rigs have, so that no arithmetic overflows.
+ReservoirPressure = Annotated[float, Meta(ge=0, le=5000)]
+VinePressure = Annotated[float, Meta(ge=0, le=200)]
+BentTime = Annotated[float, Meta(ge=0.1, le=86_400)]
+Rate = Annotated[float, Meta(ge=0.01, le=2000)]
+CurveKPa = Annotated[float, Meta(ge=-200, le=200)]
+CurveDeg = Annotated[float, Meta(ge=-3600, le=3600)]
+CommandId = Annotated[int, Meta(ge=0, le=65_535)]
 
 
 class ConfigError(OneLineError):
@@ -128,11 +142,11 @@ class SwitchConfig(_Table, frozen=True):
 class ItemConfig(_Table, frozen=True):
     """A rule: what a mission item or command does with the vine."""
 
-    command: str | int | tuple[str | int, ...]
+    command: str | CommandId | tuple[str | CommandId, ...]
     match: dict[Param, float] = {}
     profile: str | None = None
     bend: Param | None = None
-    scale: float = 1.0
+    scale: Annotated[float, Meta(ge=-1e6, le=1e6)] = 1.0
 
     def __post_init__(self) -> None:
         for name in self._commands:
@@ -164,8 +178,12 @@ class TriggerConfig(_Table, frozen=True):
 
 
 class VineConfig(_Table, frozen=True):
-    curve: tuple[tuple[float, float], ...] = ((0.0, 0.0), (2.0, 0.0), (20.7, 60.0))
-    hysteresis_kPa: NotNegative = 0.0
+    curve: Annotated[tuple[tuple[CurveKPa, CurveDeg], ...], Meta(max_length=1000)] = (
+        (0.0, 0.0),
+        (2.0, 0.0),
+        (20.7, 60.0),
+    )
+    hysteresis_kPa: VinePressure = 0.0
 
     def __post_init__(self) -> None:
         BendCurve(self.curve)
@@ -175,10 +193,10 @@ class VineConfig(_Table, frozen=True):
 
 
 class LimitsConfig(_Table, frozen=True):
-    max_kPa: Annotated[float, Meta(gt=0, le=200)] = 20.7
-    max_rate_kPa_per_s: Annotated[float, Meta(gt=0, le=2000)] = 60.0
-    max_bent_s: Positive = 120.0
-    overpressure_kPa: Annotated[float, Meta(gt=0, le=206)] = 25.0
+    max_kPa: Annotated[float, Meta(ge=0.1, le=200)] = 20.7
+    max_rate_kPa_per_s: Rate = 60.0
+    max_bent_s: BentTime = 120.0
+    overpressure_kPa: Annotated[float, Meta(ge=0.1, le=206)] = 25.0
 
     def __post_init__(self) -> None:
         if self.overpressure_kPa <= self.max_kPa:
@@ -188,8 +206,8 @@ class LimitsConfig(_Table, frozen=True):
 class InterlocksConfig(_Table, frozen=True):
     bench_mode: bool = False
     armed_at_start: bool = True
-    min_altitude_m: NotNegative = 2.0
-    reserve_kPa: NotNegative = 40.0
+    min_altitude_m: Annotated[float, Meta(ge=0, le=10_000)] = 2.0
+    reserve_kPa: ReservoirPressure = 40.0
 
 
 class LossesConfig(_Table, frozen=True):
@@ -199,7 +217,7 @@ class LossesConfig(_Table, frozen=True):
     autopilot_s: Annotated[float, Meta(ge=1.5, le=30)] = 3.0
     telemetry_s: Annotated[float, Meta(ge=0.1, le=2)] = 0.3
     on_rc_loss: Literal["vent", "hold"] = "vent"
-    hold_at_most_s: Positive = 30.0
+    hold_at_most_s: BentTime = 30.0
 
 
 class PneumaticsConfig(_Table, frozen=True):
@@ -209,14 +227,14 @@ class PneumaticsConfig(_Table, frozen=True):
     """
 
     rig: str = ""
-    reservoir_volume_L: Positive = 2.0
-    full_kPa: Positive = 690.0
-    cv_volume_L: Positive = 0.1
-    evp_flow_resistance_kPa_s_per_SL: Positive = 2042.0
-    dvp_flow_resistance_kPa_s_per_SL: Positive = 618.0
-    venturi_least_supply_kPa: NotNegative = 100.0
-    cycle_swing_kPa: Positive = 20.7
-    cycle_rate_kPa_per_s: Positive = 22.8
+    reservoir_volume_L: ReservoirVolume = 2.0
+    full_kPa: Annotated[float, Meta(ge=10, le=5000)] = 690.0
+    cv_volume_L: VineVolume = 0.1
+    evp_flow_resistance_kPa_s_per_SL: FlowResistance = 2042.0
+    dvp_flow_resistance_kPa_s_per_SL: FlowResistance = 618.0
+    venturi_least_supply_kPa: ReservoirPressure = 100.0
+    cycle_swing_kPa: Annotated[float, Meta(ge=0.1, le=200)] = 20.7
+    cycle_rate_kPa_per_s: Rate = 22.8
 
 
 class ChecksConfig(_Table, frozen=True):
@@ -243,7 +261,7 @@ class ChecksConfig(_Table, frozen=True):
 class TelemetryConfig(_Table, frozen=True):
     rate_Hz: Annotated[float, Meta(ge=0.1, le=10)] = 2.0
     fuel_status: bool = False
-    low_reservoir_cycles: Annotated[float, Meta(ge=0)] = 10.0
+    low_reservoir_cycles: Annotated[float, Meta(ge=0, le=100_000)] = 10.0
 
 
 class PageConfig(_Table, frozen=True):
@@ -282,7 +300,7 @@ class MqttConfig(_Table, frozen=True):
 class LogConfig(_Table, frozen=True):
     """The flight recorder."""
 
-    least_free_MB: NotNegative = 200.0
+    least_free_MB: Annotated[float, Meta(ge=0, le=1_000_000)] = 200.0
 
 
 class StateConfig(_Table, frozen=True):
@@ -294,12 +312,12 @@ class StateConfig(_Table, frozen=True):
 class Config(_Table, frozen=True):
     """The whole configuration."""
 
-    profiles: dict[str, PressureProfile]
+    profiles: Annotated[dict[str, PressureProfile], Meta(max_length=MAX_PROFILES)]
     vehicle: VehicleConfig = VehicleConfig()
     firmware: FirmwareConfig = FirmwareConfig()
     switch: SwitchConfig = SwitchConfig()
-    items: tuple[ItemConfig, ...] = ()
-    triggers: tuple[TriggerConfig, ...] = ()
+    items: Annotated[tuple[ItemConfig, ...], Meta(max_length=MAX_ITEMS)] = ()
+    triggers: Annotated[tuple[TriggerConfig, ...], Meta(max_length=MAX_ITEMS)] = ()
     vine: VineConfig = VineConfig()
     limits: LimitsConfig = LimitsConfig()
     interlocks: InterlocksConfig = InterlocksConfig()
@@ -362,7 +380,7 @@ def parse(text: str, source: str, recorded: bool = False) -> Config:
     except PluginError as error:
         raise ConfigError(located(text, source, inside, str(error))) from None
     except msgspec.ValidationError as error:
-        raise _explain(text, source, str(error), inside) from None
+        raise _explain(text, source, raw, str(error), inside) from None
     for key, reason in _contradictions(config) or ([] if recorded else _open_links(config)):
         raise ConfigError(f"{place(text, source, key)}: {dotted(key)}: {reason}")
     return config
@@ -523,8 +541,8 @@ def no_profile(config: Config, name: str) -> str:
     return f"there is no profile '{name}'" + (f"; did you mean '{near[0]}'?" if near else "")
 
 
-def _explain(text: str, source: str, error: str, inside: Key) -> ConfigError:
-    key, reason = explained(error, _known_keys, inside)
+def _explain(text: str, source: str, raw: object, error: str, inside: Key) -> ConfigError:
+    key, reason = explained(error, _known_keys, inside, raw, _range)
     if reason.startswith("Invalid"):
         reason += f": give one of {', '.join(_choices(key))}"
     return ConfigError(located(text, source, key, reason))
@@ -539,6 +557,16 @@ def _known_keys(path: Key) -> list[str]:
         if isinstance(part, str):
             here = _TABLES.get(part, here)
     return list(getattr(here, "__struct_fields__", ()))
+
+
+def _range(key: Key) -> str:
+    """The range of the number at `key`, as text; empty if it has none or is no number of a table."""
+    if not key:
+        return ""
+    if key[:2] == ("vine", "curve") and key[-1] in (0, 1):
+        return range_of((CurveKPa, CurveDeg)[int(key[-1])])
+    hints = get_type_hints(_TABLES.get(str(key[0]), Config), include_extras=True)
+    return range_of(hints.get(str(key[-1])))
 
 
 def _choices(key: Key) -> list[str]:

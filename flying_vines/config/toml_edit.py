@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Mapping
 from typing import Any
 
-from flying_vines.config.toml_text import ASSIGNMENT, HEADER, lines_of_keys
+from flying_vines.files.toml_text import ASSIGNMENT, HEADER, lines_of_keys
 
 _OLD_REMARK = re.compile(r"\s*was [^;]*, measured [^;]*(; |$)")
 """A remark of an earlier replacement; the next remark replaces it."""

@@ -14,6 +14,7 @@ from ipaddress import ip_address
 from pathlib import Path
 
 from flying_vines.config.config import PageConfig
+from flying_vines.files.bounded import read_bytes
 
 RANDOM_BYTES = 10
 """Too long to guess over a network, short enough to type on a phone."""
@@ -46,7 +47,7 @@ def read(path: Path) -> str:
     try:
         if path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
             raise PageTokenError(f"{path}: others may read or change the page's token: chmod 600 {path}")
-        token, *_ = path.read_text(encoding="utf-8", errors="replace").splitlines() or [""]
+        token, *_ = read_bytes(path).decode("utf-8", errors="replace").splitlines() or [""]
     except OSError as error:
         raise PageTokenError(f"{path}: the page's token cannot be read: {error.strerror}") from None
     if not _FORM.fullmatch(_plain(token)):

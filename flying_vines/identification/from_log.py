@@ -27,7 +27,7 @@ from flying_vines.identification.case import Case
 from flying_vines.identification.recording import CaseError, RecordedRun
 from flying_vines.physics.arrays import Array, BoolArray
 from flying_vines.physics.rig import Rig, RigError, load_rig, rig_from
-from flying_vines.record.reader import FlightLog, LogError
+from flying_vines.record.reader import FlightLog, LogError, refuses_foreign
 from flying_vines.record.topics import SNAPSHOT, START, TELEMETRY
 
 STEP_MS = 1
@@ -131,18 +131,19 @@ def _read(flight: FlightLog) -> _Log:
     ambient: list[list[float]] = []
     unknown = 0
     try:
-        for entry in flight.entries((START, TELEMETRY, SNAPSHOT)):
-            content = entry.fields
-            if entry.topic == START:
-                tables = content.get("believed")
-            elif entry.topic == TELEMETRY:
-                row = _numbers(content, (*_FIELDS, *_VALVES))
-                if row is None:
-                    unknown += 1
-                else:
-                    rows.append(row)
-            elif (air := _numbers(content, ("t", "ambient_kPa"))) and AIR_KPA[0] <= air[1] <= AIR_KPA[1]:
-                ambient.append(air)
+        with refuses_foreign(flight):
+            for entry in flight.entries((START, TELEMETRY, SNAPSHOT)):
+                content = entry.fields
+                if entry.topic == START:
+                    tables = content.get("believed")
+                elif entry.topic == TELEMETRY:
+                    row = _numbers(content, (*_FIELDS, *_VALVES))
+                    if row is None:
+                        unknown += 1
+                    else:
+                        rows.append(row)
+                elif (air := _numbers(content, ("t", "ambient_kPa"))) and AIR_KPA[0] <= air[1] <= AIR_KPA[1]:
+                    ambient.append(air)
     except LogError as error:
         raise CaseError(str(error)) from None
     if len(rows) < 2:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from flying_vines.config.toml_text import one_line
+from flying_vines.files.toml_text import one_line
 from flying_vines.physics.arrays import Array
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from flying_vines.files.bounded import TABLE_BYTES, read_bytes
 from flying_vines.identification.recording import CaseError
 from flying_vines.physics.arrays import Array, BoolArray
 
@@ -113,9 +114,9 @@ def read_table(path: Path) -> RunTable:
 
 
 def has_header(path: Path) -> bool:
-    """True if a line of the file names the columns. It is read up to this line. Raises `OSError`."""
-    with path.open(encoding="utf-8-sig", errors="replace") as lines:
-        return any(_header(line, comment) for line in lines for comment in (False, True))
+    """True if a line of the file names the columns. Raises `OSError`."""
+    lines = read_bytes(path, TABLE_BYTES).decode("utf-8-sig", errors="replace").splitlines()
+    return any(_header(line, comment) for line in lines for comment in (False, True))
 
 
 def _rows(path: Path, lines: Sequence[str], kept: Sequence[int], separator: str) -> Iterator[list[str]]:
@@ -161,7 +162,7 @@ def _separator(line: str) -> str:
 
 def _lines_of(path: Path) -> list[str]:
     try:
-        data = path.read_bytes()
+        data = read_bytes(path, TABLE_BYTES)
     except FileNotFoundError:
         raise CaseError(f"{path}: no such file") from None
     except OSError as error:

@@ -50,8 +50,10 @@ class Gas:
         gamma, molar_mass_g_per_mol = self.properties
         if not 1.0 < gamma <= GASES["Ar"].gamma + 1e-3:
             raise ValueError(f"gamma of a gas must be between 1 and 5/3, not {gamma:g}")
-        if not molar_mass_g_per_mol > 0.0:
-            raise ValueError("the molar mass of a gas must be positive")
+        if not 1.0 <= molar_mass_g_per_mol <= 500.0:
+            raise ValueError(
+                f"the molar mass of a gas must be from 1 to 500 g/mol, not {molar_mass_g_per_mol:g}"
+            )
 
     @property
     def properties(self) -> GasProperties:

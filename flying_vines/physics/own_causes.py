@@ -13,6 +13,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
 
+from flying_vines.files.bounded import read_bytes
 from flying_vines.physics.cause import Cause, CauseError
 from flying_vines.physics.plant.setup import perfect
 from flying_vines.physics.rig import Pump, Rig
@@ -31,7 +32,7 @@ def read_causes(path: Path | str) -> tuple[Cause, ...]:
     # A dataclass looks up its module in sys.modules.
     sys.modules[module.__name__] = module
     try:
-        exec(compile(path.read_bytes(), str(path), "exec"), vars(module))
+        exec(compile(read_bytes(path), str(path), "exec"), vars(module))
     except OSError as error:
         raise CauseError(f"{path}: {error.strerror}") from None
     except SyntaxError as error:

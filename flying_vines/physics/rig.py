@@ -4,24 +4,29 @@ from __future__ import annotations
 
 import difflib
 import math
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import msgspec
 
+from flying_vines.files.toml_text import OneLineError, parsed, place, read_text
 from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
 from flying_vines.physics.gas import Gas
 
-Positive = Annotated[float, msgspec.Meta(gt=0)]
+# Generous: a hundred times what rigs have, and more. Beyond them arithmetic overflows, or a unit is wrong.
+ReservoirVolume = Annotated[float, msgspec.Meta(ge=0.001, le=1000)]
+VineVolume = Annotated[float, msgspec.Meta(ge=1e-4, le=50)]
+FlowResistance = Annotated[float, msgspec.Meta(ge=0.01, le=1e8)]
+SupplyPressure = Annotated[float, msgspec.Meta(ge=1, le=10_000)]
 R = TypeVar("R")
-NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+Noise = Annotated[float, msgspec.Meta(ge=0, le=1000)]
+Percent = Annotated[float, msgspec.Meta(ge=0, le=10_000)]
 _AIR = Gas()
 
 
-class RigError(ValueError):
+class RigError(OneLineError, ValueError):
     """A rig file cannot be used; the text is one sentence for people."""
 
 
@@ -29,35 +34,35 @@ class RigError(ValueError):
 class Reservoir:
     """The compressed-air reservoir."""
 
-    volume_L: Positive = 2.0
+    volume_L: ReservoirVolume = 2.0
 
 
 @dataclass(frozen=True)
 class ControlVolume:
     """The inflated actuator. The default is the vine's."""
 
-    volume_L: Positive = 0.1
+    volume_L: VineVolume = 0.1
 
 
 @dataclass(frozen=True)
 class Evp:
     """EVP, the inflation valve, fully open. Default: 20.3 SLPM at 690 kPa, from the paper's discharges."""
 
-    flow_resistance_kPa_s_per_SL: Positive = 2042.0
+    flow_resistance_kPa_s_per_SL: FlowResistance = 2042.0
 
 
 @dataclass(frozen=True)
 class Dvp:
     """DVP, the valve that supplies the Venturi, fully open."""
 
-    flow_resistance_kPa_s_per_SL: Positive = 618.0
+    flow_resistance_kPa_s_per_SL: FlowResistance = 618.0
 
 
 @dataclass(frozen=True)
 class Solenoid:
     """The valve from the control volume to the vacuum port, open."""
 
-    flow_resistance_kPa_s_per_SL: Positive = 70.0
+    flow_resistance_kPa_s_per_SL: FlowResistance = 70.0
 
 
 @dataclass(frozen=True)
@@ -66,7 +71,7 @@ class Venturi:
     `full_vacuum_kPa`."""
 
     full_vacuum_kPa: Annotated[float, msgspec.Meta(ge=0, le=STANDARD_PRESSURE_KPA)] = 55.0
-    rated_supply_kPa: Positive = 600.0
+    rated_supply_kPa: SupplyPressure = 600.0
 
 
 @dataclass(frozen=True)
@@ -78,8 +83,8 @@ class Pump:
     is that of the supply.
     """
 
-    free_flow_SL_per_s: Positive = 0.04
-    stall_pressure_kPa: Positive = 60.0
+    free_flow_SL_per_s: Annotated[float, msgspec.Meta(ge=1e-6, le=1000)] = 0.04
+    stall_pressure_kPa: Annotated[float, msgspec.Meta(ge=0.01, le=10_000)] = 60.0
 
     @property
     def flow_resistance_kPa_s_per_SL(self) -> float:
@@ -94,8 +99,8 @@ class Hose:
     The default is 1 m of 4 mm tube with twice its laminar resistance.
     """
 
-    volume_L: Positive = 0.0126
-    flow_resistance_kPa_s_per_SL: Positive = 6.0
+    volume_L: Annotated[float, msgspec.Meta(ge=1e-9, le=50)] = 0.0126
+    flow_resistance_kPa_s_per_SL: Annotated[float, msgspec.Meta(ge=1e-6, le=1e8)] = 6.0
 
     def __post_init__(self) -> None:
         if not (self.volume_L > 0.0 and self.flow_resistance_kPa_s_per_SL > 0.0):
@@ -106,8 +111,8 @@ class Hose:
 class Sensors:
     """Standard deviations of the sensor noise."""
 
-    cv_noise_std_kPa: NotNegative = 0.15
-    reservoir_noise_std_kPa: NotNegative = 1.2
+    cv_noise_std_kPa: Noise = 0.15
+    reservoir_noise_std_kPa: Noise = 1.2
 
 
 @dataclass(frozen=True)
@@ -129,7 +134,7 @@ class Rig:
     pump: Pump | None = None
     hose: Hose | None = None
     gas: Gas = _AIR
-    tolerance_percent: dict[str, NotNegative] = field(default_factory=dict)
+    tolerance_percent: dict[str, Percent] = field(default_factory=dict)
 
     def has(self, table: str) -> bool:
         """True if the rig has this part."""
@@ -163,16 +168,16 @@ def load_rig(path: Path | str) -> Rig:
 
 
 def read_rig(path: Path | str, made_of: Callable[[Mapping[str, Any]], R]) -> R:
-    """The tables of a rig file, converted by `made_of`; RigErrors name the file."""
+    """The tables of a rig file, converted by `made_of`; RigErrors name the file, and the line of a key."""
+    text = read_text(Path(path), RigError)
     try:
-        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise RigError(f"{path} cannot be read: {reason}") from None
-    try:
-        return made_of(content)
+        return made_of(parsed(text, str(path), RigError))
     except RigError as error:
-        raise RigError(f"{path}: {error}") from None
+        if str(error).startswith(str(path)):
+            raise
+        # A text about a key begins with it.
+        key = tuple(str(error).partition(" ")[0].rstrip(":").split("."))
+        raise RigError(f"{place(text, str(path), key)}: {error}") from None
 
 
 def rig_from(content: Mapping[str, Any]) -> Rig:
@@ -197,15 +202,15 @@ def rig_from(content: Mapping[str, Any]) -> Rig:
     tolerances = dict(_flat(content.get("tolerance_percent", {})))
     for key, value in tolerances.items():
         try:
-            msgspec.convert(value, NotNegative)
+            msgspec.convert(value, Percent)
         except msgspec.ValidationError as error:
-            raise RigError(number_error(str(error), f"tolerance_percent.{key}", value)) from None
+            raise RigError(number_error(str(error), f"tolerance_percent.{key}", value, Percent)) from None
     try:
         return msgspec.convert({"cv": None, **content, "tolerance_percent": tolerances}, Rig)
     except msgspec.ValidationError as error:
         reason, _, at = str(error).partition(" - at `$.")
         key = at.rstrip("`")
-        raise RigError(number_error(reason, key, dict(_flat(content)).get(key))) from None
+        raise RigError(number_error(reason, key, dict(_flat(content)).get(key), _hint(key))) from None
 
 
 def _check_name(key: str) -> None:
@@ -218,12 +223,32 @@ def _check_name(key: str) -> None:
         raise RigError(f"unknown key {key!r} of a rig{_instead(name, choices)}")
 
 
-def number_error(reason: str, key: str, value: object) -> str:
-    """Error text for a key from msgspec's "Expected `float` > 0.0" and "Expected `float`, got `str`"."""
-    bounds = reason.removeprefix("Expected `float`")
-    if bounds == reason:
+def number_error(reason: str, key: str, value: object, hint: object = None) -> str:
+    """Error text for a key from msgspec's "Expected `float` > 0.0" and "Expected `float`, got `str`".
+
+    The range is that of the key's type `hint`.
+    """
+    if not reason.startswith("Expected `float`"):
         return f"{key}: {reason}."
-    return f"{key} must be a number{'' if bounds.startswith(',') else bounds}, not {value!r}."
+    return f"{key} must be a number{range_of(hint)}, not {value!r}."
+
+
+def range_of(hint: object) -> str:
+    """The range of a number's type as text, such as " from 0.001 to 1000"; empty if it has none."""
+    for meta in getattr(hint, "__metadata__", ()):
+        if meta.ge is not None and meta.le is not None:
+            return f" from {meta.ge:g} to {meta.le:g}"
+        if meta.gt is not None:
+            return f" above {meta.gt:g}" + (f", up to {meta.le:g}" if meta.le is not None else "")
+    return ""
+
+
+def _hint(key: str) -> object:
+    """The type of the number at a key such as `cv.volume_L`."""
+    table, _, name = key.partition(".")
+    described = get_type_hints(Rig)[table]
+    described = next((part for part in get_args(described) if part is not type(None)), described)
+    return get_type_hints(described, include_extras=True).get(name)
 
 
 def _instead(wrong: str, choices: Sequence[str]) -> str:

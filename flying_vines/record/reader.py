@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import mmap
 from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
-from mcap.records import Channel, Message, Statistics
+from mcap.records import Channel, Message
 
+from flying_vines.files.bounded import opened
+from flying_vines.files.toml_text import one_line
 from flying_vines.record.folders import MCAP
-from flying_vines.record.mcap_file import MAGIC, read_chunks, read_summary
+from flying_vines.record.mcap_file import MAGIC, TooLargeError, read_chunks, read_summary
 
 LAST = "last"
 """The name of the latest flight, if no file or folder has this name."""
@@ -34,6 +37,23 @@ class LogEntry(NamedTuple):
     @property
     def fields(self) -> dict[str, Any]:
         return _decode(self.data)
+
+
+@contextmanager
+def refuses_foreign(log: FlightLog) -> Iterator[None]:
+    """Turn errors from the content of a log's messages into a `LogError`.
+
+    A message has a correct checksum, so only another program can have written such a content.
+    """
+    try:
+        yield
+    except RecursionError:
+        raise LogError(
+            f"{log.path}: has a message that this program does not write: nested too deeply"
+        ) from None
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        why = one_line(f"{type(error).__name__}: {error}")
+        raise LogError(f"{log.path}: has a message that this program does not write: {why}") from error
 
 
 def flights_in(parent: Path) -> list[Path]:
@@ -92,23 +112,25 @@ class FlightLog:
         Raises `LogError` if there is nothing to read.
         """
         try:
-            with self.path.open("rb") as file:
+            with opened(self.path) as file:
                 if not file.read(1):
                     raise LogError(f"{self.path}: is empty")
                 with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
                     yield from self._entries(data, topics)
         except OSError as error:
             raise LogError(f"{self.path}: cannot be read: {error.strerror}") from None
+        except TooLargeError as error:
+            raise LogError(f"{self.path}: {error}") from None
 
     def _entries(self, data: mmap.mmap, topics: Collection[str] | None) -> Iterator[LogEntry]:
         self.lost, self.cut_off, self._last_ns = 0, data[-len(MAGIC) :] != MAGIC, 0
         names: dict[int, str] = {}
         expected = count = 0
-        for record in read_summary(data):
-            if isinstance(record, Channel):
-                names[record.id] = record.topic
-            elif isinstance(record, Statistics):
-                count = record.message_count
+        for summed in read_summary(data):
+            if isinstance(summed, Channel):
+                names[summed.id] = summed.topic
+            else:
+                count = summed.message_count
         for records in read_chunks(data):
             for record in records:
                 if isinstance(record, Message):

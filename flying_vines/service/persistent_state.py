@@ -14,6 +14,7 @@ import msgspec
 from flying_vines.config import on_disk
 from flying_vines.config.config import Config
 from flying_vines.core.events import StoredState
+from flying_vines.files.bounded import read_bytes
 from flying_vines.gateway import page_token
 from flying_vines.vehicle.component import parameter_file
 from flying_vines.vehicle.mavlink.signing import Signing
@@ -99,7 +100,7 @@ class PersistentState:
     def read_learned(self) -> str:
         """The stored text. Empty if there is none or it cannot be read: then the air is learned again."""
         try:
-            return self.learned.read_text(encoding="utf-8", errors="replace")
+            return read_bytes(self.learned).decode("utf-8", errors="replace")
         except OSError:
             return ""
 
@@ -113,10 +114,10 @@ class PersistentState:
     def read_latched(self) -> dict[str, str]:
         """The faults that nobody has cleared."""
         try:
-            return msgspec.json.decode(self.latched.read_bytes(), type=dict[str, str])
+            return msgspec.json.decode(read_bytes(self.latched), type=dict[str, str])
         except FileNotFoundError:
             return {}
-        except (OSError, msgspec.DecodeError, UnicodeError):
+        except (OSError, ValueError, RecursionError):
             return dict(UNREADABLE)
 
     def store_latched(self, faults: dict[str, str]) -> None:

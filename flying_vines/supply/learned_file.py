@@ -40,7 +40,7 @@ def learned_from(text: str, prior: RigPrior) -> tuple[Learned | None, str]:
         return None, ""
     try:
         file = msgspec.json.decode(text, type=_File)
-    except (msgspec.DecodeError, UnicodeError):
+    except (ValueError, RecursionError):
         return None, "the stored use of air cannot be read: it is learned again"
     if file.rig != rig_digest(prior):
         return None, "another rig or changed numbers: air is learned again"

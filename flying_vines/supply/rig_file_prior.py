@@ -9,9 +9,10 @@ bending pouch of the actuator.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -81,7 +82,14 @@ def load_rig_file_prior(path: Path, p: PneumaticsConfig) -> RigFilePrior:
 
     Raises `RigError` if the file cannot be read, has an unknown name, or has no control volume.
     """
-    return read_rig(path, lambda content: _rig_file_prior(path, p, true_rig_from(content)))
+
+    def prior(content: Mapping[str, Any]) -> RigFilePrior:
+        try:
+            return _rig_file_prior(path, p, true_rig_from(content))
+        except ArithmeticError:
+            raise RigError("its numbers together give no air for a bend: check their units.") from None
+
+    return read_rig(path, prior)
 
 
 def _rig_file_prior(path: Path, p: PneumaticsConfig, rig: TrueRig) -> RigFilePrior:

@@ -10,8 +10,9 @@ from flying_vines.vine.curve import BendCurve
 
 MAX_NESTING = 8
 MAX_PIECES = 10_000
-MAX_VALUE = 1e6
-"""Upper limit of durations, cycles, frequencies and rates. Larger numbers make times imprecise."""
+MIN_VALUE, MAX_VALUE = 1e-4, 1e6
+"""Limits of durations, cycles, frequencies and rates. Larger numbers make times imprecise, smaller ones
+overflow."""
 
 
 class _Segment(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
@@ -78,7 +79,7 @@ class Sub(_Segment, tag="profile", frozen=True):
 
     def __post_init__(self) -> None:
         if not 1 <= self.repeat <= 1000:
-            raise ValueError("repeat must be 1 to 1000")
+            raise ValueError(f"repeat must be 1 to 1000, not {self.repeat}")
 
 
 Segment = Step | Ramp | HoldFor | Sine | Sub
@@ -96,7 +97,7 @@ class PressureProfile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if not self.segments:
             raise ValueError("a profile needs at least one segment")
         if not 1 <= self.repeat <= 1000:
-            raise ValueError("repeat must be 1 to 1000")
+            raise ValueError(f"repeat must be 1 to 1000, not {self.repeat}")
         if self.rate_kPa_per_s is not None:
             _positive(self.rate_kPa_per_s, "rate_kPa_per_s")
 
@@ -107,8 +108,8 @@ def _exactly_one(a: float | None, b: float | None, name_a: str, name_b: str) -> 
 
 
 def _positive(value: float, name: str) -> None:
-    if not 0 < value <= MAX_VALUE:
-        raise ValueError(f"{name} must be above 0 and at most {MAX_VALUE:.0f}")
+    if not MIN_VALUE <= value <= MAX_VALUE:
+        raise ValueError(f"{name} must be from {MIN_VALUE:g} to {MAX_VALUE:.0f}, not {value:g}")
 
 
 def flatten(

@@ -28,8 +28,8 @@ from flying_vines.cli.main import _parser
 from flying_vines.config import config
 from flying_vines.config.config import ITEM_COMMANDS, Config
 from flying_vines.config.toml_edit import value_text
-from flying_vines.config.toml_text import lines_of_keys
 from flying_vines.doctor.checks.vehicle import USES
+from flying_vines.files.toml_text import lines_of_keys
 from flying_vines.vehicle.autopilots.ardupilot import STREAM_GROUPS
 from flying_vines.vehicle.component.parameter_table import SETTINGS, bounds, value_of
 from flying_vines.vehicle.radio.switch import BOUNDARIES_US
@@ -174,7 +174,7 @@ def _range(kind: inspect.FloatType | inspect.IntType) -> str:
         return f"above {kind.gt:g}" + ("" if kind.le is None else f", to {kind.le:g}")
     if kind.ge is None:
         return "number"
-    return f"{kind.ge:g} or more" if kind.le is None else f"{kind.ge:g} … {kind.le:g}"
+    return f"{kind.ge:g} or more" if kind.le is None else f"{kind.ge:g} … {kind.le:.12g}"
 
 
 def comments_of(text: str) -> dict[tuple[str, str], str]:

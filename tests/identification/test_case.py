@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import pytest
 
+from flying_vines.files import bounded
 from flying_vines.identification.case import CaseError, RecordedRun, read_case
 from flying_vines.physics.rig import Rig, load_rig
 from flying_vines.simulation.scenario import csv_text, load_scenario, simulate, write_case
@@ -242,11 +244,15 @@ def test_folders_that_are_no_case(folder: Path) -> None:
 
 
 def test_inputs_without_read_permission(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def denied(path: Path) -> bytes:
+    opened = bounded.opened
+
+    def denied(path: Path) -> BinaryIO:
+        if path.suffix == ".toml":
+            return opened(path)
         raise PermissionError(13, "Permission denied", str(path))
 
     (folder / "run.csv").write_text(text())
-    monkeypatch.setattr(Path, "read_bytes", denied)
+    monkeypatch.setattr(bounded, "opened", denied)
     assert "run.csv: cannot be read: Permission denied" in refused(folder)
     monkeypatch.setattr(Path, "iterdir", denied)
     assert "cannot be read: Permission denied" in refused(folder)

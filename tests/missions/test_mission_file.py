@@ -51,7 +51,10 @@ def test_home_is_a_place_or_the_simulators() -> None:
             HEAD + waypoint("{ bend_deg = nan }"),
             "m.toml:6: waypoints[0].vine[0].bend_deg: is not a finite",
         ),
-        (HEAD + waypoint("", "at = [95, 8]"), "m.toml:5: waypoints[0].at[0]: expected float <= 90"),
+        (
+            HEAD + waypoint("", "at = [95, 8]"),
+            "m.toml:5: waypoints[0].at[0]: must be a number of at most 90, not 95",
+        ),
         (
             HEAD + waypoint("", "altitude_m = 5"),
             "needs either at = [latitude, longitude]",
@@ -60,8 +63,14 @@ def test_home_is_a_place_or_the_simulators() -> None:
             HEAD + waypoint("", "at = [1, 2]\neast_m = 3"),
             "needs either at = [latitude, longitude]",
         ),
-        (HEAD + waypoint("", "north_m = 1\nstay_s = 1.5"), "m.toml:6: waypoints[0].stay_s: expected int"),
-        (HEAD.replace("= 10", "= -1") + waypoint(""), "m.toml:3: takeoff.altitude_m: expected float > 0"),
+        (
+            HEAD + waypoint("", "north_m = 1\nstay_s = 1.5"),
+            "m.toml:6: waypoints[0].stay_s: must be a whole number, not 1.5",
+        ),
+        (
+            HEAD.replace("= 10", "= -1") + waypoint(""),
+            "m.toml:3: takeoff.altitude_m: must be a number above 0, not -1",
+        ),
         ("end = 'hover'\n" + HEAD + waypoint(""), "give one of land, return"),
         ("autopilot = 'apm'\n" + HEAD + waypoint(""), "give one of ardupilot, px4"),
         (HEAD.replace('"simulator"', '"sim"') + waypoint(""), "m.toml:1: home: "),

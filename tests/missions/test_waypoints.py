@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink import mavwp
 
-from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.item import MAX_NUMBER, MissionItem
 from missions.waypoints import WaypointsError, read_waypoints, write_waypoints
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
@@ -85,7 +85,7 @@ def test_only_items_in_order_are_written(tmp_path: Path) -> None:
         write_waypoints(tmp_path / "plan.waypoints", [MissionItem(3, 16, (0.0,) * 7)])
 
 
-numbers = st.floats(allow_nan=False)
+numbers = st.floats(-MAX_NUMBER, MAX_NUMBER) | st.sampled_from((-math.inf, math.inf))
 items_strategy = st.lists(
     st.builds(
         MissionItem,

@@ -123,7 +123,7 @@ def test_a_rig_file_names_its_gas() -> None:
         ({"name": "laughing"}, "'laughing' is not a known gas"),
         ({"gamma": 1.3}, "both gamma and molar_mass_g_per_mol"),
         ({"gamma": 2.0, "molar_mass_g_per_mol": 20.0}, "between 1 and 5/3"),
-        ({"gamma": 1.3, "molar_mass_g_per_mol": 0.0}, "must be positive"),
+        ({"gamma": 1.3, "molar_mass_g_per_mol": 0.0}, "must be from 1 to 500"),
         ({"colour": "blue"}, "unknown key 'gas.colour'"),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from dataclasses import fields, replace
 from pathlib import Path
@@ -231,7 +232,7 @@ def test_a_reader_of_the_nominal_rig_does_not_get_the_true_one(tmp_path: Path) -
         ("[cv]\n[causes.none]\nR = 3", "causes.none.R is not a parameter: there are none."),
         (
             "[cv]\n[causes.cv_leak]\nflow_resistance_kPa_s_per_SL = -1",
-            "causes.cv_leak: a flow resistance must be positive.",
+            "causes.cv_leak.flow_resistance_kPa_s_per_SL must be a number from 0.001 to 1e+12, not -1.",
         ),
         (
             "[cv]\n[causes.cv_leak]\nflow_resistance_kPa_s_per_SL = 'much'",
@@ -239,7 +240,10 @@ def test_a_reader_of_the_nominal_rig_does_not_get_the_true_one(tmp_path: Path) -
         ),
         ("[causes.cv_heating]\ntime_constant_s = 1", "causes.cv_heating needs a control volume, and the rig"),
         ("[cv]\n[causes.evp_restriction]\nscale = 0", "causes.evp_restriction.scale is 0, and must be above"),
-        ("[cv]\n[causes.dead_volume]\nvolume_L = -5", "causes.dead_volume makes the rig impossible: volume"),
+        (
+            "[cv]\n[causes.dead_volume]\nvolume_L = -5",
+            "causes.dead_volume.volume_L must be a number from 1e-09 to 20000, not -5.",
+        ),
         ("[cv]\n[causes.evp_dead_zone]\nopening = 2", "causes.evp_dead_zone: a dead zone must be in 0…1."),
         ("[causes]\ncv_leak = 3", "causes.cv_leak must be a table."),
         ("effects = 1", "effects must be a table."),
@@ -250,7 +254,10 @@ def test_a_reader_of_the_nominal_rig_does_not_get_the_true_one(tmp_path: Path) -
         ("[effects]\nwithout = ['tubing']", "effects.without removes likely effects"),
         ("[effects]\ntubing = 1", "effects.tubing must be a table."),
         ("[effects.tubing]\nlength_m = 1", "effects.tubing.length_m is not a parameter: the parameters are"),
-        ("[effects.tubing]\nvolume_L = -1", "effects.tubing.volume_L must be a number > 0.0, not -1."),
+        (
+            "[effects.tubing]\nvolume_L = -1",
+            "effects.tubing.volume_L must be a number from 1e-09 to 50, not -1.",
+        ),
         ("[effects.evp_law]\nC = 1", "effects.evp_law.kind must be one of ohm, iso6358."),
         ("[effects.evp_law]\nkind = []", "effects.evp_law.kind must be one of ohm, iso6358."),
         ("[effects.evp_law]\nkind = 'ohm'", "effects.evp_law.flow_resistance_kPa_s_per_SL is missing."),
@@ -270,7 +277,7 @@ def test_a_reader_of_the_nominal_rig_does_not_get_the_true_one(tmp_path: Path) -
             "[cv]\nvolume_L = 0.005\n[effects]\nlikely = true",
             "effects: a pouch's flat volume must be",
         ),
-        ("[reservoir]\nvolume_L = 0", "reservoir.volume_L must be a number > 0.0, not 0."),
+        ("[reservoir]\nvolume_L = 0", "reservoir.volume_L must be a number from 0.001 to 1000, not 0."),
         ("[bottle]", "unknown table 'bottle' of a rig"),
     ],
 )
@@ -279,5 +286,5 @@ def test_an_error_gives_one_line(text: str, says: str, tmp_path: Path) -> None:
     path.write_text(text)
     with pytest.raises(RigError) as caught:
         load_true_rig(path)
-    assert str(caught.value).startswith(f"{path}: {says}")
+    assert re.sub(r"toml:\d+:", "toml:", str(caught.value)).startswith(f"{path}: {says}")
     assert "\n" not in str(caught.value)

@@ -165,10 +165,10 @@ def test_bad_input_is_one_line(
     no_cv = tmp_path / "no_cv.toml"
     no_cv.write_text("")
     for arguments, says in (
-        ((rig, bad), f"{bad}: runs[0].cycles: expected int >= 1"),
+        ((rig, bad), f"{bad}: runs[0].cycles: must be a whole number of at least 1"),
         ((rig, "casse"), "casse: no such file and no such example; the examples are case, discharge"),
-        ((tmp_path / "none.toml", scenario), "none.toml cannot be read"),
-        ((leek, scenario), f"{leek}: causes.cv_leek is not a cause: the causes are none, "),
+        ((tmp_path / "none.toml", scenario), "none.toml: cannot be read"),
+        ((leek, scenario), f"{leek}:2: causes.cv_leek is not a cause: the causes are none, "),
         ((no_cv, scenario), f"{scenario}: runs[0]: bends needs a control volume, and the rig has no [cv]"),
     ):
         assert run("--rig", arguments[0], "--scenario", arguments[1], "--out", out) == 2

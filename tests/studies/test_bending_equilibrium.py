@@ -215,11 +215,15 @@ def test_the_drawn_axis_fits_the_sides_that_were_computed() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("diameter_mm = 50", "diameter_mm = 0", "my.toml:9: body.diameter_mm: expected float >= 0.1"),
+        (
+            "diameter_mm = 50",
+            "diameter_mm = 0",
+            "my.toml:9: body.diameter_mm: must be a number of at least 0.1",
+        ),
         ("diameter_mm = 50", "diameter = 50", "body.diameter: unknown key; did you mean 'diameter_mm'?"),
         ("max_kPa = 40 ", "", "'max_kPa' is missing"),
         ('kind = "pouch_motor"', 'kind = "pouch"', "actuator.kind: give one of pouch_motor, fpam, cpam"),
-        ("count = 9", "count = 9.5", "actuator.count: expected int, got float"),
+        ("count = 9", "count = 9.5", "actuator.count: must be a whole number, not 9.5"),
         ("width_mm = 31", "width_mm = nan", "actuator.width_mm: is not a finite number"),
         ("[body]", "[body", "my.toml:8: not TOML"),
     ],

@@ -252,7 +252,7 @@ def test_the_rig_is_relative_to_the_configuration(tmp_path: Path, capsys: pytest
         ("[cv]\n[causes.cv_leak]\nflow = 1\n", "causes.cv_leak.flow"),
         ("[cv]\nvolume = 1\n", "cv.volume"),
         ("[reservoir]\nvolume_L = 2\n", "no [cv]"),
-        ("[cv", "cannot be read"),
+        ("[cv", "wrong.toml:1: not TOML"),
     ],
 )
 def test_an_invalid_rig_is_one_line_and_status_2(

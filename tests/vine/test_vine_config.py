@@ -26,12 +26,12 @@ def parsed(vine: str, limits: str = "") -> config.Config:
 @pytest.mark.parametrize(
     ("vine", "says"),
     [
-        ("hysteresis_kPa = -1", "my.toml:3: vine.hysteresis_kPa: expected float >= 0.0"),
+        ("hysteresis_kPa = -1", "my.toml:3: vine.hysteresis_kPa: must be a number from 0 to 200, not"),
         (
             "hysteresis_kPa = 20",
             "my.toml:3: vine.hysteresis_kPa: the hysteresis must be 0 or more, and narrower",
         ),
-        ("hysteresis_kPa = nan", "my.toml:3: vine.hysteresis_kPa: expected float >= 0.0"),
+        ("hysteresis_kPa = nan", "my.toml:3: vine.hysteresis_kPa: must be a number from 0 to 200, not"),
         ("hysteresis = 2", "my.toml:3: vine.hysteresis: unknown key; did you mean 'hysteresis_kPa'?"),
     ],
 )

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from flying_vines.config.address import BrokerAddress
 from flying_vines.config.config import MqttConfig
+from flying_vines.files.bounded import read_bytes
 from flying_vines.gateway.mqtt.problems import FileError
 
 
@@ -45,7 +46,7 @@ def _read_private(file: str, what: str) -> str:
         mode = path.stat().st_mode
         if stat.S_ISREG(mode) and mode & 0o077:
             raise FileError(f"{path}: others may read or change {what}: chmod 600 {path}")
-        return path.read_text(encoding="utf-8")
+        return read_bytes(path).decode("utf-8")
     except OSError as error:
         raise FileError(f"{path}: {what} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from flying_vines.config.toml_text import one_line, read_text
+from flying_vines.files.toml_text import one_line, read_text
 from flying_vines.physics.arrays import Array, BoolArray
 
 MIN_PAIRS = 8
@@ -79,14 +79,10 @@ def load_pairs(path: Path) -> Pairs:
 def parse_pairs(text: str, source: str) -> Pairs:
     """The pairs in the text of a CSV; `source` is its name in errors."""
     reader = csv.reader(io.StringIO(text))
-    header = [name.strip() for name in next(reader, [])]
-    for name in ("pressure_kPa", "angle_deg"):
-        if header.count(name) != 1:
-            has = ", ".join(header) or "nothing"
-            raise PairsError(f"{source}:1: the header needs one column '{name}'; it contains {has}")
-    columns = {name: header.index(name) for name in ("pressure_kPa", "angle_deg", "time_s") if name in header}
     rows: list[list[float]] = []
     try:
+        header = [name.strip() for name in next(reader, [])]
+        columns = _columns(header, source)
         for cells in reader:
             if not any(cell.strip() for cell in cells):
                 continue
@@ -105,6 +101,14 @@ def parse_pairs(text: str, source: str) -> Pairs:
     if problem:
         raise PairsError(f"{source}: {problem}")
     return pairs
+
+
+def _columns(header: list[str], source: str) -> dict[str, int]:
+    for name in ("pressure_kPa", "angle_deg"):
+        if header.count(name) != 1:
+            has = ", ".join(header) or "nothing"
+            raise PairsError(f"{source}:1: the header needs one column '{name}'; it contains {has}")
+    return {name: header.index(name) for name in ("pressure_kPa", "angle_deg", "time_s") if name in header}
 
 
 def _number(cells: list[str], name: str, at: int, place: str) -> float:

@@ -9,18 +9,18 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
 
 from flying_vines.config.on_disk import put
 from flying_vines.config.toml_edit import table_lines
-from flying_vines.config.toml_text import explained, located, one_line, parsed, read_text
+from flying_vines.files.toml_text import explained, located, one_line, parsed, read_text
 from flying_vines.identification.importing.columns import MEANINGS, ImportedColumn
 from flying_vines.identification.importing.layout import TextLayout
 from flying_vines.identification.importing.units import parse_unit
 from flying_vines.identification.recording import CaseError
-from flying_vines.physics.rig import Positive, RigError, rig_from
+from flying_vines.physics.rig import RigError, rig_from
 
 ENDING = ".import.toml"
 
@@ -33,7 +33,7 @@ class ImportSetup(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True
     (when the pressure begins to fall), or the time in s at which it opens."""
     source: Literal["pump", "reservoir"] | None = None
     """What fills the chamber, if no reservoir pressure was recorded."""
-    sample_Hz: Positive | None = None
+    sample_Hz: Annotated[float, msgspec.Meta(ge=1e-4, le=1e6)] | None = None
     """Sample rate of a file without a time column."""
     gas: str | None = None
     """Name of the gas, as in a rig.toml; default: air."""
@@ -91,7 +91,7 @@ def read_answers(path: Path) -> Answers:
         if answers.setup.gas:
             rig_from({"gas": {"name": answers.setup.gas}})
     except msgspec.ValidationError as error:
-        key, reason = explained(str(error), lambda _: Answers.__struct_fields__)
+        key, reason = explained(str(error), lambda _: Answers.__struct_fields__, raw=tables)
         raise CaseError(located(text, str(path), key, reason)) from None
     except (CaseError, RigError) as error:
         raise CaseError(f"{path}: {error}") from None

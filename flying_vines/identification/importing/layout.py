@@ -17,6 +17,7 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
+from flying_vines.files.bounded import TABLE_BYTES, read_bytes
 from flying_vines.identification.recording import CaseError, counted
 from flying_vines.identification.table import MISSING
 from flying_vines.physics.arrays import Array
@@ -102,7 +103,7 @@ def read_foreign(path: Path, layout: TextLayout | None = None) -> ForeignTable:
         layout: how it is written; default: a guess.
     """
     try:
-        data = path.read_bytes()
+        data = read_bytes(path, TABLE_BYTES)
     except OSError as error:
         raise CaseError(f"{path}: cannot be read: {error.strerror}") from None
     text, encoding = _decoded(path, data, layout.encoding if layout else None)

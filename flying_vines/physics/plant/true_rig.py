@@ -28,6 +28,7 @@ from typing import Any, get_args, get_type_hints
 
 import msgspec
 
+from flying_vines.physics.cause import Parameter
 from flying_vines.physics.effects import NONE, catalogue, cause_named
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.likely_effects import likely_effects
@@ -41,6 +42,10 @@ _EFFECTS: dict[str, dict[str, type]] = {
 }
 """For each field of `Effects`: its possible types, by their `kind` in a rig file."""
 _POSITIVE = ("gain", "scale")
+FAR = 10_000.0
+"""A cause's parameter in a rig file may be this many times outside the bounds of a fit."""
+TINY, HUGE = 1e-12, 1e12
+"""Sizes of an effect's numbers. The smallest conductance of a rig is 1e-9, its largest constant 1e10."""
 DEFINED_IN = "defined_in"
 """Key of a cause's file or package, if it is from outside this project."""
 
@@ -82,7 +87,7 @@ class TrueRig:
             made = perfect(self.nominal, Effects(**own))
             if self.likely:
                 made = Setup(made.plant, *likely_sensors(self.nominal.sensors))
-        except ValueError as error:
+        except (ValueError, ArithmeticError) as error:
             raise RigError(f"effects: {error}.") from None
         for name, parameters in self.causes.items():
             made = _caused(made, name, parameters)
@@ -179,9 +184,13 @@ def _caused(made: Setup, name: str, parameters: Mapping[str, float]) -> Setup:
             raise RigError(f"{where}.{parameter} is not a parameter: {_listed(known)}.")
         if parameter in _POSITIVE and not value > 0.0:
             raise RigError(f"{where}.{parameter} is {value:g}, and must be above 0.")
-    for parameter in known:
-        if parameter not in parameters:
-            raise RigError(f"{where}.{parameter} is missing.")
+    for stated in cause.parameters:
+        if stated.name not in parameters:
+            raise RigError(f"{where}.{stated.name} is missing.")
+        value = parameters[stated.name]
+        low, high = _generous(stated)
+        if value != stated.neutral and not low <= value <= high:
+            raise RigError(f"{where}.{stated.name} must be a number from {low:g} to {high:g}, not {value:g}.")
     try:
         caused = cause.put_into(made, parameters)
         # The cause may have set a number of the rig outside its range.
@@ -189,8 +198,16 @@ def _caused(made: Setup, name: str, parameters: Mapping[str, float]) -> Setup:
         return caused
     except msgspec.ValidationError:
         raise RigError(f"{where} makes the rig impossible: {_as_text(parameters)}.") from None
-    except ValueError as error:
+    except (ValueError, ArithmeticError) as error:
         raise RigError(f"{where}: {error}.") from None
+
+
+def _generous(parameter: Parameter) -> tuple[float, float]:
+    """Bounds far outside those of a fit, within which no arithmetic overflows."""
+    if parameter.logarithmic:
+        return parameter.low / FAR, parameter.high * FAR
+    far = FAR * max(abs(parameter.low), abs(parameter.high))
+    return (-far if parameter.low < 0.0 else 0.0), far
 
 
 def _parameters(name: str, value: Any) -> dict[str, float]:
@@ -220,15 +237,22 @@ def _effect(name: str, value: Any) -> Any:
             raise RigError(f"{where}.{key} is missing.")
     for key, found in table.items():
         for number in found if isinstance(found, list) else [found]:
-            if isinstance(number, float) and not math.isfinite(number):
+            if isinstance(number, bool) or not isinstance(number, int | float):
+                continue
+            if not math.isfinite(number):
                 raise RigError(f"{where}.{key} is {number}, which is not a finite number.")
+            if number != 0.0 and not TINY <= abs(number) <= HUGE:
+                raise RigError(
+                    f"{where}.{key} must be 0, or from {TINY:g} to {HUGE:g} in size, not {number!r}."
+                )
     try:
         return msgspec.convert(table, described)
     except msgspec.ValidationError as error:
         reason, _, at = str(error).partition(" - at `$")
         key = at.strip("`.")
         if key in table:
-            raise RigError(number_error(reason, f"{where}.{key}", table[key])) from None
+            hint = get_type_hints(described, include_extras=True).get(key)
+            raise RigError(number_error(reason, f"{where}.{key}", table[key], hint)) from None
         raise RigError(f"{where}{at.rstrip('`')}: {reason}.") from None
 
 

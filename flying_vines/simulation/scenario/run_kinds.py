@@ -38,7 +38,7 @@ class Common(
 
     name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}\Z")] | None = None
     """Part of the file's name; default: the kind."""
-    reservoir_kPa: Annotated[float, Meta(gt=0, le=900)] = 690.0
+    reservoir_kPa: Annotated[float, Meta(ge=1, le=900)] = 690.0
     """Gauge, at the start."""
     sample_rate_Hz: Annotated[int, Meta(ge=10, le=FIRMWARE_HZ)] = 50
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_args
 import msgspec
 from msgspec import Meta
 
-from flying_vines.config.toml_text import OneLineError, dotted, not_finite, parsed, read_text
+from flying_vines.files.toml_text import OneLineError, dotted, expectation, not_finite, parsed, read_text
 from flying_vines.simulation.scenario.run_kinds import RunKind, ScenarioSegment, Valves
 
 _EXAMPLES = resources.files("flying_vines.simulation.scenario") / "examples"
@@ -74,6 +74,8 @@ def _explained(content: dict[str, Any], error: str) -> str:
     elif reason.startswith("Invalid value") and key.endswith("].kind"):
         choices = _KINDS if key.count("[") == 1 else _SEGMENTS
         reason = f"{reason[0].lower()}{reason[1:]}; give one of {', '.join(choices)}"
+    elif wanted := expectation(reason, None):
+        reason = wanted
     reason = reason.replace("Expected", "expected").replace("Object", "the table").replace("`", "")
     return f"{key}: {reason}" if key else reason
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from flying_vines.files.bounded import read_bytes
 from flying_vines.simulation.scenario.run import OPENING_DIGITS, ScenarioRun
 
 RIG = "rig.toml"
@@ -63,7 +64,7 @@ def write_case(
         )
     rigs = {folder / RIG: rig_toml, folder / TRUE_RIG: true_rig_toml}
     for path, text in rigs.items():
-        if path.exists() and path.read_bytes() != text:
+        if path.exists() and read_bytes(path) != text:
             raise CaseFolderError(
                 f"{path}: exists already and differs from the simulated rig; give another folder"
             )

@@ -9,7 +9,7 @@ from typing import Annotated, get_args
 import msgspec
 from msgspec import Meta
 
-from flying_vines.config.toml_text import OneLineError, explained, located, not_finite, parsed, read_text
+from flying_vines.files.toml_text import OneLineError, explained, located, not_finite, parsed, read_text
 from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
 from flying_vines.studies.bending.body import Body
 from flying_vines.studies.bending.cpam import Cpam
@@ -71,12 +71,13 @@ def parse_vine(text: str, source: str) -> BendingVine:
     try:
         return msgspec.convert(content, BendingVine)
     except msgspec.ValidationError as error:
-        raise _explained(text, source, str(error)) from None
+        raise _explained(text, source, content, str(error)) from None
 
 
-def _explained(text: str, source: str, error: str) -> VineError:
+def _explained(text: str, source: str, raw: object, error: str) -> VineError:
     parts = (BendingVine, Body, *_KINDS.values())
-    key, reason = explained(error, lambda key: [field for part in parts for field in part.__struct_fields__])
+    fields = [field for part in parts for field in part.__struct_fields__]
+    key, reason = explained(error, lambda key: fields, raw=raw)
     if reason.startswith("Invalid value") and key[-1:] == ("kind",):
         reason = f"give one of {', '.join(_KINDS)}"
     return VineError(located(text, source, key, reason))

@@ -11,7 +11,7 @@ import msgspec
 from msgspec import Meta
 
 from flying_vines.config.config import ConfigError
-from flying_vines.config.toml_text import read_text
+from flying_vines.files.toml_text import read_text
 from flying_vines.physics import paper
 from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
 from flying_vines.studies.design.toml_reader import decode

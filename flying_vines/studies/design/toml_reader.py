@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from flying_vines.config.config import ConfigError
-from flying_vines.config.toml_text import explained, located, parsed
+from flying_vines.files.toml_text import explained, located, parsed
 
 
 def decode(text: str, source: str, kind: Any, known: Sequence[str] = ()) -> Any:
@@ -26,4 +26,5 @@ def decode(text: str, source: str, kind: Any, known: Sequence[str] = ()) -> Any:
     try:
         return msgspec.convert(raw, kind)
     except msgspec.ValidationError as error:
-        raise ConfigError(located(text, source, *explained(str(error), lambda key: known))) from None
+        key, reason = explained(str(error), lambda key: known, raw=raw)
+        raise ConfigError(located(text, source, key, reason)) from None

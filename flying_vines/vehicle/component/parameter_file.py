@@ -13,7 +13,7 @@ from typing import Any
 
 from flying_vines.config import on_disk
 from flying_vines.config.config import Config
-from flying_vines.config.toml_text import OneLineError, parsed, place, read_text
+from flying_vines.files.toml_text import OneLineError, parsed, place, read_text
 from flying_vines.vehicle.component.parameter_table import (
     BY_NAME,
     SETTINGS,

@@ -9,6 +9,7 @@ import threading
 from pathlib import Path
 
 from flying_vines.config import on_disk
+from flying_vines.files.bounded import read_bytes
 from flying_vines.vehicle.mavlink.signing import KEY_SIZE, UNITS_PER_S, SigningMemory
 
 MIN_PASSPHRASE_LENGTH = 8
@@ -60,7 +61,7 @@ def _read_private(path: Path) -> bytes:
             raise SigningKeyError(f"{path}: not a file; put the signing key in a file: {_FORMS}")
         if status.st_mode & 0o077:
             raise SigningKeyError(f"{path}: others may read or change the signing key: chmod 600 {path}")
-        return path.read_bytes()
+        return read_bytes(path)
     except FileNotFoundError:
         raise SigningKeyError(f"{path}: no such file; put the signing key in it: {_FORMS}") from None
     except OSError as error:
@@ -78,7 +79,7 @@ class TimestampFile:
     def load(self) -> tuple[SigningMemory, str]:
         """The saved memory, and a sentence if the file cannot be used."""
         try:
-            text = self._path.read_text(encoding="ascii")
+            text = read_bytes(self._path).decode("ascii")
         except FileNotFoundError:
             return SigningMemory(), ""
         except (OSError, UnicodeDecodeError) as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,9 +11,13 @@ from typing import Self
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from flying_vines.files.bounded import RECORDING_BYTES, read_bytes
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mavlink.frames import MARKERS, frame_at
 
+MAX_SKIPPED_BYTES = 4_000_000
+"""A file with more bytes outside of frames is no recording: to search it takes hours."""
+_MARKER = re.compile(b"[" + re.escape(bytes(MARKERS)) + b"]")
 _TIME = struct.Struct(">Q")
 _EARLIEST_US = 946_684_800_000_000  # the year 2000, before MAVLink existed
 _LATEST_US = 4_102_444_800_000_000
@@ -55,7 +60,7 @@ class TlogReader:
 
     def __init__(self, path: Path) -> None:
         try:
-            self._data = path.read_bytes()
+            self._data = read_bytes(path, RECORDING_BYTES)
         except FileNotFoundError:
             raise TlogError(f"{path}: no such file") from None
         except OSError as error:
@@ -69,8 +74,13 @@ class TlogReader:
         while at < len(data):
             frame = self._frame_at(at)
             if frame is None:
-                self.skipped_bytes += 1
-                at += 1
+                next_at = self._next_marker(at + 1)
+                self.skipped_bytes += next_at - at
+                at = next_at
+                if self.skipped_bytes > MAX_SKIPPED_BYTES:
+                    raise TlogError(
+                        f"{self._path}: {self.skipped_bytes} bytes of it are no frames: is it a .tlog?"
+                    )
                 continue
             (time_us,) = _TIME.unpack_from(data, at)
             found = True
@@ -78,6 +88,11 @@ class TlogReader:
             at += _TIME.size + len(frame)
         if not found:
             raise TlogError(f"{self._path}: no MAVLink frame in the file: is it a .tlog?")
+
+    def _next_marker(self, at: int) -> int:
+        """The next place where a record could start; the end of the data if there is none."""
+        found = _MARKER.search(self._data, at + _TIME.size)
+        return found.start() - _TIME.size if found else len(self._data)
 
     def _frame_at(self, at: int) -> bytes | None:
         """The frame of the record that starts at `at`; None if no record starts there."""

@@ -13,6 +13,8 @@ SPEED, NAV_SCRIPT_TIME = 178, 42702
 GLOBAL_FRAME, ABOVE_HOME_FRAME = 0, 3
 GLOBAL_FRAMES = (GLOBAL_FRAME, 5)
 """z is an altitude above sea level."""
+MAX_NUMBER = 3.4028234663852886e38
+"""The largest number that MAVLink can carry: 32 bits."""
 
 
 @dataclass(frozen=True, slots=True)

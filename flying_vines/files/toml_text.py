@@ -10,17 +10,27 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from flying_vines.files.bounded import TEXT_BYTES, read_bytes
+
 Key = tuple[str | int, ...]
 """The path to a value: names of tables and keys, and array indexes."""
 
 
-def read_text(path: Path, error: Callable[[str], Exception], absent: str = "") -> str:
-    """The text of a file; raises `error` with one line if it cannot be read.
+MAX_DEPTH = 32
+"""Tables and arrays inside each other. No file of ours has more than six."""
+MAX_LENGTH = 2000
+"""Of an error's text: it quotes keys and values, which may be as long as the file."""
+
+
+def read_text(
+    path: Path, error: Callable[[str], Exception], absent: str = "", most_bytes: int = TEXT_BYTES
+) -> str:
+    """The text of a file; raises `error` with one line if it cannot be read, or is larger.
 
     `absent` is added after "no such file"; it says what to do.
     """
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return read_bytes(path, most_bytes).decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError:
         reason = "cannot be read: it is not a UTF-8 text file"
     except FileNotFoundError as problem:
@@ -31,9 +41,14 @@ def read_text(path: Path, error: Callable[[str], Exception], absent: str = "") -
 
 
 def parsed(text: str, source: str, error: Callable[[str], Exception]) -> dict[str, Any]:
-    """The tables of a TOML text; raises `error` with one line, with line number, if it is not TOML."""
+    """The tables of a TOML text; raises `error` with one line, with line number, if it is not TOML.
+
+    Also if it is nested too deeply, or has an integer of more than 64 bits.
+    """
+    if deep := _DEEP_KEY.search(text):
+        raise error(f"{source}:{text.count(chr(10), 0, deep.start()) + 1}: not TOML: nested too deeply")
     try:
-        return tomllib.loads(text)
+        tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as problem:
         at = re.search(r"\(at line (\d+)", str(problem))
         line = int(at[1]) if at else len(text.splitlines())
@@ -41,6 +56,27 @@ def parsed(text: str, source: str, error: Callable[[str], Exception]) -> dict[st
         raise error(f"{source}:{line}: not TOML: {reason}") from None
     except RecursionError:
         raise error(f"{source}: not TOML: nested too deeply") from None
+    except ValueError:
+        # Python converts no number of more than 4300 digits.
+        raise error(f"{source}: not TOML: a number has thousands of digits") from None
+    for key, value in _values(tables):
+        if len(key) > MAX_DEPTH:
+            raise error(f"{place(text, source, key)}: not TOML: nested too deeply")
+        if isinstance(value, int) and not -(2**63) <= value < 2**63:
+            raise error(f"{located(text, source, key, 'the integer has more than 64 bits')}")
+    return tables
+
+
+def _values(tables: dict[str, Any]) -> Iterator[tuple[Key, Any]]:
+    """All values with their keys, down to `MAX_DEPTH`; without recursion, because they may be nested."""
+    waiting: list[tuple[Key, Any]] = [((), tables)]
+    while waiting:
+        key, value = waiting.pop()
+        yield key, value
+        if len(key) <= MAX_DEPTH:
+            inner: Any = value.items() if isinstance(value, dict) else ()
+            inner = enumerate(value) if isinstance(value, list) else inner
+            waiting += [((*key, name), part) for name, part in inner]
 
 
 class OneLineError(Exception):
@@ -51,8 +87,13 @@ class OneLineError(Exception):
 
 
 def one_line(text: str) -> str:
-    """Escapes unprintable characters: errors quote keys and values, which may contain line breaks."""
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    """Escapes unprintable characters: errors quote keys and values, which may contain line breaks.
+
+    The middle of a very long text is left out.
+    """
+    text = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    half = MAX_LENGTH // 2
+    return text if len(text) <= MAX_LENGTH else f"{text[:half]} … {text[-half:]}"
 
 
 def key_of(path: str) -> Key:
@@ -82,13 +123,21 @@ def not_finite(value: object, at: Key = ()) -> Iterator[Key]:
         yield from not_finite(part, (*at, key))
 
 
-def explained(error: str, known: Callable[[Key], Sequence[str]], inside: Key = ()) -> tuple[Key, str]:
+def explained(
+    error: str,
+    known: Callable[[Key], Sequence[str]],
+    inside: Key = (),
+    raw: object = None,
+    range_of: Callable[[Key], str] = lambda key: "",
+) -> tuple[Key, str]:
     """The key that msgspec's error `... - at `$.a.b[1]`` is about, and the reason in plain words.
 
     Args:
         error: the text of msgspec's error.
         known: returns the keys that a table may have, to suggest one for a mistyped key.
         inside: the key of the table that was decoded.
+        raw: all tables, to quote the value.
+        range_of: returns the range of the number at a key, such as " from 0 to 200"; or an empty text.
     """
     message, _, path = error.partition(" - at ")
     key = (*inside, *key_of(path))
@@ -97,7 +146,51 @@ def explained(error: str, known: Callable[[Key], Sequence[str]], inside: Key = (
         return (*key, unknown[1]), "unknown key" + (f"; did you mean '{near[0]}'?" if near else "")
     if missing := re.search(r"missing required field `(.+?)`", message):
         return key, f"'{missing[1]}' is missing"
+    if wanted := expectation(message, _value_at(raw, key), range_of(key)):
+        return key, wanted
     return key, message.replace("`", "").replace("Expected", "expected").replace("Object", "the table")
+
+
+def expectation(message: str, value: object, within: str = "") -> str:
+    """msgspec's "Expected `float` <= 200.0" in plain words, with the value and its range, if they are known.
+
+    Empty for all other messages.
+    """
+    if expected := _EXPECTED.fullmatch(message):
+        kind, bound, limit = expected.groups()
+        within = within or (f" {_BOUNDS[bound]} {float(limit):g}" if bound else "")
+        word = (
+            str(value).lower()
+            if isinstance(value, bool)
+            else repr(value)
+            if isinstance(value, str)
+            else value
+        )
+        quoted = "" if value is None else f", not {word}"
+        return f"must be {_KINDS.get(kind, kind)}{within}{quoted}"
+    return ""
+
+
+_EXPECTED = re.compile(r"Expected `(\w+)`(?: (<=|>=|<|>) ([^`]+)|, got `.*`)")
+_BOUNDS = {"<=": "of at most", ">=": "of at least", "<": "below", ">": "above"}
+_KINDS = {
+    "int": "a whole number",
+    "float": "a number",
+    "str": "a text in quotes",
+    "bool": "true or false",
+    "array": "a list",
+    "object": "a table",
+}
+
+
+def _value_at(raw: object, key: Key) -> object:
+    """The value at a key; None if there is none."""
+    for part in key:
+        try:
+            raw = raw[part]  # type: ignore[index]  # mypy: any table or list
+        except (LookupError, TypeError):
+            return None
+    return raw
 
 
 def located(text: str, source: str, key: Key, reason: str) -> str:
@@ -134,6 +227,8 @@ def lines_of_keys(text: str) -> dict[Key, int]:
 
 _KEY = r"(?:[A-Za-z0-9_-]+|\"[^\"]*\"|'[^']*')"
 _KEYS = rf"({_KEY}(?:\s*\.\s*{_KEY})*)"
+_DEEP_KEY = re.compile(rf"(?<![\w\"'.-])(?:{_KEY}\s*\.\s*){{{MAX_DEPTH}}}")
+"""tomllib takes minutes for a key of 50,000 parts."""
 HEADER = re.compile(rf"\s*(\[\[?)\s*{_KEYS}\s*\]")
 ASSIGNMENT = re.compile(rf"\s*{_KEYS}\s*=")
 

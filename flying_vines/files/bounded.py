@@ -1,0 +1,43 @@
+"""Reads files whose content nobody has checked: only regular files, and only up to a size.
+
+A FIFO would wait for ever, a device such as /dev/zero has no end, and a file may grow while it is read. So
+the size is counted in the bytes that arrive.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+from typing import BinaryIO
+
+MB = 1_000_000
+TEXT_BYTES = MB
+"""A file that a person writes: a configuration, a rig, a mission."""
+TABLE_BYTES = 32 * MB
+"""A recording as text: an hour at 100 Hz has 15 MB. Its cells take ten times as much memory."""
+RECORDING_BYTES = 256 * MB
+"""A recorded stream: a ground station's link at 57,600 baud takes ten hours for it."""
+
+
+def opened(path: Path) -> BinaryIO:
+    """The file, open for reading. Raises `OSError`, with one line in `strerror`, if it is no regular file."""
+    # Without O_NONBLOCK, a FIFO blocks here until somebody writes to it.
+    number = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    mode = os.fstat(number).st_mode
+    if stat.S_ISREG(mode):
+        return os.fdopen(number, "rb")
+    os.close(number)
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    raise OSError(errno.EINVAL, "it is a pipe or a device, not a file", str(path))
+
+
+def read_bytes(path: Path, most_bytes: int = TEXT_BYTES) -> bytes:
+    """The content of a regular file. Raises `OSError`, with one line in `strerror`, also if it is larger."""
+    with opened(path) as file:
+        data = file.read(most_bytes + 1)
+    if len(data) > most_bytes:
+        raise OSError(errno.EFBIG, f"it has more than {most_bytes / MB:g} MB", str(path))
+    return data
