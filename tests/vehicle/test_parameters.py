@@ -25,10 +25,12 @@ from flying_vines.vehicle.component.parameter_table import (
     value_of,
 )
 from flying_vines.vehicle.component.parameters import LIST_SPACING_S, Changed, Parameters
+from flying_vines.vehicle.component.senders import Sender
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
 
 US, STATION = (1, 191), (255, 190)
+SENDER = Sender(*STATION, is_station=True)
 REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
 DEFAULT = config.default()
 TICK_S = 0.02
@@ -61,7 +63,7 @@ class Bench:
         self.t = 10.0
 
     def take(self, message: MavlinkMessage) -> tuple[list[MavlinkMessage], list[str], list[Changed]]:
-        outputs = self.parameters.handle(self.t, sent(message), *US, self.may_change)
+        outputs = self.parameters.handle(self.t, sent(message), US, SENDER, self.may_change)
         values = [sent(output, US) for output in outputs if isinstance(output, mavlink.MAVLink_message)]
         texts = [output.text for output in outputs if isinstance(output, Notice)]
         return values, texts, [output for output in outputs if isinstance(output, Changed)]
@@ -305,7 +307,7 @@ def test_a_configuration_beyond_a_rows_own_bounds_is_its_own_bound() -> None:
 def test_a_change_is_an_information_and_a_refusal_a_warning() -> None:
     parameters = Parameters(DEFAULT)
     for value, severity in ((18.0, Severity.INFO), (30.0, Severity.WARNING)):
-        outputs = parameters.handle(0.0, sent(setting("VINE_MAX_KPA", value)), *US, True)
+        outputs = parameters.handle(0.0, sent(setting("VINE_MAX_KPA", value)), US, SENDER, True)
         assert [output.severity for output in outputs if isinstance(output, Notice)] == [severity]
 
 
