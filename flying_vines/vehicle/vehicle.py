@@ -112,6 +112,7 @@ class Vehicle:
             self._streams.handle(t, message)
             if kind in handled.RADIO:
                 out.extend(self.pilot.handle(t, message, self._autopilot, vented))
+                self.component.parameters.mode_channel = self.pilot.mode_channel
         elif kind == "RC_CHANNELS_OVERRIDE":
             self.pilot.override(t, message)
         if out and any(isinstance(output, Trigger) and output.by_person for output in out):

@@ -123,6 +123,14 @@ def test_changed_parameters_that_the_configuration_does_not_bound_are_a_warning_
     ]
 
 
+def test_the_flight_modes_channel_of_the_autopilot_is_refused() -> None:
+    flight = on_the_ground()
+    mode = mavlink.MAVLink_param_value_message(b"FLTMODE_CH", 8.0, mavlink.MAV_PARAM_TYPE_INT8, 1, 65535)
+    send(flight, mode, (1, 1))
+    told, actions = set_parameter(flight, "VINE_SW_CHAN", 8.0, (255, 190))
+    assert (told, notices(actions)) == ([9.0], ["Vine: VINE_SW_CHAN stays 9: 8 is the flight mode's channel"])
+
+
 # The rate of the named values.
 
 

@@ -69,6 +69,8 @@ class Parameters:
         self._refused = refused or RefusedChanges()
         self.config = self._base = base
         self.values: dict[str, float] = {}
+        self.mode_channel = 0
+        """The RC channel of the autopilot's flight mode, which the switch cannot have; 0 if not known."""
         self._next: int | None = None
         self._listed_at = -math.inf
         for name, value in (values or {}).items():
@@ -148,6 +150,8 @@ class Parameters:
                 return [self._value(index)]
             if not may_change and not setting.in_flight:
                 raise ParameterRefused(name, "vent the vine first")
+            if name == "VINE_SW_CHAN" and message.param_value == self.mode_channel:
+                raise ParameterRefused(name, f"{self.mode_channel} is the flight mode's channel")
             self._keep(name, decimal(message.param_value))
         except ParameterRefused as refusal:
             text = f"Vine: {name} stays {before:g}: {refusal.reason}"
