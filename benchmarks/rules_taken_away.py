@@ -94,6 +94,43 @@ MODULES = (
         ("handle", "_only_deflates"),
     ),
     Module(
+        "flying_vines/vehicle/component/senders.py",
+        (
+            "tests/core/test_core_senders.py",
+            "tests/core/test_core_limits.py",
+            "tests/vehicle/test_component.py",
+            "tests/vehicle/test_manners.py",
+        ),
+        ("refusal", "report", "of", "_is_station"),
+    ),
+    Module(
+        "flying_vines/vehicle/component/parameters.py",
+        ("tests/vehicle/test_parameters.py", "tests/core/test_core_senders.py"),
+        ("_set", "unbounded_changes"),
+    ),
+    Module(
+        "flying_vines/vehicle/component/requests.py",
+        ("tests/vehicle/test_requests.py", "tests/core/test_core_senders.py"),
+        ("_set_interval",),
+    ),
+    Module(
+        "flying_vines/vehicle/component/telemetry.py",
+        ("tests/vehicle/test_requests.py", "tests/core/test_core_senders.py"),
+        ("period_s",),
+    ),
+    Module("flying_vines/vehicle/arm_state.py", ("tests/vehicle/test_arm_state.py",)),
+    Module(
+        "flying_vines/vehicle/state.py",
+        ("tests/vehicle/test_state.py", "tests/core/test_core_spoofed.py"),
+        ("altitude_m", "_note_altitude"),
+    ),
+    Module(
+        "flying_vines/config/config.py",
+        ("tests/config/test_config.py", "tests/vehicle/test_parameters.py"),
+        ("channel_problem", "_taken"),
+    ),
+    Module("flying_vines/config/address.py", ("tests/config/test_config.py",), ("same_port",)),
+    Module(
         "flying_vines/vehicle/clock.py",
         (
             "tests/vehicle/test_clock.py",

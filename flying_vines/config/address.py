@@ -69,6 +69,17 @@ class BrokerAddress:
 Address = SerialAddress | UsbBoard | NetworkAddress
 
 
+def same_port(one: Address, other: Address) -> bool:
+    """True if both addresses are one port, of which each frame would reach only one reader."""
+    if isinstance(one, SerialAddress) and isinstance(other, SerialAddress):
+        return one.path == other.path
+    if isinstance(one, NetworkAddress) and isinstance(other, NetworkAddress):
+        if one.kind != other.kind or one.port != other.port:
+            return False
+        return one.kind == "udpin" or one.host == other.host
+    return one == other
+
+
 def same_address(one: str, other: str) -> bool:
     """True if both texts are the same IP address; IPv6 sockets write IPv4 addresses as ::ffff:192.0.2.1."""
     return _plain(one) == _plain(other)

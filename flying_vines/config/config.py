@@ -14,7 +14,13 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 import msgspec
 from msgspec import Meta
 
-from flying_vines.config.address import NetworkAddress, parse_address, parse_broker, who_can_command
+from flying_vines.config.address import (
+    NetworkAddress,
+    parse_address,
+    parse_broker,
+    same_port,
+    who_can_command,
+)
 from flying_vines.config.plugins import PluginError, installed, put_in, with_own_segments
 from flying_vines.files.toml_text import (
     Key,
@@ -68,11 +74,10 @@ def param_index(param: Param) -> int:
 # Generous: a hundred times what rigs have, so that no arithmetic overflows.
 ReservoirPressure = Annotated[float, Meta(ge=0, le=5000)]
 VinePressure = Annotated[float, Meta(ge=0, le=200)]
-BentTime = Annotated[float, Meta(ge=0.1, le=86_400)]
 Rate = Annotated[float, Meta(ge=0.01, le=2000)]
 CurveKPa = Annotated[float, Meta(ge=-200, le=200)]
 CurveDeg = Annotated[float, Meta(ge=-3600, le=3600)]
-CommandId = Annotated[int, Meta(ge=0, le=65_535)]
+CommandId = Annotated[int, Meta(ge=1, le=65_535)]
 
 
 class ConfigError(OneLineError):
@@ -124,6 +129,10 @@ ReceiverFailsafe = Literal["unknown", "hold", "hidden"] | Annotated[int, Meta(ge
 """The switch channel's value while the transmitter is lost; `flying-vines doctor --radio` measures it."""
 
 
+FIRST_FREE_CHANNEL = 6
+"""Channels 1 to 4 are the sticks; 5 is ArduCopter's flight mode (FLTMODE_CH), and usually PX4's."""
+
+
 class SwitchConfig(_Table, frozen=True):
     positions: tuple[str, ...] = ("straight", "bend-half", "bend-full")
     channel: Annotated[int, Meta(ge=1, le=18)] = 9
@@ -138,6 +147,15 @@ class SwitchConfig(_Table, frozen=True):
         if len(self.positions) not in (2, 3, 6):
             raise ValueError(f"a switch has 2, 3 or 6 positions, not {len(self.positions)}")
 
+    @property
+    def channel_problem(self) -> str:
+        """Why the switch cannot have its channel, because the pilot flies with it; empty if it can."""
+        if self.channel < FIRST_FREE_CHANNEL:
+            return f"{self.channel} is a stick's or the flight mode's channel: use another from 6 to 18"
+        if self.channel == self.throttle_channel:
+            return f"{self.channel} is the throttle's channel (switch.throttle_channel)"
+        return ""
+
 
 class ItemConfig(_Table, frozen=True):
     """A rule: what a mission item or command does with the vine."""
@@ -146,7 +164,7 @@ class ItemConfig(_Table, frozen=True):
     match: dict[Param, float] = {}
     profile: str | None = None
     bend: Param | None = None
-    scale: Annotated[float, Meta(ge=-1e6, le=1e6)] = 1.0
+    scale: Annotated[float, Meta(ge=-10_000, le=10_000)] = 1.0
 
     def __post_init__(self) -> None:
         for name in self._commands:
@@ -195,7 +213,7 @@ class VineConfig(_Table, frozen=True):
 class LimitsConfig(_Table, frozen=True):
     max_kPa: Annotated[float, Meta(ge=0.1, le=200)] = 20.7
     max_rate_kPa_per_s: Rate = 60.0
-    max_bent_s: BentTime = 120.0
+    max_bent_s: Annotated[float, Meta(ge=0.1, le=3600)] = 120.0
     overpressure_kPa: Annotated[float, Meta(ge=0.1, le=206)] = 25.0
 
     def __post_init__(self) -> None:
@@ -206,8 +224,8 @@ class LimitsConfig(_Table, frozen=True):
 class InterlocksConfig(_Table, frozen=True):
     bench_mode: bool = False
     armed_at_start: bool = True
-    min_altitude_m: Annotated[float, Meta(ge=0, le=10_000)] = 2.0
-    reserve_kPa: ReservoirPressure = 40.0
+    min_altitude_m: Annotated[float, Meta(ge=0, le=1000)] = 2.0
+    reserve_kPa: Annotated[float, Meta(ge=0, le=2000)] = 40.0
 
 
 class LossesConfig(_Table, frozen=True):
@@ -217,7 +235,7 @@ class LossesConfig(_Table, frozen=True):
     autopilot_s: Annotated[float, Meta(ge=1.5, le=30)] = 3.0
     telemetry_s: Annotated[float, Meta(ge=0.1, le=2)] = 0.3
     on_rc_loss: Literal["vent", "hold"] = "vent"
-    hold_at_most_s: BentTime = 30.0
+    hold_at_most_s: Annotated[float, Meta(ge=0.1, le=600)] = 30.0
 
 
 class PneumaticsConfig(_Table, frozen=True):
@@ -261,7 +279,7 @@ class ChecksConfig(_Table, frozen=True):
 class TelemetryConfig(_Table, frozen=True):
     rate_Hz: Annotated[float, Meta(ge=0.1, le=10)] = 2.0
     fuel_status: bool = False
-    low_reservoir_cycles: Annotated[float, Meta(ge=0, le=100_000)] = 10.0
+    low_reservoir_cycles: Annotated[float, Meta(ge=0, le=1000)] = 10.0
 
 
 class PageConfig(_Table, frozen=True):
@@ -300,7 +318,7 @@ class MqttConfig(_Table, frozen=True):
 class LogConfig(_Table, frozen=True):
     """The flight recorder."""
 
-    least_free_MB: Annotated[float, Meta(ge=0, le=1_000_000)] = 200.0
+    least_free_MB: Annotated[float, Meta(ge=0, le=100_000)] = 200.0
 
 
 class StateConfig(_Table, frozen=True):
@@ -363,7 +381,8 @@ def text_of(path: Path) -> str:
 def parse(text: str, source: str, recorded: bool = False) -> Config:
     """Check the text of a configuration; errors name it as `source`.
 
-    A `recorded` configuration may have open links: earlier versions allowed them, and replay opens no link.
+    A `recorded` configuration may have what earlier versions allowed: open links, which a replay does not
+    open, and a switch on any channel.
     """
     raw = parsed(text, source, ConfigError)
     _drop_old_settings(raw, text, source)
@@ -381,7 +400,7 @@ def parse(text: str, source: str, recorded: bool = False) -> Config:
         raise ConfigError(located(text, source, inside, str(error))) from None
     except msgspec.ValidationError as error:
         raise _explain(text, source, raw, str(error), inside) from None
-    for key, reason in _contradictions(config) or ([] if recorded else _open_links(config)):
+    for key, reason in _contradictions(config) or ([] if recorded else _unsafe(config)):
         raise ConfigError(f"{place(text, source, key)}: {dotted(key)}: {reason}")
     return config
 
@@ -476,6 +495,18 @@ def _above_the_limit(config: Config, curve: BendCurve) -> Iterator[tuple[Key, st
         yield ("vine", "curve"), reason
     if config.pneumatics.cycle_swing_kPa > config.limits.max_kPa:
         yield ("pneumatics", "cycle_swing_kPa"), "is above limits.max_kPa"
+
+
+def _unsafe(config: Config) -> list[tuple[Key, str]]:
+    return [*_open_links(config), *_taken(config)]
+
+
+def _taken(config: Config) -> Iterator[tuple[Key, str]]:
+    """What two parts of the rig cannot share: a port, a channel of the transmitter."""
+    if same_port(parse_address(config.vehicle.link), parse_address(config.firmware.link)):
+        yield ("firmware", "link"), "is the port of vehicle.link: the board needs its own"
+    if problem := config.switch.channel_problem:
+        yield ("switch", "channel"), problem
 
 
 def _open_links(config: Config) -> list[tuple[Key, str]]:

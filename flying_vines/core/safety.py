@@ -20,6 +20,9 @@ from flying_vines.vine.motion import Motion
 
 MODE_FOLLOWS_WITHIN_S = 0.3
 """The board's mode follows the commanded one within this time, even if eleven commands in a row are lost."""
+ARMED_CONFIRMED_S = 1.5
+"""A vehicle counts as armed after this time without a HEARTBEAT that says "disarmed". The autopilot sends one
+each second, so a forged "armed" does not last so long."""
 LANDING_MARGIN_M = 0.5
 """A bent vine is vented when it is this far below `interlocks.min_altitude_m`."""
 
@@ -44,6 +47,10 @@ class SafetyInputs(NamedTuple):
     """A person allows the vine to bend."""
     armed: bool = False
     """The vehicle is armed."""
+    armed_s: float = math.inf
+    """Time since the vehicle was armed."""
+    arm_conflict: bool = False
+    """Two senders claim to be the autopilot and disagree about `armed`."""
     altitude_m: float | None = None
     rc_problem: str | None = None
     """Why RC cannot be trusted; None if it can, or if RC is not in use."""
@@ -271,6 +278,8 @@ class Safety:
                 return "no autopilot"
             if not now.armed:
                 return "not armed"
+            if now.armed_s < ARMED_CONFIRMED_S:
+                return f"armed less than {ARMED_CONFIRMED_S:g} s ago"
             if now.altitude_m is None:
                 return "altitude not known"
             if now.altitude_m < self._interlocks.min_altitude_m:
@@ -309,6 +318,9 @@ class Safety:
         if now.autopilot_age_s is not None and now.autopilot_age_s > self._losses.autopilot_s:
             return f"autopilot silent for {self._losses.autopilot_s:g} s"
         return "no HEARTBEAT: arm state unknown" if now.heartbeat_missing else None
+
+    def _arm_conflict(self, now: SafetyInputs) -> str | None:
+        return "armed and disarmed: a second sender claims to be the autopilot" if now.arm_conflict else None
 
     def _serial(self, now: SafetyInputs) -> str | None:
         if now.firmware_was_ready and not now.firmware_ready:
@@ -360,6 +372,7 @@ _Check = Callable[[Safety, SafetyInputs], str | None]
 _LOSSES: dict[str, _Check] = {
     "rc": Safety._rc,
     "autopilot": Safety._autopilot,
+    "arm_conflict": Safety._arm_conflict,
     "serial": Safety._serial,
     "telemetry": Safety._telemetry,
     "firmware_fault": Safety._firmware_fault,

@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.vehicle.autopilots.autopilot import MissionWatch
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.component.command_ack import acknowledgement
+from flying_vines.vehicle.component.senders import Sender
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.repeats import PX4_REPEAT_S, STATION_REPEAT_S, Repeats
 from flying_vines.vehicle.triggers import Rules, Trigger, direct_intent
@@ -38,25 +39,24 @@ class CommandReceiver:
         t: float,
         message: MavlinkMessage,
         system_id: int,
-        from_autopilot: bool,
+        sender: Sender,
         watch: MissionWatch,
-        from_station: bool,
         age_s: float = 0.0,
     ) -> list[Trigger | MavlinkMessage]:
         """A trigger, or the acknowledgement if there is nothing to decide. Empty for a command to others.
 
-        Only a ground station and the autopilot may bend the vine. Every sender may deflate it.
+        Every sender may deflate the vine; `Sender.refusal` says who may do more.
 
         PX4 sends mission items to component 0. A script on an ArduPilot sends them to our component id.
         `age_s` is the age of the message.
         """
         to_us = self._for_us(message, system_id)
         to_all = message.target_system in (0, system_id) and message.target_component == 0
-        is_item = from_autopilot and message.command in self._rules.commands
+        is_item = sender.is_autopilot and message.command in self._rules.commands
         if not to_us and not (to_all and is_item and watch.publishes_items):
             return []
         confirmation = getattr(message, "confirmation", 0)
-        repeat_s = PX4_REPEAT_S if from_autopilot else STATION_REPEAT_S
+        repeat_s = PX4_REPEAT_S if sender.is_autopilot else STATION_REPEAT_S
         repeat = self._repeats.is_repeat(t, _key(message), confirmation, message.get_seq(), repeat_s)
         params = _params(message)
         if repeat and (is_item or not self._only_deflates(message.command, params)):
@@ -72,15 +72,14 @@ class CommandReceiver:
         if intent_or_problem is None:
             self._repeats.answer(_key(message), mavlink.MAV_RESULT_UNSUPPORTED)
             return [acknowledgement(message, mavlink.MAV_RESULT_UNSUPPORTED)]
-        what = {"command": message.command, "params": list(params[:4]), "from": _sender(message)}
+        what = {"command": message.command, "params": list(params[:4]), "from": sender.name}
         if age_s > LATE_S:
             what["late_s"] = round(age_s, 1)
         intent, problem = intent_or_problem
-        if not from_station and not from_autopilot and not problem:
-            deflates = self._rules.only_deflates(intent)
-            problem = "" if deflates else f"{_sender(message)} is not a ground station"
+        if not problem and not self._rules.only_deflates(intent):
+            problem = sender.refusal
         # A repeat may be old: it must not clear faults that its sender has not seen.
-        by_person = from_station and not repeat
+        by_person = sender.is_station and not repeat
         trigger = Trigger(t, "command", what, intent, problem, by_person, message, age_s, seen_at=t - age_s)
         return [trigger]
 
@@ -110,10 +109,6 @@ def _params(message: MavlinkMessage) -> tuple[float, ...]:
     if message.get_type() == "COMMAND_INT":
         return (*first, float(message.x), float(message.y), message.z)
     return (*first, message.param5, message.param6, message.param7)
-
-
-def _sender(message: MavlinkMessage) -> str:
-    return f"{message.get_srcSystem()}/{message.get_srcComponent()}"
 
 
 def _key(message: MavlinkMessage) -> _Key:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from flying_vines.vehicle.arm_state import ArmState
 from flying_vines.vehicle.autopilots import OTHER, of_heartbeat
 from flying_vines.vehicle.clock import AutopilotClock
 from flying_vines.vehicle.mavlink import handled_messages as handled
@@ -13,6 +15,11 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 
 _AUTOPILOT: int = mavlink.MAV_COMP_ID_AUTOPILOT1
 ALTITUDE_FRESH_S = 2.0
+ALTITUDE_CONFIRMED_S = 0.9
+"""After a pause or a reboot the altitude is known when reports have arrived for this time. Also at 1 Hz this
+takes two, so one false report is not enough."""
+LOWEST_M, HIGHEST_M = -1_000.0, 100_000.0
+"""No vehicle with a vine reports an altitude beyond these."""
 HEARTBEAT_FRESH_S = 5.0
 """Only HEARTBEAT, at 1 Hz, carries the arm state. Five HEARTBEATs are hardly ever lost in a row. A disarmed
 vehicle must not count as armed for longer than this."""
@@ -68,13 +75,15 @@ class VehicleState:
         self._found_at: float | None = None
         self._ambiguous = False
         self.clock = AutopilotClock()
-        self._altitude_m = 0.0
-        self._altitude_at: float | None = None
+        self._altitudes: deque[tuple[float, float]] = deque()
+        """Time and altitude of the latest report, and of each fresh one that is lower than all later ones."""
+        self._altitudes_since = 0.0
+        """When the first report after a pause or a reboot arrived."""
         self._ambient_kPa = 0.0
         self._ambient_at: float | None = None
         self.system_id = 0
         self.autopilot = OTHER
-        self.armed = False
+        self.arm_state = ArmState()
         self.mode = ""
         self.heartbeat_at: float | None = None
         self.received_at: float | None = None
@@ -94,6 +103,11 @@ class VehicleState:
             return False
         return self.received_at - self.heartbeat_at > HEARTBEAT_FRESH_S
 
+    @property
+    def armed(self) -> bool:
+        """The arm state in the autopilot's latest HEARTBEAT."""
+        return self.arm_state.armed
+
     def silence_s(self, t: float) -> float | None:
         """Time since the last frame of the autopilot; None before the first one."""
         return None if self.received_at is None else t - self.received_at
@@ -103,10 +117,27 @@ class VehicleState:
         self.received_at = t
 
     def altitude_m(self, t: float) -> float | None:
-        """Height above home; None if the last report is too old."""
-        if self._altitude_at is None or t - self._altitude_at > ALTITUDE_FRESH_S:
+        """Height above home: the lowest report of the last 2 s; None if it is not known.
+
+        One false report among good ones must not allow a bend on the ground, and a landing must show at once.
+        So the lowest one counts.
+        """
+        heights = self._altitudes
+        if not heights or heights[-1][0] - self._altitudes_since < ALTITUDE_CONFIRMED_S:
             return None
-        return self._altitude_m
+        return next((height_m for at, height_m in heights if t - at <= ALTITUDE_FRESH_S), None)
+
+    def _note_altitude(self, t: float, height_m: float) -> None:
+        if not LOWEST_M <= height_m <= HIGHEST_M:
+            return
+        heights = self._altitudes
+        if not heights or t - heights[-1][0] > ALTITUDE_FRESH_S:
+            self._altitudes_since = t
+        while heights and t - heights[0][0] > ALTITUDE_FRESH_S:
+            heights.popleft()
+        while heights and heights[-1][1] >= height_m:
+            heights.pop()
+        heights.append((t, height_m))
 
     def ambient_kPa(self, t: float) -> float | None:
         """The barometer's pressure (absolute); None if the last report is too old."""
@@ -136,23 +167,22 @@ class VehicleState:
             return events
         self.note_frame(t)
         if kind in handled.CLOCK and self.clock.stamp(t, message.time_boot_ms, kind == "RC_CHANNELS"):
-            self._altitude_at = None
+            self._altitudes.clear()
             events.append(Rebooted())
         if kind == "HEARTBEAT":
             self.heartbeat_at = t
-            self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+            self.arm_state.handle(t, bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED))
             self.autopilot = of_heartbeat(message.autopilot)
             self.mode = self.autopilot.mode_name(message.custom_mode)
         elif kind == "GLOBAL_POSITION_INT":
-            self._altitude_m = message.relative_alt / 1000.0
-            self._altitude_at = t
+            self._note_altitude(t, message.relative_alt / 1000.0)
         elif kind == "SCALED_PRESSURE":
             self._ambient_kPa = message.press_abs / 10.0
             self._ambient_at = t
         elif kind == "STATUSTEXT" and message.text.startswith("ArduPilot Ready"):
             # After a reboot no stream runs, so this text may arrive long before the next time stamp.
             if self.time_boot_ms(t) > MAX_BOOT_MS:
-                self._altitude_at = None
+                self._altitudes.clear()
                 events.append(Rebooted())
             self.clock.forget()
         return events
@@ -169,7 +199,7 @@ class VehicleState:
                 return []
             pair = (self.system_id, system)
             self.system_id, self._ambiguous = 0, True
-            self.armed = False
+            self.arm_state = ArmState()
             return [Ambiguous(pair)]
         self.system_id, self._found_at = system, t
         return [AutopilotFound(system)]

@@ -112,6 +112,7 @@ class Vehicle:
             self._streams.handle(t, message)
             if kind in handled.RADIO:
                 out.extend(self.pilot.handle(t, message, self._autopilot, vented))
+                self.component.parameters.mode_channel = self.pilot.mode_channel
         elif kind == "RC_CHANNELS_OVERRIDE":
             self.pilot.override(t, message)
         if out and any(isinstance(output, Trigger) and output.by_person for output in out):
@@ -137,6 +138,8 @@ class Vehicle:
             match event:
                 case AutopilotFound(system_id):
                     out.append(Notice(t, Severity.INFO, f"Vine: serving vehicle {system_id}"))
+                    changes = self.component.parameters.unbounded_changes()
+                    out.extend(Notice(t, Severity.WARNING, f"Vine: {change}") for change in changes)
                 case Ambiguous((one, other)):
                     text = f"Vine: autopilots {one} and {other}: set vehicle.system_id"
                     out.append(Notice(t, Severity.ERROR, text))
@@ -203,11 +206,8 @@ class Vehicle:
             if age_s is None:
                 break
             self._waiting.popleft()
-            from_autopilot, system_id = state.is_ours(message), state.system_id
-            from_station = self.component.is_station(message, state)
-            out.extend(
-                self._commands.handle(t, message, system_id, from_autopilot, self._watch, from_station, age_s)
-            )
+            sender = self.component.sender(message, state)
+            out.extend(self._commands.handle(t, message, state.system_id, sender, self._watch, age_s))
         return out
 
     def _items(self, t: float) -> list[VehicleOutput]:

@@ -275,6 +275,32 @@ def test_a_switch_has_two_three_or_six_positions(count: int) -> None:
             "[[items]]\ncommand = 'winch'\nprofile = 'strait'",
             3, "items[0].profile", "there is no profile 'strait'; did you mean 'straight'?",
         ),
+        ("[switch]\nchannel = 4", 2, "switch.channel", "4 is a stick's or the flight mode's channel: use"),
+        ("[switch]\nchannel = 5", 2, "switch.channel", "5 is a stick's or the flight mode's channel: use"),
+        ("[switch]\nchannel = 6\n", 0, "", ""),
+        (
+            "[switch]\nthrottle_channel = 9",
+            1, "switch.channel", "9 is the throttle's channel (switch.throttle_channel)",
+        ),
+        (
+            "[vehicle]\nlink = 'serial:/dev/ttyS1:57600'\n[firmware]\nlink = 'serial:/dev/ttyS1'",
+            4, "firmware.link", "is the port of vehicle.link: the board needs its own",
+        ),
+        (
+            "[vehicle]\nlink = 'udpin:127.0.0.1:3000'\n[firmware]\nlink = 'udpin:localhost:3000'",
+            4, "firmware.link", "is the port of vehicle.link",
+        ),
+        (
+            "[vehicle]\nlink = 'tcp:127.0.0.1:3000'\n[firmware]\nlink = 'tcp:127.0.0.1:3000'",
+            4, "firmware.link", "is the port of vehicle.link",
+        ),
+        (
+            "[vehicle]\nlink = 'usb:16c0:0483'\n[firmware]\nlink = 'usb:16c0:0483'",
+            4, "firmware.link", "is the port of vehicle.link",
+        ),
+        ("[vehicle]\nlink = 'tcp:127.0.0.1:3000'\n[firmware]\nlink = 'tcp:127.0.0.2:3000'\n", 0, "", ""),
+        ("[vehicle]\nlink = 'tcp:127.0.0.1:3000'\n[firmware]\nlink = 'tcp:127.0.0.1:3001'\n", 0, "", ""),
+        ("[vehicle]\nlink = 'udpin:127.0.0.1:3000'\n[firmware]\nlink = 'tcp:127.0.0.1:3000'\n", 0, "", ""),
         ("[limits]\nmax_kPa = 30\n", 1, "limits", "overpressure_kPa must be above max_kPa"),
         ("[limits]\nmax_kPa = 15\n", 0, "", ""),
         (
@@ -326,6 +352,33 @@ def test_a_sine_just_within_the_limit_is_allowed() -> None:
 def test_a_recorded_configuration_may_have_been_open() -> None:
     text = "[vehicle]\nlink = 'udpin:0.0.0.0:14540'\n" + PROFILES
     assert config.parse(text, "an old log", recorded=True).vehicle.link == "udpin:0.0.0.0:14540"
+
+
+def test_a_recorded_configuration_may_have_its_switch_on_any_channel() -> None:
+    assert config.parse("[switch]\nchannel = 5\n" + PROFILES, "an old log", recorded=True).switch.channel == 5
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "beyond"),
+    [
+        ("limits", "max_bent_s", 3601),
+        ("losses", "hold_at_most_s", 601),
+        ("interlocks", "min_altitude_m", 1001),
+        ("interlocks", "reserve_kPa", 2001),
+        ("telemetry", "low_reservoir_cycles", 1001),
+        ("log", "least_free_MB", 100_001),
+        ("[items]", "scale", 10_001),
+        ("[items]", "scale", -10_001),
+        ("[items]", "command", 0),
+        ("[items]", "command", 65536),
+    ],
+)
+def test_numbers_that_no_rig_has_are_refused(table: str, key: str, beyond: int) -> None:
+    rest = "" if key == "command" else "command = 'winch'\n"
+    item = f"bend = 'param1'\n{rest}" if table == "[items]" else ""
+    line, dotted, said = mistake(f"[{table}]\n{key} = {beyond}\n{item}")
+    assert line == 2 or dotted.endswith(key), said
+    assert "expected" in said
 
 
 def test_the_second_of_two_items_is_the_one_at_fault() -> None:

@@ -144,9 +144,9 @@ def test_rc_that_is_lost_at_arming_is_a_loss(monkeypatch: pytest.MonkeyPatch) ->
     """Only a vehicle that was armed without RC flies without RC."""
     flight = airborne()
     vehicle, t = flight.core._vehicle, flight.world.now
-    monkeypatch.setattr(vehicle.state, "armed", False)
+    monkeypatch.setattr(vehicle.state.arm_state, "armed", False)
     assert flight.core._conditions(t).rc_problem is None
-    monkeypatch.setattr(vehicle.state, "armed", True)
+    monkeypatch.setattr(vehicle.state.arm_state, "armed", True)
     assert flight.core._conditions(t + 60.0).rc_problem is not None
 
 

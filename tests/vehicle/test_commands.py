@@ -14,6 +14,7 @@ from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.autopilots.autopilot import MissionWatch
 from flying_vines.vehicle.clock import AutopilotClock
 from flying_vines.vehicle.commands import CommandReceiver
+from flying_vines.vehicle.component.senders import Sender
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.mission_cache import MissionCache
@@ -33,6 +34,7 @@ from flying_vines.vine.intent import (
 
 ACCEPTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = 0, 2, 3, 4, 5
 US, AUTOPILOT, STATION = 191, (1, 1), (255, 190)
+PERSON = Sender(*STATION, is_station=True)
 ACTUATOR, GRIPPER, SET_SERVO = 187, 211, 183
 USER_1, USER_2, USER_3, USER_4, USER_5 = 31010, 31011, 31012, 31013, 31014
 NAN = math.nan
@@ -83,9 +85,9 @@ class Bench:
         self.answers: list[MavlinkMessage] = []
 
     def take(self, t: float, message: MavlinkMessage) -> None:
-        from_autopilot = (message.get_srcSystem(), message.get_srcComponent()) == AUTOPILOT
-        from_station = message.get_srcSystem() > 1
-        for output in self.commands.handle(t, message, 1, from_autopilot, self.watch, from_station):
+        ids = (message.get_srcSystem(), message.get_srcComponent())
+        sender = Sender(*ids, is_autopilot=ids == AUTOPILOT, is_station=ids[0] > 1)
+        for output in self.commands.handle(t, message, 1, sender, self.watch):
             if isinstance(output, Trigger):
                 self.triggers.append(output)
                 self.answers += self.commands.acknowledge(output, self.accepts and output.intent is not None)
@@ -303,16 +305,14 @@ def test_rules_see_all_seven_params(param: int) -> None:
     )
     numbers = [12.0, *(6 * [0.0])]
     commands = CommandReceiver(Rules(rules), US)
-    (other,) = commands.handle(1.0, command(ACTUATOR, numbers), 1, False, MissionWatch(MissionCache()), True)
+    (other,) = commands.handle(1.0, command(ACTUATOR, numbers), 1, PERSON, MissionWatch(MissionCache()))
     numbers[param] = 5.0
-    (trigger,) = commands.handle(
-        2.0, command(ACTUATOR, numbers), 1, False, MissionWatch(MissionCache()), True
-    )
+    (trigger,) = commands.handle(2.0, command(ACTUATOR, numbers), 1, PERSON, MissionWatch(MissionCache()))
     assert isinstance(other, Trigger) and isinstance(trigger, Trigger)
     assert (other.intent, trigger.intent) == (None, BendTo(12.0))
     integers = (ACTUATOR, 0, 0, *numbers[:4], *(int(number) for number in numbers[4:6]), numbers[6])
     message = sent(mavlink.MAVLink_command_int_message(1, US, 0, *integers), (254, 190))
-    (whole,) = commands.handle(3.0, message, 1, False, MissionWatch(MissionCache()), True)
+    (whole,) = commands.handle(3.0, message, 1, PERSON, MissionWatch(MissionCache()))
     assert isinstance(whole, Trigger) and whole.intent == BendTo(12.0)
 
 

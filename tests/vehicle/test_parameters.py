@@ -25,10 +25,12 @@ from flying_vines.vehicle.component.parameter_table import (
     value_of,
 )
 from flying_vines.vehicle.component.parameters import LIST_SPACING_S, Changed, Parameters
+from flying_vines.vehicle.component.senders import Sender
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
 
 US, STATION = (1, 191), (255, 190)
+SENDER = Sender(*STATION, is_station=True)
 REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
 DEFAULT = config.default()
 TICK_S = 0.02
@@ -61,7 +63,7 @@ class Bench:
         self.t = 10.0
 
     def take(self, message: MavlinkMessage) -> tuple[list[MavlinkMessage], list[str], list[Changed]]:
-        outputs = self.parameters.handle(self.t, sent(message), *US, self.may_change)
+        outputs = self.parameters.handle(self.t, sent(message), US, SENDER, self.may_change)
         values = [sent(output, US) for output in outputs if isinstance(output, mavlink.MAVLink_message)]
         texts = [output.text for output in outputs if isinstance(output, Notice)]
         return values, texts, [output for output in outputs if isinstance(output, Changed)]
@@ -244,7 +246,9 @@ REFUSED = [
     ("VINE_AP_LOSS_S", 1.0, "1 is outside 1.5 to 3"),
     ("VINE_HOLD_MAX_S", 31.0, "31 is outside 0.5 to 30"),
     ("VINE_MAX_BENT_S", 121.0, "121 is outside 1 to 120"),
-    ("VINE_SW_CHAN", 19.0, "19 is outside 1 to 18"),
+    ("VINE_SW_CHAN", 19.0, "19 is outside 6 to 18"),
+    ("VINE_SW_CHAN", 3.0, "3 is outside 6 to 18"),
+    ("VINE_SW_CHAN", 5.0, "5 is outside 6 to 18"),
     ("VINE_SW_CHAN", 8.5, "8.5 is not a whole number"),
     ("VINE_RC_ACTION", 2.0, "2 is outside 0 to 1"),
     ("VINE_RC_ACTION", 0.5, "0.5 is not a whole number"),
@@ -266,6 +270,19 @@ def test_after_a_refusal_the_sender_gets_the_old_value_and_the_reason(
     assert texts == [f"Vine: {name} stays {before:g}: {reason}"]
     assert changes == []
     assert bench.parameters.config == DEFAULT
+
+
+def test_the_channels_of_throttle_and_flight_mode_are_refused() -> None:
+    bench = Bench(configured(switch={"throttle_channel": 7}))
+    stays = "Vine: VINE_SW_CHAN stays 9: "
+    assert bench.set("VINE_SW_CHAN", 7.0)[:2] == (
+        9.0,
+        [f"{stays}7 is the throttle's channel (switch.throttle_channel)"],
+    )
+    bench.parameters.mode_channel = 8
+    assert bench.set("VINE_SW_CHAN", 8.0)[:2] == (9.0, [f"{stays}8 is the flight mode's channel"])
+    assert bench.set("VINE_SW_CHAN", 10.0)[0] == 10.0
+    assert bench.set("VINE_SW_HYST_US", 8.0)[0] == 8.0
 
 
 @pytest.mark.parametrize("param_type", [kind for kind in range(12) if kind != REAL32])
@@ -305,7 +322,7 @@ def test_a_configuration_beyond_a_rows_own_bounds_is_its_own_bound() -> None:
 def test_a_change_is_an_information_and_a_refusal_a_warning() -> None:
     parameters = Parameters(DEFAULT)
     for value, severity in ((18.0, Severity.INFO), (30.0, Severity.WARNING)):
-        outputs = parameters.handle(0.0, sent(setting("VINE_MAX_KPA", value)), *US, True)
+        outputs = parameters.handle(0.0, sent(setting("VINE_MAX_KPA", value)), US, SENDER, True)
         assert [output.severity for output in outputs if isinstance(output, Notice)] == [severity]
 
 

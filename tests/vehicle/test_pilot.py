@@ -335,6 +335,22 @@ def test_if_ardupilot_hides_losses_the_switch_only_straightens() -> None:
     assert len(radio.bends) == 1
 
 
+@pytest.mark.parametrize(("kind", "name"), [("ardupilot", "FLTMODE_CH"), ("px4", "RC_MAP_FLTMODE")])
+def test_on_the_flight_modes_channel_the_switch_only_straightens(
+    kind: Literal["ardupilot", "px4"], name: str
+) -> None:
+    radio = Radio(kind)
+    radio.receive(param_value(name, 9.0))
+    radio.move(2, 4.0)
+    (refused,) = [output for _, output in radio.outputs if isinstance(output, Trigger)]
+    assert (refused.intent, refused.problem) == (None, "channel 9 is the flight mode's")
+    radio.move(0, 1.0)
+    assert radio.asked[-1][1] == "straight"
+    radio.receive(param_value(name, 5.0))
+    radio.move(2, 4.0)
+    assert len(radio.bends) == 1
+
+
 OVERRULED = "Vine: switch ch9 was overruled, to bend: switch down, then up within 2 s"
 
 

@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from examples import examples
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.state import (
+    ALTITUDE_CONFIRMED_S,
     ALTITUDE_FRESH_S,
     Ambiguous,
     AutopilotFound,
@@ -153,22 +154,77 @@ def test_armed_and_mode_are_as_the_autopilot_reports_them() -> None:
     assert (px4.kind, px4.mode) == ("px4", "AUTO.MISSION")
 
 
+def climbing(*heights_m: float, every_s: float = 0.2, after: VehicleState | None = None) -> VehicleState:
+    """A state after reports of these heights, the last one at 10 s."""
+    state = after or found()
+    for number, height_m in enumerate(heights_m, start=1 - len(heights_m)):
+        t = 10.0 + number * every_s
+        state.handle(t, position(round(1000 * t), height_m))
+    return state
+
+
 def test_height_is_known_only_while_it_is_fresh() -> None:
     state = found()
     assert state.altitude_m(0.0) is None
-    state.handle(1.0, position(1000, 12.5))
-    assert state.altitude_m(1.0 + ALTITUDE_FRESH_S) == 12.5
-    assert state.altitude_m(1.01 + ALTITUDE_FRESH_S) is None
-    state.handle(9.0, position(9000, -0.5))
-    assert state.altitude_m(9.0) == -0.5
+    climbing(12.5, 12.5, every_s=1.0, after=state)
+    assert state.altitude_m(10.0 + ALTITUDE_FRESH_S) == 12.5
+    assert state.altitude_m(10.01 + ALTITUDE_FRESH_S) is None
+
+
+@pytest.mark.parametrize("every_s", [0.02, 0.2, 1.0])
+def test_after_a_pause_one_report_is_not_enough(every_s: float) -> None:
+    state = climbing(*[-0.5] * 100, every_s=0.1)
+    assert state.altitude_m(10.0) == -0.5
+    t = began = 20.0
+    while t - began < ALTITUDE_CONFIRMED_S:
+        state.handle(t, position(round(1000 * t), 30.0))
+        assert state.altitude_m(t) is None
+        t += every_s
+    state.handle(t, position(round(1000 * t), 30.0))
+    assert state.altitude_m(t) == 30.0
+
+
+@pytest.mark.parametrize("wild_m", [50.0, 2_147_483.0, -2_147_483.0, 100_001.0, -1_001.0])
+@pytest.mark.parametrize("every_s", [0.2, 1.0])
+def test_one_wild_report_among_good_ones_changes_nothing(wild_m: float, every_s: float) -> None:
+    good = [0.1] * 8
+    for number in range(8):
+        state = climbing(*good[:number], wild_m, *good[number:], every_s=every_s)
+        assert state.altitude_m(10.0) == 0.1
+
+
+@pytest.mark.parametrize("wild_m", [2_147_483.0, 100_001.0, -1_001.0])
+def test_reports_that_no_vehicle_sends_are_no_reports(wild_m: float) -> None:
+    assert climbing(*[wild_m] * 50).altitude_m(10.0) is None
+
+
+@pytest.mark.parametrize("height_m", [-1_000.0, 100_000.0])
+def test_the_widest_heights_count(height_m: float) -> None:
+    assert climbing(*[height_m] * 8).altitude_m(10.0) == height_m
+
+
+def test_a_landing_shows_at_once_and_a_climb_after_two_seconds() -> None:
+    assert climbing(*[30.0] * 20, 1.0).altitude_m(10.0) == 1.0
+    assert climbing(1.0, *[30.0] * 9).altitude_m(10.0) == 1.0
+    assert climbing(1.0, *[30.0] * 11).altitude_m(10.0) == 30.0
+
+
+@given(heights_m=st.lists(st.floats(-20.0, 50.0), min_size=8, max_size=30))
+def test_the_height_is_the_lowest_of_the_last_two_seconds(heights_m: list[float]) -> None:
+    told_m = [int(height_m * 1000) / 1000 for height_m in heights_m]
+    assert climbing(*heights_m, every_s=0.3).altitude_m(10.0) == min(told_m[-7:])
 
 
 @pytest.mark.parametrize("sign", [text("ArduPilot Ready"), clock(1200)])
 def test_the_height_before_a_reboot_is_no_height_after_it(sign: MavlinkMessage) -> None:
     state = found()
-    state.handle(10.0, position(90_000, 30.0))
+    for t in (9.0, 10.0):
+        state.handle(t, position(80_000 + round(1000 * t), 30.0))
+    assert state.altitude_m(11.4) == 30.0
     assert state.handle(11.5, sign) == [Rebooted()]
     assert state.altitude_m(11.5) is None
+    state.handle(11.6, position(1300, 30.0))
+    assert state.altitude_m(11.6) is None
 
 
 def test_a_reboot_is_seen_by_the_clock_once() -> None:

@@ -78,6 +78,8 @@ class Autopilot:
 
     rc_parameters: tuple[str, ...] = ()
     """Its parameters that affect whether a loss of RC can be detected."""
+    mode_channel_parameter = ""
+    """Its parameter for the RC channel of the flight mode."""
     needs_rc_status = False
     """RC counts only after SYS_STATUS has shown a good receiver, or if rssi shows that it comes from a ground
     station. RC_CHANNELS alone may hold the receiver's failsafe values."""

@@ -46,6 +46,7 @@ class Px4(Autopilot):
     mav_autopilot = mavlink.MAV_AUTOPILOT_PX4
     simulator_home = PX4_HOME
     rc_parameters = ("COM_RC_LOSS_T", "COM_RC_IN_MODE")
+    mode_channel_parameter = "RC_MAP_FLTMODE"
     needs_rc_status = True
     mission_watch = Px4Watch
     item_commands = ("actuator", "winch", "gripper")

@@ -11,7 +11,7 @@ from flying_vines.config.config import Config
 from flying_vines.vehicle.component.duplicate_id import DuplicateIdDetector
 from flying_vines.vehicle.component.parameters import ParameterOutput, Parameters
 from flying_vines.vehicle.component.requests import Requests
-from flying_vines.vehicle.component.stations import Stations
+from flying_vines.vehicle.component.senders import RefusedChanges, Sender, Senders
 from flying_vines.vehicle.component.telemetry import FuelGauge, Heartbeat, NamedValues
 from flying_vines.vehicle.component.texts import Texts
 from flying_vines.vehicle.component.transmit_queue import TransmitQueue
@@ -28,16 +28,17 @@ class Component:
     """
 
     def __init__(self, config: Config, values: Mapping[str, float] | None = None) -> None:
-        self.parameters = Parameters(config, values)
+        refused = RefusedChanges()
+        self.parameters = Parameters(config, values, refused)
         self._component_id = config.vehicle.component_id
         self._heartbeat = Heartbeat()
         self._values = NamedValues(1.0 / self.parameters.config.telemetry.rate_Hz)
         self._fuel = FuelGauge()
         self._texts = Texts()
-        self._requests = Requests(self._component_id, self._heartbeat, self._values)
+        self._requests = Requests(self._component_id, self._heartbeat, self._values, refused)
         self._key_reported = bool(config.vehicle.signing_key)
         self._duplicate_id = DuplicateIdDetector(self._component_id)
-        self._stations = Stations()
+        self._senders = Senders()
         self._queue = TransmitQueue()
 
     @property
@@ -61,23 +62,25 @@ class Component:
         if (message.get_srcSystem(), message.get_srcComponent()) == (vehicle.system_id, self._component_id):
             return list(self._duplicate_id.received(t))
         number = message.get_msgId()
+        sender = self.sender(message, vehicle)
         if number == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
-            if vehicle.is_ours(message):
+            if sender.is_autopilot:
                 self._heartbeat.autopilot_spoke(t)
             else:
-                self._stations.handle(t, message, vehicle.autopilot.hides_our_parameters)
+                self._senders.handle(t, message, vehicle.autopilot.hides_our_parameters)
             return None
         if number in Requests.MESSAGES:
-            return self._requests.handle(t, message, vehicle.system_id)
+            return self._requests.handle(t, message, vehicle.system_id, sender)
         if number == mavlink.MAVLINK_MSG_ID_SETUP_SIGNING:
             return self._report_ignored_key(t, message, vehicle.system_id)
         if number in Parameters.MESSAGES:
-            return self.parameters.handle(t, message, vehicle.system_id, self._component_id, may_change)
+            us = (vehicle.system_id, self._component_id)
+            return self.parameters.handle(t, message, us, sender, may_change)
         return None
 
-    def is_station(self, message: MavlinkMessage, vehicle: VehicleState) -> bool:
-        own = message.get_srcSystem() == vehicle.system_id
-        return not own and self._stations.sent(message)
+    def sender(self, message: MavlinkMessage, vehicle: VehicleState) -> Sender:
+        """The sender of a message, and what it may do."""
+        return self._senders.of(message, vehicle)
 
     def _report_ignored_key(self, t: float, message: MavlinkMessage, system_id: int) -> list[ParameterOutput]:
         """Report once that we ignore a signing key that is sent to the vehicle."""
@@ -106,7 +109,7 @@ class Component:
         """The messages that leave at time `t`. `values` are the present named values; NaN is not sent."""
         config = self.parameters.config
         self._values.usual_s = 1.0 / config.telemetry.rate_Hz
-        if self._stations.due(t) and not self.parameters.showing:
+        if self._senders.due(t) and not self.parameters.showing:
             self.parameters.show()
         due = [
             *self._heartbeat.due(t, system_status),

@@ -16,7 +16,7 @@ from typing import Literal, get_type_hints
 import msgspec
 from msgspec import inspect
 
-from flying_vines.config.config import Config
+from flying_vines.config.config import FIRST_FREE_CHANNEL, Config, SwitchConfig
 
 Guard = Literal["none", "max", "min"]
 
@@ -46,7 +46,9 @@ VENT_OR_HOLD = ("vent", "hold")
 OFF_OR_ON = (False, True)
 
 SETTINGS = (
-    ParameterRow("VINE_SW_CHAN", "switch", "channel", "RC channel of the switch"),
+    ParameterRow(
+        "VINE_SW_CHAN", "switch", "channel", "RC channel of the switch", min=float(FIRST_FREE_CHANNEL)
+    ),
     ParameterRow("VINE_SW_DEBOUNCE", "switch", "debounce_s", "time that a new switch position must last, s"),
     ParameterRow(
         "VINE_SW_HYST_US",
@@ -87,7 +89,6 @@ SETTINGS = (
         "min_altitude_m",
         "minimum altitude above home to bend, m",
         "min",
-        max=1000.0,
     ),
     ParameterRow(
         "VINE_RESERVE_KPA",
@@ -95,7 +96,6 @@ SETTINGS = (
         "reserve_kPa",
         "minimum pressure in the bottle, gauge kPa",
         "min",
-        max=2000.0,
     ),
     ParameterRow("VINE_RATE_HZ", "telemetry", "rate_Hz", "rate of each named value, Hz", in_flight=True),
     ParameterRow(
@@ -111,7 +111,6 @@ SETTINGS = (
         "telemetry",
         "low_reservoir_cycles",
         "warn below this number of cycles left",
-        max=1000.0,
         in_flight=True,
     ),
 )
@@ -163,6 +162,8 @@ def changed(base: Config, config: Config, name: str, value: float) -> Config:
     setting = BY_NAME[name]
     table = getattr(config, setting.table)
     table = msgspec.structs.replace(table, **{setting.key: _checked(setting, base, value)})
+    if isinstance(table, SwitchConfig) and (problem := table.channel_problem):
+        raise ParameterRefused(name, problem)
     return msgspec.structs.replace(config, **{setting.table: table})
 
 

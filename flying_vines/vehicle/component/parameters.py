@@ -22,6 +22,7 @@ from flying_vines.vehicle.component.parameter_table import (
     same,
     value_of,
 )
+from flying_vines.vehicle.component.senders import RefusedChanges, Sender
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
 
@@ -47,7 +48,7 @@ class Parameters:
     """The parameter set of one configuration.
 
     `config` is the configuration with the present values. `values` are the values that differ from `base`;
-    they are saved in a file.
+    they are saved in a file. `refused` reports changes that a stranger may not make.
     """
 
     MESSAGES = frozenset(
@@ -59,36 +60,44 @@ class Parameters:
     )
     """The messages that `handle` takes."""
 
-    def __init__(self, base: Config, values: Mapping[str, float] | None = None) -> None:
+    def __init__(
+        self,
+        base: Config,
+        values: Mapping[str, float] | None = None,
+        refused: RefusedChanges | None = None,
+    ) -> None:
+        self._refused = refused or RefusedChanges()
         self.config = self._base = base
         self.values: dict[str, float] = {}
+        self.mode_channel = 0
+        """The RC channel of the autopilot's flight mode, which the switch cannot have; 0 if not known."""
         self._next: int | None = None
         self._listed_at = -math.inf
         for name, value in (values or {}).items():
             self._keep(name, value)
 
     def handle(
-        self, t: float, message: MavlinkMessage, system_id: int, component_id: int, may_change: bool
+        self, t: float, message: MavlinkMessage, us: tuple[int, int], sender: Sender, may_change: bool
     ) -> list[ParameterOutput]:
         """The outputs for a request.
 
         Args:
             t: now, in seconds.
-            message: one of `MESSAGES`, of any sender.
-            system_id: the system id of our vehicle.
-            component_id: our component id.
+            message: one of `MESSAGES`.
+            us: the system id of our vehicle and our component id.
+            sender: the sender of the message.
             may_change: the vine is vented, so parameters that affect the vine's motion may change.
         """
         kind = message.get_type()
         target = (message.target_system, message.target_component)
-        to_us = target == (system_id, component_id)
+        to_us = target == us
         if kind == "PARAM_REQUEST_LIST":
-            if to_us or target in ((system_id, 0), (0, 0)):
+            if to_us or target in ((us[0], 0), (0, 0)):
                 self.show()
         elif to_us and kind == "PARAM_REQUEST_READ":
             return self._read(message)
         elif to_us:
-            return self._set(t, message, may_change)
+            return self._set(t, message, sender, may_change)
         return []
 
     @property
@@ -108,26 +117,42 @@ class Parameters:
         self._next = index + 1 if index + 1 < len(SETTINGS) else None
         return [self._value(index)]
 
+    def unbounded_changes(self) -> list[str]:
+        """A sentence for each parameter that affects motion and that the configuration does not bound."""
+        return [
+            f"{row.name} is {value_of(row, self.config):g}, configuration: {value_of(row, self._base):g}"
+            for row in SETTINGS
+            if row.name in self.values and row.guard == "none" and not row.in_flight
+        ]
+
     def _read(self, message: MavlinkMessage) -> list[ParameterOutput]:
         index = message.param_index
         if index == _BY_NAME and message.param_id in BY_NAME:
             index = SETTINGS.index(BY_NAME[message.param_id])
         return [self._value(index)] if 0 <= index < len(SETTINGS) else []
 
-    def _set(self, t: float, message: MavlinkMessage, may_change: bool) -> list[ParameterOutput]:
+    def _set(
+        self, t: float, message: MavlinkMessage, sender: Sender, may_change: bool
+    ) -> list[ParameterOutput]:
         setting = BY_NAME.get(message.param_id)
         if setting is None:
             return []
         name, index = setting.name, SETTINGS.index(setting)
         sender = f"{message.get_srcSystem()}/{message.get_srcComponent()}"
         before = value_of(setting, self.config)
+        unchanged = math.isfinite(message.param_value) and same(message.param_value, before)
+        if sender.refusal:
+            told = [] if unchanged else self._refused.report(t, f"{name} stays {before:g}", sender)
+            return [self._value(index), *told]
         try:
             if message.param_type != mavlink.MAV_PARAM_TYPE_REAL32:
                 raise ParameterRefused(name, "send it as REAL32")
-            if math.isfinite(message.param_value) and same(message.param_value, before):
+            if unchanged:
                 return [self._value(index)]
             if not may_change and not setting.in_flight:
                 raise ParameterRefused(name, "vent the vine first")
+            if name == "VINE_SW_CHAN" and message.param_value == self.mode_channel:
+                raise ParameterRefused(name, f"{self.mode_channel} is the flight mode's channel")
             self._keep(name, decimal(message.param_value))
         except ParameterRefused as refusal:
             text = f"Vine: {name} stays {before:g}: {refusal.reason}"

@@ -14,15 +14,18 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.component.command_ack import acknowledgement
 from flying_vines.vehicle.component.identity import ProtocolVersion, autopilot_version
+from flying_vines.vehicle.component.senders import RefusedChanges, Sender
 from flying_vines.vehicle.component.telemetry import (
     HEARTBEAT_S,
     MAX_PERIOD_S,
     MIN_PERIOD_S,
+    MUTED_S,
     Heartbeat,
     NamedValues,
 )
 from flying_vines.vehicle.component.timesync import Timesync, TokenBuckets, target_of
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
+from flying_vines.vehicle.notice import Notice, Severity
 
 ACCEPTED, DENIED, UNSUPPORTED = (
     mavlink.MAV_RESULT_ACCEPTED,
@@ -41,8 +44,9 @@ usual rate."""
 
 MAX_PINGS = 16
 
-RequestOutcome = tuple[int, list[MavlinkMessage]]
-"""MAV_RESULT, and the messages that follow it."""
+RequestOutput = MavlinkMessage | Notice
+RequestOutcome = tuple[int, list[RequestOutput]]
+"""MAV_RESULT, and the messages and texts that follow it."""
 
 
 class Requests:
@@ -58,13 +62,20 @@ class Requests:
     )
     """The messages that `handle` takes."""
 
-    def __init__(self, component_id: int, heartbeat: Heartbeat, values: NamedValues) -> None:
+    def __init__(
+        self,
+        component_id: int,
+        heartbeat: Heartbeat,
+        values: NamedValues,
+        refused: RefusedChanges | None = None,
+    ) -> None:
+        self._refused = refused or RefusedChanges()
         self._component_id = component_id
         self._heartbeat = heartbeat
         self._values = values
         self._pinged: deque[tuple[object, object]] = deque(maxlen=MAX_PINGS)
         self._clock_answers = TokenBuckets()
-        self._commands: dict[int, Callable[[float, MavlinkMessage], RequestOutcome]] = {
+        self._commands: dict[int, Callable[[float, MavlinkMessage, Sender], RequestOutcome]] = {
             mavlink.MAV_CMD_REQUEST_MESSAGE: self._request,
             mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
             mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: self._get_interval,
@@ -72,13 +83,16 @@ class Requests:
             mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._capabilities,
         }
 
-    def handle(self, t: float, message: MavlinkMessage, system_id: int) -> list[MavlinkMessage] | None:
+    def handle(
+        self, t: float, message: MavlinkMessage, system_id: int, sender: Sender
+    ) -> list[RequestOutput] | None:
         """The acknowledgement and then the requested messages. None: the message is not ours to answer.
 
         Args:
             t: now, in seconds.
-            message: one of `MESSAGES`, of any sender.
+            message: one of `MESSAGES`.
             system_id: the system id of our vehicle.
+            sender: the sender of the message.
         """
         kind = message.get_type()
         if kind == "PING":
@@ -88,15 +102,15 @@ class Requests:
         target = (message.target_system, message.target_component)
         if target != (system_id, self._component_id) or message.command not in self._commands:
             return None
-        result, answers = self._commands[message.command](t, message)
+        result, answers = self._commands[message.command](t, message, sender)
         return [acknowledgement(message, result), *answers]
 
-    def _request(self, t: float, message: MavlinkMessage) -> RequestOutcome:
+    def _request(self, t: float, message: MavlinkMessage, sender: Sender) -> RequestOutcome:
         wanted = _whole(message.param1)
         if wanted is None:
             return DENIED, []
         if wanted == INTERVAL:
-            return self._interval_of(_whole(message.param2))
+            return self._interval_of(t, _whole(message.param2))
         if wanted == AUTOPILOT_VERSION:
             return ACCEPTED, [autopilot_version()]
         if wanted == ProtocolVersion.id:
@@ -109,7 +123,7 @@ class Requests:
             return ACCEPTED, []
         return UNSUPPORTED, []
 
-    def _set_interval(self, t: float, message: MavlinkMessage) -> RequestOutcome:
+    def _set_interval(self, t: float, message: MavlinkMessage, sender: Sender) -> RequestOutcome:
         wanted, interval_us = _whole(message.param1), message.param2
         if wanted is None or not math.isfinite(interval_us):
             return DENIED, []
@@ -118,34 +132,39 @@ class Requests:
             return (ACCEPTED if unchanged else DENIED), []
         if wanted != NAMED_VALUE:
             return UNSUPPORTED, []
+        if sender.refusal:
+            return DENIED, [*self._refused.report(t, "rate of values unchanged", sender)]
+        period_s = math.inf if interval_us == OFF_US else interval_us / 1e6
         if interval_us == USUAL_US:
-            self._values.request_period(None)
-        elif interval_us == OFF_US:
-            self._values.request_period(math.inf)
-        elif MIN_PERIOD_S <= interval_us / 1e6 <= MAX_PERIOD_S:
-            self._values.request_period(interval_us / 1e6)
+            self._values.request_period(t, None)
+        elif interval_us == OFF_US or MIN_PERIOD_S <= period_s <= MAX_PERIOD_S:
+            if self._values.request_period(t, period_s):
+                off = "switched the values off"
+                what = off if period_s == math.inf else f"slowed the values to one in {period_s:g} s"
+                text = f"Vine: {sender.name} {what}, for {MUTED_S:.0f} s"
+                return ACCEPTED, [Notice(t, Severity.NOTICE, text)]
         else:
             return DENIED, []
         return ACCEPTED, []
 
-    def _get_interval(self, t: float, message: MavlinkMessage) -> RequestOutcome:
-        return self._interval_of(_whole(message.param1))
+    def _get_interval(self, t: float, message: MavlinkMessage, sender: Sender) -> RequestOutcome:
+        return self._interval_of(t, _whole(message.param1))
 
-    def _interval_of(self, wanted: int | None) -> RequestOutcome:
+    def _interval_of(self, t: float, wanted: int | None) -> RequestOutcome:
         if wanted is None or not 0 <= wanted <= 0xFFFF:
             return DENIED, []
         interval_us = NOT_SENT_US
         if wanted == HEARTBEAT:
             interval_us = int(HEARTBEAT_S * 1e6)
         elif wanted == NAMED_VALUE:
-            period_s = self._values.period_s
+            period_s = self._values.period_s(t)
             interval_us = OFF_US if period_s == math.inf else round(period_s * 1e6)
         return ACCEPTED, [mavlink.MAVLink_message_interval_message(wanted, interval_us)]
 
-    def _protocol_version(self, t: float, message: MavlinkMessage) -> RequestOutcome:
+    def _protocol_version(self, t: float, message: MavlinkMessage, sender: Sender) -> RequestOutcome:
         return (ACCEPTED, [ProtocolVersion()]) if message.param1 == 1 else (DENIED, [])
 
-    def _capabilities(self, t: float, message: MavlinkMessage) -> RequestOutcome:
+    def _capabilities(self, t: float, message: MavlinkMessage, sender: Sender) -> RequestOutcome:
         return (ACCEPTED, [autopilot_version()]) if message.param1 == 1 else (DENIED, [])
 
     def _ping(self, message: MavlinkMessage, system_id: int) -> list[MavlinkMessage]:

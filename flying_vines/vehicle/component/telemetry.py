@@ -16,6 +16,9 @@ VALUE_NAMES = ("RES_KPA", "CYC_LEFT", "MIN_LEFT", "CV_KPA", "CMD_KPA", "BEND_DEG
 HEARTBEAT_S = 1.0
 MIN_PERIOD_S, MAX_PERIOD_S = 0.1, 10.0
 """The periods that a ground station may request for the named values."""
+SLOW_S, MUTED_S = 5.0, 60.0
+"""A period above `SLOW_S`, or none, lasts for `MUTED_S`. Then the usual one is back, because all ground
+stations share this stream. A ground station that wants it for longer repeats its request."""
 ONCE_SPACING_S = 0.1
 FUEL_S = 10.0
 LATE_S = 0.1
@@ -64,19 +67,23 @@ class NamedValues:
     def __init__(self, usual_s: float) -> None:
         self.usual_s = usual_s
         self._requested_s: float | None = None
+        self._requested_until = math.inf
         self._once_at = -math.inf
         self._last_at = -math.inf
         self._due_at: dict[str, float] = {}
         """When each value was last due. The next due time counts from here, not from the tick."""
 
-    @property
-    def period_s(self) -> float:
-        """Period of each value; infinite if a ground station switched them off."""
-        return self.usual_s if self._requested_s is None else self._requested_s
+    def period_s(self, t: float) -> float:
+        """Period of each value; infinite while they are switched off."""
+        if self._requested_s is None or t >= self._requested_until:
+            return self.usual_s
+        return self._requested_s
 
-    def request_period(self, period_s: float | None) -> None:
-        """The period that a ground station requests; None restores the usual one."""
-        self._requested_s = period_s
+    def request_period(self, t: float, period_s: float | None) -> bool:
+        """The period that a ground station requests; None restores the usual one. True: it ends by itself."""
+        ends = period_s is not None and period_s > max(SLOW_S, self.usual_s)
+        self._requested_s, self._requested_until = period_s, t + MUTED_S if ends else math.inf
+        return ends
 
     def request_once(self, t: float) -> None:
         """Make each value due once, now."""
@@ -84,7 +91,7 @@ class NamedValues:
 
     def may_send(self, t: float) -> bool:
         """False if no value can be due so soon after the last one."""
-        spacing_s = min(self.period_s / len(VALUE_NAMES), ONCE_SPACING_S)
+        spacing_s = min(self.period_s(t) / len(VALUE_NAMES), ONCE_SPACING_S)
         return t >= self._last_at + spacing_s - _TICK_GRAIN_S
 
     def due(self, t: float, time_boot_ms: int, values: Mapping[str, float]) -> list[MavlinkMessage]:
@@ -93,13 +100,14 @@ class NamedValues:
         name = min(sent, key=lambda name: sent[name], default=None)
         if name is None:
             return []
-        spacing_s = self.period_s / len(values)
+        period_s = self.period_s(t)
+        spacing_s = period_s / len(values)
         if sent[name] < self._once_at:
             due_at = max(self._once_at, self._last_at + min(spacing_s, ONCE_SPACING_S))
-        elif self.period_s == math.inf:
+        elif period_s == math.inf:
             return []
         else:
-            due_at = max(self._last_at + spacing_s, sent[name] + self.period_s)
+            due_at = max(self._last_at + spacing_s, sent[name] + period_s)
         if t < due_at - _TICK_GRAIN_S:
             return []
         if t - due_at > max(spacing_s, LATE_S):

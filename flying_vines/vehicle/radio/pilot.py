@@ -184,6 +184,11 @@ class Pilot:
         return self.radio.autopilot.hides_rc_loss(self.parameters.values)
 
     @property
+    def mode_channel(self) -> int:
+        """The RC channel of the autopilot's flight mode; 0 if it is not known."""
+        return int(self.parameters.values.get(self.radio.autopilot.mode_channel_parameter, 0.0))
+
+    @property
     def _override_lasts_s(self) -> float:
         return self.radio.autopilot.override_lasts_s(self.parameters.values)
 
@@ -263,6 +268,8 @@ class Pilot:
         must_wait = self._must_wait(move.position)
         if bends and (why := self._why_not_the_pilots(t, move)):
             return [self._move_again(t, why)]
+        if bends and self.channel == self.mode_channel:
+            return [self._refused(t, move, f"channel {self.channel} is the flight mode's")]
         if bends and (hides := self.hides_loss):
             return [self._refused(t, move, f"{hides} hides a lost transmitter")]
         if must_wait:

@@ -1,4 +1,4 @@
-"""Reads the autopilot's parameters that affect whether a loss of RC can be detected."""
+"""Reads the autopilot's parameters about RC: those that can hide a loss, and the flight mode's channel."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ MAX_ATTEMPTS = 5
 
 
 class RadioParameters:
-    """The values of the autopilot's `rc_parameters`; `Autopilot.hides_rc_loss` interprets them."""
+    """The values of the autopilot's `rc_parameters`, which `Autopilot.hides_rc_loss` interprets, and of its
+    `mode_channel_parameter`."""
 
     def __init__(self) -> None:
         self.values: dict[str, float] = {}
@@ -37,7 +38,7 @@ class RadioParameters:
     def handle(self, autopilot: Autopilot, message: MavlinkMessage) -> bool:
         """Take in a PARAM_VALUE of our autopilot. Returns True if it changed a value."""
         name = message.param_id
-        if name not in autopilot.rc_parameters:
+        if name not in _names(autopilot):
             return False
         value = autopilot.parameter_value(message)
         if not math.isfinite(value):
@@ -51,7 +52,7 @@ class RadioParameters:
         """At most one request per call."""
         if t - self._asked_at < ASK_SPACING_S:
             return []
-        due = [name for name in autopilot.rc_parameters if self._attempts.get(name, 0) < MAX_ATTEMPTS]
+        due = [name for name in _names(autopilot) if self._attempts.get(name, 0) < MAX_ATTEMPTS]
         if not due:
             return []
         name = min(due, key=lambda name: self._attempts.get(name, 0))
@@ -62,3 +63,7 @@ class RadioParameters:
         self._attempts[name] = self._attempts.get(name, 0) + 1
         self._asked_at = t
         return [mavlink.MAVLink_param_request_read_message(system_id, 1, name.encode(), -1)]
+
+
+def _names(autopilot: Autopilot) -> list[str]:
+    return [name for name in (*autopilot.rc_parameters, autopilot.mode_channel_parameter) if name]

@@ -1,4 +1,6 @@
-"""Recognises ground stations, and finds those that need our parameters.
+"""Who may change what we do: our autopilot and ground stations. This is the only place that decides it.
+
+Everybody may read, and everybody may let air out of the vine.
 
 A ground station is recognised by the type in its HEARTBEAT. Scripts send no HEARTBEAT, and some autopilots do
 not forward it to a companion. So a sender without a HEARTBEAT is recognised by its ids. Ids and types can be
@@ -11,10 +13,17 @@ read the autopilot's.
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
+from flying_vines.vehicle.notice import Notice, Severity
+from flying_vines.vehicle.state import VehicleState
 
+REPORT_AGAIN_S = 30.0
+"""Refused changes within this time of each other share a text: a stranger may try many times a second."""
 SETTLED_S = 7.0
 GONE_S = 60.0
 MAX_SENDERS = 256
@@ -27,7 +36,44 @@ STATION_COMPONENTS = (
 )
 
 
-class Stations:
+class Sender(NamedTuple):
+    """The sender of one message, and what it is to us. The kinds exclude each other."""
+
+    system_id: int
+    component_id: int
+    is_autopilot: bool = False
+    """It is the autopilot that we serve."""
+    is_station: bool = False
+    """It is a ground station: a person decides."""
+
+    @property
+    def name(self) -> str:
+        return f"{self.system_id}/{self.component_id}"
+
+    @property
+    def refusal(self) -> str:
+        """Why the sender may change nothing; empty if it may."""
+        return "" if self.is_autopilot or self.is_station else f"{self.name} is not a ground station"
+
+
+class RefusedChanges:
+    """The texts about refused changes of settings: at most one in `REPORT_AGAIN_S`."""
+
+    def __init__(self) -> None:
+        self._reported_at = -math.inf
+        self._unreported = 0
+
+    def report(self, t: float, what: str, sender: Sender) -> list[Notice]:
+        """`what` was refused to `sender`."""
+        if t - self._reported_at < REPORT_AGAIN_S:
+            self._unreported += 1
+            return []
+        more = f", {self._unreported} more refused" if self._unreported else ""
+        self._reported_at, self._unreported = t, 0
+        return [Notice(t, Severity.WARNING, f"Vine: {what}: {sender.refusal}{more}")]
+
+
+class Senders:
     """All times are seconds of one clock."""
 
     def __init__(self) -> None:
@@ -38,7 +84,7 @@ class Stations:
 
     def handle(self, t: float, heartbeat: MavlinkMessage, show: bool) -> None:
         """Take in a heartbeat that is not the autopilot's. `show`: send our parameters to a new station."""
-        sender = _sender(heartbeat)
+        sender = _ids(heartbeat)
         self._type_of.pop(sender, None)
         self._type_of[sender] = heartbeat.type
         if len(self._type_of) > MAX_SENDERS:
@@ -50,8 +96,14 @@ class Stations:
             self._show_at[system_id] = t + SETTLED_S
         self._received_at[system_id] = t
 
-    def sent(self, message: MavlinkMessage) -> bool:
-        sender = _sender(message)
+    def of(self, message: MavlinkMessage, vehicle: VehicleState) -> Sender:
+        """The sender of a message."""
+        sender = _ids(message)
+        if vehicle.is_ours(message):
+            return Sender(*sender, is_autopilot=True)
+        return Sender(*sender, is_station=sender[0] != vehicle.system_id and self._is_station(sender))
+
+    def _is_station(self, sender: tuple[int, int]) -> bool:
         if sender in self._type_of:
             return sender[0] != 0 and self._type_of[sender] == mavlink.MAV_TYPE_GCS
         return sender[0] in STATION_SYSTEMS and sender[1] in STATION_COMPONENTS
@@ -64,5 +116,5 @@ class Stations:
         return bool(waiting)
 
 
-def _sender(message: MavlinkMessage) -> tuple[int, int]:
+def _ids(message: MavlinkMessage) -> tuple[int, int]:
     return message.get_srcSystem(), message.get_srcComponent()
