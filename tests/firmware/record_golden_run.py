@@ -295,12 +295,24 @@ def overpressure() -> World:
         world.hold(10.0, 20)
         world.with_wires(wires, 2)
         world.is_in(Mode.REGULATE)
-        world.run(1)
+        world.run(14)
         world.with_wires(wires, 3)
+        world.is_in(Mode.FAULT, fault)
+        # Three of sixteen readings still show it.
+        world.run(11)
+        world.clear()
         world.is_in(Mode.FAULT, fault)
         world.run(1)
         world.clear()
         world.is_in(Mode.VENT)
+    # A sensor that flickers about the limit.
+    world.hold(10.0, 20)
+    for _ in range(3):
+        world.with_wires(instead(cv=14_000), 1)
+        world.run(4)
+    world.is_in(Mode.FAULT, Fault.CV_OVERPRESSURE)
+    world.run(16)
+    world.clear()
     return world
 
 
@@ -316,7 +328,7 @@ def sensors() -> World:
             world.clear()
             world.is_in(Mode.FAULT, fault)
             setattr(world.phlosar.mishaps, place, None)
-            world.run(2)
+            world.run(16)
             world.clear()
             world.is_in(Mode.VENT)
     return world
@@ -329,11 +341,11 @@ def supply() -> World:
         world.hold(9.0, 40)
         world.with_wires(instead(supply=counts), 2)
         world.is_in(Mode.REGULATE)
-        world.run(1)
+        world.run(14)
         world.with_wires(instead(supply=counts), 3)
         # Without supply there are no valid readings.
         world.is_in(Mode.FAULT, Fault.SUPPLY | Fault.CV_SENSOR | Fault.RESERVOIR_SENSOR)
-        world.run(1)
+        world.run(14)
         world.clear()
         world.is_in(Mode.VENT)
     for counts in (53_621, 65_500):

@@ -211,7 +211,7 @@ def test_nothing_is_stored_on_a_failing_supply(running: Running) -> None:
     running.run(50)
     assert board.memory_writes == 0
     board.readings[2] = SUPPLY_COUNTS
-    running.run(10)
+    running.run(20)
     running.say(ClearFaults(0xFFFF))
     running.run(150)
     assert board.memory_writes == IMAGE_SIZE + 4

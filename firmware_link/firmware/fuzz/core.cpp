@@ -92,6 +92,7 @@ public:
         bytes_received += bytes.size();
         firmware_.receive(bytes.at(), bytes.size());
         if (stepped_) overhear(bytes);
+        if ((firmware_.faults() & kCvOverpressure) == 0) helped_ = 0;
         check();
     }
 
@@ -135,6 +136,7 @@ private:
     static constexpr uint32_t kLongestDeadMan_us = 300000;
     static constexpr size_t kMostOutput = 1024;
     static constexpr int kConditions = 5;
+    static constexpr unsigned kSeen = 16;
 
     Sensor cv_sensor() const {
         const Settings& settings = firmware_.settings();
@@ -146,8 +148,11 @@ private:
         return sensor(settings[SettingId::kReservoirSpan_kPa], settings[SettingId::kReservoirZero_kPa]);
     }
 
-    // While the board does not regulate, the Venturi may run only after an over-pressure.
-    bool may_help() const { return (firmware_.faults() & kCvOverpressure) != 0; }
+    // While the board does not regulate, the Venturi may run only after an over-pressure, for a second.
+    bool may_help() {
+        HOLDS(++helped_ <= 1000);
+        return (firmware_.faults() & kCvOverpressure) != 0;
+    }
 
     // Follows what the host sends.
     void overhear(Bytes& bytes) {
@@ -187,14 +192,23 @@ private:
         };
         const bool regulating = firmware_.mode() == Mode::kRegulate;
         for (int i = 0; i < kConditions; ++i) {
-            if (conditions[i].told) wrong_for_[i] = conditions[i].wrong ? wrong_for_[i] + 1 : 0;
-            HOLDS(!regulating || wrong_for_[i] < 3);
+            if (conditions[i].told) note(i, conditions[i].wrong);
+            HOLDS(!regulating || wrong(i) < 3);
         }
         if (regulating) {
             ++steps_regulating;
             HOLDS(now_us_ - commanded_us_ < kLongestDeadMan_us);
         }
         check();
+    }
+
+    void note(int condition, bool wrong) { seen_[condition][noted_[condition]++ % kSeen] = wrong; }
+
+    // How many of the last readings were wrong.
+    int wrong(int condition) const {
+        int count = 0;
+        for (const bool wrong : seen_[condition]) count += wrong ? 1 : 0;
+        return count;
     }
 
     void check() {
@@ -240,11 +254,13 @@ private:
     FrameDecoder host_;
     uint32_t now_us_;
     uint32_t commanded_us_ = 0;
+    unsigned helped_ = 0;
     bool stepped_ = false;
     bool greeted_ = false;
     bool commanded_ = false;
-    // Wrong readings in a row: of the supply, of each sensor, above each limit.
-    unsigned wrong_for_[kConditions] = {};
+    // The last readings, true if wrong: of the supply, of each sensor, above each limit.
+    bool seen_[kConditions][kSeen] = {};
+    unsigned noted_[kConditions] = {};
 };
 
 void send(Board& board, const uint8_t* payload, size_t size) {

@@ -61,11 +61,11 @@ Drive Firmware::control(uint32_t now_us, const Pressures& pressures) {
 }
 
 // Above the limit the Venturi runs: a valve that is stuck open may let in more air than the outlet lets out.
+// The steps add up until the fault is cleared: a noisy sensor must not start the count anew.
 Real Firmware::relief() {
-    const bool too_high = (present_ & (kCvOverpressure | kCvSensor)) == kCvOverpressure;
-    if (!too_high) {
+    if ((latched_ & kCvOverpressure) == 0) {
         relief_steps_ = 0;
-    } else if (relief_steps_ < kMostRelief && reservoir_kPa_ >= kVenturiLeastSupply_kPa) {
+    } else if (above_limit_ && relief_steps_ < kMostRelief && reservoir_kPa_ >= kVenturiLeastSupply_kPa) {
         ++relief_steps_;
         return Real(1);
     }
@@ -93,8 +93,9 @@ void Firmware::look(const Pressures& seen) {
     bad_cv_.see(!cv_good);
     bad_reservoir_.see(!reservoir_good);
     bad_supply_.see(!seen.supply_good);
+    above_limit_ = cv_good && cv_kPa_ > settings_[SettingId::kCvLimit_kPa];
     // An invalid reading counts neither as above nor as below a limit.
-    if (cv_good) high_cv_.see(cv_kPa_ > settings_[SettingId::kCvLimit_kPa]);
+    if (cv_good) high_cv_.see(above_limit_);
     if (reservoir_good) high_reservoir_.see(reservoir_kPa_ > settings_[SettingId::kReservoirLimit_kPa]);
     uint16_t present = kNoFault;
     const auto note = [&present](bool there, Fault fault) {
