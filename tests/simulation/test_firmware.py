@@ -261,7 +261,9 @@ def relief_steps(bench: Bench, *cv_kPa: float, steps: int) -> int:
     return found
 
 
-@pytest.mark.parametrize("readings", [(31.0,), (31.0, 29.0), (31.0, 32.0, 33.0, 31.0, 29.9), (31.0, math.nan)])
+@pytest.mark.parametrize(
+    "readings", [(31.0,), (31.0, 29.0), (31.0, 32.0, 33.0, 31.0, 29.9), (31.0, math.nan)]
+)
 def test_the_venturi_helps_for_a_second_in_total_until_the_fault_is_cleared(
     bench: Bench, readings: tuple[float, ...]
 ) -> None:
