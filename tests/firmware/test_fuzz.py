@@ -21,9 +21,12 @@ pytestmark = pytest.mark.long
 
 WORSE = {
     "no dead-man": Mistake("firmware.cpp", "now_us - commanded_us_ >= holds_us_", "false"),
-    "no handshake": Mistake(
-        "firmware.cpp", "if (!greeted_) {\n        *reason", "if (false) {\n        *reason"
+    "no handshake": Mistake("firmware.h", "return greeted_ && setpoint.session == session_", "return true"),
+    "a session that is as good as another": Mistake("firmware.h", " && setpoint.session == session_", ""),
+    "a repeat that holds the dead-man off": Mistake(
+        "firmware.cpp", "if (setpoint.count <= setpoint_count_) return true;", ""
     ),
+    "damaged settings that anybody clears": Mistake("firmware.cpp", "(damaged ? kSettings : kNoFault)", "0"),
     "faults that regulate on": Mistake("firmware.cpp", "faults);\n    regulating_ = false;", "faults);"),
     "a limit that nobody minds": Mistake("firmware.cpp", "if (present != kNoFault) latch(present);", ""),
     "openings beyond the full current": Mistake("valves.cpp", "settings[SettingId::kEvpFullDuty]", "Real(1)"),

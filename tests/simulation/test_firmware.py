@@ -27,6 +27,7 @@ from firmware_link.protocol import (
     Setpoint,
     SetSetting,
     Setting,
+    SettingsMemory,
     Telemetry,
     Vent,
     Welcome,
@@ -50,6 +51,7 @@ class Bench:
         self.cv_kPa = 0.0
         self.reservoir_kPa = 690.0
         self.drive = SAFE
+        self._told: list[Message] = []
         self.run(1)
         self.answers()
 
@@ -62,9 +64,16 @@ class Bench:
     def send(self, *messages: HostMessage) -> None:
         for message in messages:
             self.firmware.receive(self.codec.encode(message))
+            # The codec learns the session of a `Welcome` before it encodes the next setpoint.
+            self._told += self.codec.decode(self.firmware.take_output())
 
     def answers(self) -> list[Message]:
-        return self.codec.decode(self.firmware.take_output())
+        told, self._told = self._told, []
+        return told + self.codec.decode(self.firmware.take_output())
+
+    def welcome(self, nonce: int = 7) -> Welcome:
+        self.send(Hello(PROTOCOL_VERSION, nonce))
+        return [answer for answer in self.answers() if isinstance(answer, Welcome)][-1]
 
     def refusals(self) -> list[Refusal]:
         return [answer for answer in self.answers() if isinstance(answer, Refusal)]
@@ -207,6 +216,70 @@ def test_repetition_keeps_it_alive(bench: Bench) -> None:
         bench.send(bend(ttl_ms=60))
         bench.run(50)
     assert bench.firmware.mode is Mode.REGULATE
+
+
+@pytest.mark.parametrize("frames", [1, 7, 300])
+@pytest.mark.parametrize("every_ms", [1, 20])
+def test_a_line_that_repeats_its_last_bytes_keeps_nothing_alive(
+    bench: Bench, frames: int, every_ms: int
+) -> None:
+    """A bridge, stuck after the host has died, repeats a buffer of one or of several setpoints for ever."""
+    buffer = [bench.codec.encode(bend(number)) for number in range(1, frames + 1)]
+    for frame in buffer:
+        bench.firmware.receive(frame)
+        bench.run(1)
+    assert modes(bench) == (Mode.REGULATE, Fault.NONE)
+    ended_ms = bench.now_ms
+    for ms in range(2000):
+        if ms % every_ms == 0:
+            bench.firmware.receive(buffer[ms // every_ms % frames])
+        bench.run(1)
+        if bench.firmware.mode is not Mode.REGULATE:
+            break
+    assert bench.now_ms - ended_ms <= 250
+    assert modes(bench) == (Mode.FAULT, Fault.DEAD_MAN)
+
+
+def test_a_repeated_handshake_enables_no_repeated_setpoint(bench: Bench) -> None:
+    """The host clears the fault and dies; the line repeats the whole session before it."""
+    hello = bench.codec.encode(Hello(PROTOCOL_VERSION, 8))
+    bench.firmware.receive(hello)
+    bench.answers()
+    session = [hello, bench.codec.encode(Vent(1)), *(bench.codec.encode(bend(2)) for _ in range(10))]
+    for frame in session[1:]:
+        bench.firmware.receive(frame)
+        bench.run(20)
+    assert bench.firmware.mode is Mode.REGULATE
+    for _ in range(5):
+        for frame in session:
+            bench.firmware.receive(frame)
+            assert bench.run(20) == SAFE
+    assert RefusalReason.NO_HANDSHAKE in {refusal.reason for refusal in bench.refusals()}
+    bench.firmware.reset()
+    bench.run(1)
+    for frame in session:
+        bench.firmware.receive(frame)
+        assert bench.run(20) == SAFE
+
+
+def test_every_handshake_of_every_boot_has_its_own_session(bench: Bench) -> None:
+    sessions = []
+    for _ in range(20):
+        sessions += [bench.welcome().session for _ in range(20)]
+        bench.firmware.reset()
+        bench.run(1)
+    assert len(set(sessions)) == 400
+
+
+def test_a_vent_is_carried_out_however_old_it_is(bench: Bench) -> None:
+    old = bench.codec.encode(Vent(1))
+    bench.send(bend(number=9))
+    for _ in range(3):
+        bench.send(bend(number=9))
+        bench.run(1)
+        assert bench.firmware.mode is Mode.REGULATE
+        bench.firmware.receive(old)
+        assert bench.run(1) == SAFE
 
 
 def test_a_stall_of_the_board_is_no_excuse(bench: Bench) -> None:
@@ -514,6 +587,58 @@ def test_a_setting_is_kept_over_a_reset(bench: Bench) -> None:
     bench.cv_kPa = 20.5
     bench.run(3)
     assert bench.firmware.faults == Fault.CV_OVERPRESSURE
+
+
+def test_damaged_settings_stay_a_fault_until_settings_are_stored() -> None:
+    """The standard span of another sensor makes every pressure wrong: no routine clearing may hide it."""
+    damaged = bytearray(Firmware({"cv_span_kPa": 420.0})._stored)
+    damaged[20] ^= 1
+    bench = Bench(Firmware(stored=bytes(damaged)))
+    assert bench.welcome().settings_memory is SettingsMemory.DAMAGED
+    for _ in range(3):
+        bench.send(ClearFaults(0xFFFF), bend())
+        bench.run(1)
+        assert modes(bench) == (Mode.FAULT, Fault.SETTINGS)
+    # An unchanged value stores all of them.
+    bench.send(SetSetting(0, 30.0))
+    bench.firmware.reset()
+    bench.run(1)
+    assert bench.welcome().settings_memory is SettingsMemory.STORED
+    assert modes(bench) == (Mode.VENT, Fault.NONE)
+
+
+def test_after_the_store_damaged_settings_are_cleared_by_a_person() -> None:
+    bench = Bench(Firmware(stored=b"\x00" * 82))
+    bench.greet()
+    bench.send(SetSetting(0, 30.0), ClearFaults(0xFFFF))
+    assert modes(bench) == (Mode.FAULT, Fault.SETTINGS)
+    assert bench.firmware.store()
+    assert modes(bench) == (Mode.FAULT, Fault.SETTINGS)
+    bench.send(ClearFaults(0xFFFF))
+    assert modes(bench) == (Mode.VENT, Fault.NONE)
+    assert not bench.firmware.store()
+
+
+@pytest.mark.parametrize("erased", [b"", b"\xff" * 82])
+def test_an_erased_memory_says_so_until_any_setting_is_stored(erased: bytes) -> None:
+    bench = Bench(Firmware(stored=erased))
+    welcome = bench.welcome()
+    assert welcome.settings_memory is SettingsMemory.ERASED
+    assert welcome.settings_digest == Bench(Firmware()).welcome().settings_digest
+    bench.send(SetSetting(0, 30.0))
+    assert bench.firmware.store()
+    assert bench.welcome().settings_memory is SettingsMemory.STORED
+
+
+def test_the_digest_differs_for_every_changed_setting(bench: Bench) -> None:
+    digests = [bench.welcome().settings_digest]
+    for row in setting_rows().values():
+        bench.send(SetSetting(row.number, row.min if row.standard != row.min else row.max))
+        digests.append(bench.welcome().settings_digest)
+    assert len(set(digests)) == len(digests)
+    for row in setting_rows().values():
+        bench.send(SetSetting(row.number, row.standard))
+    assert bench.welcome().settings_digest == digests[0]
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, 0.0, 301.0, 60_000.0])

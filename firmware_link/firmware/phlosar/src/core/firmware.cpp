@@ -5,7 +5,8 @@ namespace phlosar {
 void Firmware::start(const Boot& boot) {
     boot_id_ = boot.boot_id;
     if (boot.by_watchdog) latch(kWatchdogReset);
-    if (!settings_.read_image(boot.stored, boot.stored_size)) latch(kSettings);
+    settings_memory_ = settings_.read_image(boot.stored, boot.stored_size);
+    if (settings_memory_ == SettingsMemory::kDamaged) latch(kSettings);
     configure();
 }
 
@@ -26,6 +27,7 @@ bool Firmware::set(uint8_t id, Real value) {
 bool Firmware::unsaved(uint8_t* image) {
     if (!settings_changed_) return false;
     settings_changed_ = false;
+    settings_memory_ = SettingsMemory::kStored;
     settings_.write_image(image);
     return true;
 }
@@ -130,8 +132,11 @@ void Firmware::handle(const HostMessage& message) {
             break;
         case Type::kClearFaults:
             if (greeted_) {
-                const uint16_t over = static_cast<uint16_t>(message.clear_faults.mask & ~present_);
-                latched_ = static_cast<uint16_t>(latched_ & ~over);
+                // Damaged settings stay a fault until settings are stored again: with the standard ones
+                // pressures may read half of the true ones.
+                const bool damaged = settings_memory_ == SettingsMemory::kDamaged;
+                const int stays = present_ | (damaged ? kSettings : kNoFault);
+                latched_ = static_cast<uint16_t>(latched_ & ~(message.clear_faults.mask & ~stays));
             } else {
                 refuse(0, RefusalReason::kNoHandshake);
             }
@@ -153,6 +158,9 @@ void Firmware::handle(const HostMessage& message) {
 void Firmware::on_hello(const Hello& hello) {
     regulating_ = false;
     counting_ = false;
+    // Setpoints of an earlier session are refused, also if a line repeats them behind their `Hello`.
+    session_ = boot_id_ * 0x9E3779B1u + ++greetings_;
+    setpoint_count_ = 0;
     greeted_ = hello.protocol_version == kProtocolVersion;
     Welcome welcome{};
     welcome.nonce = hello.nonce;
@@ -164,11 +172,15 @@ void Firmware::on_hello(const Hello& hello) {
     welcome.rate_limit_kPa_per_s = static_cast<float>(settings_[SettingId::kRateLimit_kPa_per_s]);
     welcome.dead_man_ms = static_cast<uint16_t>(settings_[SettingId::kDeadMan_ms]);
     welcome.telemetry_Hz = static_cast<uint16_t>(settings_[SettingId::kTelemetry_Hz]);
+    welcome.session = session_;
+    welcome.settings_digest = settings_.digest();
+    welcome.settings_memory = settings_memory_;
     send(welcome);
     if (!greeted_) refuse(0, RefusalReason::kVersion);
 }
 
 void Firmware::on_setpoint(const Setpoint& setpoint) {
+    if (repeated(setpoint)) return;
     RefusalReason reason;
     if (why_refused(setpoint, &reason)) {
         refuse(setpoint.number, reason);
@@ -187,6 +199,14 @@ void Firmware::on_setpoint(const Setpoint& setpoint) {
     accept(setpoint.number);
 }
 
+// True if it has come before. A line that repeats its last bytes must not hold the dead-man off.
+bool Firmware::repeated(const Setpoint& setpoint) {
+    if (!of_this_session(setpoint)) return false;
+    if (setpoint.count <= setpoint_count_) return true;
+    setpoint_count_ = setpoint.count;
+    return false;
+}
+
 void Firmware::accept(uint16_t number) {
     number_ = number;
     if (!overtaken(number)) newest_ = number;
@@ -199,7 +219,7 @@ bool Firmware::overtaken(uint16_t number) const {
 
 bool Firmware::why_refused(const Setpoint& setpoint, RefusalReason* reason) const {
     const bool within = setpoint.target_kPa >= 0.0f && Real(setpoint.target_kPa) <= setpoint_most_kPa();
-    if (!greeted_) {
+    if (!of_this_session(setpoint)) {
         *reason = RefusalReason::kNoHandshake;
     } else if (!is_finite(setpoint.target_kPa) || !is_finite(setpoint.rate_kPa_per_s)) {
         *reason = RefusalReason::kNotANumber;
@@ -229,8 +249,9 @@ void Firmware::on_set_setting(const SetSetting& set_setting) {
             refuse(0, RefusalReason::kOutOfRange);
             return;
         }
-        // Store only changes: writing wears the memory out.
-        if (before.at(set_setting.id) != settings_.at(set_setting.id)) settings_changed_ = true;
+        // Store only changes: writing wears the memory out. After damage, any value stores all.
+        const bool changed = before.at(set_setting.id) != settings_.at(set_setting.id);
+        if (changed || settings_memory_ != SettingsMemory::kStored) settings_changed_ = true;
         tell_setting(set_setting.id);
     }
 }

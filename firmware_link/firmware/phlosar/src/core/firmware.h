@@ -99,6 +99,8 @@ private:
     void tell_telemetry(const Drive& told);
     void follow_clock(uint32_t now_us);
     Real relief();
+    bool of_this_session(const Setpoint& setpoint) const { return greeted_ && setpoint.session == session_; }
+    bool repeated(const Setpoint& setpoint);
     void accept(uint16_t number);
     // True if a newer command was accepted before: the line may reorder frames.
     bool overtaken(uint16_t number) const;
@@ -113,6 +115,7 @@ private:
 
     const char* build_;
     Settings settings_;
+    SettingsMemory settings_memory_ = SettingsMemory::kErased;
     bool settings_changed_ = false;
     Regulator regulator_;
     Sensor cv_sensor_{};
@@ -125,6 +128,10 @@ private:
     uint32_t boot_id_ = 0;
     bool stepped_ = false;
     bool greeted_ = false;
+    uint32_t greetings_ = 0;
+    uint32_t session_ = 0;
+    // Of the newest setpoint since the handshake.
+    uint32_t setpoint_count_ = 0;
     bool regulating_ = false;
     uint16_t latched_ = kNoFault;
     uint16_t present_ = kNoFault;
