@@ -47,6 +47,8 @@ bool Settings::set(uint8_t id, Real value) {
     const bool whole = id == static_cast<uint8_t>(SettingId::kDeadMan_ms) ||
                        id == static_cast<uint8_t>(SettingId::kTelemetry_Hz);
     values_[id] = whole ? static_cast<Real>(static_cast<int32_t>(value)) : value;
+    // Equal values have one digest, so there is no negative zero.
+    if (values_[id] == Real(0)) values_[id] = Real(0);
     return true;
 }
 
