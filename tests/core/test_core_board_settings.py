@@ -5,7 +5,7 @@ With the standard span of 206.84 kPa, a sensor of 420 kPa shows half of the true
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -79,8 +79,8 @@ def test_the_first_stored_settings_are_remembered_with_a_text() -> None:
     assert bends(flight)
 
 
-BOARDS = {
-    "another board": (lambda: Firmware(), "phloSAR settings have changed"),
+BOARDS: dict[str, tuple[Callable[[], Firmware], str]] = {
+    "another board": (Firmware, "phloSAR settings have changed"),
     "an erased memory": (lambda: Firmware(stored=b"\xff" * 82), "phloSAR settings are lost"),
     "a new board": (lambda: Firmware(stored=b""), "phloSAR settings are lost"),
     "a damaged memory": (lambda: Firmware(stored=b"\x00" * 82), "phloSAR settings are lost"),

@@ -81,8 +81,8 @@ def read(path: Path) -> ServiceConfiguration:
     )
     learned, _ = learned_from(state.read_learned(), prior)
     folder, timestamp = state.parameters.parent, state.signing_timestamp
-    known = state.read_board_settings()
-    return ServiceConfiguration(facts, prior, signing, folder, timestamp, learned, known)
+    board_settings = state.read_board_settings()
+    return ServiceConfiguration(facts, prior, signing, folder, timestamp, learned, board_settings)
 
 
 def given(config: Config, name: str) -> ServiceConfiguration:
