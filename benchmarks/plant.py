@@ -308,11 +308,12 @@ from firmware_link.protocol import PROTOCOL_VERSION, Codec, Hello, Setpoint
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 fake, host = SimulatedPhlosar(), Codec()
 fake.receive(host.encode(Hello(PROTOCOL_VERSION, 1)))
+host.decode(fake.advance(0.0))
 began_s = time.process_time()
 for step in range(1, 1001):
     target_kPa = 20.7 if step % 400 < 200 else 0.0
     fake.receive(host.encode(Setpoint(target_kPa, 60.0, 250, step)))
-    fake.advance(step * 0.02)
+    host.decode(fake.advance(step * 0.02))
 print((time.process_time() - began_s) / fake.now_s)
 """
 

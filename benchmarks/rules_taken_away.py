@@ -40,6 +40,7 @@ CORE_TESTS = (
     "tests/core/test_core_late.py",
     "tests/core/test_core_link_loss.py",
     "tests/core/test_core_asked.py",
+    "tests/core/test_core_board_settings.py",
     "tests/core/test_core.py",
     "tests/core/test_core_limits.py",
     "tests/core/test_invariants.py",
@@ -83,6 +84,7 @@ MODULES = (
         (
             *("_decide", "_outdated", "_carry_out_without_air", "_hold", "_clear_faults"),
             *("_on_firmware_link", "_note_rc_use", "_conditions", "_enter", "_leave", "_drive"),
+            "_check_board_settings",
         ),
     ),
     Module("flying_vines/vehicle/radio/pilot.py", RADIO_TESTS),

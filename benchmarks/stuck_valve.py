@@ -66,7 +66,7 @@ def stuck(volume_L: float, outlet: str, watched_s: float) -> Found:
             if outlet != "regulated":
                 phlosar.receive(host.encode(Vent(2)))
         before_kPa = phlosar.cv_kPa
-        phlosar.advance(ms / 1000)
+        host.decode(phlosar.advance(ms / 1000))
         if ms <= settled_ms:
             continue
         now_s, kPa = ms / 1000 - SETTLED_S, phlosar.cv_kPa

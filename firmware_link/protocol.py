@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum, IntFlag
 from typing import Any, ClassVar, Self
 
 from firmware_link.framing import FrameDecoder, encode_frame
 
-PROTOCOL_VERSION = 2
+PROTOCOL_VERSION = 3
 
 # The errors, as a tree:
 #
@@ -139,16 +139,21 @@ class Hello(_Body):
 class Setpoint(_Body):
     """Host to device: regulate to `target_kPa` at `rate_kPa_per_s` or slower, for `ttl_ms`.
 
-    `number` counts the host's commands. Telemetry has the number of the last accepted command.
+    `number` counts the host's commands. Telemetry has the number of the last accepted command. A `Codec`
+    fills in `session` and `count`, so that a line that repeats its last bytes holds no dead-man off.
     """
 
     TYPE: ClassVar[int] = 0x02
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<ffHH")
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<ffHHII")
 
     target_kPa: float
     rate_kPa_per_s: float
     ttl_ms: int
     number: int
+    session: int = 0
+    """From the device's latest `Welcome`."""
+    count: int = 0
+    """Counts the setpoints of a session, repeats too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,16 +237,29 @@ def _text_from_wire(data: bytes, what: str) -> str:
     return text
 
 
+class SettingsMemory(IntEnum):
+    """What was in the memory of the firmware's settings."""
+
+    NONE = 0
+    """The device is no phloSAR and has no settings."""
+    STORED = 1
+    ERASED = 2
+    """The standard settings are used."""
+    DAMAGED = 3
+    """The standard settings are used, and SETTINGS is latched."""
+
+
 @dataclass(frozen=True, slots=True)
 class Welcome(_Body):
     """Device to host, in answer to `Hello`: the firmware's identity and limits.
 
-    `boot_id` differs after every reset. Later versions may only append to this message, so that every host
+    `boot_id` differs after every reset, `session` in every answer. `settings_digest` is the FNV-1a digest of
+    all settings as 32-bit floats. Later versions may only append to this message, so that every host
     can read the version of every firmware.
     """
 
     TYPE: ClassVar[int] = 0x81
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BII16sBffffHH")
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BII16sBffffHHIIB")
 
     protocol_version: int
     nonce: int
@@ -254,12 +272,15 @@ class Welcome(_Body):
     rate_limit_kPa_per_s: float
     dead_man_ms: int
     telemetry_Hz: int
+    session: int = 0
+    settings_digest: int = 0
+    settings_memory: SettingsMemory = SettingsMemory.NONE
 
     @classmethod
     def unpack(cls, body: bytes) -> Self:
-        """The message. If it is of another protocol version, only the fields that this version knows."""
-        if body and body[0] != PROTOCOL_VERSION:
-            body = body[: cls.LAYOUT.size]
+        """The message. If it is of another protocol version, only the fields that all versions have."""
+        if len(body) >= _COMMON_WELCOME_SIZE and body[0] != PROTOCOL_VERSION:
+            body = body[:_COMMON_WELCOME_SIZE].ljust(cls.LAYOUT.size, b"\x00")
         # super() without arguments fails here, because slots=True makes a copy of the class.
         return super(Welcome, cls).unpack(body)
 
@@ -271,8 +292,16 @@ class Welcome(_Body):
     @classmethod
     def _from_wire(cls, values: tuple[Any, ...]) -> Self:
         build = _text_from_wire(values[3], "Welcome's firmware build")
-        wire: list[Any] = [*values[:3], build, *values[4:]]
+        try:
+            memory = SettingsMemory(values[-1])
+        except ValueError:
+            raise MalformedMessageError(f"Welcome's memory of settings {values[-1]} is not known") from None
+        wire: list[Any] = [*values[:3], build, *values[4:-1], memory]
         return cls(*wire)
+
+
+_COMMON_WELCOME_SIZE = 46
+"""Up to `telemetry_Hz`."""
 
 
 _FULL_OPENING = 0xFFFF
@@ -448,6 +477,9 @@ class Codec:
         self._frames = FrameDecoder()
         self._sequence_out = 0
         self._sequence_in: int | None = None
+        self._session = 0
+        self._setpoints = 0
+        """The setpoints that were sent in this session."""
 
     @property
     def good_frames(self) -> int:
@@ -466,7 +498,13 @@ class Codec:
         self._sequence_in = None
 
     def encode(self, message: Message) -> bytes:
-        """A complete frame with the next sequence number. Raises MalformedMessageError like `pack`."""
+        """A complete frame with the next sequence number. Raises MalformedMessageError like `pack`.
+
+        A setpoint gets the session of the latest `Welcome` and the next count.
+        """
+        if isinstance(message, Setpoint):
+            self._setpoints += 1
+            message = replace(message, session=self._session, count=self._setpoints)
         frame = encode(message, self._sequence_out)
         self._sequence_out = (self._sequence_out + 1) & 0xFF
         return frame
@@ -478,9 +516,13 @@ class Codec:
             if len(payload) >= _HEADER_SIZE:
                 self._note_sequence(payload[1])
             try:
-                messages.append(decode(payload)[0])
+                message = decode(payload)[0]
             except ProtocolError:
                 self.unknown_messages += 1
+                continue
+            if isinstance(message, Welcome):
+                self._session, self._setpoints = message.session, 0
+            messages.append(message)
         return messages
 
     def _note_sequence(self, sequence: int) -> None:

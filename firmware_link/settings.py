@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from firmware_link.protocol import GetSetting, HostMessage, Message, Refusal, SetSetting, Setting
 
@@ -12,6 +12,14 @@ _REQUEST_AGAIN_S = 0.2
 _MAX_TRIES = 10
 _WHOLE = ("dead_man_ms", "telemetry_Hz")
 """Settings that the firmware stores as whole numbers, as `Welcome` has them. It would cut off a fraction."""
+
+
+def digest(settings: Iterable[Setting]) -> int:
+    """The digest of all settings, in the firmware's order, as in `Welcome`: FNV-1a of their 32-bit floats."""
+    digest = 0x811C9DC5
+    for byte in b"".join(struct.pack("<f", setting.value) for setting in settings):
+        digest = (digest ^ byte) * 0x01000193 & 0xFFFFFFFF
+    return digest
 
 
 class SettingsExchange:
@@ -25,6 +33,8 @@ class SettingsExchange:
     def __init__(self, changes: Mapping[str, float] | None = None) -> None:
         self.settings: list[Setting] = []
         """The known settings, in the firmware's order, with confirmed changes."""
+        self.before: tuple[Setting, ...] = ()
+        """All settings before the changes."""
         self.problem = ""
         """The error that ended the exchange, as a sentence; empty without an error."""
         self._changes = dict(changes or {})
@@ -62,6 +72,7 @@ class SettingsExchange:
                 self._complete = len(self.settings) >= message.count
                 self._answered()
                 if self._complete:
+                    self.before = tuple(self.settings)
                     self.problem = self._check_changes()
             case Setting() if self._complete and message.id < len(self.settings):
                 self.settings[message.id] = message

@@ -80,7 +80,7 @@ async def calibrate(
         wanted = proposed(outcome.findings.proposals, settings)
         saves = save and bool(wanted) and outcome.ended.outcome == "done"
         if saves:
-            await exchange_settings(address, wanted, stopped)
+            await exchange_settings(address, wanted, stopped, context.state)
     return CalibrationRun(outcome, config.pneumatics, stopped.is_set(), wanted, saves)
 
 

@@ -20,6 +20,7 @@ from flying_vines.config import config as configuration
 from flying_vines.config.address import FORMS, Address, parse_address
 from flying_vines.service.link_settings import SettingsError, exchange_settings
 from flying_vines.service.link_watch import LinkEvent, LinkWatch
+from flying_vines.service.persistent_state import PersistentState
 
 _REFRESH_PER_S = 8
 
@@ -50,17 +51,20 @@ def add(commands: Any) -> None:
 
 def _link(arguments: argparse.Namespace) -> int:
     title: str | None = arguments.address
+    state: PersistentState | None = None
     if title is None:
         config = configuration.load_or_default(arguments.config)
         phlosar_only(config, "link")
         title = config.firmware.link
+        if arguments.config is not None:
+            state = PersistentState.of(arguments.config, config)
     if arguments.seconds is not None and not arguments.seconds > 0.0:
         fail("--seconds must be above 0")
     try:
         address = parse_address(title)
         changes = dict(map(_change, arguments.changes))
         if arguments.settings or changes:
-            asyncio.run(settings(address, changes, arguments.json))
+            asyncio.run(settings(address, changes, arguments.json, state))
             return 0
     except (ValueError, SettingsError) as error:
         fail(str(error))
@@ -108,9 +112,11 @@ async def monitor(address: Address, title: str, seconds: float | None, objects: 
     return watch.answered
 
 
-async def settings(address: Address, changes: Mapping[str, float], objects: bool) -> None:
-    """Write `changes`, then print all settings. Raises `SettingsError`."""
-    known = await exchange_settings(address, changes, _stopped())
+async def settings(
+    address: Address, changes: Mapping[str, float], objects: bool, state: PersistentState | None = None
+) -> None:
+    """Write `changes`, then print all settings. `state` as in `exchange_settings`. Raises `SettingsError`."""
+    known = await exchange_settings(address, changes, _stopped(), state)
     if objects:
         for setting in known:
             named = {name: getattr(setting, name) for name in ("name", "value", "least", "most", "standard")}

@@ -28,6 +28,7 @@ from flying_vines.core.events import (
     Failed,
     FirmwareMessage,
     InternalError,
+    KeepBoardSettings,
     KeepDisarmed,
     KeepLatched,
     KeepParameters,
@@ -46,7 +47,7 @@ from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.pending_bend import PendingBend, PendingBendTracker, source
 from flying_vines.core.request_lines import RequestLines
 from flying_vines.core.restarts import Restarts
-from flying_vines.core.safety import LossEnded, ResponseNeeded, Ruling, Safety, SafetyInputs
+from flying_vines.core.safety import BOARD_SETTINGS, LossEnded, ResponseNeeded, Ruling, Safety, SafetyInputs
 from flying_vines.core.snapshot import Snapshot
 from flying_vines.core.supply_monitor import SupplyMonitor
 from flying_vines.supply import Features, RigPrior, nominal
@@ -110,7 +111,7 @@ _RESPONSE_TEXTS = {
 }
 """For these faults the core cannot see whether the vine is vented. So the text says what is done."""
 
-_BOARD_FAULTS = ("serial", "telemetry", "firmware_fault", "refused_by_firmware")
+_BOARD_FAULTS = ("serial", "telemetry", "firmware_fault", "refused_by_firmware", BOARD_SETTINGS)
 """A board restart also causes these faults. So each of their texts is shown once in a series of restarts."""
 
 
@@ -142,6 +143,8 @@ class Core:
         self._safety = Safety(config, stored.latched)
         self._kept_latched = set(stored.latched)
         """The latched faults that were stored last."""
+        self._board_settings = stored.board_settings
+        """The digest of the board's settings that a person knows; None before the first board."""
         self._parts = IsolatedParts(self._on_failed)
         self._supply = SupplyMonitor(config, prior or nominal(config.pneumatics), stored.learned, self._parts)
         self._actuator = config.firmware.name
@@ -272,6 +275,7 @@ class Core:
                     ready = f"{self._actuator} ready ({welcome.firmware_build})"
                     is_new = self._restarts.is_new_text(ready)
                     self._notice(t, Severity.INFO if is_new else Severity.DEBUG, ready)
+                    self._check_board_settings(t, welcome)
                 case fw.TelemetryReceived(telemetry):
                     self._actions.append(Measured(t, telemetry))
                     features = self._supply.read(t, telemetry, self._vehicle.state.armed)
@@ -292,6 +296,27 @@ class Core:
                     reason = refusal.reason.name.lower().replace("_", " ")
                     why = f"{self._actuator} refused: {reason}"
                     self._enter(t, ResponseNeeded("refused_by_firmware", why, "vent"))
+
+    def _check_board_settings(self, t: float, welcome: protocol.Welcome) -> None:
+        """Latch a fault if the board has not the settings of the last flight.
+
+        With the span of another sensor every pressure is wrong, and nothing else shows it.
+        """
+        # An actuator has no settings. Logs of earlier versions have None.
+        if not welcome.settings_memory or welcome.settings_digest == self._board_settings:
+            return
+        stored = welcome.settings_memory is protocol.SettingsMemory.STORED
+        if self._board_settings is None and stored:
+            self._remember_board_settings(t, welcome)
+            self._notice(t, Severity.INFO, f"{self._actuator} settings are remembered")
+            return
+        what = "have changed" if stored else "are lost"
+        why = f"{self._actuator} settings {what} (check them, then clear faults)"
+        self._enter(t, self._safety.latch(t, BOARD_SETTINGS, why))
+
+    def _remember_board_settings(self, t: float, welcome: protocol.Welcome) -> None:
+        self._board_settings = welcome.settings_digest
+        self._actions.append(KeepBoardSettings(t, welcome.settings_digest))
 
     def _restarted(self, t: float, reason: str) -> None:
         if self._restart_noted:
@@ -403,7 +428,7 @@ class Core:
             case ClearLatchedFaults() | ArmPneumatics() | StartBench() if not trigger.by_person:
                 return Ruling("refused", "only a person may do that")
             case ClearLatchedFaults():
-                if self._clear_faults(t, trigger.seen_at):
+                if self._clear_faults(t, trigger.seen_at, on_request=True):
                     return Ruling("accepted")
                 return Ruling("accepted", "no fault was latched", has_effect=False)
             case ArmPneumatics():
@@ -455,16 +480,20 @@ class Core:
         self._motion = replace(self._plan(t, SetPressure(self._setpoint_kPa(t))), name="hold")
         self._drive(t)
 
-    def _clear_faults(self, t: float, seen_at: float = math.inf) -> bool:
+    def _clear_faults(self, t: float, seen_at: float = math.inf, *, on_request: bool = False) -> bool:
         """Clear the faults that a person may clear. Returns True if there was any loss or fault before.
 
-        On the ground this also ends the doubt in the reservoir's sensor.
+        On the ground this also ends the doubt in the reservoir's sensor. `on_request`: the request is to
+        clear faults, not to vent or to straighten the vine.
         """
         had_faults = bool(self._safety.reasons) or self._supply.sensor_in_doubt
         if not self._vehicle.state.armed:
             self._supply.believe_sensor(seen_at)
         now = self._conditions(t)
-        cleared = self._safety.clear(now, seen_at)
+        cleared = self._safety.clear(now, seen_at, on_request=on_request)
+        # Before the first handshake the settings are unknown; the handshake latches the fault again.
+        if BOARD_SETTINGS in cleared and self._firmware.welcome is not None:
+            self._remember_board_settings(t, self._firmware.welcome)
         if now.faults and self._safety.firmware_faults_seen(seen_at):
             self._to_firmware(self._firmware.clear_faults(t, now.faults))
         if cleared:

@@ -182,6 +182,15 @@ class KeepLatched:
 
 
 @dataclass(frozen=True, slots=True)
+class KeepBoardSettings:
+    """Remember these settings of the board: the rig's, or a person has confirmed them."""
+
+    t: float
+    digest: int
+    """Of all settings, as in `Welcome`."""
+
+
+@dataclass(frozen=True, slots=True)
 class StoredState:
     """The state that the core of the last run stored, for the core of this run."""
 
@@ -193,6 +202,8 @@ class StoredState:
     """The text of the last `KeepLearned`."""
     latched: dict[str, str] = field(default_factory=dict)
     """The faults that nobody has cleared, by name."""
+    board_settings: int | None = None
+    """The digest of the last `KeepBoardSettings`; None if there was none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,5 +225,6 @@ Action = (
     | KeepDisarmed
     | KeepLearned
     | KeepLatched
+    | KeepBoardSettings
     | InternalError
 )

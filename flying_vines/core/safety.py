@@ -35,9 +35,14 @@ FAULT_SENTENCES = {
     Fault.CV_SENSOR: "vine pressure sensor",
     Fault.RESERVOIR_SENSOR: "bottle pressure sensor",
     Fault.WATCHDOG_RESET: "watchdog reset",
-    Fault.SETTINGS: "stored settings damaged",
+    Fault.SETTINGS: "stored settings damaged (set and store them: flying-vines link --set)",
     Fault.SUPPLY: "sensors' 5 V supply",
 }
+
+
+BOARD_SETTINGS = "board_settings"
+"""The board has other settings than in the last flight, so its pressures may be wrong. No routine request
+clears this latched fault."""
 
 
 class SafetyInputs(NamedTuple):
@@ -231,15 +236,16 @@ class Safety:
         self._latched_at[name] = t
         return ResponseNeeded(name, reason, "vent")
 
-    def clear(self, now: SafetyInputs, seen_at: float = math.inf) -> dict[str, str]:
+    def clear(
+        self, now: SafetyInputs, seen_at: float = math.inf, *, on_request: bool = False
+    ) -> dict[str, str]:
         """A person clears latched faults. Returns a sentence for each cleared fault, by name.
 
         A fault stays if its cause is present, or came after `seen_at`: then the person has not seen it.
+        `on_request`: the person has asked for that, not for a vent or a straight vine.
         """
-        present = self._latching(now)
-        cleared = [
-            name for name in self._latched if name not in present and self._latched_at[name] <= seen_at
-        ]
+        stays = {*self._latching(now), *(() if on_request else (BOARD_SETTINGS,))}
+        cleared = [name for name in self._latched if name not in stays and self._latched_at[name] <= seen_at]
         for name in cleared:
             del self._latched_at[name]
         return {name: self._latched.pop(name) for name in cleared}

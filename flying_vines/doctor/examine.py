@@ -89,7 +89,7 @@ async def examine(
                 tasks.create_task(probe.run(over.is_set))
         if board or watch:
             await asyncio.sleep(seconds)
-        add(firmware.check(board.facts if board else None, config))
+        add(firmware.check(board.facts if board else None, config, examined.board_settings))
         facts = watch.facts if watch else None
         add(vehicles.check(facts, config, seconds, running))
         autopilot = facts if facts and facts.found else None

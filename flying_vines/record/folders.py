@@ -240,6 +240,7 @@ class Files:
             believed=msgspec.to_builtins(nominal_rig(began.pneumatics)),
             continues=continues,
             latched=began.stored.latched,
+            board_settings=began.stored.board_settings,
         )
         self.add(entry_of_state(start))
         self.sync()

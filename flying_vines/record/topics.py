@@ -24,6 +24,7 @@ from flying_vines.core.events import (
     Failed,
     FirmwareMessage,
     InternalError,
+    KeepBoardSettings,
     KeepDisarmed,
     KeepLatched,
     KeepLearned,
@@ -75,6 +76,8 @@ class Start:
     """The previous folder of this run of the service; empty in its first folder."""
     latched: dict[str, str] = field(default_factory=dict)
     """The faults of the previous run that nobody has cleared, by name."""
+    board_settings: int | None = None
+    """The digest of the board's settings that the previous run knew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +144,7 @@ _STATES: dict[type, str] = {
     InternalError: "internal_error",
     KeepLearned: "learned",
     KeepLatched: "latched",
+    KeepBoardSettings: "board_settings",
 }
 """Entries that are neither inputs of the core nor outputs that a replay compares."""
 MAVLINK_IN, MAVLINK_OUT = "mavlink/in", "mavlink/out"

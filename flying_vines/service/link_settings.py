@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 
 from firmware_link.host import SessionState
 from firmware_link.protocol import Setting
-from firmware_link.settings import SettingsExchange
+from firmware_link.settings import SettingsExchange, digest
 from flying_vines.config.address import Address
 from flying_vines.service.link_watch import LinkWatch
+from flying_vines.service.persistent_state import PersistentState, PersistentStateError
 
 ANSWERS_WITHIN_S = 5.0
 """Maximum time without a ready board: long enough for a restart, a second Hello, and the text about a silent
@@ -25,9 +26,16 @@ class SettingsInterruptedError(SettingsError):
 
 
 async def exchange_settings(
-    address: Address, changes: Mapping[str, float], stopped: asyncio.Event
+    address: Address,
+    changes: Mapping[str, float],
+    stopped: asyncio.Event,
+    state: PersistentState | None = None,
 ) -> Sequence[Setting]:
-    """Make the changes and return all settings. Raises `SettingsError`, also if `stopped` is set."""
+    """Make the changes and return all settings. Raises `SettingsError`, also if `stopped` is set.
+
+    The changes of a person need no other confirmation: the service with this `state` knows the new settings,
+    if it knew those before.
+    """
     exchange = SettingsExchange(changes)
     watch = LinkWatch(address, exchange)
     ready_s = 0.0
@@ -44,4 +52,9 @@ async def exchange_settings(
         if stopped.is_set() and not exchange.problem:
             raise SettingsInterruptedError("interrupted")
         raise SettingsError(exchange.problem or watch.port.text)
+    if changes and state is not None and digest(exchange.before) == state.read_board_settings():
+        try:
+            state.store_board_settings(digest(exchange.settings))
+        except PersistentStateError as error:
+            raise SettingsError(str(error)) from None
     return exchange.settings

@@ -1,4 +1,5 @@
-"""Persistent state: parameters, disarmed pneumatics, latched faults, learned air, signing clock, page token.
+"""Persistent state: parameters, disarmed pneumatics, latched faults, the board's known settings, learned
+air, signing clock, page token.
 
 Each is a file in one folder; only the page token may be elsewhere. The files' names begin with that of the
 configuration file, so several rigs can share the folder.
@@ -6,6 +7,7 @@ configuration file, so several rigs can share the folder.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,6 +31,9 @@ Arm them from a ground station (command USER_4 with param1 = 3), or delete the f
 UNREADABLE = {"last_run": "the latched faults of the last run cannot be read"}
 """Latched if the stored faults cannot be read. Clearing this fault clears all stored faults."""
 
+NO_BOARD = -1
+"""The digest of no board: read from a damaged file, so that a person confirms the board's settings."""
+
 
 class PersistentStateError(Exception):
     """A state cannot be stored; the text is one line with the file and the reason."""
@@ -46,6 +51,9 @@ class PersistentState:
     """The text of the last `KeepLearned`: what was learned about the rig's air."""
     latched: Path
     """The latched faults as a JSON object: a sentence for each fault's name. Exists while there are any."""
+    board_settings: Path
+    """The digest of the board's settings in the last flight, as a hexadecimal number. Missing before the
+    first board."""
     signing_timestamp: Path
     page_token: Path
 
@@ -64,6 +72,7 @@ class PersistentState:
             disarming=folder / f"{stem}.disarmed",
             learned=folder / f"{stem}.air.json",
             latched=folder / f"{stem}.latched.json",
+            board_settings=folder / f"{stem}.board-settings",
             signing_timestamp=folder / f"{stem}.signing-timestamp",
             page_token=config_file.parent / token_file if token_file else folder / f"{stem}.page-token",
         )
@@ -71,7 +80,13 @@ class PersistentState:
     def read(self, config: Config) -> StoredState:
         """The state with which the core starts. Raises `ParameterFileError` or `OSError`."""
         parameters = self.read_parameters(config)
-        return StoredState(parameters, self.disarmed, self.read_learned(), self.read_latched())
+        return StoredState(
+            parameters,
+            self.disarmed,
+            self.read_learned(),
+            self.read_latched(),
+            self.read_board_settings(),
+        )
 
     def read_parameters(self, config: Config) -> dict[str, float]:
         """Raises `ParameterFileError` with one line."""
@@ -129,6 +144,24 @@ class PersistentState:
                 on_disk.take_away(self.latched)
         except OSError as error:
             raise PersistentStateError(f"{self.latched}: cannot be changed: {error.strerror}") from None
+
+    def read_board_settings(self) -> int | None:
+        """The known digest; None before the first board, `NO_BOARD` if the file is damaged."""
+        try:
+            text = self.board_settings.read_text(encoding="ascii")
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except (OSError, UnicodeError):
+            return NO_BOARD
+        return int(text, 16) if re.fullmatch(r"[0-9a-f]{8}\n", text) else NO_BOARD
+
+    def store_board_settings(self, digest: int) -> None:
+        """Raises `PersistentStateError`."""
+        try:
+            on_disk.put(self.board_settings, f"{digest:08x}\n")
+        except OSError as error:
+            file = self.board_settings
+            raise PersistentStateError(f"{file}: cannot be written: {error.strerror}") from None
 
     def read_page_token(self, config: Config) -> str:
         """The token; a new one if there is none, empty if the page needs none. Raises `PageTokenError`."""

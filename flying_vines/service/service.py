@@ -24,6 +24,7 @@ from flying_vines.core.events import (
     Event,
     Failed,
     FirmwareMessage,
+    KeepBoardSettings,
     KeepDisarmed,
     KeepLatched,
     KeepLearned,
@@ -373,6 +374,8 @@ class Service:
                 self._store("learned air", partial(self._persistent.store_learned, text))
             case KeepLatched(_, faults) if self._persistent is not None:
                 self._store("latched faults", partial(self._persistent.store_latched, faults))
+            case KeepBoardSettings(_, digest) if self._persistent is not None:
+                self._store("board settings", partial(self._persistent.store_board_settings, digest))
 
 
 def line_to(config: FirmwareConfig) -> Line:

@@ -171,7 +171,9 @@ def _core(log: FlightLog, start: Start, config: Config | None) -> CrashSafeCore:
             path.write_text(start.rig, encoding="utf-8")
             prior = load_rig_file_prior(path, config.pneumatics).prior
     # Logs of earlier versions contain no latched faults.
-    stored = StoredState(start.parameters, start.disarmed, start.learned, start.latched or {})
+    stored = StoredState(
+        start.parameters, start.disarmed, start.learned, start.latched or {}, start.board_settings
+    )
     return CrashSafeCore(Core(config, prior=prior, stored=stored))
 
 

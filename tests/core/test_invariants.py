@@ -158,10 +158,13 @@ class RemembersTheSetpoint(Firmware):
 
     def receive(self, data: bytes) -> None:
         for message in self._decoder.decode(data):
+            if isinstance(message, Setpoint):
+                # Leave room for more setpoints in between.
+                message = dataclasses.replace(message, count=1000 * message.count)
             if isinstance(message, Setpoint | Vent):
                 self._last = message if isinstance(message, Setpoint) else None
                 self._since_us = self._now_us
-        super().receive(data)
+            super().receive(protocol.encode(message, 0))
 
     def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Inputs:
         self._now_us = now_us
@@ -177,7 +180,8 @@ class LateDeadMan(RemembersTheSetpoint):
 
     def _remember(self, last: Setpoint, for_ms: int) -> None:
         if for_ms < 150:
-            Firmware.receive(self, protocol.encode(last, 0))
+            repeated = dataclasses.replace(last, count=last.count + 1 + for_ms)
+            Firmware.receive(self, protocol.encode(repeated, 0))
 
 
 class DoesNotLatchItsDeadMan(RemembersTheSetpoint):
@@ -200,12 +204,12 @@ class IgnoresVents(Firmware):
 
     def __init__(self) -> None:
         super().__init__()
-        self._decoder, self._encoder = protocol.Codec(), protocol.Codec()
+        self._decoder = protocol.Codec()
 
     def receive(self, data: bytes) -> None:
         for message in self._decoder.decode(data):
             if not isinstance(message, Vent):
-                super().receive(self._encoder.encode(message))
+                super().receive(protocol.encode(message, 0))
 
 
 class OpensAtPowerUp(Firmware):

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from doctor.known_lines import every_line, matches
-from firmware_link.protocol import PROTOCOL_VERSION, Fault, Setting, Units, Welcome
+from firmware_link.protocol import PROTOCOL_VERSION, Fault, Setting, SettingsMemory, Units, Welcome
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
 from flying_vines.doctor.checks import (
@@ -51,7 +51,11 @@ NOW = ClockFacts(1_795_000_000.0, synchronised=True)
 OTHER = Process(812, "minicom")
 SERVICE = Process(813, "flying-vines run", "flying-vines.service")
 PORT = PortFacts("phloSAR", "usb:16c0:0483", path="/dev/ttyACM0", board="usb:16c0:0483", group="dialout")
-WELCOME = Welcome(PROTOCOL_VERSION, 1, 0x1234, "1.0", Units.KPA_GAUGE, 30.0, 28.0, 760.0, 200.0, 300, 100)
+WELCOME = Welcome(
+    *(PROTOCOL_VERSION, 1, 0x1234, "1.0", Units.KPA_GAUGE, 30.0, 28.0, 760.0, 200.0, 300, 100),
+    settings_digest=77,
+    settings_memory=SettingsMemory.STORED,
+)
 SETTING = Setting(0, 1, "cv_limit_kPa", 30.0, 5.0, 60.0, 30.0)
 FIRMWARE = FirmwareFacts(
     port="open",
@@ -135,6 +139,10 @@ def of_clock(**facts: object) -> list[DoctorFinding]:
 
 def of_port(**facts: object) -> list[DoctorFinding]:
     return port.check(replace(PORT, **facts))  # type: ignore[arg-type]
+
+
+def with_memory(memory: SettingsMemory) -> FirmwareFacts:
+    return replace(FIRMWARE, welcome=replace(WELCOME, settings_memory=memory))
 
 
 def of_firmware(config: Config = CONFIG, **facts: object) -> list[DoctorFinding]:
@@ -268,6 +276,13 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
         firmware.NO_SETTINGS,
         of_firmware(settings_problem="the firmware does not answer requests for settings"),
     ),
+    (firmware.NEW_SETTINGS, of_firmware()),
+    (firmware.KNOWN_SETTINGS, firmware.check(FIRMWARE, CONFIG, 77)),
+    (firmware.KNOWN_SETTINGS, firmware.check(with_memory(SettingsMemory.ERASED), CONFIG, 77)),
+    (firmware.OTHER_SETTINGS, firmware.check(FIRMWARE, CONFIG, 78)),
+    (firmware.ERASED_SETTINGS, firmware.check(with_memory(SettingsMemory.ERASED), CONFIG)),
+    (firmware.ERASED_SETTINGS, firmware.check(with_memory(SettingsMemory.ERASED), CONFIG, 78)),
+    (firmware.DAMAGED_SETTINGS, firmware.check(with_memory(SettingsMemory.DAMAGED), CONFIG, 77)),
     (firmware.LIMITS, of_firmware()),
     (firmware.LOW_SETPOINTS, of_welcome(setpoint_limit_kPa=20.0, cv_limit_kPa=22.0)),
     (firmware.VENTS_FIRST, of_welcome(setpoint_limit_kPa=22.0, cv_limit_kPa=24.0)),

@@ -9,7 +9,7 @@ import time
 import tty
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from wrapped_board import WrappedBoard
 
 from firmware_link import protocol
-from firmware_link.protocol import PROTOCOL_VERSION, Fault, Mode, Telemetry, Units, Welcome
+from firmware_link.protocol import PROTOCOL_VERSION, Fault, Mode, SettingsMemory, Telemetry, Units, Welcome
 from flying_vines.config import config as configuration
 from flying_vines.config.address import NetworkAddress, parse_address
 from flying_vines.config.config import Config
@@ -108,7 +108,8 @@ def quick_board() -> Callable[[bytes], bytes]:
         for message in codec.decode(received):
             match message:
                 case protocol.Hello(_, nonce):
-                    said.append(Welcome(PROTOCOL_VERSION, nonce, 7, "quick", 1, *LIMITS, 300, QUICK_HZ))
+                    welcome = Welcome(PROTOCOL_VERSION, nonce, 7, "quick", 1, *LIMITS, 300, QUICK_HZ)
+                    said.append(replace(welcome, settings_memory=SettingsMemory.STORED))
                 case protocol.Ping(host_time_us):
                     said.append(protocol.Pong(host_time_us, now_ms))
                 case protocol.GetSetting():

@@ -647,7 +647,7 @@ SENSORS = (
     Row(
         "vine_sensor_glitches",
         "vine sensor: one wrong reading ten times a second",
-        "nothing: a fault needs 3 readings in a row",
+        "nothing: a fault needs 3 of 16 readings",
         "",
         Cleared.AT_ONCE,
         safe_state="continues below its setpoint: each wrong reading opens a valve for 1 ms",

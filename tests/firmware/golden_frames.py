@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
+import struct
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +24,7 @@ from firmware_link.protocol import (
     Setpoint,
     SetSetting,
     Setting,
+    SettingsMemory,
     Telemetry,
     Units,
     Welcome,
@@ -40,6 +42,7 @@ IDS = {name: row.number for name, row in setting_rows().items()}
 HELLO = Hello(PROTOCOL_VERSION, 1)
 _READINGS = (5958, 27_880, 59_578)
 _BUILD = "golden"
+_BOOT_ID = 5
 _STANDARD = {name: row.standard for name, row in setting_rows().items()}
 
 
@@ -77,8 +80,6 @@ def to_device_frame(frame: bytes) -> Conversation | None:
     answers = [message]
     match message:
         case Welcome():
-            # Some vectors have another version, which this board never reports.
-            answers = [replace(message, protocol_version=PROTOCOL_VERSION)]
             told = _to_welcome(message)
         case Pong(host_time_us, device_time_ms):
             told = [*_booted(), _said(device_time_ms), _said(device_time_ms, Ping(host_time_us))]
@@ -129,18 +130,35 @@ def _to_refusal(refusal: Refusal) -> list[BoardInput]:
         case RefusalReason.NO_HANDSHAKE:
             return [*_booted(), _said(1, Setpoint(1.0, 1.0, 1, number))]
         case RefusalReason.OUT_OF_RANGE:
-            return [*_booted(), _said(1, HELLO), _said(2, Setpoint(1.0, 1.0, 0, number))]
+            return [*_booted(), _said(1, HELLO), _said(2, _setpoint(1.0, 0, number))]
         case RefusalReason.NOT_A_NUMBER:
-            return [*_booted(), _said(1, HELLO), _said(2, Setpoint(math.nan, 1.0, 1, number))]
+            return [*_booted(), _said(1, HELLO), _said(2, _setpoint(math.nan, 1, number))]
         case RefusalReason.FAULT_LATCHED:
             booted = _booted(by_watchdog=True)
-            return [*booted, _said(1, HELLO), _said(2, Setpoint(1.0, 1.0, 1, number))]
+            return [*booted, _said(1, HELLO), _said(2, _setpoint(1.0, 1, number))]
         case _:
-            begun = [_said(1, HELLO), _said(2, Setpoint(1.0, 1.0, 100, 1))]
+            begun = [_said(1, HELLO), _said(2, _setpoint(1.0, 100, 1))]
             return [*_booted(), *begun, _said(3, SetSetting(0, 20.0))]
 
 
-def _booted(boot_id: int = 5, build: str = _BUILD, *, by_watchdog: bool = False) -> list[BoardInput]:
+def _setpoint(target_kPa: float, ttl_ms: int, number: int) -> Setpoint:
+    """The first one after the first handshake."""
+    return Setpoint(target_kPa, 1.0, ttl_ms, number, session_of(_BOOT_ID, 1), 1)
+
+
+def session_of(boot_id: int, greetings: int) -> int:
+    return (boot_id * 0x9E3779B1 + greetings) & 0xFFFFFFFF
+
+
+def digest_of(values: Iterable[float]) -> int:
+    """FNV-1a of the settings' values."""
+    digest = 0x811C9DC5
+    for byte in b"".join(struct.pack("<f", value) for value in values):
+        digest = (digest ^ byte) * 0x01000193 & 0xFFFFFFFF
+    return digest
+
+
+def _booted(boot_id: int = _BOOT_ID, build: str = _BUILD, *, by_watchdog: bool = False) -> list[BoardInput]:
     return [PowerUp(boot_id, by_watchdog, build, b""), _said(0)]
 
 
@@ -158,7 +176,7 @@ def _welcome(nonce: int) -> Welcome:
     return Welcome(
         protocol_version=PROTOCOL_VERSION,
         nonce=nonce,
-        boot_id=5,
+        boot_id=_BOOT_ID,
         firmware_build=_BUILD,
         units=Units.KPA_GAUGE,
         cv_limit_kPa=_STANDARD["cv_limit_kPa"],
@@ -167,6 +185,9 @@ def _welcome(nonce: int) -> Welcome:
         rate_limit_kPa_per_s=_STANDARD["rate_limit_kPa_per_s"],
         dead_man_ms=int(_STANDARD["dead_man_ms"]),
         telemetry_Hz=int(_STANDARD["telemetry_Hz"]),
+        session=session_of(_BOOT_ID, 1),
+        settings_digest=digest_of(_STANDARD.values()),
+        settings_memory=SettingsMemory.ERASED,
     )
 
 

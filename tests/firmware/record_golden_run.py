@@ -161,11 +161,18 @@ class World:
         self._number = 0
 
     def say(self, *messages: HostMessage, then_ms: int = 2) -> None:
-        self.board.receive(b"".join(map(self._codec.encode, messages)))
+        self.board.receive(self.encoded(*messages))
         self.run(then_ms)
 
+    def encoded(self, *messages: HostMessage) -> bytes:
+        return b"".join(map(self._codec.encode, messages))
+
+    def hear(self, data: bytes) -> None:
+        """The codec needs the session of the board's `Welcome`."""
+        self._codec.decode(data)
+
     def run(self, ms: int) -> None:
-        self.phlosar.advance(self.phlosar.now_s + ms / 1000)
+        self.hear(self.phlosar.advance(self.phlosar.now_s + ms / 1000))
 
     def greet(self) -> None:
         self.say(Hello(PROTOCOL_VERSION, 0x01020300))
@@ -281,6 +288,21 @@ def dead_man() -> World:
     world.clear()
     world.say(Setpoint(5.0, 50.0, 0xFFFF, 501), then_ms=302)
     world.is_in(Mode.FAULT, Fault.DEAD_MAN)
+    world.clear()
+    # A line that repeats its last bytes.
+    hello = world.encoded(Hello(PROTOCOL_VERSION, 2))
+    world.board.receive(hello)
+    world.run(2)
+    setpoint = world.encoded(Setpoint(5.0, 50.0, 250, 502))
+    for _ in range(2):
+        world.is_in(Mode.VENT if world.board.number != 502 else Mode.REGULATE)
+        world.board.receive(setpoint)
+        world.run(130)
+    world.is_in(Mode.FAULT, Fault.DEAD_MAN)
+    world.clear()
+    world.board.receive(hello + setpoint)
+    world.run(2)
+    world.is_in(Mode.VENT)
     return world
 
 
@@ -295,12 +317,24 @@ def overpressure() -> World:
         world.hold(10.0, 20)
         world.with_wires(wires, 2)
         world.is_in(Mode.REGULATE)
-        world.run(1)
+        world.run(14)
         world.with_wires(wires, 3)
+        world.is_in(Mode.FAULT, fault)
+        # Three of sixteen readings still show it.
+        world.run(11)
+        world.clear()
         world.is_in(Mode.FAULT, fault)
         world.run(1)
         world.clear()
         world.is_in(Mode.VENT)
+    # A sensor that flickers about the limit.
+    world.hold(10.0, 20)
+    for _ in range(3):
+        world.with_wires(instead(cv=14_000), 1)
+        world.run(4)
+    world.is_in(Mode.FAULT, Fault.CV_OVERPRESSURE)
+    world.run(16)
+    world.clear()
     return world
 
 
@@ -316,7 +350,7 @@ def sensors() -> World:
             world.clear()
             world.is_in(Mode.FAULT, fault)
             setattr(world.phlosar.mishaps, place, None)
-            world.run(2)
+            world.run(16)
             world.clear()
             world.is_in(Mode.VENT)
     return world
@@ -329,11 +363,11 @@ def supply() -> World:
         world.hold(9.0, 40)
         world.with_wires(instead(supply=counts), 2)
         world.is_in(Mode.REGULATE)
-        world.run(1)
+        world.run(14)
         world.with_wires(instead(supply=counts), 3)
         # Without supply there are no valid readings.
         world.is_in(Mode.FAULT, Fault.SUPPLY | Fault.CV_SENSOR | Fault.RESERVOIR_SENSOR)
-        world.run(1)
+        world.run(14)
         world.clear()
         world.is_in(Mode.VENT)
     for counts in (53_621, 65_500):
@@ -351,22 +385,27 @@ def broken_frames() -> World:
     world = World("broken frames")
     world.greet()
     chance = Random("broken frames")
-    good = encode(Setpoint(7.0, 80.0, 250, 77), 5)
-    for at in range(len(good)):
-        flipped = bytearray(good)
+
+    def good() -> bytes:
+        return world.encoded(Setpoint(7.0, 80.0, 250, 77))
+
+    for at in range(len(good())):
+        frame = good()
+        flipped = bytearray(frame)
         flipped[at] ^= 1 << chance.randrange(8)
-        for data in (bytes(flipped), good[:at], good[at:], good[:at] + good[at + 1 :]):
+        for data in (bytes(flipped), frame[:at], frame[at:], frame[:at] + frame[at + 1 :]):
             world.board.receive(data)
             world.run(1)
     longest = encode_frame(b"\x05\x00" + b"\xaa" * 126)
     for data in (longest, encode_frame(b""), encode_frame(b"\x03"), encode_frame(b"\x03\x00\x00"), bytes(40)):
-        world.board.receive(data + good)
+        world.board.receive(data + good())
         world.run(3)
     world.board.receive(longest[:-1] + b"\x01\x00" + b"\x55" * 700)
     world.run(1)
-    world.board.receive(b"\x00" + good[:7])
+    frame = good()
+    world.board.receive(b"\x00" + frame[:7])
     world.run(1)
-    world.board.receive(good[7:])
+    world.board.receive(frame[7:])
     world.run(1)
     for kind in range(256):
         world.board.receive(
@@ -438,10 +477,9 @@ def busy_line() -> World:
         *(ClearFaults(ALL_FAULTS), Vent(301), SetSetting(18, 0.02), Hello(PROTOCOL_VERSION, 1)),
     )
     for message in kinds:
-        frame = encode(message, 0)
-        for count in (1, PACKET // len(frame)):
+        for count in (1, PACKET // len(encode(message, 0))):
             for _ in range(8):
-                world.board.receive(frame * count)
+                world.board.receive(world.encoded(*[message] * count))
                 world.run(1)
             world.board.fetched = 1024
             world.run(2)
@@ -500,6 +538,11 @@ def stored_settings() -> World:
     world.greet()
     world.say(GetSetting(0), GetSetting(7))
     world.clear()
+    world.is_in(Mode.FAULT, Fault.SETTINGS)
+    # An unchanged value stores all.
+    world.say(SetSetting(0, 30.0))
+    world.is_in(Mode.FAULT, Fault.SETTINGS)
+    world.clear()
     world.is_in(Mode.VENT)
     return world
 
@@ -530,7 +573,8 @@ def random_mess() -> World:
             messages += [Vent(number), SetSetting(row.number, chance.uniform(row.min, row.max))]
         if chance.random() < 0.01:
             messages.append(chance.choice((Hello(PROTOCOL_VERSION, ms), Ping(ms), GetSetting(ms % 20))))
-        frames = bytearray(b"".join(encode(message, ms) for message in messages))
+        world.hear(board.take_output())
+        frames = bytearray(world.encoded(*messages))
         if frames and chance.random() < 0.1:
             frames[chance.randrange(len(frames))] = chance.randrange(256)
         fetched = chance.choice((PACKET, PACKET, 7))

@@ -110,7 +110,9 @@ def test_settings_reach_the_core() -> None:
 def test_openings_are_of_the_current_that_the_valves_are_wired_for() -> None:
     firmware, codec = Firmware(), Codec()
     firmware.step(0, 0.0, 690.0)
-    firmware.receive(codec.encode(Hello(PROTOCOL_VERSION, 1)) + codec.encode(Setpoint(20.0, 200.0, 300, 1)))
+    firmware.receive(codec.encode(Hello(PROTOCOL_VERSION, 1)))
+    codec.decode(firmware.take_output())
+    firmware.receive(codec.encode(Setpoint(20.0, 200.0, 300, 1)))
     openings = [firmware.step(1000 * ms, 0.0, 690.0).evp for ms in range(1, 250)]
     assert max(openings) == 1.0
     assert telemetry(firmware, codec).evp_opening == 1.0

@@ -21,13 +21,22 @@ pytestmark = pytest.mark.long
 
 WORSE = {
     "no dead-man": Mistake("firmware.cpp", "now_us - commanded_us_ >= holds_us_", "false"),
-    "no handshake": Mistake(
-        "firmware.cpp", "if (!greeted_) {\n        *reason", "if (false) {\n        *reason"
+    "no handshake": Mistake("firmware.h", "return greeted_ && setpoint.session == session_", "return true"),
+    "a session that is as good as another": Mistake("firmware.h", " && setpoint.session == session_", ""),
+    "a repeat that holds the dead-man off": Mistake(
+        "firmware.cpp", "if (setpoint.count <= setpoint_count_) return true;", ""
     ),
+    "damaged settings that anybody clears": Mistake("firmware.cpp", "(damaged ? kSettings : kNoFault)", "0"),
     "faults that regulate on": Mistake("firmware.cpp", "faults);\n    regulating_ = false;", "faults);"),
     "a limit that nobody minds": Mistake("firmware.cpp", "if (present != kNoFault) latch(present);", ""),
     "openings beyond the full current": Mistake("valves.cpp", "settings[SettingId::kEvpFullDuty]", "Real(1)"),
     "settings without ends": Mistake("settings.cpp", "!(value >= row->least && value <= row->most)", "false"),
+    "only wrong readings in a row count": Mistake(
+        "firmware.h", "(seen_ << 1 | (now ? 1 : 0))", "(now ? seen_ << 1 | 1 : 0)"
+    ),
+    "a relief that a low reading starts anew": Mistake(
+        "firmware.cpp", "if ((latched_ & kCvOverpressure) == 0) {", "if (!above_limit_) {"
+    ),
     "readings that nobody doubts": Mistake("firmware.cpp", "if (cv_good) cv_kPa_ = ", "cv_kPa_ = "),
 }
 """Mistakes in the core's files."""
@@ -59,7 +68,7 @@ def objects(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 @needs_compiler
 @pytest.mark.parametrize("what", WORSE)
 def test_a_worse_core_is_found_out(what: str, objects: dict[str, Path], tmp_path: Path) -> None:
-    name = WORSE[what].file
+    name = WORSE[what].file.replace("firmware.h", "firmware.cpp")  # no other file uses what is changed there
     core = with_mistake(SOURCES / "phlosar" / "src" / "core", WORSE[what], tmp_path / "core")
     worse = objects | {name: compiled(core / name, tmp_path / "worse.o")}
     program = tmp_path / "fuzz"

@@ -110,8 +110,8 @@ class Running:
             self._built.run_jump(ctypes.c_uint32(now_us))
             self.run_turns(20)
 
-    def say(self, *messages: HostMessage) -> None:
-        frames = b"".join(map(self.codec.encode, messages))
+    def say(self, *messages: HostMessage, after: bytes = b"") -> None:
+        frames = after + b"".join(map(self.codec.encode, messages))
         self.board.incoming[: len(frames)] = list(frames)
         self.board.incoming_size = len(frames)
 
@@ -181,8 +181,8 @@ def test_a_setting_is_stored_once_and_not_while_regulating(running: Running) -> 
     running.run(5)
     one_copy = board.memory_writes
     assert one_copy == IMAGE_SIZE + 4
-    # Two in one packet: the second one arrives before the first is stored.
-    running.say(SetSetting(0, 24.0), Setpoint(10.0, 100.0, 250, 1))
+    # A step takes 32 bytes: with the end of the first one comes the second, before the first is stored.
+    running.say(SetSetting(0, 24.0), Setpoint(10.0, 100.0, 250, 1), after=bytes(25))
     running.run(50)
     assert (board.memory_writes, board.solenoid) == (one_copy, 0)
     running.say(Vent(2))
@@ -211,7 +211,7 @@ def test_nothing_is_stored_on_a_failing_supply(running: Running) -> None:
     running.run(50)
     assert board.memory_writes == 0
     board.readings[2] = SUPPLY_COUNTS
-    running.run(10)
+    running.run(20)
     running.say(ClearFaults(0xFFFF))
     running.run(150)
     assert board.memory_writes == IMAGE_SIZE + 4

@@ -70,7 +70,9 @@ def test_a_hello_vents_a_board_without_commands() -> None:
     monitor, firmware = Monitor(), Firmware()
     firmware.step(0, 5.0, 690.0)
     other = Codec()
-    firmware.receive(other.encode(Hello(PROTOCOL_VERSION, 9)) + other.encode(Setpoint(9.0, 50.0, 250, 1)))
+    firmware.receive(other.encode(Hello(PROTOCOL_VERSION, 9)))
+    other.decode(firmware.take_output())
+    firmware.receive(other.encode(Setpoint(9.0, 50.0, 250, 1)))
     assert firmware.number == 1
     monitor.opened(0.0)
     watch(monitor, firmware, 50, began_ms=1)

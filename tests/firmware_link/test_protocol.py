@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -30,6 +31,7 @@ from firmware_link.protocol import (
     Setpoint,
     SetSetting,
     Setting,
+    SettingsMemory,
     Telemetry,
     UnknownMessageError,
     Vent,
@@ -49,11 +51,24 @@ names = st.text(st.characters(min_codepoint=0x20, max_codepoint=0x7E), max_size=
 
 messages: st.SearchStrategy[Message] = st.one_of(
     st.builds(Hello, u8, u32),
-    st.builds(Setpoint, f32, f32, u16, u16),
+    st.builds(Setpoint, f32, f32, u16, u16, u32, u32),
     st.builds(Vent, u16),
     st.builds(ClearFaults, u16),
     st.builds(Ping, u64),
-    st.builds(Welcome, u8, u32, u32, builds, u8, f32, f32, f32, f32, u16, u16),
+    st.builds(
+        Welcome,
+        st.just(PROTOCOL_VERSION),
+        u32,
+        u32,
+        builds,
+        u8,
+        *[f32] * 4,
+        u16,
+        u16,
+        u32,
+        u32,
+        st.sampled_from(SettingsMemory),
+    ),
     st.builds(
         Telemetry,
         u32,
@@ -84,6 +99,8 @@ def message_of(vector: dict[str, Any]) -> Message:
         case "Telemetry":
             fields["mode"] = Mode(fields["mode"])
             fields["faults"] = Fault(fields["faults"])
+        case "Welcome":
+            fields["settings_memory"] = SettingsMemory(fields["settings_memory"])
         case "Refusal":
             fields["reason"] = RefusalReason(fields["reason"])
     message: Message = KINDS[vector["message"]](**fields)
@@ -204,9 +221,31 @@ def test_the_codec_never_raises(data: bytes) -> None:
 @given(st.lists(messages, max_size=10))
 def test_the_codec_pairs_up(sent: list[Message]) -> None:
     sender, receiver = Codec(), Codec()
-    assert receiver.decode(b"".join(map(sender.encode, sent))) == sent
+    # The codec fills in session and count of a setpoint.
+    setpoints = itertools.count(1)
+    wanted = [
+        replace(message, session=0, count=next(setpoints)) if isinstance(message, Setpoint) else message
+        for message in sent
+    ]
+    assert receiver.decode(b"".join(map(sender.encode, sent))) == wanted
     assert (receiver.lost_frames, receiver.bad_frames, receiver.unknown_messages) == (0, 0, 0)
     assert receiver.good_frames == len(sent)
+
+
+def test_the_codec_counts_the_setpoints_of_each_session() -> None:
+    codec, board = Codec(), Codec()
+
+    def sent() -> tuple[int, int]:
+        (setpoint,) = board.decode(codec.encode(Setpoint(1.0, 1.0, 250, 9)))
+        assert isinstance(setpoint, Setpoint)
+        return setpoint.session, setpoint.count
+
+    assert [sent(), sent()] == [(0, 1), (0, 2)]
+    for session in (77, 4_000_000_000):
+        limits = (30.0, 28.0, 760.0, 200.0, 300, 100)
+        codec.decode(board.encode(Welcome(PROTOCOL_VERSION, 5, 6, "x", 1, *limits, session)))
+        codec.restart()
+        assert [sent() for _ in range(300)] == [(session, count) for count in range(1, 301)]
 
 
 def test_the_codec_counts_what_it_missed_across_the_wrap() -> None:

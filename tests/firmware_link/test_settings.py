@@ -16,8 +16,9 @@ from firmware_link.protocol import (
     RefusalReason,
     SetSetting,
     Setting,
+    Welcome,
 )
-from firmware_link.settings import SettingsExchange
+from firmware_link.settings import SettingsExchange, digest
 from flying_vines.simulation.phlosar.firmware import Firmware
 
 
@@ -57,6 +58,17 @@ def test_all_are_read_in_order() -> None:
     assert board.asked == [GetSetting(number) for number in range(count)]
     assert exchange.settings[0].name == "cv_limit_kPa"
     assert exchange.settings[0].value == 30.0
+
+
+def test_the_digest_is_that_of_the_welcome() -> None:
+    board = Board()
+    same: tuple[dict[str, float], ...] = ({}, {"cv_zero_kPa": -0.0})
+    for changes in (*same, {"cv_limit_kPa": 25.3, "dead_man_ms": 200.0}):
+        exchange = board.exchange(changes)
+        assert (digest(exchange.before) == digest(exchange.settings)) == (changes in same)
+        board.firmware.receive(Codec().encode(Hello(PROTOCOL_VERSION, 1)))
+        answers = Codec().decode(board.firmware.take_output())
+        assert [m.settings_digest for m in answers if isinstance(m, Welcome)] == [digest(exchange.settings)]
 
 
 def test_a_lost_request_is_repeated() -> None:

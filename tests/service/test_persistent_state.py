@@ -17,7 +17,7 @@ from waiting import until
 from flying_vines.config import config
 from flying_vines.core.events import Action, Decision
 from flying_vines.core.watcher import EachAction
-from flying_vines.service.persistent_state import UNREADABLE, PersistentState
+from flying_vines.service.persistent_state import NO_BOARD, UNREADABLE, PersistentState
 from flying_vines.service.service import Service
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
@@ -208,6 +208,32 @@ def test_a_damaged_file_of_latched_faults_is_a_latched_fault(tmp_path: Path) -> 
         assert state.read_latched() == UNREADABLE
     state.store_latched({})
     assert not state.latched.exists()
+
+
+async def test_the_boards_settings_are_remembered_over_a_restart(bench: Bench, tmp_path: Path) -> None:
+    async with serving(bench, tmp_path) as served:
+        await until(lambda: served.state.board_settings.exists(), "the file is written")
+        known = served.state.read_board_settings()
+    served.state.store_board_settings(0x1234)
+    async with serving(bench, tmp_path) as served:
+        await until(lambda: set(served.state.read_latched()) == {"board_settings"}, "the fault is stored")
+        assert served.state.read_board_settings() == 0x1234
+        await until(lambda: served.service.core.snapshot(0.0).switch_position == 0, "RC is accepted")
+        command(bench, MORE, CLEAR)
+        await until(lambda: served.state.read_board_settings() == known, "a person has confirmed them")
+        await until(lambda: not served.state.latched.exists(), "the file is removed")
+
+
+def test_a_damaged_file_of_the_boards_settings_fits_no_board(tmp_path: Path) -> None:
+    config_file = tmp_path / "vine.toml"
+    config_file.write_text(config.default_text())
+    state = PersistentState.of(config_file, config.load(config_file))
+    assert state.read_board_settings() is None
+    state.store_board_settings(0x0000CAFE)
+    assert state.read_board_settings() == 0xCAFE
+    for damaged in (b"", b"wrong", b"\xff", b"-1", b"1234567890ab", b"00ca"):
+        state.board_settings.write_bytes(damaged)
+        assert state.read_board_settings() == NO_BOARD
 
 
 def private_key(folder: Path, key: bytes) -> str:

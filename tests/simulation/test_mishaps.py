@@ -380,7 +380,9 @@ def hold(phlosar: SimulatedPhlosar, host: Codec, seconds: float, target_kPa: flo
     sent = b""
     for _ in range(round(seconds * 50)):
         phlosar.receive(host.encode(Setpoint(target_kPa, 60.0, 250, 1)))
-        sent += phlosar.advance(phlosar.now_s + 0.02)
+        told = phlosar.advance(phlosar.now_s + 0.02)
+        host.decode(told)
+        sent += told
     return sent
 
 
@@ -489,7 +491,7 @@ def test_a_flight_survives_several_at_once(seed: int) -> None:
         phlosar.receive(
             host.encode(Vent(step + 1) if step % 60 > 40 else Setpoint(20.0, 60.0, 250, step + 1))
         )
-        phlosar.advance(0.02 * (step + 1))
+        host.decode(phlosar.advance(0.02 * (step + 1)))
         assert air_SL(phlosar) == pytest.approx(all_SL, rel=1e-12)
         assert -AMBIENT_KPA < phlosar.cv_kPa < 900.0
 

@@ -83,15 +83,19 @@ class Board {
 public:
     Board(Input& input, uint32_t now_us, const uint8_t* stored, size_t stored_size) : now_us_(now_us) {
         firmware_.start(Boot{input.u32(), input.u8() % 2 == 1, stored, stored_size});
+        damaged_ = (firmware_.faults() & kSettings) != 0;
         check_settings();
     }
 
     uint32_t now_us() const { return now_us_; }
+    uint32_t session() const { return session_; }
+    uint32_t count() const { return count_; }
 
     void receive(Bytes& bytes) {
         bytes_received += bytes.size();
         firmware_.receive(bytes.at(), bytes.size());
         if (stepped_) overhear(bytes);
+        if ((firmware_.faults() & kCvOverpressure) == 0) helped_ = 0;
         check();
     }
 
@@ -129,12 +133,17 @@ public:
         for (size_t i = 0; i < count; ++i) hear(bytes.at()[i]);
     }
 
-    bool unsaved(Bytes& image) { return firmware_.unsaved(image.at()); }
+    bool unsaved(Bytes& image) {
+        const bool unsaved = firmware_.unsaved(image.at());
+        if (unsaved) damaged_ = false;
+        return unsaved;
+    }
 
 private:
     static constexpr uint32_t kLongestDeadMan_us = 300000;
     static constexpr size_t kMostOutput = 1024;
     static constexpr int kConditions = 5;
+    static constexpr unsigned kSeen = 16;
 
     Sensor cv_sensor() const {
         const Settings& settings = firmware_.settings();
@@ -146,8 +155,11 @@ private:
         return sensor(settings[SettingId::kReservoirSpan_kPa], settings[SettingId::kReservoirZero_kPa]);
     }
 
-    // While the board does not regulate, the Venturi may run only after an over-pressure.
-    bool may_help() const { return (firmware_.faults() & kCvOverpressure) != 0; }
+    // While the board does not regulate, the Venturi may run only after an over-pressure, for a second.
+    bool may_help() {
+        HOLDS(++helped_ <= 1000);
+        return (firmware_.faults() & kCvOverpressure) != 0;
+    }
 
     // Follows what the host sends.
     void overhear(Bytes& bytes) {
@@ -159,7 +171,13 @@ private:
             if (message.type == HostMessage::Type::kHello) {
                 greeted_ = message.hello.protocol_version == kProtocolVersion;
                 commanded_ = false;
+                welcomed_ = false;
+                count_ = 0;
             } else if (message.type == HostMessage::Type::kSetpoint) {
+                // A repeated setpoint, or one of an earlier session, must not prolong anything.
+                const bool fresh = message.setpoint.session == session_ && message.setpoint.count > count_;
+                if (welcomed_ && !fresh) continue;
+                count_ = message.setpoint.count;
                 commanded_ = true;
                 commanded_us_ = now_us_;
             } else if (message.type == HostMessage::Type::kVent) {
@@ -187,8 +205,8 @@ private:
         };
         const bool regulating = firmware_.mode() == Mode::kRegulate;
         for (int i = 0; i < kConditions; ++i) {
-            if (conditions[i].told) wrong_for_[i] = conditions[i].wrong ? wrong_for_[i] + 1 : 0;
-            HOLDS(!regulating || wrong_for_[i] < 3);
+            if (conditions[i].told) note(i, conditions[i].wrong);
+            HOLDS(!regulating || wrong(i) < 3);
         }
         if (regulating) {
             ++steps_regulating;
@@ -197,12 +215,23 @@ private:
         check();
     }
 
+    void note(int condition, bool wrong) { seen_[condition][noted_[condition]++ % kSeen] = wrong; }
+
+    // How many of the last readings were wrong.
+    int wrong(int condition) const {
+        int count = 0;
+        for (const bool wrong : seen_[condition]) count += wrong ? 1 : 0;
+        return count;
+    }
+
     void check() {
         HOLDS(firmware_.output_size() <= kMostOutput);
         if (firmware_.mode() == Mode::kRegulate) {
             HOLDS(firmware_.faults() == kNoFault);
             HOLDS(stepped_ && greeted_ && commanded_);
         }
+        // No message clears the fault of damaged settings before settings are stored.
+        HOLDS(!damaged_ || (firmware_.faults() & kSettings) != 0);
         HOLDS((firmware_.mode() == Mode::kFault) == (firmware_.faults() != kNoFault));
         check_settings();
     }
@@ -221,6 +250,13 @@ private:
         HOLDS(good && host_.size() >= 2 && host_.size() <= kMaxMessage);
         const uint8_t* payload = host_.payload();
         HOLDS(payload[0] >= 0x81 && payload[0] <= 0x85);
+        if (payload[0] == 0x81) {
+            uint32_t session;
+            memcpy(&session, payload + 48, sizeof session);
+            HOLDS(session != session_);
+            session_ = session;
+            welcomed_ = true;
+        }
         if (payload[0] != 0x82) return;
         for (size_t at = 11; at < 23; at += 4) {
             float number;
@@ -240,11 +276,19 @@ private:
     FrameDecoder host_;
     uint32_t now_us_;
     uint32_t commanded_us_ = 0;
+    unsigned helped_ = 0;
+    // Of the last Welcome that the host has read.
+    uint32_t session_ = 0;
+    bool welcomed_ = false;
+    bool damaged_ = false;
+    // Newest setpoint since the last Hello.
+    uint32_t count_ = 0;
     bool stepped_ = false;
     bool greeted_ = false;
     bool commanded_ = false;
-    // Wrong readings in a row: of the supply, of each sensor, above each limit.
-    unsigned wrong_for_[kConditions] = {};
+    // The last readings, true if wrong: of the supply, of each sensor, above each limit.
+    bool seen_[kConditions][kSeen] = {};
+    unsigned noted_[kConditions] = {};
 };
 
 void send(Board& board, const uint8_t* payload, size_t size) {
@@ -255,7 +299,7 @@ void send(Board& board, const uint8_t* payload, size_t size) {
     board.receive(bytes);
 }
 
-constexpr size_t kBodySizes[] = {0, 5, 12, 2, 2, 8, 1, 7, 3};
+constexpr size_t kBodySizes[] = {0, 5, 20, 2, 2, 8, 1, 7, 3};
 
 // Sends a message of type 0 to 8, with the right length or one byte more or less.
 void send_message(Input& input, Board& board) {
@@ -263,24 +307,35 @@ void send_message(Input& input, Board& board) {
     const uint8_t type = kind % 9;
     const size_t whole = kBodySizes[type];
     const size_t body = kind >= 0xF0 ? whole + 1 : kind >= 0xE0 && whole > 0 ? whole - 1 : whole;
-    uint8_t payload[2 + 13] = {type, input.u8()};
+    uint8_t payload[2 + 21] = {type, input.u8()};
     for (size_t i = 0; i < body; ++i) payload[2 + i] = input.u8();
     send(board, payload, 2 + body);
 }
 
-// Sends messages like a host: a greeting, a clearing of all faults, and a setpoint that is valid in most cases.
+// Sends messages like a host: a greeting, a clearing of all faults, and a setpoint that is valid in most cases, or
+// has come before.
 void send_command(Input& input, Board& board) {
     const uint8_t hello[] = {1, 0, kProtocolVersion, 1, 2, 3, 4};
     const uint8_t clear[] = {4, 1, 0xFF, 0xFF};
-    uint8_t setpoint[] = {2, 2, 0, 0, 0, 0, 0, 0, 0, 0, input.u8(), input.u8(), 1, 0};
+    uint8_t setpoint[22] = {2, 2, 0, 0, 0, 0, 0, 0, 0, 0, input.u8(), input.u8(), 1, 0};
     const uint8_t how = input.u8();
     const bool odd = how >= 0xF0;
     const float target_kPa = odd ? input.f32() : static_cast<float>(input.u8()) / 10.0f;
     const float rate_kPa_per_s = odd ? input.f32() : static_cast<float>(input.u16()) / 100.0f;
     memcpy(setpoint + 2, &target_kPa, sizeof target_kPa);
     memcpy(setpoint + 6, &rate_kPa_per_s, sizeof rate_kPa_per_s);
-    if (how % 4 == 0) send(board, hello, sizeof hello);
+    if (how % 4 == 0) {
+        // Room for the answer, with the session.
+        board.take_output(2048);
+        send(board, hello, sizeof hello);
+        board.take_output(2048);
+    }
     if (how % 4 <= 1) send(board, clear, sizeof clear);
+    const bool repeats = how / 4 % 2 == 1;
+    const uint32_t session = board.session();
+    const uint32_t count = board.count() + (repeats ? 0 : 1);
+    memcpy(setpoint + 14, &session, sizeof session);
+    memcpy(setpoint + 18, &count, sizeof count);
     send(board, setpoint, sizeof setpoint);
 }
 

@@ -61,5 +61,8 @@ EXPORTED const phlosar::SettingRow* phlosar_setting_row(uint8_t id) { return phl
 
 EXPORTED size_t phlosar_image_size() { return phlosar::Settings::kImageSize; }
 
+// Writes the bytes that store the present settings.
+EXPORTED void phlosar_image(const Firmware* firmware, uint8_t* image) { firmware->settings().write_image(image); }
+
 // True once after a change of the settings: `image` then has the bytes to store.
 EXPORTED bool phlosar_unsaved(Firmware* firmware, uint8_t* image) { return firmware->unsaved(image); }

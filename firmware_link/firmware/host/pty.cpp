@@ -33,7 +33,7 @@ const char kUsage[] =
     "  --reservoir-kPa P    the reservoir's sensor always reads this (gauge)\n"
     "                       default: simulated, 2 L at 690 kPa and a vine of 0.5 L\n"
     "  --boot-id N          0 to 4294967295; default: a new one at each start\n"
-    "  --settings FILE      stores the settings; created when a host changes one\n";
+    "  --settings FILE      stores the settings; created when a host changes one. Without it: the standard ones\n";
 
 constexpr char kBuild[] = PHLOSAR_VERSION " pty";
 constexpr int kBadUsage = 2;
@@ -251,6 +251,7 @@ private:
 class Memory {
 public:
     explicit Memory(const char* path) : path_(path) {
+        Settings().write_image(image_);
         if (path == nullptr) return;
         FILE* file = fopen(path, "rb");
         if (file == nullptr && errno == ENOENT) return;
@@ -278,7 +279,7 @@ public:
 private:
     const char* path_;
     uint8_t image_[Settings::kImageSize];
-    size_t size_ = 0;
+    size_t size_ = sizeof image_;
 };
 
 void run(Firmware& firmware, Port& port, Memory& memory, Plant& plant) {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from firmware_link.protocol import Setting, Welcome, fault_names
+from firmware_link.protocol import Setting, SettingsMemory, Welcome, fault_names
 from flying_vines.config.config import Config
 from flying_vines.core.safety import FAULT_SENTENCES, needed_kPa
 from flying_vines.doctor.finding import DoctorFinding, FindingText
@@ -75,6 +75,28 @@ FAR = FindingText(
 SETTINGS = FindingText("phloSAR settings", "good", "all {count} have their defaults")
 OWN_SETTINGS = FindingText("phloSAR settings", "good", "{count}; not at their default: {changed}")
 NO_SETTINGS = FindingText("phloSAR settings", "warning", "{why}", "try again; then flash the firmware again")
+KNOWN_SETTINGS = FindingText("phloSAR memory", "good", "the settings of the last flight")
+NEW_SETTINGS = FindingText(
+    "phloSAR memory", "good", "the settings are stored; the service remembers them when it starts"
+)
+OTHER_SETTINGS = FindingText(
+    "phloSAR memory",
+    "bad",
+    "the settings are not those of the last flight",
+    "compare them with the rig (flying-vines link --settings); then start the service, and clear faults",
+)
+ERASED_SETTINGS = FindingText(
+    "phloSAR memory",
+    "bad",
+    "erased: the standard settings are used",
+    "set and store the rig's: flying-vines link --set; then start the service, and clear faults",
+)
+DAMAGED_SETTINGS = FindingText(
+    "phloSAR memory",
+    "bad",
+    "damaged: the standard settings are used",
+    "set and store the rig's: flying-vines link --set; then start the service, and clear faults",
+)
 LIMITS = FindingText(
     "phloSAR limits", "good", "setpoints up to {most:g}, vine {vine:g}, bottle {bottle:g} kPa; {rate:g} kPa/s"
 )
@@ -141,8 +163,10 @@ BOTTLE_LOSES = FindingText(
 )
 
 
-def check(facts: FirmwareFacts | None, config: Config) -> list[DoctorFinding]:
-    """`facts` is None if the port could not be opened."""
+def check(
+    facts: FirmwareFacts | None, config: Config, board_settings: int | None = None
+) -> list[DoctorFinding]:
+    """`facts` is None if the port could not be opened; `board_settings` is the digest that is known."""
     if not config.firmware.is_phlosar:
         return [OTHER(kind=config.firmware.kind)]
     if facts is None:
@@ -161,6 +185,7 @@ def check(facts: FirmwareFacts | None, config: Config) -> list[DoctorFinding]:
         found.append(NO_SETTINGS(why=facts.settings_problem))
     elif facts.settings:
         found.append(_settings(facts.settings))
+    found.append(_memory(welcome, board_settings))
     found += _limits(welcome, config)
     if facts.telemetry_Hz > 0.0:
         found += [_vine(facts, config), *_bottle(facts, config)]
@@ -187,6 +212,17 @@ def _settings(settings: tuple[Setting, ...]) -> DoctorFinding:
     if changed:
         return OWN_SETTINGS(count=len(settings), changed=", ".join(changed))
     return SETTINGS(count=len(settings))
+
+
+def _memory(welcome: Welcome, known: int | None) -> DoctorFinding:
+    """By the rules of the core's `board_settings`."""
+    if welcome.settings_memory is SettingsMemory.DAMAGED:
+        return DAMAGED_SETTINGS()
+    if welcome.settings_digest == known:
+        return KNOWN_SETTINGS()
+    if welcome.settings_memory is SettingsMemory.ERASED:
+        return ERASED_SETTINGS()
+    return OTHER_SETTINGS() if known is not None else NEW_SETTINGS()
 
 
 def _limits(welcome: Welcome, config: Config) -> list[DoctorFinding]:

@@ -32,6 +32,8 @@ class ServiceConfiguration:
     signing_timestamp: Path | None
     learned: Learned | None = None
     """The air that earlier flights learned."""
+    board_settings: int | None = None
+    """The digest of the board's settings in the last flight; None before the first board."""
 
     @property
     def config(self) -> Config:
@@ -79,7 +81,8 @@ def read(path: Path) -> ServiceConfiguration:
     )
     learned, _ = learned_from(state.read_learned(), prior)
     folder, timestamp = state.parameters.parent, state.signing_timestamp
-    return ServiceConfiguration(facts, prior, signing, folder, timestamp, learned)
+    board_settings = state.read_board_settings()
+    return ServiceConfiguration(facts, prior, signing, folder, timestamp, learned, board_settings)
 
 
 def given(config: Config, name: str) -> ServiceConfiguration:

@@ -69,6 +69,7 @@ _SIGNATURES = {
     "phlosar_setting": (_FLOAT, (_ADDRESS, _U8)),
     "phlosar_setting_row": (ctypes.POINTER(Row), (_U8,)),
     "phlosar_image_size": (_SIZE, ()),
+    "phlosar_image": (None, (_ADDRESS, _TEXT)),
     "phlosar_unsaved": (_FLAG, (_ADDRESS, _TEXT)),
     "phlosar_tuning_count": (_SIZE, ()),
     "phlosar_tuning_name": (_TEXT, (_SIZE,)),

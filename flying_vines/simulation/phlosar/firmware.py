@@ -52,11 +52,11 @@ def setting_rows() -> dict[str, SettingRow]:
 class Firmware:
     """One board from power-up on. Call `step` at 1 kHz; `now_us` must not decrease.
 
-    `step` takes the readings of the built-in sensors, which are out of range if a wire is broken. `settings`
-    has the values that differ from the standard. `directly` bypasses converter and drivers: the firmware
-    reads pressures, and `step` returns the openings as in telemetry. Settings that the host changed survive a
-    reset. Bytes before the first step are lost, as on a booting board. Raises `ValueError` for unknown or
-    invalid settings.
+    `step` takes the readings of the built-in sensors, which are out of range if a wire is broken. The board's
+    memory has the standard settings with the changes of `settings`, or it has the bytes `stored`. `directly`
+    bypasses converter and drivers: the firmware reads pressures, and `step` returns the openings as in
+    telemetry. Settings that the host changed survive a reset. Bytes before the first step are lost, as on a
+    booting board. Raises `ValueError` for unknown or invalid settings.
     """
 
     def __init__(
@@ -65,21 +65,26 @@ class Firmware:
         boot_id: int = 1,
         *,
         directly: bool = False,
-        stored: bytes = b"",
+        stored: bytes | None = None,
     ) -> None:
         self.boot_id = boot_id & 0xFFFFFFFF
         self.supply_share = 1.0
         """The sensors' supply as a share of 5 V; the board measures it."""
-        self._start = dict(settings or {})
         self._library = load()
         self._directly = directly
-        self._stored = stored
         self._outputs = Outputs()
         self._openings = Openings()
         self._image = ctypes.create_string_buffer(self._library.phlosar_image_size())
         self._buffer = ctypes.create_string_buffer(_OUTPUT_BYTES)
         self._memory = ctypes.create_string_buffer(self._library.phlosar_size())
         self._firmware = ctypes.addressof(self._memory)
+        start = dict(settings or {})
+        self._stored = self._image_of(start) if stored is None else stored
+        # The duty cycles at which the simulated valves are fully open; later settings do not change these.
+        self._full_evp, self._full_dvp = (
+            math.floor(start.get(name, setting_rows()[name].standard) * _FULL_SCALE + 0.5)
+            for name in ("evp_full_duty", "dvp_full_duty")
+        )
         self._power_up(False)
 
     @property
@@ -105,9 +110,15 @@ class Firmware:
     def reset(self, *, watchdog: bool = False) -> None:
         """A power cycle or watchdog reset: only stored settings survive."""
         self.boot_id = (self.boot_id + 1) & 0xFFFFFFFF
-        if self._library.phlosar_unsaved(self._firmware, self._image):
-            self._stored = self._image.raw
+        self.store()
         self._power_up(watchdog)
+
+    def store(self) -> bool:
+        """Store the settings that a host has changed. A real board does it while it vents."""
+        unsaved: bool = self._library.phlosar_unsaved(self._firmware, self._image)
+        if unsaved:
+            self._stored = self._image.raw
+        return unsaved
 
     def receive(self, data: bytes) -> None:
         """Bytes from the host. They are handled at once, with the time of the last step."""
@@ -140,18 +151,20 @@ class Firmware:
         return Inputs(min(1.0, evp), min(1.0, dvp), outputs.solenoid)
 
     def _power_up(self, watchdog: bool) -> None:
+        start = self._library.phlosar_start
+        start(self._firmware, _BUILD, self.boot_id, watchdog, self._stored, len(self._stored))
+
+    def _image_of(self, settings: Settings) -> bytes:
+        """The bytes that store these settings."""
         library, rows = self._library, setting_rows()
-        library.phlosar_start(self._firmware, _BUILD, self.boot_id, watchdog, self._stored, len(self._stored))
-        for name, value in self._start.items():
+        library.phlosar_start(self._firmware, _BUILD, 0, False, b"", 0)
+        for name, value in settings.items():
             if name not in rows:
                 raise ValueError(f"the firmware has no setting {name}")
-            if not self._stored and not library.phlosar_set(self._firmware, rows[name].number, value):
+            if not library.phlosar_set(self._firmware, rows[name].number, value):
                 raise ValueError(f"the firmware does not accept {name} {value}")
-        # The duty cycles at which the simulated valves are fully open; later settings do not change these.
-        self._full_evp, self._full_dvp = (
-            math.floor(self._start.get(name, rows[name].standard) * _FULL_SCALE + 0.5)
-            for name in ("evp_full_duty", "dvp_full_duty")
-        )
+        library.phlosar_image(self._firmware, self._image)
+        return self._image.raw
 
 
 def _counts(kPa: float, span_kPa: float, supply: float) -> int:

@@ -5,7 +5,8 @@ namespace phlosar {
 void Firmware::start(const Boot& boot) {
     boot_id_ = boot.boot_id;
     if (boot.by_watchdog) latch(kWatchdogReset);
-    if (!settings_.read_image(boot.stored, boot.stored_size)) latch(kSettings);
+    settings_memory_ = settings_.read_image(boot.stored, boot.stored_size);
+    if (settings_memory_ == SettingsMemory::kDamaged) latch(kSettings);
     configure();
 }
 
@@ -26,6 +27,7 @@ bool Firmware::set(uint8_t id, Real value) {
 bool Firmware::unsaved(uint8_t* image) {
     if (!settings_changed_) return false;
     settings_changed_ = false;
+    settings_memory_ = SettingsMemory::kStored;
     settings_.write_image(image);
     return true;
 }
@@ -61,11 +63,11 @@ Drive Firmware::control(uint32_t now_us, const Pressures& pressures) {
 }
 
 // Above the limit the Venturi runs: a valve that is stuck open may let in more air than the outlet lets out.
+// The steps add up until the fault is cleared: a noisy sensor must not start the count anew.
 Real Firmware::relief() {
-    const bool too_high = (present_ & (kCvOverpressure | kCvSensor)) == kCvOverpressure;
-    if (!too_high) {
+    if ((latched_ & kCvOverpressure) == 0) {
         relief_steps_ = 0;
-    } else if (relief_steps_ < kMostRelief && reservoir_kPa_ >= kVenturiLeastSupply_kPa) {
+    } else if (above_limit_ && relief_steps_ < kMostRelief && reservoir_kPa_ >= kVenturiLeastSupply_kPa) {
         ++relief_steps_;
         return Real(1);
     }
@@ -93,8 +95,9 @@ void Firmware::look(const Pressures& seen) {
     bad_cv_.see(!cv_good);
     bad_reservoir_.see(!reservoir_good);
     bad_supply_.see(!seen.supply_good);
+    above_limit_ = cv_good && cv_kPa_ > settings_[SettingId::kCvLimit_kPa];
     // An invalid reading counts neither as above nor as below a limit.
-    if (cv_good) high_cv_.see(cv_kPa_ > settings_[SettingId::kCvLimit_kPa]);
+    if (cv_good) high_cv_.see(above_limit_);
     if (reservoir_good) high_reservoir_.see(reservoir_kPa_ > settings_[SettingId::kReservoirLimit_kPa]);
     uint16_t present = kNoFault;
     const auto note = [&present](bool there, Fault fault) {
@@ -129,8 +132,11 @@ void Firmware::handle(const HostMessage& message) {
             break;
         case Type::kClearFaults:
             if (greeted_) {
-                const uint16_t over = static_cast<uint16_t>(message.clear_faults.mask & ~present_);
-                latched_ = static_cast<uint16_t>(latched_ & ~over);
+                // Damaged settings stay a fault until settings are stored again: with the standard ones
+                // pressures may read half of the true ones.
+                const bool damaged = settings_memory_ == SettingsMemory::kDamaged;
+                const int stays = present_ | (damaged ? kSettings : kNoFault);
+                latched_ = static_cast<uint16_t>(latched_ & ~(message.clear_faults.mask & ~stays));
             } else {
                 refuse(0, RefusalReason::kNoHandshake);
             }
@@ -152,6 +158,9 @@ void Firmware::handle(const HostMessage& message) {
 void Firmware::on_hello(const Hello& hello) {
     regulating_ = false;
     counting_ = false;
+    // Setpoints of an earlier session are refused, also if a line repeats them behind their `Hello`.
+    session_ = boot_id_ * 0x9E3779B1u + ++greetings_;
+    setpoint_count_ = 0;
     greeted_ = hello.protocol_version == kProtocolVersion;
     Welcome welcome{};
     welcome.nonce = hello.nonce;
@@ -163,11 +172,15 @@ void Firmware::on_hello(const Hello& hello) {
     welcome.rate_limit_kPa_per_s = static_cast<float>(settings_[SettingId::kRateLimit_kPa_per_s]);
     welcome.dead_man_ms = static_cast<uint16_t>(settings_[SettingId::kDeadMan_ms]);
     welcome.telemetry_Hz = static_cast<uint16_t>(settings_[SettingId::kTelemetry_Hz]);
+    welcome.session = session_;
+    welcome.settings_digest = settings_.digest();
+    welcome.settings_memory = settings_memory_;
     send(welcome);
     if (!greeted_) refuse(0, RefusalReason::kVersion);
 }
 
 void Firmware::on_setpoint(const Setpoint& setpoint) {
+    if (repeated(setpoint)) return;
     RefusalReason reason;
     if (why_refused(setpoint, &reason)) {
         refuse(setpoint.number, reason);
@@ -186,6 +199,14 @@ void Firmware::on_setpoint(const Setpoint& setpoint) {
     accept(setpoint.number);
 }
 
+// True if it has come before. A line that repeats its last bytes must not hold the dead-man off.
+bool Firmware::repeated(const Setpoint& setpoint) {
+    if (!of_this_session(setpoint)) return false;
+    if (setpoint.count <= setpoint_count_) return true;
+    setpoint_count_ = setpoint.count;
+    return false;
+}
+
 void Firmware::accept(uint16_t number) {
     number_ = number;
     if (!overtaken(number)) newest_ = number;
@@ -198,7 +219,7 @@ bool Firmware::overtaken(uint16_t number) const {
 
 bool Firmware::why_refused(const Setpoint& setpoint, RefusalReason* reason) const {
     const bool within = setpoint.target_kPa >= 0.0f && Real(setpoint.target_kPa) <= setpoint_most_kPa();
-    if (!greeted_) {
+    if (!of_this_session(setpoint)) {
         *reason = RefusalReason::kNoHandshake;
     } else if (!is_finite(setpoint.target_kPa) || !is_finite(setpoint.rate_kPa_per_s)) {
         *reason = RefusalReason::kNotANumber;
@@ -228,8 +249,9 @@ void Firmware::on_set_setting(const SetSetting& set_setting) {
             refuse(0, RefusalReason::kOutOfRange);
             return;
         }
-        // Store only changes: writing wears the memory out.
-        if (before.at(set_setting.id) != settings_.at(set_setting.id)) settings_changed_ = true;
+        // Store only changes: writing wears the memory out. After damage, any value stores all.
+        const bool changed = before.at(set_setting.id) != settings_.at(set_setting.id);
+        if (changed || settings_memory_ != SettingsMemory::kStored) settings_changed_ = true;
         tell_setting(set_setting.id);
     }
 }

@@ -64,23 +64,25 @@ public:
     uint32_t time_ms() const { return time_ms_; }
 
 private:
-    // A condition counts after this many readings in a row (3 ms), so that one wrong reading does not end a flight.
-    static constexpr uint8_t kInARow = 3;
-
-    // Maximum steps of relief by the Venturi. With a wrong sensor, more would empty the reservoir and collapse
-    // the vine.
+    // Maximum steps of relief by the Venturi until the over-pressure is cleared. With a wrong sensor, more would
+    // empty the reservoir and collapse the vine.
     static constexpr uint16_t kMostRelief = 1000;
 
-    // A condition that counts after kInARow readings in a row.
-    class Lasting {
+    // A condition that counts if three of the last sixteen readings show it. One wrong reading does not end a
+    // flight, and a contact that flickers does not hide its fault behind good readings.
+    class Frequent {
     public:
-        void see(bool now) {
-            count_ = now ? static_cast<uint8_t>(count_ < kInARow ? count_ + 1 : kInARow) : 0;
+        void see(bool now) { seen_ = static_cast<uint16_t>(seen_ << 1 | (now ? 1 : 0)); }
+        bool there() const {
+            const uint32_t without_one = without_lowest(seen_);
+            return without_lowest(without_one) != 0;
         }
-        bool there() const { return count_ == kInARow; }
 
     private:
-        uint8_t count_ = 0;
+        static uint32_t without_lowest(uint32_t bits) { return bits & (bits - 1); }
+
+        // The last readings, one bit each.
+        uint16_t seen_ = 0;
     };
 
     void configure();
@@ -97,6 +99,8 @@ private:
     void tell_telemetry(const Drive& told);
     void follow_clock(uint32_t now_us);
     Real relief();
+    bool of_this_session(const Setpoint& setpoint) const { return greeted_ && setpoint.session == session_; }
+    bool repeated(const Setpoint& setpoint);
     void accept(uint16_t number);
     // True if a newer command was accepted before: the line may reorder frames.
     bool overtaken(uint16_t number) const;
@@ -111,6 +115,7 @@ private:
 
     const char* build_;
     Settings settings_;
+    SettingsMemory settings_memory_ = SettingsMemory::kErased;
     bool settings_changed_ = false;
     Regulator regulator_;
     Sensor cv_sensor_{};
@@ -123,6 +128,10 @@ private:
     uint32_t boot_id_ = 0;
     bool stepped_ = false;
     bool greeted_ = false;
+    uint32_t greetings_ = 0;
+    uint32_t session_ = 0;
+    // Of the newest setpoint since the handshake.
+    uint32_t setpoint_count_ = 0;
     bool regulating_ = false;
     uint16_t latched_ = kNoFault;
     uint16_t present_ = kNoFault;
@@ -138,11 +147,14 @@ private:
 
     Real cv_kPa_ = 0;
     Real reservoir_kPa_ = 0;
-    Lasting bad_cv_;
-    Lasting bad_reservoir_;
-    Lasting bad_supply_;
-    Lasting high_cv_;
-    Lasting high_reservoir_;
+    Frequent bad_cv_;
+    Frequent bad_reservoir_;
+    Frequent bad_supply_;
+    Frequent high_cv_;
+    Frequent high_reservoir_;
+    // The last reading of the vine is valid and above the limit.
+    bool above_limit_ = false;
+    // Steps of relief since the over-pressure latched.
     uint16_t relief_steps_ = 0;
 
     uint32_t now_us_ = 0;

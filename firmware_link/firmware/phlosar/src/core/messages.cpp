@@ -43,12 +43,14 @@ HostMessage parse(const uint8_t* payload, size_t size) {
             message.hello.nonce = reader.u32();
             break;
         case Type::kSetpoint:
-            if (body != 12) break;
+            if (body != 20) break;
             message.type = Type::kSetpoint;
             message.setpoint.target_kPa = reader.f32();
             message.setpoint.rate_kPa_per_s = reader.f32();
             message.setpoint.ttl_ms = reader.u16();
             message.setpoint.number = reader.u16();
+            message.setpoint.session = reader.u32();
+            message.setpoint.count = reader.u32();
             break;
         case Type::kVent:
             if (body != 2) break;
@@ -96,6 +98,9 @@ size_t write(const Welcome& message, uint8_t sequence, uint8_t* payload) {
     writer.f32(message.rate_limit_kPa_per_s);
     writer.u16(message.dead_man_ms);
     writer.u16(message.telemetry_Hz);
+    writer.u32(message.session);
+    writer.u32(message.settings_digest);
+    writer.u8(static_cast<uint8_t>(message.settings_memory));
     return writer.size();
 }
 

@@ -7,7 +7,7 @@
 
 namespace phlosar {
 
-constexpr uint8_t kProtocolVersion = 2;
+constexpr uint8_t kProtocolVersion = 3;
 
 enum class Mode : uint8_t { kVent = 0, kRegulate = 1, kFault = 2 };
 
@@ -34,6 +34,9 @@ enum class RefusalReason : uint8_t {
     kOvertaken = 7,
 };
 
+// What was in the memory of the settings.
+enum class SettingsMemory : uint8_t { kStored = 1, kErased = 2, kDamaged = 3 };
+
 // From the host.
 
 struct Hello {
@@ -46,6 +49,10 @@ struct Setpoint {
     float rate_kPa_per_s;
     uint16_t ttl_ms;
     uint16_t number;
+    // From the `Welcome` of this session.
+    uint32_t session;
+    // Differs for each setpoint that the host sends in a session, repeats too, and only grows.
+    uint32_t count;
 };
 
 struct Vent {
@@ -110,6 +117,9 @@ struct Welcome {
     float rate_limit_kPa_per_s;
     uint16_t dead_man_ms;
     uint16_t telemetry_Hz;
+    uint32_t session;
+    uint32_t settings_digest;
+    SettingsMemory settings_memory;
 };
 
 struct Telemetry {
@@ -145,7 +155,7 @@ struct SettingValue {
     float standard;
 };
 
-constexpr size_t kMaxMessage = 48;
+constexpr size_t kMaxMessage = 60;
 
 // Each writes a payload of at most kMaxMessage bytes and returns its size.
 size_t write(const Welcome& message, uint8_t sequence, uint8_t* payload);

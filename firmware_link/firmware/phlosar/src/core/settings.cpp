@@ -47,6 +47,8 @@ bool Settings::set(uint8_t id, Real value) {
     const bool whole = id == static_cast<uint8_t>(SettingId::kDeadMan_ms) ||
                        id == static_cast<uint8_t>(SettingId::kTelemetry_Hz);
     values_[id] = whole ? static_cast<Real>(static_cast<int32_t>(value)) : value;
+    // Equal values have one digest, so there is no negative zero.
+    if (values_[id] == Real(0)) values_[id] = Real(0);
     return true;
 }
 
@@ -59,18 +61,28 @@ void Settings::write_image(uint8_t* image) const {
     writer.u16(crc16(image, writer.size()));
 }
 
-bool Settings::read_image(const uint8_t* image, size_t size) {
-    if (size < 2 || (image[0] == 0xFF && image[1] == 0xFF)) return true;
-    if (size < kImageSize) return false;
+SettingsMemory Settings::read_image(const uint8_t* image, size_t size) {
+    if (size < 2 || (image[0] == 0xFF && image[1] == 0xFF)) return SettingsMemory::kErased;
+    if (size < kImageSize) return SettingsMemory::kDamaged;
     Reader reader(image);
     const bool ours = reader.u16() == kMagic && reader.u8() == kImageVersion && reader.u8() == kSettingCount;
-    if (!ours) return false;
+    if (!ours) return SettingsMemory::kDamaged;
     Settings read;
     bool good = true;
     for (uint8_t id = 0; id < kSettingCount; ++id) good = read.set(id, Real(reader.f32())) && good;
-    if (!good || reader.u16() != crc16(image, kImageSize - 2)) return false;
+    if (!good || reader.u16() != crc16(image, kImageSize - 2)) return SettingsMemory::kDamaged;
     *this = read;
-    return true;
+    return SettingsMemory::kStored;
+}
+
+uint32_t Settings::digest() const {
+    uint32_t digest = 0x811C9DC5;
+    for (const Real value : values_) {
+        uint8_t bytes[4];
+        Writer(bytes).f32(static_cast<float>(value));
+        for (const uint8_t byte : bytes) digest = (digest ^ byte) * 0x01000193;
+    }
+    return digest;
 }
 
 }  // namespace phlosar

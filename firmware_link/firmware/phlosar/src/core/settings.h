@@ -4,6 +4,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "messages.h"
 #include "real.h"
 
 namespace phlosar {
@@ -55,9 +56,10 @@ public:
     static constexpr size_t kImageSize = 4 + 4 * kSettingCount + 2;
     // Writes the kImageSize bytes to store.
     void write_image(uint8_t* image) const;
-    // Reads stored bytes. False if they are damaged; then nothing changes. Erased or missing memory is not
-    // damaged, and changes nothing.
-    bool read_image(const uint8_t* image, size_t size);
+    // Reads stored bytes. If they are damaged, erased or missing, nothing changes.
+    SettingsMemory read_image(const uint8_t* image, size_t size);
+    // FNV-1a of all values as 32-bit floats, little-endian. A host sees by it that a value has changed.
+    uint32_t digest() const;
 
 private:
     Real values_[kSettingCount];
