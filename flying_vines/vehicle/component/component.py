@@ -11,7 +11,7 @@ from flying_vines.config.config import Config
 from flying_vines.vehicle.component.duplicate_id import DuplicateIdDetector
 from flying_vines.vehicle.component.parameters import ParameterOutput, Parameters
 from flying_vines.vehicle.component.requests import Requests
-from flying_vines.vehicle.component.senders import RefusedChanges, Sender, Senders
+from flying_vines.vehicle.component.senders import Sender, Senders
 from flying_vines.vehicle.component.telemetry import FuelGauge, Heartbeat, NamedValues
 from flying_vines.vehicle.component.texts import Texts
 from flying_vines.vehicle.component.transmit_queue import TransmitQueue
@@ -28,14 +28,13 @@ class Component:
     """
 
     def __init__(self, config: Config, values: Mapping[str, float] | None = None) -> None:
-        refused = RefusedChanges()
-        self.parameters = Parameters(config, values, refused)
+        self.parameters = Parameters(config, values)
         self._component_id = config.vehicle.component_id
         self._heartbeat = Heartbeat()
         self._values = NamedValues(1.0 / self.parameters.config.telemetry.rate_Hz)
         self._fuel = FuelGauge()
         self._texts = Texts()
-        self._requests = Requests(self._component_id, self._heartbeat, self._values, refused)
+        self._requests = Requests(self._component_id, self._heartbeat, self._values)
         self._key_reported = bool(config.vehicle.signing_key)
         self._duplicate_id = DuplicateIdDetector(self._component_id)
         self._senders = Senders()

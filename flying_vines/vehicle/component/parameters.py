@@ -22,7 +22,7 @@ from flying_vines.vehicle.component.parameter_table import (
     same,
     value_of,
 )
-from flying_vines.vehicle.component.senders import RefusedChanges, Sender
+from flying_vines.vehicle.component.senders import Sender
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
 
@@ -60,13 +60,7 @@ class Parameters:
     )
     """The messages that `handle` takes."""
 
-    def __init__(
-        self,
-        base: Config,
-        values: Mapping[str, float] | None = None,
-        refused: RefusedChanges | None = None,
-    ) -> None:
-        self._refused = refused or RefusedChanges()
+    def __init__(self, base: Config, values: Mapping[str, float] | None = None) -> None:
         self.config = self._base = base
         self.values: dict[str, float] = {}
         self.mode_channel = 0
@@ -138,13 +132,13 @@ class Parameters:
         if setting is None:
             return []
         name, index = setting.name, SETTINGS.index(setting)
-        sender = f"{message.get_srcSystem()}/{message.get_srcComponent()}"
         before = value_of(setting, self.config)
         unchanged = math.isfinite(message.param_value) and same(message.param_value, before)
-        if sender.refusal:
-            told = [] if unchanged else self._refused.report(t, f"{name} stays {before:g}", sender)
-            return [self._value(index), *told]
+        if unchanged and sender.refusal:
+            return [self._value(index)]
         try:
+            if sender.refusal:
+                raise ParameterRefused(name, sender.refusal)
             if message.param_type != mavlink.MAV_PARAM_TYPE_REAL32:
                 raise ParameterRefused(name, "send it as REAL32")
             if unchanged:
@@ -156,12 +150,12 @@ class Parameters:
             self._keep(name, decimal(message.param_value))
         except ParameterRefused as refusal:
             text = f"Vine: {name} stays {before:g}: {refusal.reason}"
-            return [self._value(index), Notice(t, Severity.WARNING, text, source=sender)]
+            return [self._value(index), Notice(t, Severity.WARNING, text, source=sender.name)]
         value = value_of(setting, self.config)
         text = f"Vine: {name} is {value:g}, was {before:g}"
         return [
             self._value(index),
-            Notice(t, Severity.INFO, text, source=sender),
+            Notice(t, Severity.INFO, text, source=sender.name),
             Changed(t, name, value, self.config),
         ]
 

@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.component.command_ack import acknowledgement
 from flying_vines.vehicle.component.identity import ProtocolVersion, autopilot_version
-from flying_vines.vehicle.component.senders import RefusedChanges, Sender
+from flying_vines.vehicle.component.senders import Sender
 from flying_vines.vehicle.component.telemetry import (
     HEARTBEAT_S,
     MAX_PERIOD_S,
@@ -62,14 +62,7 @@ class Requests:
     )
     """The messages that `handle` takes."""
 
-    def __init__(
-        self,
-        component_id: int,
-        heartbeat: Heartbeat,
-        values: NamedValues,
-        refused: RefusedChanges | None = None,
-    ) -> None:
-        self._refused = refused or RefusedChanges()
+    def __init__(self, component_id: int, heartbeat: Heartbeat, values: NamedValues) -> None:
         self._component_id = component_id
         self._heartbeat = heartbeat
         self._values = values
@@ -133,7 +126,8 @@ class Requests:
         if wanted != NAMED_VALUE:
             return UNSUPPORTED, []
         if sender.refusal:
-            return DENIED, [*self._refused.report(t, "rate of values unchanged", sender)]
+            text = f"Vine: rate of values unchanged: {sender.refusal}"
+            return DENIED, [Notice(t, Severity.WARNING, text, source=sender.name)]
         period_s = math.inf if interval_us == OFF_US else interval_us / 1e6
         if interval_us == USUAL_US:
             self._values.request_period(t, None)
@@ -142,7 +136,7 @@ class Requests:
                 off = "switched the values off"
                 what = off if period_s == math.inf else f"slowed the values to one in {period_s:g} s"
                 text = f"Vine: {sender.name} {what}, for {MUTED_S:.0f} s"
-                return ACCEPTED, [Notice(t, Severity.NOTICE, text)]
+                return ACCEPTED, [Notice(t, Severity.NOTICE, text, source=sender.name)]
         else:
             return DENIED, []
         return ACCEPTED, []

@@ -13,17 +13,13 @@ read the autopilot's.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.state import VehicleState
 
-REPORT_AGAIN_S = 30.0
-"""Refused changes within this time of each other share a text: a stranger may try many times a second."""
 SETTLED_S = 7.0
 GONE_S = 60.0
 MAX_SENDERS = 256
@@ -54,23 +50,6 @@ class Sender(NamedTuple):
     def refusal(self) -> str:
         """Why the sender may change nothing; empty if it may."""
         return "" if self.is_autopilot or self.is_station else f"{self.name} is not a ground station"
-
-
-class RefusedChanges:
-    """The texts about refused changes of settings: at most one in `REPORT_AGAIN_S`."""
-
-    def __init__(self) -> None:
-        self._reported_at = -math.inf
-        self._unreported = 0
-
-    def report(self, t: float, what: str, sender: Sender) -> list[Notice]:
-        """`what` was refused to `sender`."""
-        if t - self._reported_at < REPORT_AGAIN_S:
-            self._unreported += 1
-            return []
-        more = f", {self._unreported} more refused" if self._unreported else ""
-        self._reported_at, self._unreported = t, 0
-        return [Notice(t, Severity.WARNING, f"Vine: {what}: {sender.refusal}{more}")]
 
 
 class Senders:
