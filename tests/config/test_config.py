@@ -300,6 +300,7 @@ def test_a_switch_has_two_three_or_six_positions(count: int) -> None:
         ),
         ("[vehicle]\nlink = 'tcp:127.0.0.1:3000'\n[firmware]\nlink = 'tcp:127.0.0.2:3000'\n", 0, "", ""),
         ("[vehicle]\nlink = 'tcp:127.0.0.1:3000'\n[firmware]\nlink = 'tcp:127.0.0.1:3001'\n", 0, "", ""),
+        ("[vehicle]\nlink = 'serial:/dev/ttyS1'\n[firmware]\nlink = 'tcp:127.0.0.1:3001'\n", 0, "", ""),
         ("[vehicle]\nlink = 'udpin:127.0.0.1:3000'\n[firmware]\nlink = 'tcp:127.0.0.1:3000'\n", 0, "", ""),
         ("[limits]\nmax_kPa = 30\n", 1, "limits", "overpressure_kPa must be above max_kPa"),
         ("[limits]\nmax_kPa = 15\n", 0, "", ""),

@@ -139,7 +139,7 @@ class Parameters:
             return []
         name, index = setting.name, SETTINGS.index(setting)
         before = value_of(setting, self.config)
-        unchanged = math.isfinite(message.param_value) and same(message.param_value, before)
+        unchanged = same(message.param_value, before)
         if sender.refusal:
             told = [] if unchanged else self._refused.report(t, f"{name} stays {before:g}", sender)
             return [self._value(index), *told]
