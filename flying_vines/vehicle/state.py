@@ -78,7 +78,7 @@ class VehicleState:
         self._ambiguous = False
         self.clock = AutopilotClock()
         self._altitudes: deque[tuple[float, float]] = deque()
-        """Time and altitude of the latest report, and of each one before that is lower than all later ones."""
+        """Time and altitude of the latest report, and of each earlier one below all later ones."""
         self._altitudes_since = 0.0
         """When the first report after a pause or a reboot arrived."""
         self._ambient_kPa = 0.0
