@@ -103,7 +103,7 @@ MODULES = (
             "tests/vehicle/test_component.py",
             "tests/vehicle/test_manners.py",
         ),
-        ("refusal", "report", "of", "_is_station"),
+        ("refusal", "of", "_is_station"),
     ),
     Module(
         "flying_vines/vehicle/component/parameters.py",

@@ -23,13 +23,15 @@ class ArmState:
 
     def handle(self, t: float, armed: bool) -> None:
         """Take in the arm state of a HEARTBEAT."""
-        if armed and not self.armed:
-            self._armed_at = t
-            if t - self._disarmed_at < REARMED_S:
-                self._contradicted_at = t
-        elif self.armed and not armed:
-            self._disarmed_at = t
+        if armed == self.armed:
+            return
         self.armed = armed
+        if not armed:
+            self._disarmed_at = t
+            return
+        self._armed_at = t
+        if t - self._disarmed_at < REARMED_S:
+            self._contradicted_at = t
 
     def armed_s(self, t: float) -> float:
         """Time since the first of the HEARTBEATs that all said "armed"; 0 if the last one did not."""

@@ -18,6 +18,8 @@ ALTITUDE_FRESH_S = 2.0
 ALTITUDE_CONFIRMED_S = 0.9
 """After a pause or a reboot the altitude is known when reports have arrived for this time. Also at 1 Hz this
 takes two, so one false report is not enough."""
+LOWEST_OF_S = 1.1
+"""The lowest report of this time counts: two reports at 1 Hz, six at the 5 Hz that we request."""
 LOWEST_M, HIGHEST_M = -1_000.0, 100_000.0
 """No vehicle with a vine reports an altitude beyond these."""
 HEARTBEAT_FRESH_S = 5.0
@@ -76,7 +78,7 @@ class VehicleState:
         self._ambiguous = False
         self.clock = AutopilotClock()
         self._altitudes: deque[tuple[float, float]] = deque()
-        """Time and altitude of the latest report, and of each fresh one that is lower than all later ones."""
+        """Time and altitude of the latest report, and of each earlier one below all later ones."""
         self._altitudes_since = 0.0
         """When the first report after a pause or a reboot arrived."""
         self._ambient_kPa = 0.0
@@ -117,7 +119,7 @@ class VehicleState:
         self.received_at = t
 
     def altitude_m(self, t: float) -> float | None:
-        """Height above home: the lowest report of the last 2 s; None if it is not known.
+        """Height above home: the lowest of the latest reports; None if it is not known.
 
         One false report among good ones must not allow a bend on the ground, and a landing must show at once.
         So the lowest one counts.
@@ -125,7 +127,7 @@ class VehicleState:
         heights = self._altitudes
         if not heights or heights[-1][0] - self._altitudes_since < ALTITUDE_CONFIRMED_S:
             return None
-        return next((height_m for at, height_m in heights if t - at <= ALTITUDE_FRESH_S), None)
+        return heights[0][1] if t - heights[-1][0] <= ALTITUDE_FRESH_S else None
 
     def _note_altitude(self, t: float, height_m: float) -> None:
         if not LOWEST_M <= height_m <= HIGHEST_M:
@@ -133,7 +135,7 @@ class VehicleState:
         heights = self._altitudes
         if not heights or t - heights[-1][0] > ALTITUDE_FRESH_S:
             self._altitudes_since = t
-        while heights and t - heights[0][0] > ALTITUDE_FRESH_S:
+        while heights and t - heights[0][0] > LOWEST_OF_S:
             heights.popleft()
         while heights and heights[-1][1] >= height_m:
             heights.pop()

@@ -97,6 +97,7 @@ def test_a_motion_at_ten_times_the_commanded_rate_is_vented(honest: bool) -> Non
         for message in decoder.decode(data):
             if isinstance(message, Setpoint):
                 commanded_kPa[0] = message.target_kPa
+                encoder._session, encoder._setpoints = message.session, message.count - 1
                 message = dataclasses.replace(message, target_kPa=TOP_KPA, rate_kPa_per_s=10 * RATE_KPA_PER_S)
             out += encoder.encode(message)
         return out

@@ -52,8 +52,9 @@ def digest_of(board: Firmware) -> int:
 
 
 def bends(flight: SimulatedFlight) -> bool:
-    flight.autopilot.set_rc(9, LOW)
-    run_for(flight, 1.0)
+    for position in (MIDDLE, LOW):  # a fresh move, also after a vent by others
+        flight.autopilot.set_rc(9, position)
+        run_for(flight, 1.0)
     flight.autopilot.set_rc(9, MIDDLE)
     verdicts = [decision.safety for decision in decisions(run_for(flight, 1.0))]
     flight.autopilot.set_rc(9, LOW)

@@ -36,6 +36,7 @@ from flying_vines.simulation.phlosar.firmware import Firmware
 from flying_vines.simulation.phlosar.mishaps import PLACES, Filled, StuckAt
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vine.intent import BendTo, StartProfile
+from flying_vines.vine.motion import Motion
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 
@@ -47,6 +48,8 @@ from faults_script import draw, fly
 
 class ResumesAfterRcLoss(Core):
     """Resumes its motion after an RC loss."""
+
+    _before: Motion | None = None
 
     def _enter(self, t: float, change: ResponseNeeded) -> None:
         if self._motion is not None:

@@ -199,7 +199,7 @@ def test_a_rig_file_that_is_wrong_is_one_line(
     rig.write_text("[cv]\n[causes.evp_dead_zone]\nopening = 2\n")
     ended, out, err = command_line.run(capsys, *command, "--rig", rig)
     assert (ended, out) == (2, "")
-    assert err == f"flying-vines: {rig}: causes.evp_dead_zone: a dead zone must be in 0…1.\n"
+    assert err == f"flying-vines: {rig}:2: causes.evp_dead_zone: a dead zone must be in 0…1.\n"
 
 
 # The serial port.

@@ -133,7 +133,7 @@ class Parameters:
             return []
         name, index = setting.name, SETTINGS.index(setting)
         before = value_of(setting, self.config)
-        unchanged = math.isfinite(message.param_value) and same(message.param_value, before)
+        unchanged = same(message.param_value, before)
         if unchanged and sender.refusal:
             return [self._value(index)]
         try:

@@ -118,7 +118,7 @@ class Requests:
 
     def _set_interval(self, t: float, message: MavlinkMessage, sender: Sender) -> RequestOutcome:
         wanted, interval_us = _whole(message.param1), message.param2
-        if wanted is None or not math.isfinite(interval_us):
+        if wanted is None:
             return DENIED, []
         if wanted == HEARTBEAT:
             unchanged = interval_us in (USUAL_US, HEARTBEAT_S * 1e6)
