@@ -275,7 +275,6 @@ SHEETS: dict[tuple[str, ...], Draw] = {
     ("demo-flight.png",): commands("demo --plain", demo_flight="flights/*/flight.png"),
     ("tutorial-bench.png", "ground-station-graph.png"): bench,
     ("doctor.svg",): doctor,
-    ("vine-bend.png", "vine-pull.png", "vine-shape.png"): commands("vine --out ."),
     ("vine-fit.png",): commands("vine fit pairs.csv --out ."),
     ("design-speed.png", "design-search.png", "design-compass.png"): commands("design --out ."),
     tuple(f"paper-{name}.png" for name in PAPER): commands("paper --out ."),

@@ -15,11 +15,7 @@ from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 
 SWITCH, LOW, MIDDLE, HIGH = 9, 1000, 1500, 2000
-TEXT = (
-    config.default_text()
-    .replace("bench_mode = false", "bench_mode = true")
-    .replace("fuel_status = false", "fuel_status = true")
-)
+TEXT = config.default_text().replace("bench_mode = false", "bench_mode = true")
 CONFIG = config.parse(TEXT, "the test's configuration")
 BEGAN = FlightStart(TEXT, CONFIG.pneumatics)
 

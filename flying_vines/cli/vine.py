@@ -1,64 +1,26 @@
-"""`flying-vines vine`: the bend angle of a vine by pressure."""
+"""`flying-vines vine fit`: a bend curve from measured pairs."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from flying_vines.cli.common import file_errors, needs_analysis, show_found
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 
 def add(commands: Any) -> None:
     """Add `vine` to the parsers of the command line."""
-    vine = commands.add_parser("vine", help="the bend angle of a vine by pressure, and its limits")
-    vine.add_argument(
-        "--vine",
-        metavar="FILE",
-        nargs="+",
-        action="extend",
-        help="files, or examples: pouch, cpam, fpam (default: all three)",
-    )
-    vine.add_argument("--out", type=Path, metavar="DIR", help="draw the figures there")
-    vine.add_argument("--json", action="store_true", help="print JSON instead")
-    vine.set_defaults(run=_vine)
-    fit = vine.add_subparsers(metavar="ACTION").add_parser("fit", help="fit a bend curve to measured pairs")
+    vine = commands.add_parser("vine", help="the bend curve of a vine")
+    actions = vine.add_subparsers(metavar="ACTION", required=True)
+    fit = actions.add_parser("fit", help="fit a bend curve to measured pairs")
     fit.add_argument(
         "pairs", type=Path, metavar="PAIRS.csv", help="pressure_kPa, angle_deg of inflation and deflation"
     )
-    fit.add_argument(
-        "--out", type=Path, metavar="DIR", default=argparse.SUPPRESS, help="draw the figure there"
-    )
-    fit.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print JSON instead")
+    fit.add_argument("--out", type=Path, metavar="DIR", help="draw the figure there")
+    fit.add_argument("--json", action="store_true", help="print JSON instead")
     fit.set_defaults(run=_vine_fit)
-
-
-def _vine(arguments: argparse.Namespace) -> int:
-    folder: Path | None = arguments.out
-    with needs_analysis():
-        from flying_vines.studies.bending import VineError, bend, examples, load_vine
-        from flying_vines.studies.bending.show import as_json, show
-
-        if folder:
-            from flying_vines.studies.bending.figures import draw
-    figures: Sequence[Path] = ()
-    with file_errors(folder, VineError):
-        found = [bend(load_vine(source)) for source in arguments.vine or examples()]
-        if folder:
-            folder.mkdir(parents=True, exist_ok=True)
-            figures = draw(found, folder)
-
-    def show_all(console: Console) -> None:
-        for i, b in enumerate(found):
-            if i:
-                console.print()
-            show(b, console)
-
-    return show_found(arguments.json, lambda: {"vines": [as_json(b) for b in found]}, show_all, figures)
 
 
 def _vine_fit(arguments: argparse.Namespace) -> int:

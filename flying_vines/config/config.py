@@ -278,7 +278,6 @@ class ChecksConfig(_Table, frozen=True):
 
 class TelemetryConfig(_Table, frozen=True):
     rate_Hz: Annotated[float, Meta(ge=0.1, le=10)] = 2.0
-    fuel_status: bool = False
     low_reservoir_cycles: Annotated[float, Meta(ge=0, le=1000)] = 10.0
 
 
@@ -408,6 +407,8 @@ def parse(text: str, source: str, recorded: bool = False) -> Config:
 def _drop_old_settings(raw: dict[str, Any], text: str, source: str) -> None:
     """Ignores settings of earlier versions. Raises `ConfigError` if one requests a removed behaviour."""
     raw.pop("calibration", None)
+    if isinstance(telemetry := raw.get("telemetry"), dict):
+        telemetry.pop("fuel_status", None)
     losses = raw.get("losses")
     wanted = losses.pop("on_autopilot_loss", "vent") if isinstance(losses, dict) else "vent"
     if wanted != "vent":

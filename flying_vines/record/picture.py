@@ -30,7 +30,7 @@ DPI = 200
 MAX_POINTS = 20_000
 """Maximum number of telemetry points in a curve. A picture shows fewer, and a vector file stays small."""
 DRAWN_LENGTH_M, DRAWN_DIAMETER_M = 0.315, 0.05
-"""A log does not have the vine's size. So the size of the example `pouch` of `flying-vines vine` is drawn."""
+"""A log does not have the vine's size. So the size of a usual one is drawn."""
 DRAWN_WIDTH = 0.085
 """Width of a drawn vine, as a share of the picture."""
 MIN_CHANGE_DEG = 3.0

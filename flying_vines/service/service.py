@@ -58,7 +58,7 @@ REFUSALS_EVERY_S = 60.0
 SNAPSHOT_S = 0.1
 RESTART_S = 1.0
 """Wait before a failed task is started again."""
-DISPLAY_MESSAGES = ("NAMED_VALUE_FLOAT", "FUEL_STATUS")
+DISPLAY_MESSAGES = ("NAMED_VALUE_FLOAT",)
 """Messages that ground stations only display. An error in one of them does not vent the vine."""
 _LINKS = ("flying_vines.vehicle.mavlink.link", "firmware_link.serial_port")
 """Modules whose callbacks are needed to move the vine."""

@@ -1,1 +1,1 @@
-"""The paper reproduced, the design guide, and bending models."""
+"""The paper reproduced, and the design guide."""

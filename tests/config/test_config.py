@@ -506,6 +506,15 @@ def test_a_configuration_of_an_earlier_version_that_vents_where_the_autopilot_is
     assert config.parse(old, "test") == config.default()
 
 
-def test_the_staircase_of_an_earlier_version_is_ignored() -> None:
-    old = config.default_text() + "\n[calibration]\nsteps = 6\nhold_s = 3\n"
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("[log]\n", "[calibration]\nsteps = 6\nhold_s = 3\n[log]\n"),
+        ("[telemetry]\n", "[telemetry]\nfuel_status = true\n"),
+    ],
+)
+def test_settings_of_an_earlier_version_that_move_nothing_are_ignored(before: str, after: str) -> None:
+    text = config.default_text()
+    old = re.sub(rf"^{re.escape(before.strip())}.*\n", after, text, flags=re.MULTILINE)
+    assert old != text
     assert config.parse(old, "test") == config.default()

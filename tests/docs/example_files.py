@@ -102,7 +102,6 @@ SHELF: tuple[tuple[str, Maker], ...] = (
     ),
     (r"(PAIRS|pairs)\.csv", _text(PAIRS)),
     (r"(plenum|first|second)\.csv", _copy(ROOT / "tests/data/measured/plenum_discharge.csv")),
-    (r"my-vine\.toml", _copy(ROOT / "flying_vines/studies/bending/examples/pouch.toml")),
     (r"mav\.tlog", _beginning_of(ROOT / "tests/data/recordings/rc_switch.tlog")),
     (r"(\w+/)?(canopy|bridge|MISSION)[\w-]*\.(toml|plan|waypoints)", _example),
     (r"token|FILE", read_or_make),

@@ -21,6 +21,7 @@ from flying_vines.core.events import Action, Event, ToVehicle, VehicleMessage
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.component import Component
+from flying_vines.vehicle.component.parameter_table import SETTINGS
 from flying_vines.vehicle.component.telemetry import NamedValues
 from flying_vines.vehicle.component.texts import (
     CHUNK_LENGTH,
@@ -151,16 +152,6 @@ def test_a_value_that_is_unknown_is_left_out_and_comes_when_it_is_known(unknown:
 
 def test_without_values_nothing_is_sent() -> None:
     assert of("NAMED_VALUE_FLOAT", run(component(), 5.0, {})) == []
-
-
-def test_the_bottle_is_sent_as_a_fuel_tank_only_if_configured() -> None:
-    def fuel(ours: Component, values: dict[str, float]) -> int:
-        sent = [message for i in range(3000) for message in ours.due(i * TICK_S, 0, values, 4)]
-        return sum(message.get_type() == "FUEL_STATUS" for message in sent)
-
-    assert fuel(component(), VALUES) == 0
-    assert fuel(component(fuel_status=True), VALUES) == 6
-    assert fuel(component(fuel_status=True), {}) == 0
 
 
 # Texts.
@@ -349,7 +340,7 @@ def test_parameters_are_shown_once_to_each_ground_station_of_an_ardupilot() -> N
     assert of("PARAM_VALUE", link.sent) == []
     link.wait(60.0, station=255)
     first = of("PARAM_VALUE", link.sent)
-    assert [message.param_index for _, message in first] == list(range(15))
+    assert [message.param_index for _, message in first] == list(range(len(SETTINGS)))
     assert all(gap_s >= 0.1 - 1e-6 for gap_s in gaps_s([t for t, _ in first]))
     link.wait(20.0, station=254)
     assert len(of("PARAM_VALUE", link.sent)) == 30
@@ -367,7 +358,7 @@ def test_a_list_that_is_being_sent_continues_when_a_ground_station_appears() -> 
     link.wait(7.0, station=255)
     link.take(mavlink.MAVLink_param_request_list_message(1, US))
     link.wait(10.0, station=255)  # the seven seconds of the station end while the list is sent
-    assert [message.param_index for _, message in of("PARAM_VALUE", link.sent)] == list(range(15))
+    assert [message.param_index for _, message in of("PARAM_VALUE", link.sent)] == list(range(len(SETTINGS)))
 
 
 def test_on_px4_parameters_are_sent_only_on_request() -> None:
@@ -389,7 +380,7 @@ def test_under_load_at_most_two_messages_are_sent_per_tick() -> None:
     link.wait(3.0)
     kinds = Counter(message.get_type() for _, message in link.sent)
     assert kinds["COMMAND_ACK"] == kinds["AUTOPILOT_VERSION"] == 10
-    assert kinds["PARAM_VALUE"] == 15
+    assert kinds["PARAM_VALUE"] == len(SETTINGS)
     assert kinds["STATUSTEXT"] == 3
     assert kinds["HEARTBEAT"] == 3
     assert kinds["NAMED_VALUE_FLOAT"] == pytest.approx(30, abs=2)
@@ -433,7 +424,7 @@ def test_in_flight_at_most_two_messages_are_sent_per_tick(
     assert all(third - first >= TICK_S - 1e-5 for first, third in zip(times_s, times_s[2:], strict=False))
     kinds = Counter(message.get_type() for _, message in left)
     assert kinds["AUTOPILOT_VERSION"] == kinds["COMMAND_ACK"] == 3 * 19
-    assert kinds["PARAM_VALUE"] == 15 * (2 if kind == "ardupilot" else 1)
+    assert kinds["PARAM_VALUE"] == len(SETTINGS) * (2 if kind == "ardupilot" else 1)
     assert kinds["COMMAND_LONG"] >= 5
     assert kinds["HEARTBEAT"] == pytest.approx(20, abs=2)
     assert flight.core._vehicle.component.dropped == 0

@@ -86,7 +86,7 @@ def test_the_last_write_counts(tmp_path: Path) -> None:
         ("VINE_MAX_KPA = nan\n", ":1: VINE_MAX_KPA: it must be a number: correct"),
         ("VINE_MAX_KPA = 1e300\n", ":1: VINE_MAX_KPA: 1e+300 is outside 0.5 to 20.7: correct"),
         ("\n\nVINE_MAX_KPA = 'low'\n", ":3: VINE_MAX_KPA: it must be a number"),
-        ("VINE_FUEL_STATUS = true\n", ":1: VINE_FUEL_STATUS: it must be a number"),
+        ("VINE_RATE_HZ = true\n", ":1: VINE_RATE_HZ: it must be a number"),
         ("VINE_MAX_KPB = 3\n", ":1: VINE_MAX_KPB: there is no such parameter; did you mean VINE_MAX_KPA?"),
         ("VINE_AP_ACTION = 1\n", ":1: VINE_AP_ACTION: delete the line: the loss of the autopilot"),
         ("[limits]\nmax_kPa = 3\n", ":1: limits: there is no such parameter: delete the line"),

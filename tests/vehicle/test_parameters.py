@@ -91,7 +91,7 @@ def f32(value: float) -> float:
 
 def test_names_and_order_are_as_mavlink_requires() -> None:
     names = [row.name for row in SETTINGS]
-    assert len(set(names)) == len(names) == 15
+    assert len(set(names)) == len(names) == 14
     assert all(name.startswith("VINE_") and len(name) <= 16 and name.isupper() for name in names)
     assert all(row.doc and row.doc.isascii() for row in SETTINGS)
 
@@ -202,7 +202,6 @@ def test_a_value_that_is_set_is_active() -> None:
     [
         ("VINE_SW_CHAN", 7.0, 7),
         ("VINE_RC_ACTION", 1.0, "hold"),
-        ("VINE_FUEL_STATUS", 1.0, True),
         ("VINE_SW_DEBOUNCE", 0.2, 0.2),
         ("VINE_MIN_ALT_M", 5.0, 5.0),
         ("VINE_RESERVE_KPA", 60.0, 60.0),

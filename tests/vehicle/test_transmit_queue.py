@@ -13,7 +13,6 @@ from flying_vines.vehicle.component.command_ack import acknowledgement
 from flying_vines.vehicle.component.identity import autopilot_version
 from flying_vines.vehicle.component.transmit_queue import MAX_WAITING, TransmitQueue
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mavlink.fuel_status import fuel_status
 
 TICK_S = 0.02
 LATE_S = 0.002
@@ -48,17 +47,16 @@ MAKERS: tuple[Maker, ...] = (answer, text, request, parameter, value)
 
 def test_important_messages_are_sent_first_and_others_one_at_a_time() -> None:
     queue = TransmitQueue()
-    put = [value(), fuel_status(500.0, 690.0), parameter(), request(), text(), answer(), HEARTBEAT]
+    put = [value(), parameter(), request(), text(), answer(), HEARTBEAT]
     for message in put:
         queue.put(message)
-    left = [[message.get_type() for message in queue.due(i * TICK_S)] for i in range(7)]
+    left = [[message.get_type() for message in queue.due(i * TICK_S)] for i in range(6)]
     assert left == [
         ["HEARTBEAT", "COMMAND_ACK"],
         ["STATUSTEXT"],
         ["MISSION_REQUEST_INT"],
         ["PARAM_VALUE"],
         ["NAMED_VALUE_FLOAT"],
-        ["FUEL_STATUS"],
         [],
     ]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -12,7 +11,7 @@ from flying_vines.vehicle.component.duplicate_id import DuplicateIdDetector
 from flying_vines.vehicle.component.parameters import ParameterOutput, Parameters
 from flying_vines.vehicle.component.requests import Requests
 from flying_vines.vehicle.component.senders import Sender, Senders
-from flying_vines.vehicle.component.telemetry import FuelGauge, Heartbeat, NamedValues
+from flying_vines.vehicle.component.telemetry import Heartbeat, NamedValues
 from flying_vines.vehicle.component.texts import Texts
 from flying_vines.vehicle.component.transmit_queue import TransmitQueue
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
@@ -32,7 +31,6 @@ class Component:
         self._component_id = config.vehicle.component_id
         self._heartbeat = Heartbeat()
         self._values = NamedValues(1.0 / self.parameters.config.telemetry.rate_Hz)
-        self._fuel = FuelGauge()
         self._texts = Texts()
         self._requests = Requests(self._component_id, self._heartbeat, self._values)
         self._key_reported = bool(config.vehicle.signing_key)
@@ -116,11 +114,6 @@ class Component:
             *self.parameters.due(t),
             *self._values.due(t, time_boot_ms, values),
         ]
-        if config.telemetry.fuel_status:
-            # While the cycles left are unknown, the reading may be wrong: a level would look right.
-            known = math.isfinite(values.get("CYC_LEFT", math.nan))
-            reservoir_kPa = values.get("RES_KPA", math.nan) if known else math.nan
-            due.extend(self._fuel.due(t, reservoir_kPa, config.pneumatics.full_kPa))
         for message in due:
             self._queue.put(message)
         return self._queue.due(t)

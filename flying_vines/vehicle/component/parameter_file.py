@@ -27,7 +27,10 @@ HEADING = """\
 # To use the configuration's value again, delete the line and restart the service.
 """
 
-_REMOVED = {"VINE_AP_ACTION": "the loss of the autopilot always vents the vine, as the altitude is lost, too"}
+_REMOVED = {
+    "VINE_AP_ACTION": "the loss of the autopilot always vents the vine, as the altitude is lost, too",
+    "VINE_FUEL_STATUS": "FUEL_STATUS is no longer sent, because no ground station shows it",
+}
 """Parameters of earlier versions, and why they were removed."""
 
 

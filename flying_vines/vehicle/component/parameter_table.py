@@ -43,7 +43,6 @@ class ParameterRow:
 
 
 VENT_OR_HOLD = ("vent", "hold")
-OFF_OR_ON = (False, True)
 
 SETTINGS = (
     ParameterRow(
@@ -98,14 +97,6 @@ SETTINGS = (
         "min",
     ),
     ParameterRow("VINE_RATE_HZ", "telemetry", "rate_Hz", "rate of each named value, Hz", in_flight=True),
-    ParameterRow(
-        "VINE_FUEL_STATUS",
-        "telemetry",
-        "fuel_status",
-        "1: also send FUEL_STATUS",
-        choices=OFF_OR_ON,
-        in_flight=True,
-    ),
     ParameterRow(
         "VINE_LOW_CYCLES",
         "telemetry",

@@ -1,4 +1,4 @@
-"""Messages at a fixed rate: heartbeat, named values, and the reservoir as a fuel tank."""
+"""Messages at a fixed rate: heartbeat and named values."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.clock import SILENCE_S
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mavlink.fuel_status import fuel_status
 
 VALUE_NAMES = ("RES_KPA", "CYC_LEFT", "MIN_LEFT", "CV_KPA", "CMD_KPA", "BEND_DEG")
 """The names of NAMED_VALUE_FLOAT, 10 characters at most. docs/mavlink.md says what they mean."""
@@ -20,7 +19,6 @@ SLOW_S, MUTED_S = 5.0, 60.0
 """A period above `SLOW_S`, or none, lasts for `MUTED_S`. Then the usual one is back, because all ground
 stations share this stream. A ground station that wants it for longer repeats its request."""
 ONCE_SPACING_S = 0.1
-FUEL_S = 10.0
 LATE_S = 0.1
 """After a longer delay the schedule restarts from now. So no burst follows a stall."""
 _TICK_GRAIN_S = 0.001
@@ -114,17 +112,3 @@ class NamedValues:
             due_at = t
         self._due_at[name] = self._last_at = due_at
         return [mavlink.MAVLink_named_value_float_message(time_boot_ms, name.encode(), values[name])]
-
-
-class FuelGauge:
-    """Sends the reservoir as FUEL_STATUS, at the low rate that MAVLink suggests."""
-
-    def __init__(self) -> None:
-        self._sent_at = -math.inf
-
-    def due(self, t: float, reservoir_kPa: float, full_kPa: float) -> list[MavlinkMessage]:
-        """Pressures are gauge. Nothing is sent while the reservoir's pressure is unknown."""
-        if t - self._sent_at < FUEL_S - _TICK_GRAIN_S or not math.isfinite(reservoir_kPa):
-            return []
-        self._sent_at = t
-        return [fuel_status(reservoir_kPa, full_kPa)]

@@ -15,7 +15,6 @@ from enum import IntEnum
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mavlink.fuel_status import FuelStatus
 from flying_vines.vehicle.mission.mission_cache import ItemRequest
 
 _WINDOW_S = 0.02 - 1e-6  # less the rounding of clocks
@@ -47,7 +46,6 @@ _RANKS = {
     mavlink.MAVLINK_MSG_ID_MISSION_ACK: Rank.REQUEST,
     mavlink.MAVLINK_MSG_ID_PARAM_VALUE: Rank.PARAMETER,
     mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: Rank.VALUE,
-    FuelStatus.id: Rank.VALUE,
 }
 """All other messages are answers: COMMAND_ACK, TIMESYNC, PING, AUTOPILOT_VERSION and the like."""
 
