@@ -16,8 +16,8 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 _AUTOPILOT: int = mavlink.MAV_COMP_ID_AUTOPILOT1
 ALTITUDE_FRESH_S = 2.0
 ALTITUDE_CONFIRMED_S = 0.9
-"""After a pause or a reboot the altitude is known when reports have arrived for this time. Also at 1 Hz this
-takes two, so one false report is not enough."""
+"""After the start or a reboot the altitude is known when reports have arrived for this time. Also at 1 Hz
+this takes two, so one false report is not enough."""
 LOWEST_OF_S = 1.1
 """The lowest report of this time counts: two reports at 1 Hz, six at the 5 Hz that we request."""
 LOWEST_M, HIGHEST_M = -1_000.0, 100_000.0
@@ -80,7 +80,7 @@ class VehicleState:
         self._altitudes: deque[tuple[float, float]] = deque()
         """Time and altitude of the latest report, and of each earlier one below all later ones."""
         self._altitudes_since = 0.0
-        """When the first report after a pause or a reboot arrived."""
+        """When the first report after the start or a reboot arrived."""
         self._ambient_kPa = 0.0
         self._ambient_at: float | None = None
         self.system_id = 0
@@ -133,8 +133,11 @@ class VehicleState:
         if not LOWEST_M <= height_m <= HIGHEST_M:
             return
         heights = self._altitudes
-        if not heights or t - heights[-1][0] > ALTITUDE_FRESH_S:
+        if not heights:
             self._altitudes_since = t
+        elif t - heights[-1][0] > ALTITUDE_FRESH_S:
+            # After a pause the last report before it counts as if it came now.
+            heights.append((t, heights.pop()[1]))
         while heights and t - heights[0][0] > LOWEST_OF_S:
             heights.popleft()
         while heights and heights[-1][1] >= height_m:

@@ -139,7 +139,7 @@ def test_an_ardupilot_that_hides_losses_bends_nothing() -> None:
 def test_the_end_of_an_override_bends_nothing() -> None:
     actions = replayed("ardupilot_override_and_late_texts")
     assert [round(t, 1) for t, _ in bends(actions)] == [49.1]
-    notices_s = [a.t for a in actions if isinstance(a, Notice) and "is back where it was" in a.text]
+    notices_s = [a.t for a in actions if isinstance(a, Notice) and "was overruled" in a.text]
     assert [round(t, 1) for t in notices_s] == [59.5]
 
 

@@ -12,6 +12,7 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.state import (
     ALTITUDE_CONFIRMED_S,
     ALTITUDE_FRESH_S,
+    LOWEST_OF_S,
     Ambiguous,
     AutopilotFound,
     Rebooted,
@@ -171,17 +172,32 @@ def test_height_is_known_only_while_it_is_fresh() -> None:
     assert state.altitude_m(10.01 + ALTITUDE_FRESH_S) is None
 
 
-@pytest.mark.parametrize("every_s", [0.02, 0.2, 1.0])
-def test_after_a_pause_one_report_is_not_enough(every_s: float) -> None:
-    state = climbing(*[-0.5] * 100, every_s=0.1)
-    assert state.altitude_m(10.0) == -0.5
-    t = began = 20.0
-    while t - began < ALTITUDE_CONFIRMED_S:
-        state.handle(t, position(round(1000 * t), 30.0))
-        assert state.altitude_m(t) is None
+def reports(state: VehicleState, height_m: float, began: float, lasts_s: float, every_s: float) -> float:
+    """Sends reports of a height. Returns the time from the first one to the last one that did not count."""
+    t = uncounted = began
+    while t <= began + lasts_s:
+        state.handle(t, position(round(1000 * t), height_m))
+        if state.altitude_m(t) != height_m:
+            uncounted = t
         t += every_s
-    state.handle(t, position(round(1000 * t), 30.0))
-    assert state.altitude_m(t) == 30.0
+    return uncounted - began
+
+
+@pytest.mark.parametrize("every_s", [0.02, 0.2, 1.0])
+def test_at_the_start_one_report_is_not_enough(every_s: float) -> None:
+    uncounted_s = reports(found(), 30.0, 20.0, 3.0, every_s)
+    assert ALTITUDE_CONFIRMED_S - every_s <= uncounted_s + 1e-6 <= ALTITUDE_CONFIRMED_S + 1e-6
+
+
+@pytest.mark.parametrize("every_s", [0.02, 0.2, 1.0])
+def test_after_a_pause_the_height_before_it_still_counts(every_s: float) -> None:
+    uncounted_s = reports(climbing(*[0.5] * 50), 30.0, 20.0, 3.0, every_s)
+    assert LOWEST_OF_S - every_s <= uncounted_s + 1e-6 <= LOWEST_OF_S + 1e-6
+    state = climbing(*[30.0] * 50)
+    state.handle(20.0, position(20_000, 30.0))
+    assert state.altitude_m(20.0) == 30.0
+    state.handle(30.0, position(30_000, 1.0))
+    assert state.altitude_m(30.0) == 1.0
 
 
 @pytest.mark.parametrize("wild_m", [50.0, 2_147_483.0, -2_147_483.0, 100_001.0, -1_001.0])
