@@ -25,8 +25,8 @@ HEALTH_REPORTS_APART_S = 2.0
 OVERRIDE_SLACK_S = 0.7
 """Uncertainty of the time at which an override ends."""
 MIN_FLICK_S = 1.0
-"""A pilot needs up to this time to move the switch down and up. An override that expires so soon cannot be told
-from the pilot's move."""
+"""A pilot needs up to this time to move the switch down and up. An override that expires so soon looks the
+same."""
 RELEASED_US = 65534
 IGNORED_US = (0, 65535)
 
