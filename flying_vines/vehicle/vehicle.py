@@ -29,8 +29,8 @@ VehicleOutput = Trigger | Notice | Straightened | Changed | MavlinkMessage
 """Outputs to the core: requests to decide on, notices, changed parameters and messages to send."""
 
 MAX_WAITING = 50
-"""Queue length for commands of unknown age. A command waits 0.3 s at most. If more come, the oldest one counts
-as a minute old: it lets air out, but bends nothing and clears no fault that began meanwhile."""
+"""Queue length for commands of unknown age. A command waits 0.3 s at most. If more come, the oldest
+one counts as a minute old: it lets air out, but bends nothing and clears no fault that began meanwhile."""
 OVERFLOW_AGE_S = 60.0
 
 
