@@ -101,7 +101,8 @@ class CommandReceiver:
             return []
         result = mavlink.MAV_RESULT_ACCEPTED if accepted else mavlink.MAV_RESULT_DENIED
         self._repeats.answer(_key(trigger.command), result)
-        return [acknowledgement(trigger.command, result)]
+        lets_air_out = accepted and self._rules.only_deflates(trigger.intent)
+        return [acknowledgement(trigger.command, result, lets_air_out=lets_air_out)]
 
 
 def _params(message: MavlinkMessage) -> tuple[float, ...]:

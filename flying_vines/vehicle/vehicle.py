@@ -29,7 +29,9 @@ VehicleOutput = Trigger | Notice | Straightened | Changed | MavlinkMessage
 """Outputs to the core: requests to decide on, notices, changed parameters and messages to send."""
 
 MAX_WAITING = 50
-"""Queue length for commands of unknown age. A command waits 0.3 s at most."""
+"""Queue length for commands of unknown age. A command waits 0.3 s at most. If more come, the oldest
+one counts as a minute old: it lets air out, but bends nothing and clears no fault that began meanwhile."""
+OVERFLOW_AGE_S = 60.0
 
 
 class Vehicle:
@@ -55,7 +57,7 @@ class Vehicle:
         self.link_closed = False
         self._mission_cache = MissionCache(mission)
         self._take_autopilot(0.0)
-        self._waiting: deque[tuple[Mark, MavlinkMessage]] = deque(maxlen=MAX_WAITING)
+        self._waiting: deque[tuple[Mark, MavlinkMessage]] = deque()
         self._commands = CommandReceiver(self._rules, config.vehicle.component_id)
 
     def _take_autopilot(self, t: float) -> None:
@@ -203,8 +205,10 @@ class Vehicle:
         while self._waiting:
             mark, message = self._waiting[0]
             age_s = state.clock.age_s(mark, t)
-            if age_s is None:
+            if age_s is None and len(self._waiting) <= MAX_WAITING:
                 break
+            if age_s is None:
+                age_s = OVERFLOW_AGE_S
             self._waiting.popleft()
             sender = self.component.sender(message, state)
             out.extend(self._commands.handle(t, message, state.system_id, sender, self._watch, age_s))

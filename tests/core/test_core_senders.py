@@ -6,14 +6,14 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config
-from flying_vines.core.events import Action, KeepParameters, StoredState, ToVehicle, VehicleMessage
+from flying_vines.core.events import Action, Decision, KeepParameters, StoredState, ToVehicle, VehicleMessage
 from flying_vines.core.request_lines import MAX_LINES, MAX_SOURCES
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.component.telemetry import MUTED_S, SLOW_S
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 
-from .flights import airborne, answers, notices, on_the_ground, run_for
+from .flights import airborne, answers, assert_vented, bent, ground_command, notices, on_the_ground, run_for
 
 STATIONS = {
     "QGroundControl, Mission Planner": (255, 190),
@@ -166,3 +166,43 @@ def test_a_moderate_rate_stays() -> None:
     assert notices(actions) == []
     run_for(flight, MUTED_S)
     assert values_in(flight, 4 * SLOW_S) == pytest.approx(4, abs=1)
+
+
+# Floods by many senders: a vent acts, and is answered.
+
+
+def bends_by_many(flight: SimulatedFlight, first: int, last: int) -> list[Action]:
+    """A refused command of each of many senders, all at once."""
+    actions: list[Action] = []
+    for number in range(first, last):
+        message = mavlink.MAVLink_command_long_message(1, 191, 31011, 0, 20.0, 0, 0, 0, 0, 0, 0)
+        system, component = 2 + number % 200, 30 + number // 200
+        frame = MavlinkCodec(system, component).encode(message, system)
+        (received,) = MavlinkCodec(1, 191).decode(frame)
+        actions += flight.feed(VehicleMessage(flight.world.now, received))
+    return actions
+
+
+@pytest.mark.parametrize("clock_known", [True, False])
+@pytest.mark.parametrize(("before", "after"), [(0, 60), (0, 300), (20, 60), (100, 300)])
+def test_among_the_commands_of_hundreds_of_senders_a_vent_acts_and_is_answered(
+    before: int, after: int, clock_known: bool
+) -> None:
+    flight = bent()
+    if not clock_known:
+        flight.core._vehicle.state.clock.forget()
+    actions = bends_by_many(flight, 0, before)
+    actions += ground_command(flight, 31013, 0.0)
+    actions += bends_by_many(flight, before, before + after)
+    actions += run_for(flight, 1.5)
+    assert (31013, ACCEPTED) in answers(actions)
+    assert_vented(flight)
+
+
+def test_a_bend_of_unknown_age_that_cannot_wait_is_refused_as_late() -> None:
+    flight = airborne()
+    flight.core._vehicle.state.clock.forget()
+    actions = ground_command(flight, 31011, 30.0)
+    actions += bends_by_many(flight, 0, 60)
+    (decision, *_) = [action for action in actions if isinstance(action, Decision)]
+    assert (decision.safety, decision.reason) == ("refused", "came 60.0 s late")

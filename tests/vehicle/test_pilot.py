@@ -424,14 +424,58 @@ def test_an_override_that_never_expires_may_still_be_released() -> None:
     assert len(radio.bends) == 1
 
 
-def test_a_pilot_can_move_the_switch_in_time_however_soon_an_override_expires() -> None:
+@pytest.mark.parametrize("lasts_s", [0.3, 0.5, 1.0, 1.5])
+def test_an_override_that_expires_sooner_than_a_pilot_can_move_bends_nothing(lasts_s: float) -> None:
     radio = Radio("ardupilot")
-    radio.receive(param_value("RC_OVERRIDE_TIME", 0.5))
+    radio.receive(param_value("RC_OVERRIDE_TIME", lasts_s))
+    overridden(radio, lasts_s)
+    assert len(radio.bends) == 1
+    assert radio.texts[-1] == "Vine: switch ch9 was overruled, to bend: RC_OVERRIDE_TIME of 1.7 s or more"
+    radio.receive(param_value("RC_OVERRIDE_TIME", 3.0))
+    radio.move(0, 1.0)
+    radio.move(2, 1.0)
+    assert len(radio.bends) == 2
+
+
+def test_the_text_promises_no_more_time_than_there_is() -> None:
+    radio = Radio("ardupilot")
+    radio.receive(param_value("RC_OVERRIDE_TIME", 2.4))
+    overridden(radio, 2.4)
+    assert radio.texts[-1].endswith("within 1 s")
+
+
+@pytest.mark.parametrize("unseen_s", [0.5, 0.9, 1.5, 2.5])
+@pytest.mark.parametrize("late", [False, True])
+def test_an_override_that_begins_unseen_bends_nothing_when_it_ends(unseen_s: float, late: bool) -> None:
+    """RC_CHANNELS are lost, or come late, as the override begins: it seems to begin later."""
+    radio = Radio("ardupilot")
+    radio.move(2, 1.0)
+    radio.pilot.vented("other")
+    radio.run(0.5)
+    sent_from = radio.steps
+    radio.steps += round(unseen_s / PERIOD_S)
+    if late:
+        for step in range(sent_from, radio.steps):
+            channels_us = list(radio.sticks)
+            channels_us[8] = PULSES_US[0]
+            stamp_ms = round(1000 * step * PERIOD_S) + 60_000
+            radio.receive(mavlink.MAVLink_rc_channels_message(stamp_ms, 18, *channels_us, NO_RSSI))
+    radio.move(0, 3.0 - unseen_s)
+    radio.move(2, 2.0)
+    assert len(radio.bends) == 1
+
+
+def test_after_a_reboot_no_move_from_before_it_counts() -> None:
+    """The autopilot's clock begins again."""
+    radio = Radio("ardupilot")
     radio.pilot.vented("other")
     radio.move(2, 1.0)
-    radio.move(0, 0.8)
+    radio.move(0, 1.0)
+    radio.pilot.restarted()
+    radio.steps -= 100
+    radio.run(2.0)
     radio.move(2, 1.0)
-    assert len(radio.bends) == 1
+    assert radio.bends == []
 
 
 @pytest.mark.parametrize("parameter", [("RC_OPTIONS", 2.0), ("RC_OVERRIDE_TIME", 0.0)])

@@ -131,6 +131,32 @@ def test_a_flood_of_commands_drops_no_text_and_no_answer_to_another_sender() -> 
     assert all(left_at[id(message)] - 10 - 50 * n <= 50 for n, message in enumerate(put["COMMAND_ACK"]))
 
 
+def vent_of(system: int) -> MavlinkMessage:
+    asked = mavlink.MAVLink_command_long_message(1, 191, 31013, 0, 0, 0, 0, 0, 0, 0, 0)
+    asked._header.srcSystem, asked._header.srcComponent = system, 190
+    return acknowledgement(asked, 0, lets_air_out=True)
+
+
+def test_of_the_answers_to_many_senders_that_to_a_vent_is_kept() -> None:
+    queue = TransmitQueue()
+    vent = vent_of(255)
+    queue.put(vent)
+    for system in range(200):
+        refused = mavlink.MAVLink_command_long_message(1, 191, 31010, 0, 0, 0, 0, 0, 0, 0, 0)
+        refused._header.srcSystem = system
+        queue.put(acknowledgement(refused, 2))
+    assert queue.due(0.0)[0] is vent
+
+
+def test_a_flood_of_vents_drops_no_answer_to_another_sender() -> None:
+    queue = TransmitQueue()
+    other = answer()
+    queue.put(other)
+    for _ in range(200):
+        queue.put(vent_of(77))
+    assert queue.due(0.0)[0] is other
+
+
 class Line:
     """A queue that is read as by the core: at each tick, which is never exactly on time, and after each
     event."""

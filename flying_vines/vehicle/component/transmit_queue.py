@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
+from collections.abc import Sequence
 from enum import IntEnum
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from flying_vines.vehicle.component.command_ack import AirOutAck
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.mission_cache import ItemRequest
 
@@ -65,7 +67,8 @@ class TransmitQueue:
         """Queue a message. If the queue is full, drop one.
 
         It is the oldest of the lowest rank; but if more than half of the messages are answers, the oldest
-        answer to the sender that waits for most. So a flood of one sender delays no other sender's answer.
+        answer to the sender that waits for most. So a flood of one sender delays no other sender's answer. If
+        many senders wait for equally many, answers to commands that let air out are the last to be dropped.
         """
         rank = _RANKS.get(message.get_msgId(), Rank.ANSWER)
         self._waiting[Rank.ANSWER if isinstance(message, ItemRequest) else rank].append(message)
@@ -73,8 +76,7 @@ class TransmitQueue:
         if self._count > MAX_WAITING:
             answers = self._waiting[Rank.ANSWER]
             if len(answers) > MAX_WAITING // 2:
-                ((busiest, _),) = Counter(map(_receiver, answers)).most_common(1)
-                answers.remove(next(answer for answer in answers if _receiver(answer) == busiest))
+                del answers[_to_drop(answers)]
             else:
                 self._waiting[max(rank for rank, queue in self._waiting.items() if queue)].popleft()
             self._count -= 1
@@ -107,6 +109,13 @@ class TransmitQueue:
         leaves_a_place = rank is Rank.ANSWER and t - self._low_rank_waits_since >= _WINDOW_S
         used = sum(t - left_at < _WINDOW_S for left_at in self._left_at)
         return used + leaves_a_place < MAX_IN_WINDOW
+
+
+def _to_drop(answers: Sequence[MavlinkMessage]) -> int:
+    waits_for = Counter(map(_receiver, answers))
+    most = max(waits_for.values())
+    busy = [index for index, answer in enumerate(answers) if waits_for[_receiver(answer)] == most]
+    return next((index for index in busy if not isinstance(answers[index], AirOutAck)), busy[0])
 
 
 def _receiver(answer: MavlinkMessage) -> tuple[int, int]:

@@ -25,7 +25,8 @@ HEALTH_REPORTS_APART_S = 2.0
 OVERRIDE_SLACK_S = 0.7
 """Uncertainty of the time at which an override ends."""
 MIN_FLICK_S = 1.0
-"""A pilot needs up to this time to move the switch down and up."""
+"""A pilot needs up to this time to move the switch down and up. An override that expires so soon looks the
+same."""
 RELEASED_US = 65534
 IGNORED_US = (0, 65535)
 
@@ -73,8 +74,11 @@ class Pilot:
         self._override_ends_at = -math.inf
         self._vented_by: Literal["", "safety", "other"] = ""
         """Who vented the vine, if it was not the switch and nothing has bent it since."""
-        self._left_bend_at: float | None = None
-        """When the switch last went from a bending position to a straight one, since that vent."""
+        self._seen_bent_s = -math.inf
+        """When the switch was last seen in a bending position, by the autopilot's clock."""
+        self._left_bend_s: float | None = None
+        """The same, before the switch last went to a straight position since that vent. A stalled link or a
+        loss of RC delays what we see, so an override may have begun soon after this time."""
 
     @property
     def channel(self) -> int:
@@ -96,6 +100,7 @@ class Pilot:
     def restarted(self) -> None:
         self.forget()
         self.parameters.forget()
+        self._seen_bent_s, self._left_bend_s = -math.inf, None
 
     def drop_waiting(self) -> None:
         """Drop a waiting move, because something newer has happened."""
@@ -113,7 +118,7 @@ class Pilot:
         """
         self.drop_waiting()
         self._vented_by = "other" if self._vented_by == "other" else by
-        self._left_bend_at = None
+        self._left_bend_s = None
 
     def bent_by_other(self) -> None:
         """Another person, mission or package bent the vine."""
@@ -167,6 +172,8 @@ class Pilot:
         if position is None or confirming or not self._rules.bends(position):
             return ""
         others = [other for other in range(len(self._config.switch.positions)) if other != position]
+        if self._vented_by == "other" and not self._can_flick:
+            return f"RC_OVERRIDE_TIME of {MIN_FLICK_S + OVERRIDE_SLACK_S:.1f} s or more"
         straight = [other for other in others if not self._rules.bends(other)] or others
         nearest = min(straight, key=lambda other: abs(other - position))
         return ("switch down, then up" if nearest < position else "switch up, then down") + self._in_time
@@ -199,12 +206,17 @@ class Pilot:
     @property
     def _flick_s(self) -> float:
         """Maximum time that the switch may be straight in a fresh move after somebody vented."""
-        return max(MIN_FLICK_S, self._override_lasts_s - OVERRIDE_SLACK_S)
+        return self._override_lasts_s - OVERRIDE_SLACK_S
+
+    @property
+    def _can_flick(self) -> bool:
+        """False if a pilot cannot move the switch down and up before an override expires."""
+        return self._override_lasts_s == 0.0 or self._flick_s >= MIN_FLICK_S
 
     @property
     def _in_time(self) -> str:
         limited = self._vented_by == "other" and 0.0 < self._override_lasts_s < math.inf
-        return f" within {self._flick_s:.0f} s" if limited else ""
+        return f" within {math.floor(self._flick_s)} s" if limited else ""
 
     def _lose(self) -> None:
         self.switch.lose()
@@ -235,6 +247,8 @@ class Pilot:
             return []
         if self._waiting is not None:
             self._keep_waiting(self._waiting)
+        if self._rules.bends(self.switch.reads(radio.switch_us)):
+            self._seen_bent_s = radio.stamp_s
         event = self.switch.sample(t, radio.switch_us, radio.jumped)
         if isinstance(event, SwitchMove):
             return self._moved(t, event, vented)
@@ -242,12 +256,12 @@ class Pilot:
             self._positions = {event.position}
         if not isinstance(event, MovedUnseen):
             return []
-        self._note_straight(t, event)
+        self._note_straight(event)
         return [self._move_again(t, "moved while RC was lost")]
 
-    def _note_straight(self, t: float, move: SwitchMove | MovedUnseen) -> None:
+    def _note_straight(self, move: SwitchMove | MovedUnseen) -> None:
         if self._rules.bends(move.before) and not self._rules.bends(move.position):
-            self._left_bend_at = t
+            self._left_bend_s = self._seen_bent_s
 
     def _keep_waiting(self, waiting: _Waiting) -> None:
         if self.switch.reads(self.radio.switch_us) != waiting.move.position:
@@ -264,7 +278,7 @@ class Pilot:
             hold_s = self._loss_shows_within_s
             text = f"Vine: hold switch ch{self.channel} for {hold_s:.1f} s to bend"
             return [Notice(t, Severity.INFO, text)]
-        self._note_straight(t, move)
+        self._note_straight(move)
         must_wait = self._must_wait(move.position)
         if bends and (why := self._why_not_the_pilots(t, move)):
             return [self._move_again(t, why)]
@@ -298,9 +312,16 @@ class Pilot:
             return ""
         if abs(t - self._override_ends_at) < OVERRIDE_SLACK_S:
             return "moved as an override ended"
-        left_at = None if self._rules.bends(move.before) else self._left_bend_at
-        late = left_at is None or (self._vented_by == "other" and t - left_at > self._flick_s)
-        return "was overruled" if self._vented_by and late else ""
+        return "was overruled" if self._vented_by and not self._is_fresh(move) else ""
+
+    def _is_fresh(self, move: SwitchMove) -> bool:
+        """True if the switch went from a bending position to a straight one and back since the vent, after a
+        vent by others sooner than an override expires."""
+        left_s = self._left_bend_s
+        if left_s is None or self._rules.bends(move.before):
+            return False
+        straight_s = self.radio.stamp_s - left_s - self._config.switch.debounce_s
+        return self._vented_by != "other" or (self._can_flick and straight_s <= self._flick_s)
 
     def _waits_to_bend(self, waiting: _Waiting) -> bool:
         return self._rules.bends(waiting.move.position)
