@@ -656,6 +656,20 @@ def test_limits_do_not_change_under_a_bent_vine(bench: Bench) -> None:
     assert setting(bench, "cv_limit_kPa").value == 30.0
 
 
+@pytest.mark.parametrize("value", [20.0, 30.0])
+def test_a_changed_setting_ends_the_session_for_setpoints(bench: Bench, value: float) -> None:
+    """Another host on the line, or a line that repeats bytes, may have changed it."""
+    assert bench.firmware.settings["cv_limit_kPa"] == 30.0
+    bench.firmware.receive(Codec().encode(SetSetting(0, value)))
+    bench.send(bend(2))
+    changed = value != 30.0
+    assert bench.refusals() == [Refusal(2, RefusalReason.NO_HANDSHAKE)] * changed
+    assert bench.firmware.mode is (Mode.VENT if changed else Mode.REGULATE)
+    bench.greet()
+    bench.send(bend(3))
+    assert bench.firmware.mode is Mode.REGULATE
+
+
 def test_settings_are_only_a_hosts_that_was_greeted(cold: Bench) -> None:
     cold.send(SetSetting(0, 20.0))
     assert cold.refusals() == [Refusal(0, RefusalReason.NO_HANDSHAKE)]
@@ -670,7 +684,9 @@ def test_milliseconds_and_hertz_are_whole(bench: Bench, name: str) -> None:
 
 def test_the_dead_band_is_jumped(bench: Bench) -> None:
     band = setting(bench, "evp_dead_band")
-    bench.send(SetSetting(band.id, 0.3), bend(target_kPa=1.0, rate=200.0))
+    bench.send(SetSetting(band.id, 0.3))
+    bench.greet()
+    bench.send(bend(target_kPa=1.0, rate=200.0))
     openings = [bench.run(1).evp for _ in range(200)]
     assert min(opening for opening in openings if opening > 0.0) >= 0.3
     assert max(openings) <= 1.0

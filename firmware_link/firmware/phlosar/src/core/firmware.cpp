@@ -155,12 +155,16 @@ void Firmware::handle(const HostMessage& message) {
     }
 }
 
+// Setpoints of an earlier session are refused, also if a line repeats them behind their `Hello`.
+void Firmware::begin_session() {
+    session_ = boot_id_ * 0x9E3779B1u + ++greetings_;
+    setpoint_count_ = 0;
+}
+
 void Firmware::on_hello(const Hello& hello) {
     regulating_ = false;
     counting_ = false;
-    // Setpoints of an earlier session are refused, also if a line repeats them behind their `Hello`.
-    session_ = boot_id_ * 0x9E3779B1u + ++greetings_;
-    setpoint_count_ = 0;
+    begin_session();
     greeted_ = hello.protocol_version == kProtocolVersion;
     Welcome welcome{};
     welcome.nonce = hello.nonce;
@@ -252,6 +256,8 @@ void Firmware::on_set_setting(const SetSetting& set_setting) {
         // Store only changes: writing wears the memory out. After damage, any value stores all.
         const bool changed = before.at(set_setting.id) != settings_.at(set_setting.id);
         if (changed || settings_memory_ != SettingsMemory::kStored) settings_changed_ = true;
+        // Another host may have changed it. Whoever commands must first read the new digest in a `Welcome`.
+        if (changed) begin_session();
         tell_setting(set_setting.id);
     }
 }

@@ -91,6 +91,7 @@ private:
     void handle(const HostMessage& message);
     void on_hello(const Hello& hello);
     void on_setpoint(const Setpoint& setpoint);
+    void begin_session();
     void on_set_setting(const SetSetting& set_setting);
     // False if there is no reason.
     bool why_refused(const Setpoint& setpoint, RefusalReason* reason) const;
