@@ -337,9 +337,7 @@ def relief_steps(bench: Bench, *cv_kPa: float, steps: int) -> int:
 @pytest.mark.parametrize(
     "readings", [(31.0,), (31.0, 29.0), (31.0, 32.0, 33.0, 31.0, 29.9), (31.0, math.nan)]
 )
-def test_the_venturi_helps_for_a_second_in_total(
-    bench: Bench, readings: tuple[float, ...]
-) -> None:
+def test_the_venturi_helps_for_a_second_in_total(bench: Bench, readings: tuple[float, ...]) -> None:
     """A noisy sensor at the limit would empty the reservoir and collapse the vine."""
     assert relief_steps(bench, *readings, steps=25_000) == 1000
     assert relief_steps(bench, 29.0, steps=50) == 0
