@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from firmware_link.protocol import PROTOCOL_VERSION, Codec, Fault, Hello, SetSetting
+from firmware_link.protocol import PROTOCOL_VERSION, Codec, Fault, Hello, HostMessage, SetSetting
 from flying_vines.config import config
 from flying_vines.core.core import Core
 from flying_vines.core.events import Action, Asked, KeepBoardSettings, KeepLatched, LinkChanged, StoredState
@@ -188,7 +188,7 @@ def test_settings_that_change_again_are_shown_again() -> None:
     assert BOARD_SETTINGS in flight.core.snapshot(now).safe_state
 
 
-ANOTHER_HOST = {
+ANOTHER_HOST: dict[str, tuple[HostMessage, ...]] = {
     "before": (Hello(PROTOCOL_VERSION, 99), SetSetting(6, 206.84)),
     "after": (SetSetting(6, 206.84), Hello(PROTOCOL_VERSION, 99)),
     "never": (SetSetting(6, 206.84),),
