@@ -477,6 +477,8 @@ class Codec:
         self._frames = FrameDecoder()
         self._sequence_out = 0
         self._sequence_in: int | None = None
+        self._nonce: int | None = None
+        """Of our last `Hello`. Only the answer to it has our session."""
         self._session = 0
         self._setpoints = 0
         """The setpoints that were sent in this session."""
@@ -500,8 +502,10 @@ class Codec:
     def encode(self, message: Message) -> bytes:
         """A complete frame with the next sequence number. Raises MalformedMessageError like `pack`.
 
-        A setpoint gets the session of the latest `Welcome` and the next count.
+        A setpoint gets the session of the latest `Welcome` to our `Hello`, and the next count.
         """
+        if isinstance(message, Hello):
+            self._nonce = message.nonce
         if isinstance(message, Setpoint):
             self._setpoints += 1
             message = replace(message, session=self._session, count=self._setpoints)
@@ -520,7 +524,12 @@ class Codec:
             except ProtocolError:
                 self.unknown_messages += 1
                 continue
-            if isinstance(message, Welcome):
+            # Others on the line get a `Welcome`, too, and a line may repeat ours: the count must not restart.
+            if (
+                isinstance(message, Welcome)
+                and message.nonce == self._nonce
+                and message.session != self._session
+            ):
                 self._session, self._setpoints = message.session, 0
             messages.append(message)
         return messages

@@ -12,7 +12,7 @@ import pytest
 from firmware_link import protocol
 from firmware_link.protocol import Mode, Setpoint, Telemetry, Vent
 from flying_vines.config import config
-from flying_vines.core.events import Action, Asked, ToFirmware, ToVehicle
+from flying_vines.core.events import Action, Asked, LinkChanged, ToFirmware, ToVehicle
 from flying_vines.gateway.gateway import Gateway
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.terminal.screen import event_line
@@ -276,3 +276,25 @@ def test_a_restart_has_no_text_about_the_switch() -> None:
     flight.phlosar.reset_firmware()
     run_for(flight, 0.3)
     assert flight.core.snapshot(flight.world.now).switch_position == 2
+
+
+def test_a_repeated_welcome_does_not_disturb_a_bend() -> None:
+    flight = airborne()
+    encoder, decoder = protocol.Codec(), protocol.Codec()
+    told: list[protocol.Welcome] = []
+    again: list[bytes] = []
+
+    def line(data: bytes) -> bytes:
+        told.extend(m for m in decoder.decode(data) if isinstance(m, protocol.Welcome))
+        return data + (again.pop() if again else b"")
+
+    flight.world.from_phlosar = line
+    for opened in (False, True):
+        flight.feed(LinkChanged(flight.world.now, "firmware", opened))
+        run_for(flight, 2.0)
+    flight.autopilot.set_rc(9, HIGH)
+    run_for(flight, 2.0)
+    assert flight.phlosar.cv_kPa > 19.0
+    again.append(encoder.encode(told[-1]))
+    assert texts_of(run_for(flight, 2.0)) == []
+    assert flight.phlosar.cv_kPa > 19.0

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from firmware_link.protocol import Fault
+from firmware_link.protocol import PROTOCOL_VERSION, Codec, Fault, Hello, HostMessage, SetSetting
 from flying_vines.config import config
 from flying_vines.core.core import Core
 from flying_vines.core.events import Action, Asked, KeepBoardSettings, KeepLatched, LinkChanged, StoredState
@@ -186,3 +186,29 @@ def test_settings_that_change_again_are_shown_again() -> None:
     now = flight.world.now
     assert remembered(flight.feed(Asked(now, "page", ClearLatchedFaults(), now, seen_at))) == []
     assert BOARD_SETTINGS in flight.core.snapshot(now).safe_state
+
+
+ANOTHER_HOST: dict[str, tuple[HostMessage, ...]] = {
+    "before": (Hello(PROTOCOL_VERSION, 99), SetSetting(6, 206.84)),
+    "after": (SetSetting(6, 206.84), Hello(PROTOCOL_VERSION, 99)),
+    "never": (SetSetting(6, 206.84),),
+}
+
+
+@pytest.mark.parametrize("greets", ANOTHER_HOST)
+def test_settings_that_another_host_changes_in_flight_bend_nothing(greets: str) -> None:
+    """Without this the vine would get twice the pressure that the service shows."""
+    board = Firmware({"cv_span_kPa": 413.0})
+    flight = started(board, None)
+    run_for(flight, 4.0)
+    assert bends(flight)
+    other = Codec()
+    for message in ANOTHER_HOST[greets]:
+        board.receive(other.encode(message))
+    run_for(flight, 1.0)
+    assert not bends(flight)
+    assert flight.phlosar.cv_kPa < 1.0
+    assert BOARD_SETTINGS in flight.core.snapshot(flight.world.now).safe_state
+    clear_by_ground_station(flight)
+    run_for(flight, 1.0)
+    assert bends(flight)

@@ -237,6 +237,9 @@ def settings() -> World:
     # The minimum limits were below the reservoir's pressure.
     world.is_in(Mode.FAULT, Fault.RESERVOIR_OVERPRESSURE)
     world.clear()
+    # The session ended with the first changed setting.
+    world.say(Setpoint(12.0, 200.0, 250, 8))
+    world.greet()
     world.hold(12.0, 200)
     world.say(SetSetting(0, 25.0), then_ms=1)
     world.is_in(Mode.REGULATE)
@@ -454,6 +457,7 @@ def telemetry_at_1000_hz() -> World:
     world = World("telemetry at 1000 Hz")
     world.greet()
     world.say(SetSetting(IDS["telemetry_Hz"], 1000.0))
+    world.greet()
     world.hold(14.0, 260)
     world.hold(4.0, 200)
     # Far more requests than the queue of answers holds.
@@ -469,6 +473,7 @@ def busy_line() -> World:
     world = World("a busy line")
     world.greet()
     world.say(SetSetting(IDS["telemetry_Hz"], 1000.0), then_ms=20)
+    world.greet()
     for number in range(1, 260):
         world.say(Setpoint(12.0 + number % 2, 200.0, 250, number), then_ms=1)
     world.is_in(Mode.REGULATE)
@@ -571,6 +576,8 @@ def random_mess() -> World:
         if chance.random() < 0.01:
             row = list(setting_rows().values())[chance.randrange(len(IDS))]
             messages += [Vent(number), SetSetting(row.number, chance.uniform(row.min, row.max))]
+            if chance.random() < 0.5:
+                messages.append(Hello(PROTOCOL_VERSION, ms))
         if chance.random() < 0.01:
             messages.append(chance.choice((Hello(PROTOCOL_VERSION, ms), Ping(ms), GetSetting(ms % 20))))
         world.hear(board.take_output())

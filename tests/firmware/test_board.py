@@ -237,6 +237,7 @@ def test_the_largest_duty_cycle_is_not_taken_for_none(teensy: Teensy) -> None:
     teensy.greet()
     teensy.say(SetSetting(11, 1.0))
     teensy.run(300)
+    teensy.greet()
     for number in range(5):
         teensy.say(Setpoint(20.0, 500.0, 300, 1 + number))
         teensy.run(100)

@@ -232,6 +232,10 @@ def test_the_codec_pairs_up(sent: list[Message]) -> None:
     assert receiver.good_frames == len(sent)
 
 
+def welcome(nonce: int, session: int) -> Welcome:
+    return Welcome(PROTOCOL_VERSION, nonce, 6, "x", 1, 30.0, 28.0, 760.0, 200.0, 300, 100, session)
+
+
 def test_the_codec_counts_the_setpoints_of_each_session() -> None:
     codec, board = Codec(), Codec()
 
@@ -241,11 +245,28 @@ def test_the_codec_counts_the_setpoints_of_each_session() -> None:
         return setpoint.session, setpoint.count
 
     assert [sent(), sent()] == [(0, 1), (0, 2)]
+    codec.encode(Hello(PROTOCOL_VERSION, 5))
     for session in (77, 4_000_000_000):
-        limits = (30.0, 28.0, 760.0, 200.0, 300, 100)
-        codec.decode(board.encode(Welcome(PROTOCOL_VERSION, 5, 6, "x", 1, *limits, session)))
+        codec.decode(board.encode(welcome(5, session)))
         codec.restart()
         assert [sent() for _ in range(300)] == [(session, count) for count in range(1, 301)]
+
+
+def test_no_other_welcome_changes_the_session_of_a_codec() -> None:
+    """A line repeats our `Welcome`, or another host gets one."""
+    host, board = Codec(), Codec()
+    host.encode(Hello(PROTOCOL_VERSION, 5))
+    host.decode(board.encode(welcome(5, 77)))
+    counts = []
+    for other in (welcome(5, 77), welcome(5, 77), welcome(6, 78)):
+        (told,) = board.decode(host.encode(Setpoint(1.0, 2.0, 250, 1)))
+        assert isinstance(told, Setpoint)
+        assert told.session == 77
+        counts.append(told.count)
+        assert host.decode(board.encode(other)) == [other]
+    (told,) = board.decode(host.encode(Setpoint(1.0, 2.0, 250, 1)))
+    assert isinstance(told, Setpoint)
+    assert (told.session, [*counts, told.count]) == (77, [1, 2, 3, 4])
 
 
 def test_the_codec_counts_what_it_missed_across_the_wrap() -> None:

@@ -63,10 +63,13 @@ Drive Firmware::control(uint32_t now_us, const Pressures& pressures) {
 }
 
 // Above the limit the Venturi runs: a valve that is stuck open may let in more air than the outlet lets out.
-// The steps add up until the fault is cleared: a noisy sensor must not start the count anew.
+// The steps add up, and clearing the fault does not start the count anew: a routine request clears it too.
 Real Firmware::relief() {
     if ((latched_ & kCvOverpressure) == 0) {
-        relief_steps_ = 0;
+        if (++regained_steps_ >= kReliefRegain) {
+            regained_steps_ = 0;
+            if (relief_steps_ > 0) --relief_steps_;
+        }
     } else if (above_limit_ && relief_steps_ < kMostRelief && reservoir_kPa_ >= kVenturiLeastSupply_kPa) {
         ++relief_steps_;
         return Real(1);
@@ -160,6 +163,7 @@ void Firmware::on_hello(const Hello& hello) {
     counting_ = false;
     // Setpoints of an earlier session are refused, also if a line repeats them behind their `Hello`.
     session_ = boot_id_ * 0x9E3779B1u + ++greetings_;
+    settings_told_ = true;
     setpoint_count_ = 0;
     greeted_ = hello.protocol_version == kProtocolVersion;
     Welcome welcome{};
@@ -252,6 +256,8 @@ void Firmware::on_set_setting(const SetSetting& set_setting) {
         // Store only changes: writing wears the memory out. After damage, any value stores all.
         const bool changed = before.at(set_setting.id) != settings_.at(set_setting.id);
         if (changed || settings_memory_ != SettingsMemory::kStored) settings_changed_ = true;
+        // Another host may have changed it. Whoever commands must first read the new digest in a `Welcome`.
+        if (changed) settings_told_ = false;
         tell_setting(set_setting.id);
     }
 }

@@ -64,9 +64,11 @@ public:
     uint32_t time_ms() const { return time_ms_; }
 
 private:
-    // Maximum steps of relief by the Venturi until the over-pressure is cleared. With a wrong sensor, more would
-    // empty the reservoir and collapse the vine.
+    // Maximum steps of relief by the Venturi. With a wrong sensor, more would empty the reservoir and collapse the
+    // vine.
     static constexpr uint16_t kMostRelief = 1000;
+    // One step of relief is regained in so many steps without a latched over-pressure: all in a minute.
+    static constexpr uint16_t kReliefRegain = 60;
 
     // A condition that counts if three of the last sixteen readings show it. One wrong reading does not end a
     // flight, and a contact that flickers does not hide its fault behind good readings.
@@ -99,7 +101,7 @@ private:
     void tell_telemetry(const Drive& told);
     void follow_clock(uint32_t now_us);
     Real relief();
-    bool of_this_session(const Setpoint& setpoint) const { return greeted_ && setpoint.session == session_; }
+    bool of_this_session(const Setpoint& setpoint) const { return greeted_ && settings_told_ && setpoint.session == session_; }
     bool repeated(const Setpoint& setpoint);
     void accept(uint16_t number);
     // True if a newer command was accepted before: the line may reorder frames.
@@ -130,6 +132,8 @@ private:
     bool greeted_ = false;
     uint32_t greetings_ = 0;
     uint32_t session_ = 0;
+    // No setting has changed since the last `Welcome`.
+    bool settings_told_ = false;
     // Of the newest setpoint since the handshake.
     uint32_t setpoint_count_ = 0;
     bool regulating_ = false;
@@ -154,8 +158,9 @@ private:
     Frequent high_reservoir_;
     // The last reading of the vine is valid and above the limit.
     bool above_limit_ = false;
-    // Steps of relief since the over-pressure latched.
+    // Steps of relief that are not yet regained.
     uint16_t relief_steps_ = 0;
+    uint16_t regained_steps_ = 0;
 
     uint32_t now_us_ = 0;
     uint32_t telemetry_us_ = 0;
