@@ -68,11 +68,11 @@ class VehicleWatch:
 
     def _bytes(self, data: bytes) -> None:
         self._received += len(data)
-        self._take(self._codec.decode(data))
+        self._take(self._codec.decode(data, self.t))
 
     def _stranger(self, data: bytes, enter: Callable[[], None]) -> None:
         self._received += len(data)
-        messages, proven = self._codec.decode_stranger(data)
+        messages, proven = self._codec.decode_stranger(data, self.t)
         if proven:
             enter()
         self._take(messages)

@@ -265,7 +265,7 @@ class Service:
     def _vehicle_bytes(self, data: bytes) -> None:
         now = self.now
         try:
-            for message in self._mavlink.decode(data):
+            for message in self._mavlink.decode(data, now):
                 self._feed(VehicleMessage(now, message))
         except Exception as error:  # `_contained` would take a tenth of this function's time
             self.failed("vehicle bytes", error, needed=True)
@@ -273,7 +273,7 @@ class Service:
     def _vehicle_stranger(self, data: bytes, enter: Callable[[], None]) -> None:
         now = self.now
         with self._contained("vehicle bytes", needed=True):
-            messages, proven = self._mavlink.decode_stranger(data)
+            messages, proven = self._mavlink.decode_stranger(data, now)
             if proven:
                 enter()
             for message in messages:

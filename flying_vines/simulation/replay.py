@@ -82,7 +82,7 @@ def replay(
             if ahead_s > 0.0:
                 sleep(ahead_s)
         yield from live(world.advance(t))
-        for message in codec.decode(frame):
+        for message in codec.decode(frame, t):
             # A ground station's recording contains our own messages: the core must not receive them.
             if message.get_srcComponent() == config.vehicle.component_id:
                 continue

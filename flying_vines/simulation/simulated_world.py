@@ -138,7 +138,7 @@ class SimulatedFlight:
         actions = list(core_actions)
         for link, frame in self.autopilot.advance(t):
             if link == COMPANION:
-                for message in self._codec.decode(self.from_autopilot(frame)):
+                for message in self._codec.decode(self.from_autopilot(frame), t):
                     actions.extend(self.world.feed(VehicleMessage(t, message)))
         self._send(t, actions)
         return actions

@@ -156,6 +156,23 @@ def test_the_same_text_sent_again_is_no_copy() -> None:
     assert codec.repeated_frames == 0
 
 
+VENT = mavlink.MAVLink_command_long_message(1, 191, 31013, 0, 0, 0, 0, 0, 0, 0, 0)
+
+
+def test_a_script_that_runs_again_is_heard_again() -> None:
+    # Each run of a script counts from 0, so that all of its frames equal those of the last run.
+    codec = MavlinkCodec(1, 191)
+    for run in range(3):
+        script = Sender(255, 0)
+        request = script.frame(mavlink.MAVLink_param_request_list_message(1, 191))
+        assert len(codec.decode(request + script.frame(VENT), 2.0 * run)) == 2
+
+
+def test_a_copied_command_is_decoded_again_because_each_vent_must_act_and_be_answered() -> None:
+    codec, frame = MavlinkCodec(1, 191), Sender(255, 0).frame(VENT)
+    assert len(codec.decode(frame + frame, 1.0)) == 2
+
+
 def test_equal_frames_of_two_senders_are_no_copies() -> None:
     codec = MavlinkCodec(1, 191)
     stream = Sender(1, 1).frame(text("hello")) + Sender(2, 1).frame(text("hello"))

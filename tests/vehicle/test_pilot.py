@@ -716,9 +716,30 @@ def test_after_a_preset_the_pilot_must_move_the_switch_again() -> None:
     radio.move(2, 3.0)
     radio.lose(0.9)
     radio.restore(5.0)
-    assert radio.texts == ["Vine: switch ch9 is back where it was, move it again"]
+    assert radio.texts == [BACK_WHERE_IT_WAS]
 
 
+def test_a_quick_move_down_and_up_is_refused_and_the_text_says_which_move_bends() -> None:
+    radio = Radio()
+    radio.move(2, 3.0)
+    radio.pilot.vented("other")
+    assert radio.pilot.fresh_move == "switch down for 4 s, then up"
+    radio.move(0, 1.0)
+    radio.move(2, 3.0)
+    assert radio.texts == [BACK_WHERE_IT_WAS]
+    radio.sensors ^= 2  # the longest wait: a report of health came just before
+    radio.move(0, 4.0)
+    radio.move(2, 4.0)
+    assert len(radio.bends) == 2
+
+
+def test_with_a_receiver_that_holds_the_channel_no_position_must_be_held() -> None:
+    radio = Radio(failsafe="hold")
+    radio.move(2, 3.0)
+    assert radio.pilot.fresh_move == "switch down, then up"
+
+
+BACK_WHERE_IT_WAS = "Vine: switch ch9 is back where it was, to bend: switch down for 4 s, then up"
 HOLD_ON = "Vine: hold switch ch9 for 1.6 s to bend"
 
 

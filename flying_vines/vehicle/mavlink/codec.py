@@ -16,6 +16,13 @@ __all__ = ["MavlinkCodec", "MavlinkMessage"]
 REMEMBERED_FRAMES = 32
 """Frames stored per sender to recognise copies. Far fewer than 256, after which the sequence repeats."""
 
+COPIES_WITHIN_S = 2.0
+"""A frame with the same sequence number and content within this time is a copy. A program that was started
+again counts from 0 again, so its frames may equal those of its last run."""
+
+_COMMANDS = (mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT)
+"""`vehicle/repeats.py` recognises copies of these: each is answered, and a vent acts each time."""
+
 REMEMBERED_SENT = 128
 """Our own frames stored to recognise their echoes; they cover some seconds."""
 
@@ -30,8 +37,9 @@ class MavlinkCodec:
     """Decodes a byte stream, and encodes messages as one component of one system.
 
     A frame that arrives twice (the same sequence number and checksum from the same sender, due to routers and
-    retries) is decoded once. Our own frames that a router sends back are dropped. With `signing`, only frames
-    signed with its key are accepted, and ours are signed. Decoding raises no exception.
+    retries) is decoded once; only unsigned commands are decoded each time. Our own frames that a router sends
+    back are dropped. With `signing`, only frames signed with its key are accepted, and ours are signed.
+    Decoding raises no exception.
 
     With `read`, only messages with these ids get their fields; the others are `HeaderOnly`, which costs less.
     """
@@ -62,29 +70,33 @@ class MavlinkCodec:
         """The number of frames with a wrong checksum and of byte sequences that are not frames."""
         return self._frames.bad_frames
 
-    def decode(self, data: bytes) -> list[MavlinkMessage]:
-        """The messages that `data` completes, in order; only of known types with a correct checksum."""
-        return self._admitted(self._frames.take(data))
+    def decode(self, data: bytes, t: float = 0.0) -> list[MavlinkMessage]:
+        """The messages that `data` completes, in order; only of known types with a correct checksum.
 
-    def decode_stranger(self, data: bytes) -> tuple[list[MavlinkMessage], bool]:
+        `t`: when they arrived, to recognise copies.
+        """
+        return self._admitted(self._frames.take(data), t)
+
+    def decode_stranger(self, data: bytes, t: float = 0.0) -> tuple[list[MavlinkMessage], bool]:
         """The messages in one datagram of a new sender, and True if a signature proves an autopilot.
 
         An incomplete frame at the end is dropped, so that it does not mix with other senders' bytes.
         """
-        messages = self._admitted(Frames().take(data))
+        messages = self._admitted(Frames().take(data), t)
         proven = self._signing is not None and any(
             message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1 for message in messages
         )
         return messages, proven
 
-    def _admitted(self, frames: list[Frame]) -> list[MavlinkMessage]:
+    def _admitted(self, frames: list[Frame], t: float) -> list[MavlinkMessage]:
         messages = []
         for frame in frames:
             if frame.component == self._component_id and self._is_echo(frame):
                 self.echoes += 1
                 continue
             sender = self._senders.get((frame.system, frame.component))
-            if sender is not None and sender.is_copy(frame):
+            answered = frame.message_id in _COMMANDS and self._signing is None
+            if sender is not None and not answered and sender.is_copy(frame, t):
                 self.repeated_frames += 1
                 continue
             if self._signing is not None and not self._signing.admits(frame):
@@ -93,7 +105,7 @@ class MavlinkCodec:
                 if not frame.known:
                     continue
                 sender = self._meet(frame)
-            if lost := sender.take(frame):
+            if lost := sender.take(frame, t):
                 self.lost_frames = max(0, self.lost_frames + lost)
             if not frame.known:
                 continue
@@ -142,19 +154,23 @@ class _Sender:
     def __init__(self, sequence: int) -> None:
         self.frames = 0
         self._sequence = (sequence - 1) & 0xFF
-        self._recent: deque[tuple[int, int, int]] = deque(maxlen=REMEMBERED_FRAMES)
+        self._recent: deque[tuple[int, int, int, float]] = deque(maxlen=REMEMBERED_FRAMES)
 
-    def is_copy(self, frame: Frame) -> bool:
+    def is_copy(self, frame: Frame, t: float) -> bool:
         # If a router forwards only some frames, sequence numbers repeat soon. A frame ahead of the latest one
         # is not a copy.
         behind = (self._sequence - frame.sequence) & 0xFF
-        return behind < 128 and (frame.sequence, frame.message_id, frame.checksum) in self._recent
+        return behind < 128 and any(
+            (sequence, message_id, checksum) == (frame.sequence, frame.message_id, frame.checksum)
+            and t - at < COPIES_WITHIN_S
+            for sequence, message_id, checksum, at in self._recent
+        )
 
-    def take(self, frame: Frame) -> int:
+    def take(self, frame: Frame, t: float) -> int:
         """The number of newly lost frames; -1 if this frame was late and had been counted as lost."""
         self.frames += 1
         if frame.known:
-            self._recent.append((frame.sequence, frame.message_id, frame.checksum))
+            self._recent.append((frame.sequence, frame.message_id, frame.checksum, t))
         ahead = (frame.sequence - self._sequence) & 0xFF
         if ahead >= 256 - REMEMBERED_FRAMES:
             return -1

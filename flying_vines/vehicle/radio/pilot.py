@@ -176,7 +176,8 @@ class Pilot:
             return f"RC_OVERRIDE_TIME of {MIN_FLICK_S + OVERRIDE_SLACK_S:.1f} s or more"
         straight = [other for other in others if not self._rules.bends(other)] or others
         nearest = min(straight, key=lambda other: abs(other - position))
-        return ("switch down, then up" if nearest < position else "switch up, then down") + self._in_time
+        away, back = ("down", "up") if nearest < position else ("up", "down")
+        return f"switch {away}{self._held(position, nearest)}, then {back}{self._in_time}"
 
     def requests(self, t: float, system_id: int, autopilot: Autopilot) -> list[MavlinkMessage]:
         return self.parameters.requests(t, system_id, autopilot)
@@ -217,6 +218,13 @@ class Pilot:
     def _in_time(self) -> str:
         limited = self._vented_by == "other" and 0.0 < self._override_lasts_s < math.inf
         return f" within {math.floor(self._flick_s)} s" if limited else ""
+
+    def _held(self, position: int, straight: int) -> str:
+        """The time that the switch must be straight, so that its return to `position` bends the vine."""
+        if position not in self._positions or not self._must_wait(straight):
+            return ""
+        longest_s = self._loss_shows_within_s + HEALTH_REPORTS_APART_S + self._config.switch.debounce_s
+        return f" for {math.ceil(longest_s)} s"
 
     def _lose(self) -> None:
         self.switch.lose()
@@ -300,7 +308,7 @@ class Pilot:
         was_there = move.position in self._positions
         self._positions = {move.position}
         if was_there:
-            return [self._move_again(t, "is back where it was")]
+            return [self._notice(t, "is back where it was", self.fresh_move)]
         return self._request(t, move, by_person=True)
 
     def _why_not_the_pilots(self, t: float, move: SwitchMove) -> str:
@@ -370,6 +378,8 @@ class Pilot:
         return {"channel": self.channel, "position": move.position, "from": move.before}
 
     def _move_again(self, t: float, what: str) -> Notice:
-        fresh_move = self.fresh_move if self._vented_by else ""
+        return self._notice(t, what, self.fresh_move if self._vented_by else "")
+
+    def _notice(self, t: float, what: str, fresh_move: str) -> Notice:
         how = f"to bend: {fresh_move}" if fresh_move else "move it again"
         return Notice(t, Severity.NOTICE, f"Vine: switch ch{self.channel} {what}, {how}")
