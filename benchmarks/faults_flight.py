@@ -374,7 +374,7 @@ class MonitoredFlight:
             and self.monitor.pending_until_s < self.now_s + CONFIRMED_S + 0.1
             and self.phlosar.cv_kPa < RESTING_KPA
             and self.phlosar.reservoir_kPa > enough_kPa
-            and self.autopilot.height_m > self.config.interlocks.min_altitude_m + 1.0
+            and self.autopilot.height_m > self.config.interlocks.min_altitude_m + 4.0
         )
 
     def _switch_asks(self, position: int, *, certain: bool, what: str | None = None) -> None:

@@ -738,6 +738,7 @@ class Core:
         else:
             if moved:
                 self._pending_bend.stopped(change.reason)
+            if not deflates:
                 self._vehicle.pilot.vented("safety")
             self._stop_moving(t)
         if change.name == "autopilot" and not self._vehicle.state.heartbeat_missing:

@@ -33,7 +33,7 @@ from flying_vines.simulation.simulated_world import Wire, perfect
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mission.storage import AutopilotKind as AutopilotKind
 
-from .watched import Watched
+from .watched import RESTED_S, Watched
 
 Act = Callable[[Watched], None]
 During = Callable[[Watched, float], None]
@@ -56,7 +56,7 @@ class Injection:
     kind: AutopilotKind = "ardupilot"
     rc: bool = True
     reservoir_kPa: float = 690.0
-    rested_s: float = 3.2
+    rested_s: float = RESTED_S
     """Time in the air before the bend, for checks that compare a leak with the pressure at rest."""
     tables: Mapping[str, object] = field(default_factory=dict)
 
@@ -253,7 +253,7 @@ def hardware(
     phase: Literal["inflating", "held", "vented"] = "inflating",
     lasts_s: float = 3.0,
     during: During = Watched.run,
-    rested_s: float = 3.2,
+    rested_s: float = RESTED_S,
     repair: Act | None = None,
 ) -> Injection:
     """An injection of a mishap, and its repair."""

@@ -55,6 +55,9 @@ def test_a_fault_in_flight(name: str) -> None:
         assert_safe_in_time(row, box, began_s)
     if row.cleared is Cleared.PERSON:
         assert_latched_until_a_person_clears_it(flight)
+    else:
+        flight.straighten()
+        flight.run(1.0)
     flight.forget()
     flight.bend_half()
     flight.run(1.0)
@@ -96,9 +99,11 @@ def assert_safe_in_time(row: Row, box: BlackBox, began_s: float) -> None:
 def assert_latched_until_a_person_clears_it(flight: Watched) -> None:
     unsafe_s = flight.box.unsafe_s
     flight.forget()
-    flight.bend_half()
+    flight.ask_by_command(4)
     flight.run(0.5)
     assert [decision.safety for decision in flight.decisions] == ["refused"], flight.describe()
+    flight.bend_half()
+    flight.run(0.5)
     flight.straighten()
     flight.run(0.5)
     assert flight.box.unsafe_s == unsafe_s

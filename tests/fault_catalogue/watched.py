@@ -22,6 +22,8 @@ from .black_box import STEP_S, BlackBox
 SWITCH = 9
 LOW, MIDDLE, HIGH = 1000, 1500, 2000
 CRUISE_M = 10.0
+RESTED_S = 4.4
+"""Time after the take-off until the vine may surely bend."""
 HALF_BENT_KPA = 11.35
 
 
@@ -58,7 +60,7 @@ class Watched:
         tables: Mapping[str, object] | None = None,
         rc: bool = True,
         reservoir_kPa: float = 690.0,
-        rested_s: float = 3.2,
+        rested_s: float = RESTED_S,
     ) -> None:
         conf = msgspec.structs.replace(config.default(), **(tables or {}))
         self._has_rc = rc
@@ -108,7 +110,11 @@ class Watched:
     def _ask(self, pulse_us: int, button: int) -> None:
         if self._has_rc:
             self.autopilot.set_rc(SWITCH, pulse_us)
-            return
+        else:
+            self.ask_by_command(button)
+
+    def ask_by_command(self, button: int) -> None:
+        """A ground station sends USER_1."""
         command = mavlink.MAVLink_command_long_message(1, 191, mavlink.MAV_CMD_USER_1, 0, button, *[0.0] * 6)
         for message in self._companion.decode(self._ground.encode(command, 255)):
             self.feed(VehicleMessage(self.now_s, message))
