@@ -206,9 +206,9 @@ SCRIPT = (
             Expectation("above 4 m", 5.0, lambda w, _: bool(w.snapshot and w.snapshot.altitude_m > 4.0)),
         ),
     ),
-    DemoStep(5.5, "Switch to the middle", _switch(MIDDLE), (_switched(1), _bends_to(30.0))),
-    DemoStep(7.0, "Switch up", _switch(HIGH), (_switched(2), _bends_to(60.0))),
-    DemoStep(8.5, "Switch down", _switch(LOW), (_switched(0), _vented(2.0))),
+    DemoStep(7.0, "Switch to the middle", _switch(MIDDLE), (_switched(1), _bends_to(30.0))),
+    DemoStep(8.3, "Switch up", _switch(HIGH), (_switched(2), _bends_to(60.0))),
+    DemoStep(9.5, "Switch down", _switch(LOW), (_switched(0), _vented(2.0))),
     DemoStep(
         10.5,
         "Fly the mission: item 3 bends to 40°",
@@ -228,23 +228,29 @@ SCRIPT = (
         16.5,
         "RC returns",
         lambda w: w.autopilot.return_rc(),
-        (_pilot_reads("RC is back", 1.0), _pilot_reads("move it again", 2.5), _stays_vented(2.9)),
+        (
+            _pilot_reads("RC is back", 1.0),
+            _pilot_reads("to bend: switch down, then up", 2.5),
+            _stays_vented(2.4),
+        ),
     ),
-    DemoStep(19.5, "A new move of the switch", _switch(MIDDLE), (_switched(1), _bends_to(30.0))),
+    DemoStep(19.0, "The pilot moves the switch down", _switch(LOW), (_switched(0),)),
+    DemoStep(20.0, "... and to the middle", _switch(MIDDLE), (_switched(1), _bends_to(30.0))),
     DemoStep(
-        21.0,
+        21.5,
         "The bottle gets a hole",
         _open_leak,
         (_lost("bottle_loss", 2.0), _vented(2.5), _pilot_reads("bottle loses", 2.0)),
     ),
-    DemoStep(
-        24.5,
-        "Switch up with an empty bottle",
-        _switch(HIGH),
-        (_switched(2, "refused", "bottle loses"), _pilot_reads("refused bend-full", 1.0), _stays_vented(3.0)),
-    ),
+    DemoStep(24.0, "Switch down", _switch(LOW), (_switched(0),)),
     DemoStep(
         25.0,
+        "Switch up with an empty reservoir",
+        _switch(HIGH),
+        (_switched(2, "refused", "bottle"), _pilot_reads("refused bend-full", 1.0), _stays_vented(3.0)),
+    ),
+    DemoStep(
+        25.8,
         "Land",
         lambda w: w.autopilot.land(),
         (
@@ -259,7 +265,7 @@ SCRIPT = (
     ),
 )
 
-EXPECTED_TRIGGERS = {"switch": 5, "mission_item": 1, "command": 0}
+EXPECTED_TRIGGERS = {"switch": 7, "mission_item": 1, "command": 0}
 """Number of triggers by kind. The switch move during RC loss is not a trigger."""
 
 
