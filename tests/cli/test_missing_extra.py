@@ -14,7 +14,7 @@ import pytest
     [
         ("numpy", "design --out out"),
         ("matplotlib", "design --out out"),
-        ("numpy", "vine"),
+        ("numpy", "vine fit p.csv"),
         ("scipy.optimize", "vine fit p.csv"),
         ("numpy", "simulate --rig r.toml --scenario case --out out"),
         ("matplotlib", "simulate --rig r.toml --scenario case --out out"),

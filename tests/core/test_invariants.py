@@ -238,7 +238,7 @@ class OpensAtPowerUp(Firmware):
 def airborne(flight: MonitoredFlight) -> None:
     flight.run(1.5)
     flight.take_off()
-    flight.run(4.0)
+    flight.run(5.2)
 
 
 def bent(flight: MonitoredFlight) -> None:

@@ -132,6 +132,7 @@ async def test_a_flight_continues_when_files_fail_or_a_second_service_starts(ser
     assert _count(served, "the flight log ends here") == 2
     (log,) = (served.folder / "flights").glob("*/flight.mcap")
 
+    shutil.rmtree(served.folder / "state", ignore_errors=True)
     (served.folder / "state").write_text("a file where the folder should be")
     served.set_parameter("VINE_RATE_HZ", 3.0)
     await served.until_text(ROWS["disk_read_only"].pilot_text)

@@ -43,7 +43,6 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "mission.waypoints": ("mission", "check", "FILE", "--autopilot", "px4"),
     "mission.toml": ("mission", "check", "FILE", "--autopilot", "px4"),
     "pairs.csv": ("vine", "fit", "FILE"),
-    "vine.toml": ("vine", "--vine", "FILE"),
     "robot.toml": ("design", "--robot", "FILE"),
     "cause.py": ("config", "check", "good.toml", "--cause", "FILE"),
 }

@@ -21,7 +21,9 @@ pytestmark = pytest.mark.long
 
 WORSE = {
     "no dead-man": Mistake("firmware.cpp", "now_us - commanded_us_ >= holds_us_", "false"),
-    "no handshake": Mistake("firmware.h", "return greeted_ && settings_told_ && setpoint.session == session_", "return true"),
+    "no handshake": Mistake(
+        "firmware.h", "return greeted_ && settings_told_ && setpoint.session == session_", "return true"
+    ),
     "a session that is as good as another": Mistake("firmware.h", " && setpoint.session == session_", ""),
     "a repeat that holds the dead-man off": Mistake(
         "firmware.cpp", "if (setpoint.count <= setpoint_count_) return true;", ""
