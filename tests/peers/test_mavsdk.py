@@ -42,7 +42,7 @@ if not os.environ.get("CI"):
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
 KINDS = pytest.mark.parametrize("kind", ["ardupilot", "px4"])
-SPEED = 8.0
+SPEED = 4.0
 COMPANION = 191
 BEND_TO = 31011
 

@@ -218,7 +218,8 @@ async def test_a_link_that_is_cut_is_seen_and_comes_back(browser: Browser, tmp_p
         await page.wait_for_selector(LIVE)
         await until_shown(page, "#events", "page → vent: accepted")
 
-        # Space always vents, whatever has the focus, and presses no button. An equal line within 5 s is counted.
+        # Space always vents, whatever has the focus, and presses no button. An equal line is only counted for
+        # some seconds.
         await asyncio.sleep(FIRST_PERIOD_S + 0.5)
         await page.focus("#bench-mode")
         await page.keyboard.press("Space")
