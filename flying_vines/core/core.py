@@ -585,10 +585,16 @@ class Core:
         if trigger.kind != "link":
             by = f"{trigger.intent} by {source(trigger.kind, trigger.what)}"
             self._pending_bend.withdrawn(by, moved)
-        elif moved:
-            self._pending_bend.stopped(str(trigger.what["event"]))
-            self._vehicle.pilot.vented("safety")
+        else:
+            self._note_unrequested_vent(str(trigger.what["event"]))
         self._stop_moving(t)
+
+    def _note_unrequested_vent(self, why: str) -> None:
+        """If a motion runs: it is about to be vented, and nobody asked for that. Its bend stays requested."""
+        if self._motion is not None:
+            self._pending_bend.stopped(why)
+            if not self._motion.only_deflates:
+                self._vehicle.pilot.vented("safety")
 
     def _note_cut_off(self, t: float) -> None:
         """If the present motion still runs: tell the reservoir estimate that it ends early."""
@@ -609,9 +615,7 @@ class Core:
     def _leave_bench(self, t: float, why: str) -> None:
         if self._on_bench:
             self._bench_until = -math.inf
-            if self._motion is not None:
-                self._pending_bend.stopped(f"bench mode is over: {why}")
-                self._vehicle.pilot.vented("safety")
+            self._note_unrequested_vent(f"bench mode is over: {why}")
             self._stop_moving(t)
             self._notice(t, Severity.NOTICE, f"bench mode over, {why}: vented")
 
@@ -736,10 +740,7 @@ class Core:
         if hold:
             self._freeze(t)
         else:
-            if moved:
-                self._pending_bend.stopped(change.reason)
-            if not deflates:
-                self._vehicle.pilot.vented("safety")
+            self._note_unrequested_vent(change.reason)
             self._stop_moving(t)
         if change.name == "autopilot" and not self._vehicle.state.heartbeat_missing:
             self._vehicle.forget_radio()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import binascii
 import dataclasses
 import errno
 import json
@@ -37,6 +38,7 @@ from flying_vines.core.events import (
     Stop,
     StoredState,
     Tick,
+    ToVehicle,
     VehicleMessage,
 )
 from flying_vines.gateway.page.flights import listed
@@ -48,6 +50,7 @@ from flying_vines.record.restore import event_of, start_of
 from flying_vines.record.schema import Schema
 from flying_vines.record.topics import TOPICS, encoded, entry_of_event
 from flying_vines.simulation.replay import replay_flight
+from flying_vines.vehicle.component.identity import ProtocolVersion
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mavlink.tlog import TlogReader
 from flying_vines.vehicle.notice import Notice, Severity
@@ -189,6 +192,20 @@ def test_mavlink_goes_into_a_tlog_as_well(flown: Path) -> None:
     kinds = [entry.fields["name"] for entry in log]
     assert [received.recv_match().get_type() for _ in kinds] == kinds
     received.close()
+
+
+def test_a_message_that_the_dialect_lacks_is_kept(tmp_path: Path) -> None:
+    ours = ProtocolVersion()
+    raw = ours.pack(mavlink.MAVLink(None, srcSystem=1, srcComponent=191))
+    recorder = Recorder(tmp_path, BEGAN, t=0.0)
+    recorder.event(Tick(0.0))
+    recorder.action(ToVehicle(ours, 1))
+    recorder.close()
+    assert not recorder.failed
+    _, _, entry = FlightLog(recorder.folder).entries()
+    assert entry.fields["name"] == "UNKNOWN_300"
+    assert binascii.a2b_base64(entry.fields["frame"]) == raw
+    assert [frame for _, frame in TlogReader(recorder.folder / "flight.tlog").frames()] == [raw]
 
 
 def test_a_write_error_ends_only_the_log(tmp_path: Path) -> None:

@@ -48,7 +48,7 @@ class Parameters:
     """The parameter set of one configuration.
 
     `config` is the configuration with the present values. `values` are the values that differ from `base`;
-    they are saved in a file. `refused` reports changes that a stranger may not make.
+    they are saved in a file.
     """
 
     MESSAGES = frozenset(
