@@ -1,7 +1,9 @@
 """The autopilot's clock, and the age of a message at its arrival.
 
 After a stall of the link or of our process, all delayed messages arrive at once. A text or a command has no
-time stamp, so its age follows from the `time_boot_ms` of the messages around it.
+time stamp, so its age follows from the `time_boot_ms` of the messages around it. The clock of a simulated
+autopilot may be a tenth slow. Then that alone looks like a growing delay, and our TIMESYNC requests tell the
+two apart.
 """
 
 from __future__ import annotations
@@ -26,8 +28,8 @@ BACKLOG_S = 2.0
 
 CLOCK_PERIOD_S = 2**32 / 1000
 MAX_DRIFT = 0.03
-"""If the offset of the two clocks changes faster than this, the link delays messages. A simulated PX4 on a
-busy computer was 1.4 % slow."""
+"""If the offset of the two clocks changes faster than this, and no answer to a request proves the contrary,
+the link delays messages."""
 MAX_DRIFT_STEP_S = 1.0
 """Drift is counted for at most this time between two stamps."""
 
@@ -77,6 +79,7 @@ class AutopilotClock:
         self._newest_s = -math.inf
         self._stamped_at = -math.inf
         self._delay_s = self._silence_s = 0.0
+        self._sent_after = -math.inf
         self._lost = False
         self._open: deque[Mark] = deque(maxlen=MAX_MARKS)
 
@@ -95,6 +98,12 @@ class AutopilotClock:
             self._silence_s += t - self._received_at
             self._silence_over_at = t
         self._received_at = t
+
+    def answered(self, requested_at: float) -> None:
+        """The autopilot answered a request of ours. The link keeps the order, so all later messages were sent
+        after `requested_at`.
+        """
+        self._sent_after = max(self._sent_after, requested_at)
 
     def stamp(self, t: float, time_boot_ms: int, is_measured: bool = False) -> bool:
         """Take in a message with `time_boot_ms`. Returns True if the autopilot rebooted.
@@ -120,6 +129,8 @@ class AutopilotClock:
         if rebooted:
             self.forget()
             known, self._known_since = offset_s, t
+        if not is_measured:
+            known = max(known, self._sent_after - boot_s)
         self._offset_s = min(known, offset_s)
         self._stamped_at = t
         if boot_s > self._newest_s:

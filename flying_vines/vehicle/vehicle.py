@@ -10,6 +10,7 @@ from flying_vines.vehicle.clock import Mark
 from flying_vines.vehicle.commands import CommandReceiver
 from flying_vines.vehicle.component import Component
 from flying_vines.vehicle.component.parameters import Changed
+from flying_vines.vehicle.component.timesync import TimesyncRequests
 from flying_vines.vehicle.mavlink import handled_messages as handled
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.execution import Execution
@@ -53,6 +54,7 @@ class Vehicle:
         self.pilot = Pilot(config, self._rules)
         self.own_triggers = own_triggers(config.triggers)
         self._streams = Streams(config.vehicle.rc_rate_Hz, messages_of(self.own_triggers))
+        self._timesync = TimesyncRequests()
         self._missing: list[str] = []
         self.link_closed = False
         self._mission_cache = MissionCache(mission)
@@ -101,6 +103,10 @@ class Vehicle:
             out.extend(self._on_heartbeat(t, message))
         elif from_autopilot and kind in handled.STATE and state.handle(t, message):
             out.extend(self._rebooted(t))
+        elif from_autopilot and kind == "TIMESYNC":
+            requested_at = self._timesync.answered(message)
+            if requested_at is not None:
+                state.clock.answered(requested_at)
         answers = None
         if kind == "HEARTBEAT" or kind in handled.QUESTIONS:
             answers = self.component.handle(t, message, state, vented)
@@ -160,6 +166,7 @@ class Vehicle:
             return out
         out.extend(self._command_triggers(t))
         out.extend(self._items(t))
+        out.extend(self._timesync.due(t, self.state.system_id))
         out.extend(self._streams.requests(t, self.state.system_id))
         in_any_order = self._autopilot.gives_items_in_any_order
         out.extend(self._mission_cache.requests(t, self.state.system_id, in_any_order))

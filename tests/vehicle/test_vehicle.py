@@ -209,7 +209,7 @@ def test_timesync_is_answered_to_our_autopilot_only() -> None:
     link.run(0.1, 1000)
     link.receive(mavlink.MAVLink_timesync_message(0, 77), 2)
     link.receive(mavlink.MAVLink_timesync_message(0, 99))
-    assert [m.ts1 for _, m in link.sent if m.get_type() == "TIMESYNC"] == [99]
+    assert [m.ts1 for _, m in link.sent if m.get_type() == "TIMESYNC" and m.tc1] == [99]
 
 
 EXECUTIONS = {

@@ -1,10 +1,12 @@
-"""TIMESYNC answers: only to the sender of the request, and at a limited rate.
+"""TIMESYNC: we answer the autopilot's requests at a limited rate, and send requests of our own.
 
-PX4 forwards a TIMESYNC without target fields to every link, and sends ten requests a second itself.
+Messages have target fields, because PX4 forwards those without them to every link. PX4 sends ten requests a
+second.
 """
 
 from __future__ import annotations
 
+import math
 import struct
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -13,6 +15,10 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 
 RATE_HZ = 1.0
 BURST = 4
+PERIOD_S = 1.0
+"""Of our own requests."""
+MAX_OPEN = 32
+"""Requests whose answer may still come."""
 MAX_ASKERS = 16
 """No autopilot has so many links. If there are more askers, the least recent one is forgotten."""
 
@@ -55,3 +61,25 @@ class TokenBuckets:
             del self._tokens[next(iter(self._tokens))]
         self._tokens[asker] = (left - 1.0 if granted else left, t)
         return granted
+
+
+class TimesyncRequests:
+    """Our requests. An answer proves that the messages after it are newer than the request."""
+
+    def __init__(self) -> None:
+        self._due_at = -math.inf
+        self._sent_at: dict[int, float] = {}
+
+    def due(self, t: float, system_id: int) -> list[MavlinkMessage]:
+        if t < self._due_at:
+            return []
+        self._due_at = t + PERIOD_S
+        stamp_ns = int(t * 1e9)
+        if len(self._sent_at) >= MAX_OPEN:
+            del self._sent_at[next(iter(self._sent_at))]
+        self._sent_at[stamp_ns] = t
+        return [Timesync(0, stamp_ns, system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)]
+
+    def answered(self, message: MavlinkMessage) -> float | None:
+        """When we sent the request that this TIMESYNC of the autopilot answers; None if it answers none."""
+        return self._sent_at.pop(message.ts1, None) if message.tc1 else None
