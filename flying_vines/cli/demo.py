@@ -26,6 +26,7 @@ def add(commands: Any) -> None:
 def _demo(arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
+    from flying_vines.core.instability import LATE_S
     from flying_vines.physics.plant.true_rig import load_true_rig
     from flying_vines.physics.rig import RigError
     from flying_vines.simulation.demo import fly, summary
@@ -44,4 +45,8 @@ def _demo(arguments: argparse.Namespace) -> int:
     if flight.picture:
         console.print(f"Picture  {flight.picture}", highlight=False, soft_wrap=True)
     console.print("Everything went as it should." if flight.passed else "The flight FAILED.", style="bold")
+    if not flight.passed and flight.late_s >= LATE_S:
+        console.print(
+            f"This computer was too busy: up to {flight.late_s:.1f} s late. Try again when it has less to do."
+        )
     return 0 if flight.passed else 1

@@ -42,11 +42,11 @@ from flying_vines.core.events import (
     ToVehicle,
     VehicleMessage,
 )
+from flying_vines.core.instability import Conditions, Lateness, Restarts
 from flying_vines.core.isolated_parts import IsolatedParts
 from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.pending_bend import PendingBend, PendingBendTracker, source
 from flying_vines.core.request_lines import RequestLines
-from flying_vines.core.restarts import Restarts
 from flying_vines.core.safety import BOARD_SETTINGS, LossEnded, ResponseNeeded, Ruling, Safety, SafetyInputs
 from flying_vines.core.snapshot import Snapshot
 from flying_vines.core.supply_monitor import SupplyMonitor
@@ -111,8 +111,18 @@ _RESPONSE_TEXTS = {
 }
 """For these faults the core cannot see whether the vine is vented. So the text says what is done."""
 
-_BOARD_FAULTS = ("serial", "telemetry", "firmware_fault", "refused_by_firmware", BOARD_SETTINGS)
-"""A board restart also causes these faults. So each of their texts is shown once in a series of restarts."""
+_BUSY_CAUSES = ("serial", "telemetry", "rc", "autopilot")
+"""A computer that is too busy may cause these losses itself."""
+_CONDITION_NAMES = {
+    "rc": "RC",
+    "serial": "{actuator}",
+    "telemetry": "{actuator} telemetry",
+    "firmware_reset": "{actuator}",
+    "arm_conflict": "arm state",
+}
+"""By safety's name for a loss: the name in texts. All others have the same name in both."""
+VEHICLE_LINK = "vehicle link"
+COMPUTER = "this computer"
 
 
 class Core:
@@ -138,6 +148,8 @@ class Core:
         self._rc_in_use = False
         self._firmware = fw.HostSession(repeat_s=TICK_S)
         self._firmware_was_ready = False
+        self._ready_text = ""
+        """The latest text about a handshake. After a restart of the same firmware it is only logged."""
         self._firmware_limit_kPa = math.inf
         self._firmware_problem = "not connected"
         self._safety = Safety(config, stored.latched)
@@ -164,6 +176,10 @@ class Core:
         self._motion_before: Motion | None = None
         """The motion before the latest request."""
         self._restarts = Restarts(self._actuator)
+        self._notice_conditions = Conditions()
+        self._lateness = Lateness()
+        self._busy = False
+        """The pilot was told that this computer is too busy."""
         self._restart_noted = False
         """True from a board restart until the board is ready again."""
         self._stopped = False
@@ -194,8 +210,8 @@ class Core:
                 self._vehicle.link_changed(up)
             case LinkChanged(t, "firmware", up):
                 self._on_firmware_link(t, up)
-            case Tick(t):
-                self._on_tick(t)
+            case Tick(t, late_s):
+                self._on_tick(t, late_s)
             case Asked():
                 trigger = trigger_of(event, self.config, self._vehicle.state.armed, self._on_bench)
                 self._decide(event.t, trigger)
@@ -273,7 +289,7 @@ class Core:
                     self._restart_noted = False
                     self._firmware_limit_kPa = welcome.setpoint_limit_kPa
                     ready = f"{self._actuator} ready ({welcome.firmware_build})"
-                    is_new = self._restarts.is_new_text(ready)
+                    is_new, self._ready_text = ready != self._ready_text, ready
                     self._notice(t, Severity.INFO if is_new else Severity.DEBUG, ready)
                     self._check_board_settings(t, welcome)
                 case fw.TelemetryReceived(telemetry):
@@ -325,9 +341,10 @@ class Core:
         self._firmware_problem = "restarted"
         self._board_mode.restart()
         self._board_setpoint.restart()
-        first = self._restarts.note(t)
-        why = f"{self._actuator} restarted: {reason}" if first else self._restarts.looping(t)
-        self._enter(t, self._safety.latch(t, "firmware_reset", why))
+        self._restarts.note(t)
+        why = f"{self._actuator} restarted: {reason}"
+        latched = self._safety.latch(t, "firmware_reset", self._restarts.looping(t) or why)
+        self._enter(t, replace(latched, reason=why))
 
     def _note_setpoint(self, made_at: float, telemetry: protocol.Telemetry) -> None:
         if self._motion is None or telemetry.mode is not protocol.Mode.REGULATE:
@@ -439,12 +456,12 @@ class Core:
                 self._pneumatics_armed = False
                 self._vent(t, trigger)
                 self._actions.append(KeepDisarmed(t, True))
-                return Ruling("accepted")
+                return Ruling("accepted", self._unconfirmed(t))
             case VentVine():
                 if trigger.by_person:
                     self._clear_faults(t, trigger.seen_at)
                 self._vent(t, trigger)
-                return Ruling("accepted")
+                return Ruling("accepted", self._unconfirmed(t))
             case Hold():
                 return self._hold(t, trigger)
             case StartBench() if self._vehicle.state.armed:
@@ -621,7 +638,8 @@ class Core:
 
     # Ticks and safety.
 
-    def _on_tick(self, t: float) -> None:
+    def _on_tick(self, t: float, late_s: float) -> None:
+        self._lateness.tick(t, late_s)
         self._handle_outputs(t, self._vehicle.tick(t))
         if self._vehicle.state.armed:
             self._leave_bench(t, "the vehicle is armed")
@@ -632,10 +650,11 @@ class Core:
             self._drive(t)
         self._to_firmware(self._firmware.tick(t))
         if text := self._link_loss.back(t, self._safety.reasons):
-            self._notice(t, Severity.NOTICE, text)
-        if text := self._restarts.tick(t):
-            self._notice(t, Severity.WARNING, text)
-        for counted in self._request_lines.due(t):
+            self._say_condition(t, VEHICLE_LINK, text, ended=True)
+        if bool(busy := self._lateness.problem(t)) is not self._busy:
+            self._busy = not self._busy
+            self._say_condition(t, COMPUTER, busy or f"{COMPUTER} keeps up again", ended=not busy)
+        for counted in (*self._request_lines.due(t), *self._notice_conditions.due(t)):
             self._show(counted)
         self._report_waiting(t)
         self._watch_supply(t)
@@ -733,9 +752,10 @@ class Core:
         hold = change.response == "hold" and not deflates
         moved = self._motion is not None
         response = "holding" if hold else _RESPONSE_TEXTS.get(change.name, "vented")
-        text = self._link_loss.entered(t, change.name, change.reason, response) or ""
-        is_new = self._is_new_text(t, change.name, text)
-        relevant = moved or (self._vehicle.state.armed and is_new)
+        is_restart = change.name == "serial" and self._restart_noted  # the restart has a text of its own
+        line = None if is_restart else self._loss_line(t, change, response)
+        shown = not is_restart and (line is None or self._notice_conditions.take(line, at_once=moved))
+        relevant = moved or (self._vehicle.state.armed and shown)
         self._vehicle.pilot.drop_waiting()
         if hold:
             self._freeze(t)
@@ -747,30 +767,36 @@ class Core:
         if relevant:
             trigger = Trigger(t, "failsafe", {"loss": change.name}, Hold() if hold else VentVine())
             self._record(t, trigger, Ruling("accepted", change.reason))
-        if text:
-            self._notice(t, Severity.WARNING if is_new else Severity.DEBUG, text, relevant)
+        if line is not None:
+            severity = line.severity if shown else Severity.DEBUG
+            self._show(replace(line, severity=severity, of_decision=relevant))
 
-    def _is_new_text(self, t: float, name: str, text: str) -> bool:
-        """Note a text. Returns True if the pilot should see it: each text once in a series of restarts."""
-        if name == "firmware_reset":
-            return not self._restarts.looping(t)
-        return name not in _BOARD_FAULTS or self._restarts.is_new_text(text)
+    def _loss_line(self, t: float, change: ResponseNeeded, response: str) -> Notice | None:
+        """The text about a loss or fault; None if the text about the dead link stands for it."""
+        text = self._link_loss.entered(t, change.name, change.reason, response)
+        if text is None:
+            return None
+        name = VEHICLE_LINK if self._link_loss.covers(change.name) else self._condition(change.name)
+        if change.name in _BUSY_CAUSES and (busy := self._lateness.problem(t)):
+            text = f"{text} ({busy})"
+        return Notice(t, Severity.WARNING, f"Vine: {text}", condition=name)
+
+    def _condition(self, name: str) -> str:
+        return _CONDITION_NAMES.get(name, name.replace("_", " ")).format(actuator=self._actuator)
 
     def _leave(self, t: float, change: LossEnded) -> None:
-        if not self._link_loss.left(change.name):
+        if self._link_loss.covers(change.name):
             return
-        rc_is_off = self._vehicle.rc.problem(t) is not None
-        texts = {
-            "rc": "RC is off and not in use" if rc_is_off else "RC is back",
-            "autopilot": "autopilot is back",
-            "arm_conflict": "arm state agrees again",
-            "serial": f"{self._actuator} is back",
-            "telemetry": f"{self._actuator} telemetry is back",
-            "firmware_fault": "firmware fault cleared",
-        }
-        text = texts.get(change.name, change.name)
-        is_new = self._is_new_text(t, change.name, text)
-        self._notice(t, Severity.NOTICE if is_new else Severity.DEBUG, text)
+        name = self._condition(change.name)
+        texts = {"arm_conflict": "arm state agrees again", "firmware_fault": "firmware fault cleared"}
+        text = texts.get(change.name, f"{name} is back")
+        if change.name == "rc" and self._vehicle.rc.problem(t) is not None:
+            text = "RC is off and not in use"
+        self._say_condition(t, name, text, ended=True)
+
+    def _say_condition(self, t: float, name: str, text: str, *, ended: bool) -> None:
+        severity = Severity.NOTICE if ended else Severity.WARNING
+        self._publish(Notice(t, severity, f"Vine: {text}", condition=name, ended=ended))
 
     def _watch_supply(self, t: float) -> None:
         low_reservoir_cycles = self.config.telemetry.low_reservoir_cycles
@@ -803,6 +829,28 @@ class Core:
         boot_ms = self._vehicle.state.time_boot_ms(t)
         self._transmit(self._vehicle.component.due(t, boot_ms, values, status))
 
+    def _vehicle_state(self, t: float) -> str:
+        """The vehicle, for people. Its mode and arm state are old if it is silent."""
+        state, silence_s = self._vehicle.state, self._vehicle.state.silence_s(t) or 0.0
+        if not state.found:
+            return "not found"
+        silent = silence_s > self.config.losses.autopilot_s
+        return f"{state.kind} {state.system_id}" + (f", silent for {silence_s:.0f} s" if silent else "")
+
+    def _actuator_state(self, t: float) -> str:
+        """What is known of the actuator, for people."""
+        if self._firmware.state is not fw.SessionState.READY:
+            return self._firmware_problem
+        if self._fresh_telemetry(t) is not None:
+            return "ready"
+        age_s = self._firmware.telemetry_age(t)
+        return f"silent for {max(1.0, age_s):.0f} s" if math.isfinite(age_s) else "no telemetry yet"
+
+    def _unconfirmed(self, t: float) -> str:
+        """Why nobody can know if the vine vents; empty if telemetry shows it."""
+        state = self._actuator_state(t)
+        return "" if state == "ready" else f"not confirmed: {self._actuator} {state}"
+
     def _fresh_telemetry(self, t: float) -> protocol.Telemetry | None:
         """The latest telemetry; None if it is too old to be shown."""
         fresh = self._firmware.telemetry_age(t) <= self.config.losses.telemetry_s
@@ -829,25 +877,19 @@ class Core:
     def snapshot(self, t: float) -> Snapshot:
         """The state at time `t`, for displays and logs."""
         telemetry = self._fresh_telemetry(t)
-        vehicle = (
-            f"{self._vehicle.state.kind} {self._vehicle.state.system_id}"
-            if self._vehicle.state.found
-            else "not found"
-        )
         altitude_m = self._vehicle.state.altitude_m(t)
         ambient_kPa = self._vehicle.state.ambient_kPa(t)
-        ready = self._firmware.state is fw.SessionState.READY
         return Snapshot(
             t=t,
-            vehicle=vehicle,
+            vehicle=self._vehicle_state(t),
             mode=self._vehicle.state.mode,
             armed=self._vehicle.state.armed,
             altitude_m=math.nan if altitude_m is None else altitude_m,
             rc=self._vehicle.rc.problem(t) or "good",
             switch_position=self._vehicle.switch.position,
             actuator=self._actuator,
-            firmware="ready" if ready else self._firmware_problem,
-            round_trip_s=self._firmware.round_trip_s,
+            firmware=self._actuator_state(t),
+            round_trip_s=self._firmware.round_trip_s if telemetry else None,
             telemetry_gaps=self._firmware.telemetry_gaps,
             reservoir_kPa=telemetry.reservoir_kPa if telemetry and self._supply.has_reservoir else math.nan,
             cv_kPa=telemetry.cv_kPa if telemetry else math.nan,
@@ -857,8 +899,9 @@ class Core:
             dvp_opening=telemetry.dvp_opening if telemetry else math.nan,
             solenoid=telemetry.solenoid if telemetry else None,
             cycles=self._supply.cycles_left,
-            doing=self._motion.name if self._motion else self._resting,
+            doing=self._motion.name if self._motion else self._resting(telemetry),
             safe_state=self._safety.reasons,
+            unstable=self._unstable(t),
             findings=self._supply.findings,
             ambient_kPa=math.nan if ambient_kPa is None else ambient_kPa,
             pneumatics_armed=self._pneumatics_armed,
@@ -866,9 +909,20 @@ class Core:
             waiting=self._waiting,
         )
 
-    @property
-    def _resting(self) -> str:
+    def _resting(self, telemetry: protocol.Telemetry | None) -> str:
+        """What a vine without a motion does, as far as it is known. `telemetry`: fresh, or None."""
+        if telemetry is None:
+            sent = self._firmware.state is fw.SessionState.READY
+            if not sent and not self._firmware_was_ready:
+                return "not known"
+            return "vent sent, not confirmed" if sent else "dead-man vents, not confirmed"
+        if not self._near_zero():
+            return "venting"
         return "vented" if self._pneumatics_armed else "pneumatics disarmed"
+
+    def _unstable(self, t: float) -> dict[str, str]:
+        busy = self._lateness.problem(t)
+        return {**self._notice_conditions.unstable(t), **({COMPUTER: busy} if busy else {})}
 
     # Sending.
 
@@ -887,8 +941,11 @@ class Core:
         self._publish(Notice(t, severity, f"Vine: {text}", of_decision))
 
     def _publish(self, notice: Notice) -> None:
-        if not notice.source or self._request_lines.take(notice):
+        lines = self._request_lines if notice.source else self._notice_conditions
+        if notice.severity is Severity.DEBUG or lines.take(notice):
             self._show(notice)
+        elif not notice.source:
+            self._show(replace(notice, severity=Severity.DEBUG))
 
     def _show(self, notice: Notice) -> None:
         self._actions.append(notice)

@@ -48,6 +48,8 @@ class Tick:
     """Time passed."""
 
     t: float
+    late_s: float = 0.0
+    """How much later than planned the tick came, because this computer was busy."""
 
 
 @dataclass(frozen=True, slots=True)

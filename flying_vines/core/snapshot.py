@@ -23,6 +23,7 @@ class Snapshot:
     actuator: str
     """The actuator's name: phloSAR, or the `kind` of an actuator from an installed package."""
     firmware: str
+    """What is known of the actuator: "ready", "silent for 9 s", "does not answer"."""
     round_trip_s: float | None
     """Round trip of the latest ping to the firmware."""
     telemetry_gaps: int
@@ -37,7 +38,10 @@ class Snapshot:
     solenoid: bool | None
     cycles: CyclesLeft | None
     doing: str
+    """What the vine does: the motion's name, "vented", "venting", or a vent that nothing confirms."""
     safe_state: dict[str, str] = field(default_factory=dict)
+    unstable: dict[str, str] = field(default_factory=dict)
+    """A sentence for each link that comes and goes, and for a computer that is too busy."""
     findings: dict[str, int] = field(default_factory=dict)
     """The number of findings of each physics check."""
     ambient_kPa: float = math.nan

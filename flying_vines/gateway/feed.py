@@ -6,6 +6,7 @@ import asyncio
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from operator import itemgetter
 
 from flying_vines.gateway.messages import (
     Answered,
@@ -19,8 +20,8 @@ from flying_vines.gateway.messages import (
 )
 from flying_vines.vine.intent import ACTS_WITHIN_S, Asker, CommandName
 
-STORED_EVENTS = 500
-"""Events stored for later viewers."""
+STORED_EVENTS = 250
+"""Events of each kind stored for later viewers, so that many notices do not hide the decisions."""
 MAX_UNREAD = 200
 """Maximum unread events of one reader. Above this it loses the oldest."""
 ANSWERED_WITHIN_S = ACTS_WITHIN_S + 0.2
@@ -69,11 +70,18 @@ class Feed:
     def __init__(self, start: GatewayStart, send: Callable[[FromGateway], None]) -> None:
         self.start = start
         self.latest: SnapshotMessage | None = None
-        self.happened: deque[Happened] = deque(maxlen=STORED_EVENTS)
+        self._happened: dict[str, deque[tuple[int, Happened]]] = {}
+        self._events = 0
         self._send = send
         self._readers: set[FeedReader] = set()
         self._number = 0
         self._waiting: dict[int, asyncio.Future[Answered]] = {}
+
+    @property
+    def happened(self) -> list[Happened]:
+        """The stored events, in their order."""
+        numbered = [event for stored in self._happened.values() for event in stored]
+        return [event for _, event in sorted(numbered, key=itemgetter(0))]
 
     @contextmanager
     def reader(self) -> Iterator[FeedReader]:
@@ -123,7 +131,9 @@ class Feed:
             case SnapshotMessage():
                 self.latest = message
             case Happened():
-                self.happened.append(message)
+                self._events += 1
+                stored = self._happened.setdefault(message.what, deque(maxlen=STORED_EVENTS))
+                stored.append((self._events, message))
             case Answered(number):
                 waiting = self._waiting.get(number)
                 if waiting is not None and not waiting.done():

@@ -33,8 +33,8 @@ from flying_vines.gateway.messages import (
     read_from_gateway,
 )
 from flying_vines.gateway.supervisor import supervise
-from flying_vines.gateway.token_bucket import TokenBucket
 from flying_vines.vehicle.notice import Notice, Severity
+from flying_vines.vehicle.token_bucket import TokenBucket
 from flying_vines.vine.intent import Asker, Intent, VentVine
 
 COMMAND = (sys.executable, "-m", "flying_vines.gateway")

@@ -75,5 +75,6 @@ def status_line(snapshot: Snapshot) -> str:
         parts.append(f"bottle {snapshot.reservoir_kPa:.0f} kPa")
     if snapshot.safe_state:
         parts.append(f"SAFE: {', '.join(snapshot.safe_state.values())}")
+    parts.extend(snapshot.unstable.values())
     # Texts from board or vehicle must not add lines.
     return " ".join("; ".join([*parts, snapshot.doing]).split())

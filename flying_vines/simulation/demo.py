@@ -61,6 +61,8 @@ class World:
     decisions: list[Decision] = field(default_factory=list)
     notices: list[Notice] = field(default_factory=list)
     snapshot: Snapshot | None = None
+    late_s: float = 0.0
+    """How late this computer was at worst."""
 
     def decided(self, since: float, trigger: str, safety: str, reason: str = "", **what: object) -> bool:
         """True if a decision since this time has this trigger, verdict and reason, and these details."""
@@ -279,6 +281,8 @@ class DemoFlight:
     folder: Path
     picture: Path | None
     values: dict[str, float]
+    late_s: float
+    """How late this computer was at worst."""
 
     @property
     def passed(self) -> bool:
@@ -337,7 +341,9 @@ async def fly(
                 task.cancel()
     log.close()
     picture = _draw(log, console)
-    return DemoFlight(outcomes, _unexpected_triggers(world), log.folder, picture, dict(ground.values))
+    return DemoFlight(
+        outcomes, _unexpected_triggers(world), log.folder, picture, dict(ground.values), world.late_s
+    )
 
 
 async def _direct(
@@ -350,9 +356,11 @@ async def _direct(
     screen = Live(console=console, refresh_per_second=10, screen=True) if live else None
     if screen:
         screen.start()
+    due = service.now
     try:
         while True:
             now = service.now
+            world.late_s, due = max(world.late_s, now - due), now + POLL_S
             while waiting and now - began >= waiting[0].at_s:
                 step = waiting.pop(0)
                 outcomes.extend(DemoOutcome(step, expectation, now) for expectation in step.expect)

@@ -131,6 +131,8 @@ class VentRequest:
         self.pressed_at = None
         if answer.safety == "refused":
             return f"VENT refused: {answer.reason}"
+        if answer.reason:
+            return f"VENT sent, {answer.reason}"
         return f"VENT confirmed after {after_s:.2f} s"
 
 

@@ -81,7 +81,7 @@ class RemoteView:
             if line := event_line(action, self._decoder.began):
                 self._say(line)
         if vented:
-            self._say(Text(vented, style="bold green" if "confirmed" in vented else "bold red"))
+            self._say(Text(vented, style="bold green" if vented.startswith("VENT confirmed") else "bold red"))
 
     def _show_link(self) -> None:
         problem = self._problem

@@ -9,7 +9,6 @@ import io
 import math
 import os
 import sys
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import IO, cast
@@ -115,23 +114,32 @@ class LiveView:
         self._began = began
         self._max_kPa = max_kPa
         self._full_kPa = full_kPa
-        self._events: deque[Text] = deque(maxlen=EVENT_LINES)
+        self._events: list[tuple[Text, bool]] = []
+        """The lines, and if each is a decision."""
 
     def take(self, action: Action) -> None:
         # Tracebacks appear only in the log and in the line output.
         line = None if isinstance(action, InternalError) else event_line(action, self._began)
         if line is not None:
-            self._events.append(line)
+            self._add(line, is_decision=isinstance(action, Decision))
 
     def say(self, text: Text) -> None:
-        self._events.append(text)
+        self._add(text, is_decision=False)
+
+    def _add(self, line: Text, is_decision: bool) -> None:
+        """Add a line. If there is no room, the older lines of the kind that has more of them go first."""
+        self._events.append((line, is_decision))
+        if len(self._events) > EVENT_LINES:
+            decisions = sum(decision for _, decision in self._events)
+            more = decisions > EVENT_LINES / 2
+            self._events.remove(next(event for event in self._events if event[1] is more))
 
     def render(
         self, s: Snapshot, title: str = "Flying Vines", problems: Mapping[str, str] | None = None
     ) -> Panel:
         """The whole screen. `problems`: a sentence for each link with a problem."""
         links = [f"{link} link: {why}" for link, why in (problems or {}).items() if why]
-        screen = _Screen(s, links, tuple(self._events), self._max_kPa, self._full_kPa)
+        screen = _Screen(s, links, tuple(line for line, _ in self._events), self._max_kPa, self._full_kPa)
         return Panel(screen, title=f"{title}   {s.t - self._began:6.1f} s")
 
 
@@ -193,21 +201,21 @@ class _Screen:
 
 
 def _doing(s: Snapshot) -> list[Text]:
-    """What the vine does, in red if something is wrong, in yellow if a fresh request is awaited."""
+    """What the vine does: red if something is wrong, yellow if a link is unstable or a request is awaited."""
     lines = [Text(f"doing       {s.doing}", style="bold")]
     if s.safe_state:
-        lines = [Text(f"SAFE: {'; '.join(s.safe_state.values())}", style="bold red")]
+        lines = [Text(f"SAFE: {'; '.join(s.safe_state.values())}; {s.doing}", style="bold red")]
     if s.waiting:
         if not s.safe_state:
             lines = [Text(f"doing       {s.doing}: {s.waiting.stopped_by}", style="bold yellow")]
         lines.append(Text(f"waiting for: {s.waiting.awaited}", style="bold yellow"))
-    return lines
+    return [*lines, *(Text(sentence, style="bold yellow") for sentence in s.unstable.values())]
 
 
 def _health(s: Snapshot) -> str:
     if s.round_trip_s is None:
         return ""
-    return f"  {1000 * s.round_trip_s:.1f} ms, {s.telemetry_gaps} gaps"
+    return f"  round trip {1000 * s.round_trip_s:.1f} ms, {s.telemetry_gaps} gaps"
 
 
 def air(c: CyclesLeft | None) -> tuple[str, str]:

@@ -38,9 +38,9 @@ class LinkLoss:
         self._reported, self._reported_at, self._back_since = response, t, None
         return f"vehicle link {state}, {response}"
 
-    def left(self, name: str) -> bool:
-        """True if the end of this loss needs a text of its own. `back` reports the end of a dead link."""
-        return not (self._reported and name in _FOLLOW)
+    def covers(self, name: str) -> bool:
+        """True if the texts about the dead link stand for this loss, too: `back` reports its end."""
+        return bool(self._reported) and name in _FOLLOW
 
     def back(self, t: float, lost: Container[str]) -> str | None:
         """The text when the link is back, once; `lost` are the losses that have not ended."""

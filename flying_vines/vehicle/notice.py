@@ -28,3 +28,7 @@ class Notice:
     """The text repeats a decision, for displays that do not show decisions."""
     source: str = ""
     """Whose request caused the text; empty for what the service itself finds, such as losses and faults."""
+    condition: str = ""
+    """The name of what was lost or is back, such as "RC"; empty for a text about something else."""
+    ended: bool = False
+    """The condition is good again."""

@@ -24,9 +24,11 @@ from flying_vines.vehicle.component import Component
 from flying_vines.vehicle.component.parameter_table import SETTINGS
 from flying_vines.vehicle.component.telemetry import NamedValues
 from flying_vines.vehicle.component.texts import (
+    BURST,
     CHUNK_LENGTH,
     MAX_TEXT_LENGTH,
-    MAX_WAITING,
+    MAX_WAIT_S,
+    PER_MINUTE,
     SAME_AGAIN_S,
     SPACING_S,
     Texts,
@@ -239,9 +241,25 @@ def test_a_flood_of_texts_stays_bounded() -> None:
     ours = component()
     for i in range(1000):
         ours.say(Notice(i * 0.001, Severity.WARNING, f"Vine: {i}"))
-    sent = of("STATUSTEXT", run(ours, 30.0, {}, start_s=1.0))
+    sent = of("STATUSTEXT", run(ours, 60.0, {}, start_s=1.0))
     assert len(sent) == 30
     assert sent[-1][1].text == "Vine: 999"
+
+
+def test_however_many_texts_there_are_a_minute_has_its_budget_and_a_fault_comes_at_once() -> None:
+    texts, came = Texts(), []
+    for i in range(6000):
+        t = i * SPACING_S
+        texts.say(Notice(t, Severity.WARNING, f"Vine: refused {i}", source="7/1"))
+        if i % 600 == 599:
+            texts.say(Notice(t, Severity.WARNING, f"Vine: fault {i}"))
+        came += [(t, message.text) for message in texts.due(t)]
+    assert len(came) <= BURST + 10 * PER_MINUTE
+    assert [text for t, text in came if "fault" in text] == [
+        f"Vine: fault {i}" for i in range(599, 6000, 600)
+    ]
+    assert all(t - SPACING_S * int(text.split()[-1]) < MAX_WAIT_S + SPACING_S for t, text in came)
+    assert [t for t, text in came if "fault" in text] == [i * SPACING_S for i in range(599, 6000, 600)]
 
 
 def test_a_flood_does_not_interrupt_a_text_that_is_half_sent() -> None:
@@ -264,7 +282,7 @@ def test_the_services_own_warning_is_sent_before_refusals_and_never_dropped_for_
         texts.say(Notice(0.0, Severity.INFO, f"Vine: news {i}"))
     sent = [(0.0, message) for i in range(100) for message in texts.due(i * SPACING_S)]
     came = joined(sent)
-    assert len(came) == MAX_WAITING
+    assert 10 <= len(came) <= BURST
     assert came[0] == "Vine: RC lost, vented"
     assert all("refused" in text for text in came[1:])
 

@@ -17,7 +17,7 @@ from flying_vines.vehicle.component.identity import ProtocolVersion, autopilot_v
 from flying_vines.vehicle.component.requests import Requests
 from flying_vines.vehicle.component.senders import Sender
 from flying_vines.vehicle.component.telemetry import Heartbeat, NamedValues
-from flying_vines.vehicle.component.timesync import MAX_ASKERS, Timesync, TokenBuckets
+from flying_vines.vehicle.component.timesync import Timesync
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 
 ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3
@@ -332,12 +332,3 @@ def test_the_clock_is_reported_once_a_second_however_often_it_is_asked() -> None
         answered += len(bench.take(mavlink.MAVLink_timesync_message(0, 1234), AUTOPILOT) or [])
         bench.t += 0.1
     assert 60 <= answered <= 64
-
-
-def test_each_requester_has_its_own_tokens_and_many_requesters_fill_no_memory() -> None:
-    buckets = TokenBuckets()
-    assert [buckets.take(0.0, (1, 1)) for _ in range(6)] == [True] * 4 + [False] * 2
-    assert buckets.take(0.0, (2, 1))
-    for system in range(3, 250):
-        assert buckets.take(0.0, (system, 1))
-    assert len(buckets._tokens) <= MAX_ASKERS

@@ -90,6 +90,8 @@ class StatePayload(_Payload, frozen=True, kw_only=True):
     doing: str
     safe_state: dict[str, str]
     """Reasons why the vine may not bend, each with a sentence; empty if it may."""
+    unstable: dict[str, str] = {}
+    """What comes and goes, such as "RC", each with a sentence."""
     pneumatics_armed: bool
     bench: bool
     waiting: WaitingPayload | None = None

@@ -12,7 +12,7 @@ import msgspec
 from flying_vines.gateway import messages
 from flying_vines.gateway.mqtt.payloads import AnswerPayload, RequestPayload
 from flying_vines.gateway.mqtt.publisher import Now
-from flying_vines.gateway.token_bucket import TokenBucket
+from flying_vines.vehicle.token_bucket import TokenBucket
 from flying_vines.vine.intent import CommandName
 
 MAX_REQUEST_LENGTH = 1024

@@ -14,15 +14,13 @@ from flying_vines.gateway.feed import Feed, FeedReader, NoAnswerError
 from flying_vines.gateway.messages import Happened, SnapshotMessage
 from flying_vines.gateway.page.history import History, Sample
 from flying_vines.gateway.page.request import MAX_AT_ONCE, MAX_PER_S, PageRequest, read_request
-from flying_vines.gateway.token_bucket import TokenBucket
+from flying_vines.vehicle.token_bucket import TokenBucket
 from flying_vines.vine.profile import flatten, top_kPa
 
 BEAT_S = 1.0
 """A message is sent at least this often. After 2 s without one, the viewer reports a lost link."""
 SLOW_S = 5.0
 """A viewer that accepts no data for this long is disconnected."""
-PAST_EVENTS = 200
-"""Maximum number of past events that a new viewer gets."""
 
 
 class _Vine(msgspec.Struct, frozen=True):
@@ -107,7 +105,7 @@ class ViewerSession:
             self._may_ask and bool(self._feed.start.flights),
             _vine(self._feed.start.config),
             tuple(self._history.samples),
-            tuple(self._feed.happened)[-PAST_EVENTS:],
+            self._feed.happened,
         )
 
     async def _send_news(self, reader: FeedReader) -> None:

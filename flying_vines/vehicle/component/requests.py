@@ -23,9 +23,10 @@ from flying_vines.vehicle.component.telemetry import (
     Heartbeat,
     NamedValues,
 )
-from flying_vines.vehicle.component.timesync import Timesync, TokenBuckets, target_of
+from flying_vines.vehicle.component.timesync import BURST, RATE_HZ, Timesync, target_of
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
+from flying_vines.vehicle.token_bucket import TokenBucket
 
 ACCEPTED, DENIED, UNSUPPORTED = (
     mavlink.MAV_RESULT_ACCEPTED,
@@ -67,7 +68,7 @@ class Requests:
         self._heartbeat = heartbeat
         self._values = values
         self._pinged: deque[tuple[object, object]] = deque(maxlen=MAX_PINGS)
-        self._clock_answers = TokenBuckets()
+        self._clock_answers = TokenBucket(0.0, BURST, RATE_HZ)
         self._commands: dict[int, Callable[[float, MavlinkMessage, Sender], RequestOutcome]] = {
             mavlink.MAV_CMD_REQUEST_MESSAGE: self._request,
             mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
@@ -178,7 +179,7 @@ class Requests:
         asker = (message.get_srcSystem(), message.get_srcComponent())
         autopilot = (system_id, mavlink.MAV_COMP_ID_AUTOPILOT1)
         to_us = target_of(message) in ((0, 0), (system_id, 0), (system_id, self._component_id))
-        if asker != autopilot or message.tc1 != 0 or not to_us or not self._clock_answers.take(t, asker):
+        if asker != autopilot or message.tc1 != 0 or not to_us or not self._clock_answers.take(t):
             return []
         return [Timesync(int(t * 1e9), message.ts1, *asker)]
 

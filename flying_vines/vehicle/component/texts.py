@@ -18,7 +18,8 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.notice import Notice
+from flying_vines.vehicle.notice import Notice, Severity
+from flying_vines.vehicle.token_bucket import TokenBucket
 
 OURS = "Vine:"
 """The prefix of every text. Other programs look for other prefixes."""
@@ -28,6 +29,13 @@ MAX_TEXT_LENGTH = 4 * CHUNK_LENGTH - 1
 SPACING_S = 0.1
 MAX_WAITING = 30
 """Maximum number of queued texts. To send so many takes some seconds."""
+BURST = 20
+PER_MINUTE = 30
+"""The budget: so many texts on average, and `BURST` at once. Others wait."""
+MAX_WAIT_S = 15.0
+"""A text that has waited for longer is not sent, unless it is a warning of the service itself."""
+RESERVED = 6
+"""So many texts of the budget are only for the service's own warnings: losses and faults."""
 SAME_AGAIN_S = 5.0
 """The same text is not sent again within this time, because ground stations speak texts aloud."""
 
@@ -75,6 +83,9 @@ def _sign(sign: str) -> str:
 class _Waiting(NamedTuple):
     rank: tuple[int, bool]
     """Severity, and if somebody's request caused the text. The lowest rank is sent first."""
+    urgent: bool
+    """A warning of the service itself."""
+    since: float
     chunks: deque[MavlinkMessage]
 
 
@@ -83,6 +94,7 @@ class Texts:
 
     The most severe text is sent first. Of two texts of one severity, the service's own (a loss, a fault) is
     sent before the answer to a request. If too many texts wait, the oldest of the last rank is dropped.
+    However many texts there are, the ground station gets no more than the budget.
     """
 
     def __init__(self) -> None:
@@ -91,6 +103,7 @@ class Texts:
         self._waiting: list[_Waiting] = []
         """In the order of sending."""
         self._queued_at: dict[str, float] = {}
+        self._budget = TokenBucket(0.0, BURST, PER_MINUTE / 60.0)
         self._sent_at = -math.inf
         self._identity = 0
 
@@ -104,16 +117,23 @@ class Texts:
         self._queued_at[text] = t
         rank = (int(notice.severity), bool(notice.source))
         chunks = self._chunks(notice.severity, text.encode("ascii"))
-        insort(self._waiting, _Waiting(rank, chunks), key=_rank)
+        urgent = notice.severity <= Severity.WARNING and not notice.source
+        insort(self._waiting, _Waiting(rank, urgent, notice.t, chunks), key=_rank)
         if len(self._waiting) > MAX_WAITING:
             del self._waiting[bisect_left(self._waiting, self._waiting[-1].rank, key=_rank)]
 
     def due(self, t: float) -> list[MavlinkMessage]:
         if not (self._sending or self._waiting) or t - self._sent_at < SPACING_S:
             return []
-        self._sent_at = t
         if not self._sending:
+            first = self._waiting[0]
+            if not first.urgent and t - first.since > MAX_WAIT_S:
+                self._waiting = [each for each in self._waiting if t - each.since <= MAX_WAIT_S]
+                return []
+            if not self._budget.take(t, 0 if first.urgent else RESERVED):
+                return []
             self._sending = self._waiting.pop(0).chunks
+        self._sent_at = t
         return [self._sending.popleft()]
 
     def _chunks(self, severity: int, data: bytes) -> deque[MavlinkMessage]:

@@ -15,12 +15,11 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 
 RATE_HZ = 1.0
 BURST = 4
+"""Answers at once; on average `RATE_HZ`."""
 PERIOD_S = 1.0
 """Of our own requests."""
 MAX_OPEN = 32
 """Requests whose answer may still come."""
-MAX_ASKERS = 16
-"""No autopilot has so many links. If there are more askers, the least recent one is forgotten."""
 
 _TARGET = struct.Struct("<qqBB")
 _TARGET_AT = 16
@@ -44,23 +43,6 @@ def target_of(message: MavlinkMessage) -> tuple[int, int]:
     """Target system and component of a received TIMESYNC; zeros if it is a broadcast."""
     system, component = (message.get_payload() or b"")[_TARGET_AT:].ljust(2, b"\0")[:2]
     return system, component
-
-
-class TokenBuckets:
-    """A token bucket for each asker: `BURST` answers at once, `RATE_HZ` on average."""
-
-    def __init__(self) -> None:
-        self._tokens: dict[tuple[int, int], tuple[float, float]] = {}
-
-    def take(self, t: float, asker: tuple[int, int]) -> bool:
-        """Take a token. True: `asker` gets an answer at time `t`."""
-        left, at = self._tokens.pop(asker, (float(BURST), t))
-        left = min(float(BURST), left + (t - at) * RATE_HZ)
-        granted = left >= 1.0
-        if len(self._tokens) >= MAX_ASKERS:
-            del self._tokens[next(iter(self._tokens))]
-        self._tokens[asker] = (left - 1.0 if granted else left, t)
-        return granted
 
 
 class TimesyncRequests:

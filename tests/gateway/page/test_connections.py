@@ -22,7 +22,7 @@ from flying_vines.gateway.page.connections import (
 from flying_vines.gateway.page.history import HISTORY_S, History
 from flying_vines.gateway.page.request import MAX_AT_ONCE, MAX_PER_S, PageRequest, read_request
 from flying_vines.gateway.page.viewer_session import ViewerSession
-from flying_vines.gateway.token_bucket import TokenBucket
+from flying_vines.vehicle.token_bucket import TokenBucket
 
 
 class OpenSocket:

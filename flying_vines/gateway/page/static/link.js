@@ -157,6 +157,8 @@ export class Vent {
   async attempt() {
     const since = this.since;
     const answer = await this.link.ask("vent", null, null, this.seenAt);
-    if (answer.safety === "accepted" && since === this.since) this.confirmedAfter ??= now() - since;
+    if (answer.safety !== "accepted" || since !== this.since) return;
+    this.confirmedAfter ??= now() - since;
+    this.doubt = answer.reason; // "not confirmed: …" if the board does not answer
   }
 }

@@ -6,7 +6,7 @@ import { ageWords, airWords, eventWords, firmwareWords, number, rcWords, sentenc
 
 const STALE_S = 1.0;
 const SURE_S = 4;
-const MOST_EVENTS = 200;
+const MOST_EVENTS = 100; // of decisions, and of notices: many of one kind do not hide the other
 const LOW_CYCLES = 10;
 const DRAW_S = 0.25;
 const CONFIRMED_S = 10;
@@ -64,7 +64,7 @@ function show(s) {
   samples.push([s.t, s.cv_kPa, s.command_kPa, s.reservoir_kPa]);
   while (samples.length && s.t - samples[0][0] > SHOWN_S) samples.shift();
   write("doing", sentence(s.doing));
-  writeReasons(Object.values(s.safe_state), s.waiting);
+  writeReasons(Object.values(s.safe_state), Object.values(s.unstable), s.waiting);
   write("vehicle", vehicleWords(s));
   write("rc", rcWords(s));
   write("actuator", s.actuator);
@@ -90,9 +90,11 @@ function write(id, text) {
   if ($(id).textContent !== text) $(id).textContent = text;
 }
 
-// Red: faults. Amber: what vented the vine, and the request that it waits for. Green: nothing is wrong.
-function writeReasons(reasons, waiting) {
+// Red: faults. Amber: what comes and goes, what vented the vine, and the request that it waits for.
+// Green: nothing is wrong.
+function writeReasons(reasons, unstable, waiting) {
   const lines = reasons.map((reason) => ["bad", sentence(reason)]);
+  lines.push(...unstable.map((reason) => ["warning", sentence(reason)]));
   if (waiting) {
     if (!reasons.length) lines.push(["warning", sentence(waiting.stopped_by)]);
     lines.push(["warning", `Waiting for: ${waiting.awaited}`]);
@@ -110,16 +112,16 @@ function note(event) {
   const parts = words.verdict
     ? [["", words.text], [words.style, words.verdict], ["", words.reason]]
     : [[words.severity, words.text]];
-  addEvent(event.fields.t, parts);
+  addEvent(event.fields.t, parts, event.what);
 }
 
-function addEvent(t, parts) {
-  const row = element("li", "", "");
+function addEvent(t, parts, kind = "notice") {
+  const row = element("li", kind, "");
   const at = t === null ? new Date() : new Date(Date.now() - 1000 * (link.droneNow - t));
   row.append(element("span", "when", at.toLocaleTimeString("en-GB")));
   row.append(...parts.map(([style, text]) => element("span", style, text)));
   $("events").prepend(row);
-  while ($("events").children.length > MOST_EVENTS) $("events").lastChild.remove();
+  for (const old of [...$("events").getElementsByClassName(kind)].slice(MOST_EVENTS)) old.remove();
 }
 
 function element(kind, style, text) {
@@ -248,8 +250,10 @@ function showVent() {
     const since = ageWords(performance.now() / 1000 - vent.since);
     words = `VENT not ${link.open ? "confirmed" : "sent, no link"}: trying ${since}`;
   } else if (vent.confirmedAfter !== null && performance.now() / 1000 - vent.since < vent.confirmedAfter + CONFIRMED_S) {
-    style = "good";
-    words = `Vent confirmed in ${vent.confirmedAfter.toFixed(2)} s, ${number(latest?.cv_kPa ?? null)} kPa`;
+    style = vent.doubt ? "bad" : "good";
+    words = vent.doubt
+      ? `Vent sent, ${vent.doubt}`
+      : `Vent confirmed in ${vent.confirmedAfter.toFixed(2)} s, ${number(latest?.cv_kPa ?? null)} kPa`;
   }
   $("vent-said").className = style;
   write("vent-said", words);

@@ -57,8 +57,8 @@ export function rcWords(s) {
 
 export function firmwareWords(s) {
   if (s.firmware !== "ready") return s.firmware;
-  const trip = s.round_trip_s === null ? "" : `, ${number(1000 * s.round_trip_s)} ms`;
-  const gaps = s.telemetry_gaps ? `, ${s.telemetry_gaps} gaps` : "";
+  const trip = s.round_trip_s === null ? "" : `, round trip ${number(1000 * s.round_trip_s)} ms`;
+  const gaps = s.telemetry_gaps ? `, ${s.telemetry_gaps} gaps in telemetry` : "";
   return `ready${trip}${gaps}`;
 }
 

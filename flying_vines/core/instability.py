@@ -1,0 +1,139 @@
+"""What comes and goes: links that flap, a board that restarts again and again, a computer that is too busy.
+
+The first loss and its end are texts at once. A condition that changes again before it has been stable for
+`SERIES_ENDS_AFTER_S` is unstable: then one text with the number of losses stands for all of them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from flying_vines.vehicle.notice import Notice
+
+SERIES_ENDS_AFTER_S = 10.0
+LOST_FOR_S = 1.0
+"""While a condition is unstable, a loss is told when it has lasted for this time."""
+BACK_FOR_S = 5.0
+"""While a condition is unstable, its end is told when it has lasted for this time."""
+COUNT_EVERY_S = 10.0
+LONGEST_COUNT_EVERY_S = 60.0
+"""While a condition stays unstable, the time between two counts doubles up to this."""
+MAX_CONDITIONS = 64
+"""Texts from outside are conditions, too. If there are more, the oldest is forgotten."""
+
+LATE_S = 0.2
+"""A tick that comes so much late counts as late: the computer is too busy."""
+LATE_FOR_S = 2.0
+"""After a late tick, the computer counts as busy for this time."""
+
+
+@dataclass(slots=True)
+class _Condition:
+    began_at: float
+    latest: Notice
+    told: Notice | None
+    """The latest notice that was shown."""
+    told_at: float
+    count_every_s: float = COUNT_EVERY_S
+    losses: int = 1
+
+    @property
+    def count(self) -> str:
+        lasts_s = max(1, round(self.latest.t - self.began_at))
+        what = f"unstable: {self.losses} losses" if self.latest.condition else f"{self.losses} times"
+        return f"{what} in {lasts_s} s"
+
+
+class Conditions:
+    """Decides when a notice without a source is shown. Call `take` for each, and `due` at each tick."""
+
+    def __init__(self) -> None:
+        self._conditions: dict[str, _Condition] = {}
+
+    def take(self, notice: Notice, at_once: bool = False) -> bool:
+        """True if the notice is shown now; otherwise `due` may return it later. `at_once`: show it now."""
+        key = notice.condition or notice.text
+        condition = self._conditions.get(key)
+        if condition is None:
+            if len(self._conditions) >= MAX_CONDITIONS:
+                del self._conditions[next(iter(self._conditions))]
+            self._conditions[key] = _Condition(notice.t, notice, notice, notice.t)
+            return True
+        changed = notice.ended is not condition.latest.ended
+        condition.losses += not notice.ended
+        condition.latest = notice
+        if at_once or (changed and condition.losses == 1):
+            condition.told, condition.told_at = notice, notice.t
+            return True
+        return False
+
+    def due(self, t: float) -> list[Notice]:
+        """The notices to show now, each with its number of losses."""
+        shown = []
+        for key, condition in list(self._conditions.items()):
+            latest = condition.latest
+            if latest is condition.told:
+                if t - latest.t >= SERIES_ENDS_AFTER_S:
+                    del self._conditions[key]
+                continue
+            counts = t - condition.told_at >= condition.count_every_s
+            settled = bool(latest.condition) and t - latest.t >= (BACK_FOR_S if latest.ended else LOST_FOR_S)
+            same = condition.told is not None and condition.told.ended is latest.ended
+            if not counts and (not settled or same):
+                continue
+            if counts:
+                condition.count_every_s = min(LONGEST_COUNT_EVERY_S, 2.0 * condition.count_every_s)
+            condition.told, condition.told_at = latest, t
+            shown.append(replace(latest, t=t, text=f"{latest.text} ({condition.count})", of_decision=False))
+        return shown
+
+    def unstable(self, t: float) -> dict[str, str]:
+        """A sentence for each condition that is unstable now, by its name."""
+        return {
+            name: f"{name} {condition.count}"
+            for name, condition in self._conditions.items()
+            if condition.losses > 1 and condition.latest.condition
+        }
+
+
+class Restarts:
+    """A series of board restarts: each comes within `SERIES_ENDS_AFTER_S` of the one before."""
+
+    def __init__(self, board: str) -> None:
+        self._board = board
+        self._count = 0
+        self._first_at = self._last_at = -math.inf
+
+    def note(self, t: float) -> None:
+        if t - self._last_at >= SERIES_ENDS_AFTER_S:
+            self._count, self._first_at = 0, t
+        self._count += 1
+        self._last_at = t
+
+    def looping(self, t: float) -> str:
+        """The text "… restarted N times in M s"; empty if there is no series, or only one restart."""
+        if self._count < 2 or t - self._last_at >= SERIES_ENDS_AFTER_S:
+            return ""
+        lasts_s = max(1, round(self._last_at - self._first_at))
+        return f"{self._board} restarted {self._count} times in {lasts_s} s"
+
+
+class Lateness:
+    """How late our own ticks are. If they are late, a loss may be this computer's fault."""
+
+    def __init__(self) -> None:
+        self._late_at = -math.inf
+        self._worst_s = 0.0
+
+    def tick(self, t: float, late_s: float) -> None:
+        if late_s >= LATE_S:
+            self._worst_s = max(late_s, self._worst_s if self.problem(t) else 0.0)
+            self._late_at = t
+
+    def problem(self, t: float) -> str:
+        """The text "this computer is too busy: late by 340 ms"; empty if it is not."""
+        if t - self._late_at > LATE_FOR_S:
+            return ""
+        late = f"{1000 * self._worst_s:.0f} ms" if self._worst_s < 1.0 else f"{self._worst_s:.1f} s"
+        return f"this computer is too busy: late by {late}"

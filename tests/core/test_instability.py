@@ -1,0 +1,137 @@
+"""Conditions that come and go: one text with a count, and no loss that lasts is hidden."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from flying_vines.core.instability import (
+    BACK_FOR_S,
+    COUNT_EVERY_S,
+    LATE_FOR_S,
+    LOST_FOR_S,
+    SERIES_ENDS_AFTER_S,
+    Conditions,
+    Lateness,
+    Restarts,
+)
+from flying_vines.vehicle.notice import Notice, Severity
+
+TICK_S = 0.1
+
+
+def lost(t: float, condition: str = "RC") -> Notice:
+    return Notice(t, Severity.WARNING, f"Vine: {condition} lost", condition=condition)
+
+
+def back(t: float, condition: str = "RC") -> Notice:
+    return Notice(t, Severity.NOTICE, f"Vine: {condition} is back", condition=condition, ended=True)
+
+
+def shown(changes: dict[int, Notice], until_s: float) -> list[tuple[float, str]]:
+    """The texts with their times. `changes`: the notices by tick."""
+    conditions = Conditions()
+    texts = []
+    for tick in range(round(until_s / TICK_S)):
+        t = tick * TICK_S
+        notice = changes.get(tick)
+        if notice is not None and conditions.take(notice):
+            texts.append((t, notice.text))
+        texts += [(t, due.text) for due in conditions.due(t)]
+    return texts
+
+
+def flapping(every: int, ticks: int) -> dict[int, Notice]:
+    """Lost and back in turns."""
+    return {tick: (back if (tick // every) % 2 else lost)(tick * TICK_S) for tick in range(0, ticks, every)}
+
+
+def test_one_loss_and_its_end_are_told_at_once() -> None:
+    texts = shown({10: lost(1.0), 13: back(1.3)}, 30.0)
+    assert texts == [(1.0, "Vine: RC lost"), (1.3, "Vine: RC is back")]
+
+
+def test_a_later_loss_is_a_new_one() -> None:
+    later = round(1.3 / TICK_S + SERIES_ENDS_AFTER_S / TICK_S) + 2
+    texts = shown({10: lost(1.0), 13: back(1.3), later: lost(later * TICK_S)}, 30.0)
+    assert texts[-1] == (later * TICK_S, "Vine: RC lost")
+
+
+@pytest.mark.parametrize("every", [1, 2, 4, 9])
+def test_a_flapping_link_is_one_line_with_a_count(every: int) -> None:
+    changes = flapping(every, 1200)
+    texts = shown(changes, 140.0)
+    assert len(texts) <= 9, texts
+    losses = sum(not notice.ended for notice in changes.values())
+    assert re.search(rf"unstable: {losses} losses in \d+ s", texts[-1][1]), texts
+
+
+@given(st.lists(st.integers(1, 120), max_size=40))
+def test_a_loss_that_lasts_is_told_within_a_second_and_the_last_text_is_true(pauses: list[int]) -> None:
+    changes, tick = {}, 0
+    for number, pause in enumerate(pauses):
+        tick += pause
+        changes[tick] = (back if number % 2 else lost)(tick * TICK_S)
+    if changes:
+        last = changes[tick]
+        within_s = BACK_FOR_S if last.ended else LOST_FOR_S
+        assert shown(changes, (tick + 2) * TICK_S + within_s)[-1][1].startswith(last.text)
+
+
+@given(st.lists(st.integers(1, 30), min_size=1, max_size=200))
+def test_no_link_fills_the_screen(pauses: list[int]) -> None:
+    changes, tick = {}, 0
+    for number, pause in enumerate(pauses):
+        tick += pause
+        changes[tick] = (back if number % 2 else lost)(tick * TICK_S)
+    minutes = tick * TICK_S / 60.0
+    assert len(shown(changes, tick * TICK_S)) <= 3 + 20 * minutes
+
+
+def test_the_same_text_again_and_again_is_counted() -> None:
+    conditions = Conditions()
+    notices = [Notice(0.02 * i, Severity.WARNING, "Vine: cannot write the log") for i in range(50)]
+    assert [conditions.take(notice) for notice in notices] == [True] + 49 * [False]
+    (counted,) = conditions.due(COUNT_EVERY_S)
+    assert counted.text == "Vine: cannot write the log (50 times in 1 s)"
+
+
+def test_different_losses_do_not_hide_each_other() -> None:
+    conditions = Conditions()
+    for tick, notice in flapping(1, 50).items():
+        conditions.take(notice)
+        if tick == 25:
+            assert conditions.take(lost(2.5, "phloSAR telemetry"))
+    assert conditions.unstable(5.0) == {"RC": "RC unstable: 25 losses in 5 s"}
+
+
+def test_a_loss_that_vents_a_bent_vine_is_always_told_at_once() -> None:
+    conditions = Conditions()
+    conditions.take(lost(0.0))
+    conditions.take(back(0.1))
+    assert not conditions.take(lost(0.2))
+    assert conditions.take(lost(0.3), at_once=True)
+
+
+def test_restarts_in_a_row_are_a_series() -> None:
+    restarts = Restarts("phloSAR")
+    restarts.note(0.0)
+    assert restarts.looping(0.0) == ""
+    restarts.note(4.0)
+    assert restarts.looping(5.0) == "phloSAR restarted 2 times in 4 s"
+    assert restarts.looping(4.0 + SERIES_ENDS_AFTER_S) == ""
+
+
+def test_a_late_tick_is_the_computers_problem_for_some_time() -> None:
+    lateness = Lateness()
+    lateness.tick(1.0, 0.05)
+    assert lateness.problem(1.0) == ""
+    lateness.tick(2.0, 0.34)
+    lateness.tick(2.1, 0.25)
+    assert lateness.problem(2.2) == "this computer is too busy: late by 340 ms"
+    assert lateness.problem(2.1 + LATE_FOR_S + 0.01) == ""
+    lateness.tick(9.0, 3.0)
+    assert lateness.problem(9.0) == "this computer is too busy: late by 3.0 s"
