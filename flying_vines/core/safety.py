@@ -37,6 +37,7 @@ FAULT_SENTENCES = {
     Fault.WATCHDOG_RESET: "watchdog reset",
     Fault.SETTINGS: "stored settings damaged (set and store them: flying-vines link --set)",
     Fault.SUPPLY: "sensors' 5 V supply",
+    Fault.VENTURI: "the Venturi blows into the vine",
 }
 
 

@@ -760,6 +760,17 @@ PNEUMATICS = (
         safe_state="vented, the last part slower",
     ),
     Row(
+        "venturi_blocked",
+        "the Venturi's exhaust blocked, and the pilot straightens",
+        "the firmware: the vine rises by 3 kPa while the Venturi runs; check `venting`",
+        "the Venturi blows into the vine, vented",
+        Cleared.PERSON,
+        300,
+        210,
+        safe_state="commanded to vent; **the vine keeps its pressure**",
+        left_kPa=25.0,
+    ),
+    Row(
         "solenoid_stuck_closed",
         "outlet stuck shut, and the pilot straightens",
         "check `venting`",
