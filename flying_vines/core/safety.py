@@ -309,7 +309,7 @@ class Safety:
     def _regulates(self, now: SafetyInputs) -> str | None:
         """The board regulates after a vent command. The host repeats the command and sends no setpoint."""
         mismatch = not now.moving and now.mode_mismatch_s > MODE_FOLLOWS_WITHIN_S
-        return f"{self._actuator} still regulates" if mismatch else None
+        return f"{self._actuator} does not vent" if mismatch else None
 
     def _setpoint(self, now: SafetyInputs) -> str | None:
         """The board regulates to a pressure that nobody commanded."""

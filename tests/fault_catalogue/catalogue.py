@@ -539,8 +539,8 @@ BOARD = (
     Row(
         "board_regulates_on",
         "it reports REGULATE after a vent",
-        "telemetry: its mode, 0.3 s after the vent",
-        "phloSAR still regulates, vent commanded",
+        "telemetry: its mode and valves, 0.3 s after the vent",
+        "phloSAR does not vent, vent commanded",
         Cleared.PERSON,
         1000,
         408,
