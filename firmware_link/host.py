@@ -344,7 +344,7 @@ class HostSession:
         if isinstance(self._command, Regulate) and refusal.number == self._number:
             self._set_command(VENTING)
             self._repeat.now()
-        # Repeats of a refused command are refused as well, and so may be those of another program on the line.
+        # Repeats of a refused command are refused as well, and so may be those of another program.
         elif refusal.reason in self._reported:
             return []
         self._reported.add(refusal.reason)

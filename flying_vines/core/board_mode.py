@@ -19,8 +19,8 @@ TOLERATED_KPA = 1.0
 class BoardMode:
     """Call `note` for each telemetry message.
 
-    A message that agrees does not refute those that do not: while the board says VENT in every second message,
-    or only now and then, it regulates.
+    A message that agrees does not refute the others: a board that says VENT in every second message, or only
+    now and then, regulates.
     """
 
     def __init__(self) -> None:
@@ -33,8 +33,8 @@ class BoardMode:
     def note(self, made_at: float, telemetry: Telemetry, commanded: Mode) -> None:
         """The board made this message at `made_at` on our clock.
 
-        A board in FAULT mode vents, so FAULT is also right after a VENT command. A board vents only if it also
-        says that its inflation valve is shut and its outlet open.
+        A board in FAULT mode vents, so FAULT is also right after a VENT command. A board vents only if it
+        also says that its inflation valve is shut and its outlet open.
         """
         if commanded is not self._commanded:
             self._commanded, self._noted_at, self._wrong_s = commanded, made_at, 0.0

@@ -171,7 +171,7 @@ def test_a_board_that_regulates_on_is_found_within_0p35_s_of_a_vent() -> None:
 
 
 def in_every_frame_but(nth: int) -> Change:
-    """The board regulates on, but says VENT in every nth frame: two programs command it, or a frame is old."""
+    """The board regulates on, but says VENT in every nth frame: two programs command it."""
     frames = itertools.count(1)
     return lambda told: told if next(frames) % nth == 0 else regulating(told)
 
