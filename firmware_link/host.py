@@ -209,7 +209,7 @@ class HostSession:
         self._ready_s = 0.0
         self._clock: deque[_ClockSample] = deque(maxlen=_CLOCK_SAMPLES)
         self._first_clock: _ClockSample | None = None
-        self._reported: Refusal | None = None
+        self._reported: set[RefusalReason] = set()
         self._incompatible_because: str | None = None
 
     @property
@@ -344,10 +344,10 @@ class HostSession:
         if isinstance(self._command, Regulate) and refusal.number == self._number:
             self._set_command(VENTING)
             self._repeat.now()
-        # Repeats of a refused command are refused as well. Report only the first refusal.
-        if refusal == self._reported:
+        # Repeats of a refused command are refused as well, and so may be those of another program.
+        elif refusal.reason in self._reported:
             return []
-        self._reported = refusal
+        self._reported.add(refusal.reason)
         return [CommandRefused(refusal)]
 
     def _on_pong(self, t: float, pong: Pong) -> None:
@@ -402,7 +402,7 @@ class HostSession:
     def _forget_command(self) -> None:
         self._command = VENTING
         self._first_vent_due = True
-        self._reported = None
+        self._reported.clear()
 
     def _take_first_vent(self) -> list[HostMessage]:
         """The vent that every session sends first, once."""

@@ -61,6 +61,7 @@ class Fault(IntFlag):
     WATCHDOG_RESET = 1 << 5
     SETTINGS = 1 << 6
     SUPPLY = 1 << 7
+    VENTURI = 1 << 8
 
 
 _MODES = {int(mode): mode for mode in Mode}

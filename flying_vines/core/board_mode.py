@@ -1,11 +1,15 @@
-"""Compares the mode and the setpoint that the board reports with the commanded ones."""
+"""Compares the mode, the valves and the setpoint that the board reports with the commanded ones."""
 
 from __future__ import annotations
 
 from collections import deque
 
-from firmware_link.protocol import Mode
+from firmware_link.protocol import Mode, Telemetry
 
+FORGIVES = 0.25
+"""A second in which the board follows outweighs so many seconds in which it did not."""
+MOST_WRONG_S = 0.4
+"""Above the allowed 0.3 s, so that a board counts as obedient again after a second."""
 SETPOINT_DELAY_S = 0.3
 """The board follows each setpoint within this time, even if eleven commands in a row are lost."""
 SETPOINT_FOLLOWS_WITHIN_S = 1.0
@@ -13,31 +17,39 @@ TOLERATED_KPA = 1.0
 
 
 class BoardMode:
-    """Call `note` for each telemetry message."""
+    """Call `note` for each telemetry message.
+
+    A message that agrees does not refute the others: a board that says VENT in every second message, or only
+    now and then, regulates.
+    """
 
     def __init__(self) -> None:
-        self._commanded: Mode | None = None
-        """The command that the board does not follow; None if it follows."""
-        self._began_at = self._ended_at = 0.0
+        self.restart()
 
     def restart(self) -> None:
-        self._commanded = None
+        self._commanded: Mode | None = None
+        self._noted_at = self._wrong_s = 0.0
 
-    def note(self, made_at: float, mode: Mode, commanded: Mode) -> None:
-        """The board was in `mode` when it made a message, at `made_at` on our clock.
+    def note(self, made_at: float, telemetry: Telemetry, commanded: Mode) -> None:
+        """The board made this message at `made_at` on our clock.
 
-        A board in FAULT mode vents, so FAULT is also right after a VENT command.
+        A board in FAULT mode vents, so FAULT is also right after a VENT command. A board vents only if it
+        also says that its inflation valve is shut and its outlet open.
         """
-        if mode is commanded or (mode is Mode.FAULT and commanded is Mode.VENT):
-            self._commanded = None
-            return
-        if self._commanded is not commanded:
-            self._commanded, self._began_at = commanded, made_at
-        self._ended_at = made_at
+        if commanded is not self._commanded:
+            self._commanded, self._noted_at, self._wrong_s = commanded, made_at, 0.0
+        passed_s, self._noted_at = made_at - self._noted_at, made_at
+        if commanded is Mode.VENT:
+            shut = telemetry.solenoid and telemetry.evp_opening == 0.0
+            follows = telemetry.mode is not Mode.REGULATE and shut
+        else:
+            follows = telemetry.mode is commanded
+        wrong_s = self._wrong_s - FORGIVES * passed_s if follows else self._wrong_s + passed_s
+        self._wrong_s = min(MOST_WRONG_S, max(0.0, wrong_s))
 
     def mismatch_s(self, commanded: Mode) -> float:
         """The time for which the board has not followed this command; 0 if it follows."""
-        return self._ended_at - self._began_at if self._commanded is commanded else 0.0
+        return self._wrong_s if self._commanded is commanded else 0.0
 
 
 class BoardSetpoint:

@@ -37,6 +37,7 @@ FAULT_SENTENCES = {
     Fault.WATCHDOG_RESET: "watchdog reset",
     Fault.SETTINGS: "stored settings damaged (set and store them: flying-vines link --set)",
     Fault.SUPPLY: "sensors' 5 V supply",
+    Fault.VENTURI: "the Venturi blows into the vine",
 }
 
 
@@ -308,7 +309,7 @@ class Safety:
     def _regulates(self, now: SafetyInputs) -> str | None:
         """The board regulates after a vent command. The host repeats the command and sends no setpoint."""
         mismatch = not now.moving and now.mode_mismatch_s > MODE_FOLLOWS_WITHIN_S
-        return f"{self._actuator} still regulates" if mismatch else None
+        return f"{self._actuator} does not vent" if mismatch else None
 
     def _setpoint(self, now: SafetyInputs) -> str | None:
         """The board regulates to a pressure that nobody commanded."""

@@ -539,8 +539,8 @@ BOARD = (
     Row(
         "board_regulates_on",
         "it reports REGULATE after a vent",
-        "telemetry: its mode, 0.3 s after the vent",
-        "phloSAR still regulates, vent commanded",
+        "telemetry: its mode and valves, 0.3 s after the vent",
+        "phloSAR does not vent, vent commanded",
         Cleared.PERSON,
         1000,
         408,
@@ -758,6 +758,17 @@ PNEUMATICS = (
         1000,
         408,
         safe_state="vented, the last part slower",
+    ),
+    Row(
+        "venturi_blocked",
+        "the Venturi's exhaust blocked, and the pilot straightens",
+        "the firmware: the vine rises by 3 kPa while the Venturi runs; check `venting`",
+        "the Venturi blows into the vine, vented",
+        Cleared.PERSON,
+        300,
+        210,
+        safe_state="commanded to vent; **the vine keeps its pressure**",
+        left_kPa=25.0,
     ),
     Row(
         "solenoid_stuck_closed",

@@ -14,6 +14,7 @@ from firmware_link import protocol
 from flying_vines.config import config
 from flying_vines.core.events import LinkChanged, VehicleMessage
 from flying_vines.simulation.phlosar.mishaps import (
+    Blocked,
     Drifting,
     Gain,
     Glitching,
@@ -346,6 +347,7 @@ INJECTIONS: dict[str, Injection] = {
     "evp_stuck_closed": hardware("evp", StuckAt(0.0)),
     "dvp_stuck_open": hardware("dvp", StuckAt(1.0), "held"),
     "dvp_stuck_closed": hardware("dvp", StuckAt(0.0), "held", during=straighten),
+    "venturi_blocked": hardware("venturi", Blocked(), "held", during=straighten),
     "solenoid_stuck_closed": hardware("solenoid", StuckAt(0.0), "held", during=straighten),
     "solenoid_stuck_open": hardware("solenoid", StuckAt(1.0), "held", 10.0),
     "hose_off": hardware("hose", HoseOff()),

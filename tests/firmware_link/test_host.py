@@ -274,6 +274,17 @@ def test_the_refusal_of_an_older_command_keeps_the_current_one() -> None:
     assert commands(session.tick(0.2)) == [Setpoint(10.0, 20.0, 250, 3)]
 
 
+def test_refusals_of_commands_that_are_not_ours_are_reported_once_for_each_reason() -> None:
+    """Another program on the line gets one for each of its commands, a hundred times a second."""
+    session = ready()
+    reasons = (RefusalReason.FAULT_LATCHED, RefusalReason.OUT_OF_RANGE)
+    told = [session.receive(0.1, Refusal(number, reasons[number % 2])) for number in range(500, 600)]
+    assert sum(map(len, told)) == 2
+    session.command(0.2, BEND)
+    ours = Refusal(session.number, RefusalReason.FAULT_LATCHED)
+    assert session.receive(0.3, ours) == [CommandRefused(ours)]
+
+
 def test_clearing_faults() -> None:
     session = HostSession()
     assert session.clear_faults(0.0, Fault.DEAD_MAN) == []

@@ -348,6 +348,41 @@ def test_the_venturi_helps_for_a_second_in_total(bench: Bench, readings: tuple[f
     assert relief_steps(bench, 31.0, steps=5000) == 0
 
 
+def rises_with_the_venturi(bench: Bench, kPa_per_s: float, steps: int) -> float:
+    """The vine's highest pressure, if it rises while the Venturi runs, and is kept otherwise."""
+    for _ in range(steps):
+        bench.send(*([bend(2, 0.0, 200.0)] if bench.now_ms % 100 == 0 else []))
+        bench.cv_kPa += kPa_per_s / 1000 * bench.run(1).dvp
+    return bench.cv_kPa
+
+
+@pytest.mark.parametrize(
+    ("cv_kPa", "highest_kPa"), [(20.0, 24.0), (31.0, 55.0)], ids=["the pilot straightens", "above the limit"]
+)
+def test_a_venturi_that_blows_into_the_vine_is_shut_off(cv_kPa: float, highest_kPa: float) -> None:
+    """Its exhaust is blocked: each second of it fills the vine to 300 kPa more."""
+    bench = Bench(Firmware(directly=True))
+    bench.greet()
+    bench.cv_kPa = cv_kPa
+    bench.run(3)
+    assert rises_with_the_venturi(bench, 340.0, steps=5000) < highest_kPa
+    assert Fault.VENTURI in bench.firmware.faults and bench.drive == SAFE
+    bench.send(ClearFaults(0xFFFF))
+    # Above the limit a person's request does not start the Venturi again.
+    assert (Fault.VENTURI in bench.firmware.faults) is (cv_kPa > 30.0)
+    assert rises_with_the_venturi(bench, 340.0, steps=5000) < highest_kPa + 4.0
+
+
+def test_a_venturi_that_empties_a_vine_slowly_or_with_noise_is_not_shut_off(bench: Bench) -> None:
+    bench.cv_kPa = 31.0
+    bench.run(3)
+    for step in range(900):
+        # For a while after an over-pressure air may still flow in.
+        bench.cv_kPa = 33.0 + min(step, 50) * 0.2 + 1.2 * (-1) ** step
+        assert bench.run(1) == RELIEF
+    assert bench.firmware.faults == Fault.CV_OVERPRESSURE
+
+
 def test_clearing_the_fault_gives_the_venturi_no_further_second(bench: Bench) -> None:
     """Each move of the switch to straight clears it, while a contact reads too much now and then."""
     ran = 0

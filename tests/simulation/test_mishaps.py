@@ -21,6 +21,7 @@ from flying_vines.physics.rig import ControlVolume, Rig, Sensors
 from flying_vines.simulation.phlosar import mishaps
 from flying_vines.simulation.phlosar.mishaps import (
     PLACES,
+    Blocked,
     Drifting,
     Filled,
     Gain,
@@ -468,7 +469,8 @@ def test_draws_repeat_themselves_and_print_as_what_makes_them() -> None:
     assert all(m.ends_s is None for m in drawn if isinstance(m.kind, Momentary))
     assert 100 < sum(mishap.ends_s is not None for mishap in drawn) < 250
     everything = {(place, kind) for place, kinds in PLACES.items() for kind in kinds.values()}
-    assert {(mishap.place, type(mishap.kind)) for mishap in drawn} == everything
+    # Not drawn: in the campaign's flights it would take another mishap's place.
+    assert {(mishap.place, type(mishap.kind)) for mishap in drawn} == everything - {("venturi", Blocked)}
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -138,6 +138,14 @@ class StuckAt:
         _check(0.0 <= self.opening <= 1.0, "an opening must be in 0…1")
 
 
+@dataclass(frozen=True)
+class Blocked:
+    """The Venturi's exhaust is blocked: nothing leaves, and its supply goes into the vine.
+
+    Assumption: it passes as much as the inflation valve at the same opening.
+    """
+
+
 # Reservoir, hose and actuator.
 
 
@@ -221,6 +229,7 @@ class WatchdogReset:
 MishapKind = (
     SensorMishap
     | StuckAt
+    | Blocked
     | Hole
     | HoseOff
     | Kinked
@@ -242,6 +251,7 @@ class Mishaps:
     evp: StuckAt | None = None
     dvp: StuckAt | None = None
     solenoid: StuckAt | None = None
+    venturi: Blocked | None = None
     hose: HoseOff | Kinked | None = None
     actuator: Hole | None = None
     bottle: Hole | None = None
@@ -264,6 +274,7 @@ PLACES: Mapping[str, Mapping[str, type[Any]]] = {
     "evp": {"stuck": StuckAt},
     "dvp": {"stuck": StuckAt},
     "solenoid": {"stuck": StuckAt},
+    "venturi": {"blocked": Blocked},
     "hose": {"off": HoseOff, "kinked": Kinked},
     "actuator": {"hole": Hole},
     "bottle": {"hole": Hole, "filled": Filled, "heated": Heated},

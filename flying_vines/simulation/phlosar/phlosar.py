@@ -225,6 +225,9 @@ class SimulatedPhlosar:
         command = self.drive
         if self._applied.solenoid is not None:
             command = command._replace(solenoid=self._applied.solenoid.opening >= 0.5)
+        if self._applied.venturi is not None:
+            blown = command.dvp if command.solenoid else 0.0
+            command = Inputs(max(command.evp, blown), 0.0, False)
         if self._simulator.advance(command):
             self._conditions = self._simulator.conditions
 

@@ -58,6 +58,10 @@ Drive Firmware::control(uint32_t now_us, const Pressures& pressures) {
         const Drive wanted = regulator_.step(target_kPa_, most_per_step_kPa_, cv_kPa_, reservoir_kPa_);
         told = over_dead_bands(settings_, wanted);
     }
+    if (blows_back(told.dvp > Real(0))) {
+        latch(kVenturi);
+        told = kSafe;
+    }
     if (static_cast<int32_t>(now_us - telemetry_us_) >= 0) tell_telemetry(told);
     return told;
 }
@@ -70,11 +74,25 @@ Real Firmware::relief() {
             regained_steps_ = 0;
             if (relief_steps_ > 0) --relief_steps_;
         }
-    } else if (above_limit_ && relief_steps_ < kMostRelief && reservoir_kPa_ >= kVenturiLeastSupply_kPa) {
+    } else if ((latched_ & kVenturi) == 0 && above_limit_ && relief_steps_ < kMostRelief &&
+               reservoir_kPa_ >= kVenturiLeastSupply_kPa) {
         ++relief_steps_;
         return Real(1);
     }
     return Real(0);
+}
+
+bool Firmware::blows_back(bool venturi_runs) {
+    if (!venturi_runs) {
+        venturi_steps_ = 0;
+        venturi_raises_ = Frequent();
+        return false;
+    }
+    const bool settling = !regulating_ && venturi_steps_ < kReliefSettles;
+    if (venturi_steps_ == 0 || settling || cv_kPa_ < venturi_lowest_kPa_) venturi_lowest_kPa_ = cv_kPa_;
+    if (venturi_steps_ < kReliefSettles) ++venturi_steps_;
+    venturi_raises_.see(cv_kPa_ > venturi_lowest_kPa_ + kBlowsBack_kPa);
+    return venturi_raises_.there();
 }
 
 void Firmware::follow_clock(uint32_t now_us) {
@@ -111,6 +129,8 @@ void Firmware::look(const Pressures& seen) {
     note(bad_supply_.there(), kSupply);
     note(high_cv_.there(), kCvOverpressure);
     note(high_reservoir_.there(), kReservoirOverpressure);
+    // Above the limit a cleared fault would let the Venturi try again.
+    note(high_cv_.there() && (latched_ & kVenturi) != 0, kVenturi);
     present_ = present;
     if (present != kNoFault) latch(present);
 }

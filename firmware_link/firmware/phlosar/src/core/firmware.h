@@ -70,6 +70,12 @@ private:
     // One step of relief is regained in so many steps without a latched over-pressure: all in a minute.
     static constexpr uint16_t kReliefRegain = 60;
 
+    // A Venturi whose exhaust is blocked blows its supply into the vine: while it runs, the pressure has risen by so
+    // much.
+    static constexpr Real kBlowsBack_kPa = Real(3.0);
+    // So many steps after an over-pressure the valves have followed: air that still flows in is not the Venturi's.
+    static constexpr uint16_t kReliefSettles = 60;
+
     // A condition that counts if three of the last sixteen readings show it. One wrong reading does not end a
     // flight, and a contact that flickers does not hide its fault behind good readings.
     class Frequent {
@@ -101,6 +107,7 @@ private:
     void tell_telemetry(const Drive& told);
     void follow_clock(uint32_t now_us);
     Real relief();
+    bool blows_back(bool venturi_runs);
     bool of_this_session(const Setpoint& setpoint) const { return greeted_ && settings_told_ && setpoint.session == session_; }
     bool repeated(const Setpoint& setpoint);
     void accept(uint16_t number);
@@ -161,6 +168,10 @@ private:
     // Steps of relief that are not yet regained.
     uint16_t relief_steps_ = 0;
     uint16_t regained_steps_ = 0;
+    // Since the Venturi was last off: its steps, the vine's lowest pressure, and whether it has risen from there.
+    uint16_t venturi_steps_ = 0;
+    Real venturi_lowest_kPa_ = 0;
+    Frequent venturi_raises_;
 
     uint32_t now_us_ = 0;
     uint32_t telemetry_us_ = 0;

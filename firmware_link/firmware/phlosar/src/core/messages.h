@@ -22,6 +22,7 @@ enum Fault : uint16_t {
     kWatchdogReset = 1 << 5,
     kSettings = 1 << 6,
     kSupply = 1 << 7,
+    kVenturi = 1 << 8,
 };
 
 enum class RefusalReason : uint8_t {
