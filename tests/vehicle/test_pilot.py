@@ -488,6 +488,24 @@ def test_without_overrides_a_switch_that_comes_back_was_moved(
     assert len(radio.bends) == 2
 
 
+@pytest.mark.parametrize("by", ["other", "safety"])
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_after_a_vent_a_move_from_one_bend_to_another_bends_nothing(
+    autopilot: Literal["px4", "ardupilot"], by: Literal["other", "safety"]
+) -> None:
+    """Also where no override can end: the pilot reads that the switch must first be straight."""
+    radio = Radio(autopilot)
+    radio.receive(param_value("RC_OPTIONS", 2.0))
+    radio.move(1, 3.0)
+    radio.pilot.vented(by)
+    radio.move(2, 4.0)
+    assert len(radio.bends) == 1
+    assert radio.texts[-1] == f"Vine: switch ch9 was overruled, to bend: {radio.pilot.fresh_move}"
+    radio.move(0, 4.0)
+    radio.move(2, 4.0)
+    assert len(radio.bends) == 2
+
+
 def test_a_move_before_an_override_can_end_is_the_pilots() -> None:
     radio = Radio("ardupilot")
     overridden(radio, 1.5)

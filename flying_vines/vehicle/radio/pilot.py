@@ -315,18 +315,22 @@ class Pilot:
         """Why this move may not be the pilot's; empty if it is."""
         if move.jumped:
             return "moved with other channels"
-        lasts_s = self._override_lasts_s
-        if lasts_s == 0.0:
-            return ""
-        if abs(t - self._override_ends_at) < OVERRIDE_SLACK_S:
+        if self._override_lasts_s and abs(t - self._override_ends_at) < OVERRIDE_SLACK_S:
             return "moved as an override ended"
         return "was overruled" if self._vented_by and not self._is_fresh(move) else ""
 
     def _is_fresh(self, move: SwitchMove) -> bool:
-        """True if the switch went from a bending position to a straight one and back since the vent, after a
-        vent by others sooner than an override expires."""
+        """True if the switch comes from a straight position.
+
+        If overrides expire, it must also have gone there from a bending position since the vent, after a vent
+        by others sooner than an override expires.
+        """
+        if self._rules.bends(move.before):
+            return False
+        if self._override_lasts_s == 0.0:
+            return True
         left_s = self._left_bend_s
-        if left_s is None or self._rules.bends(move.before):
+        if left_s is None:
             return False
         straight_s = self.radio.stamp_s - left_s - self._config.switch.debounce_s
         return self._vented_by != "other" or (self._can_flick and straight_s <= self._flick_s)

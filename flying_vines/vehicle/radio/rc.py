@@ -40,8 +40,8 @@ class RadioLink:
     `autopilot` is the sender of these messages, if it is known.
 
     PX4's RC status (present, enabled, health) is (1, 1, 1) while a receiver is good, and (0, 1, 0) after a
-    loss. If RC comes from a ground station, the status is always (0, 1, 0), so it is ignored. RC_CHANNELS
-    stops when such RC is lost.
+    loss. The same holds for RC of a ground station if PX4's RC is calibrated; else it stays (0, 1, 0), and is
+    ignored. RC_CHANNELS stops when such RC is lost.
     """
 
     def __init__(self, switch: SwitchConfig, silent_after_s: float) -> None:
