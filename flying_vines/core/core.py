@@ -686,6 +686,7 @@ class Core:
             rc_problem=self._vehicle.rc.problem(t) if self._rc_in_use else None,
             autopilot_age_s=self._vehicle.state.silence_s(t),
             heartbeat_missing=self._vehicle.state.heartbeat_missing,
+            link_delay_s=self._vehicle.state.delay_s,
             firmware_ready=self._firmware.state is fw.SessionState.READY,
             firmware_was_ready=self._firmware_was_ready,
             firmware_problem=self._firmware_problem,
@@ -763,6 +764,7 @@ class Core:
         texts = {
             "rc": "RC is off and not in use" if rc_is_off else "RC is back",
             "autopilot": "autopilot is back",
+            "late": "vehicle link is in time again",
             "arm_conflict": "arm state agrees again",
             "serial": f"{self._actuator} is back",
             "telemetry": f"{self._actuator} telemetry is back",

@@ -16,6 +16,7 @@ from typing import Literal, NamedTuple
 from firmware_link.protocol import Fault
 from flying_vines.config.config import Config, InterlocksConfig
 from flying_vines.supply import AirNeeded
+from flying_vines.vine.intent import ACTS_WITHIN_S
 from flying_vines.vine.motion import Motion
 
 MODE_FOLLOWS_WITHIN_S = 0.3
@@ -63,6 +64,8 @@ class SafetyInputs(NamedTuple):
     """Time since the autopilot's last frame; None before the first one."""
     heartbeat_missing: bool = False
     """The autopilot sends other messages, but no HEARTBEAT. So `armed` is unknown."""
+    link_delay_s: float = 0.0
+    """How late the autopilot's messages come."""
     firmware_ready: bool = False
     firmware_was_ready: bool = False
     firmware_problem: str = "not connected"
@@ -325,6 +328,11 @@ class Safety:
             return f"autopilot silent for {self._losses.autopilot_s:g} s"
         return "no HEARTBEAT: arm state unknown" if now.heartbeat_missing else None
 
+    def _late(self, now: SafetyInputs) -> str | None:
+        """Late messages hide a loss of RC, a landing and the pilot's moves for as long as they are late."""
+        late = now.link_delay_s > ACTS_WITHIN_S
+        return f"vehicle link more than {ACTS_WITHIN_S:g} s late" if late else None
+
     def _arm_conflict(self, now: SafetyInputs) -> str | None:
         return "armed and disarmed: a second sender claims to be the autopilot" if now.arm_conflict else None
 
@@ -378,6 +386,7 @@ _Check = Callable[[Safety, SafetyInputs], str | None]
 _LOSSES: dict[str, _Check] = {
     "rc": Safety._rc,
     "autopilot": Safety._autopilot,
+    "late": Safety._late,
     "arm_conflict": Safety._arm_conflict,
     "serial": Safety._serial,
     "telemetry": Safety._telemetry,
