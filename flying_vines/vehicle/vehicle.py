@@ -117,7 +117,7 @@ class Vehicle:
             if kind in handled.RADIO:
                 out.extend(self.pilot.handle(t, message, self._autopilot, vented))
                 self.component.parameters.mode_channel = self.pilot.mode_channel
-        elif kind == "RC_CHANNELS_OVERRIDE":
+        elif kind == "RC_CHANNELS_OVERRIDE" and message.target_system in (0, state.system_id):
             self.pilot.override(t, message)
         if out and any(isinstance(output, Trigger) and output.by_person for output in out):
             self._watch.forget(t)
