@@ -11,9 +11,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.config import config
 from flying_vines.core.events import Action, Decision
 from flying_vines.simulation.autopilot import FakeAutopilot
+from flying_vines.simulation.autopilot.receiver import RcSource
 from flying_vines.simulation.phlosar.mishaps import Reset
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.storage import AutopilotKind
 from flying_vines.vehicle.notice import Notice
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vine.intent import (
@@ -141,10 +143,12 @@ class Queue:
         return arrived
 
 
-@pytest.mark.parametrize("kind", ["ardupilot", "px4"])
-def test_a_link_that_delays_more_and_more_vents_the_vine_and_the_switch_bends_nothing(kind: str) -> None:
-    receiver = {"receiver": "sbus"} if kind == "px4" else {}
-    flight = airborne(autopilot=FakeAutopilot(kind, rc_failsafe_mode=None, **receiver))
+@pytest.mark.parametrize(("kind", "receiver"), [("ardupilot", None), ("px4", "sbus")])
+def test_a_link_that_delays_more_and_more_vents_the_vine_and_the_switch_bends_nothing(
+    kind: AutopilotKind, receiver: RcSource | None
+) -> None:
+    autopilot = FakeAutopilot(kind, rc_failsafe_mode=None, receiver=receiver)
+    flight = airborne(autopilot=autopilot)
     flight.autopilot.set_rc(9, HIGH)
     assert [d.safety for d in decisions(run_for(flight, 3.0))] == ["accepted"]
     flight.from_autopilot = Queue(flight, later_s_per_s=0.5, longest_s=4.0)

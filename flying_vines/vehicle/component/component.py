@@ -77,7 +77,10 @@ class Component:
 
     def has_our_ids(self, message: MavlinkMessage, vehicle: VehicleState) -> bool:
         """True for a message of another program that has our system and component id."""
-        return (message.get_srcSystem(), message.get_srcComponent()) == (vehicle.system_id, self._component_id)
+        return (message.get_srcSystem(), message.get_srcComponent()) == (
+            vehicle.system_id,
+            self._component_id,
+        )
 
     def sender(self, message: MavlinkMessage, vehicle: VehicleState) -> Sender:
         """The sender of a message, and what it may do."""

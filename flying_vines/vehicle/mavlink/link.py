@@ -269,7 +269,7 @@ class TcpLink(_NetworkLink, asyncio.Protocol):
 
 
 def _limit_reads(transport: Any) -> None:
-    """Give each read a smaller buffer than asyncio's 256 KiB, which the C library would map anew each time."""
+    """Give each read a smaller buffer than asyncio's 256 KiB, which the C library would map each time."""
     transport.max_size = MAX_READ_BYTES
 
 
