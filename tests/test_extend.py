@@ -428,12 +428,12 @@ def test_a_trigger_sees_only_our_autopilot(our_lab: None) -> None:
     assert decisions(attitude(flight, 30.0, system_id=7)) == []
 
 
+@pytest.mark.parametrize("fails", ["1 / 0", "exit(1)"])
 def test_a_trigger_that_fails_is_switched_off_and_the_flight_continues(
-    installed: Install, our_lab: None
+    installed: Install, our_lab: None, fails: str
 ) -> None:
-    installed(
-        "triggers", "class Part:\n    messages = ('ATTITUDE',)\n    def holds(self, t, m): return 1 / 0\n"
-    )
+    part = f"class Part:\n    messages = ('ATTITUDE',)\n    def holds(self, t, m): return {fails}\n"
+    installed("triggers", part)
     flight, _, _ = bent(GUST.replace('"gust"', '"broken"'))
     assert not flight.core.internal_error
     assert decisions(attitude(flight, 30.0)) == []
@@ -480,13 +480,13 @@ def test_a_check_finds_nothing_in_a_good_flight(our_lab: None) -> None:
     assert flight.core.snapshot(flight.world.now).findings == {}
 
 
+@pytest.mark.parametrize("fails", ["1 / 0", "exit(1)"])
 @pytest.mark.parametrize(("level", "needed"), [("warn", False), ("fault", True)])
 def test_a_check_that_fails_vents_if_the_vine_needs_it(
-    installed: Install, our_lab: None, level: str, needed: bool
+    installed: Install, our_lab: None, level: str, needed: bool, fails: str
 ) -> None:
-    installed(
-        "checks", "class Part:\n    def __init__(self, rig): pass\n    def look(self, now): return 1 / 0\n"
-    )
+    part = f"class Part:\n    def __init__(self, rig): pass\n    def look(self, now): return {fails}\n"
+    installed("checks", part)
     conf = config.parse(PUMP.replace("own = {}", f'own = {{ broken = "{level}" }}'), "p.toml")
     flight = SimulatedFlight(conf, FakeAutopilot("ardupilot"), Bridge(conf))  # type: ignore[arg-type]
     actions = flight.run(3.0)

@@ -111,19 +111,19 @@ _RESPONSE_TEXTS = {
 }
 """For these faults the core cannot see whether the vine is vented. So the text says what is done."""
 
-_BUSY_CAUSES = ("serial", "telemetry", "rc", "autopilot")
+_BUSY_CAUSES = ("serial", "telemetry", "rc", "autopilot", "late")
 """A computer that is too busy may cause these losses itself."""
+VEHICLE_LINK = "vehicle link"
+COMPUTER = "this computer"
 _CONDITION_NAMES = {
     "rc": "RC",
+    "late": VEHICLE_LINK,
     "serial": "{actuator}",
     "telemetry": "{actuator} telemetry",
     "firmware_reset": "{actuator}",
     "arm_conflict": "arm state",
 }
 """By safety's name for a loss: the name in texts. All others have the same name in both."""
-VEHICLE_LINK = "vehicle link"
-COMPUTER = "this computer"
-
 
 class Core:
     """One vine on one vehicle. `handle` takes every event, in time order, and returns the actions, in order.
@@ -705,6 +705,7 @@ class Core:
             rc_problem=self._vehicle.rc.problem(t) if self._rc_in_use else None,
             autopilot_age_s=self._vehicle.state.silence_s(t),
             heartbeat_missing=self._vehicle.state.heartbeat_missing,
+            link_delay_s=self._vehicle.state.delay_s,
             firmware_ready=self._firmware.state is fw.SessionState.READY,
             firmware_was_ready=self._firmware_was_ready,
             firmware_problem=self._firmware_problem,
@@ -788,7 +789,11 @@ class Core:
         if self._link_loss.covers(change.name):
             return
         name = self._condition(change.name)
-        texts = {"arm_conflict": "arm state agrees again", "firmware_fault": "firmware fault cleared"}
+        texts = {
+            "late": "vehicle link is in time again",
+            "arm_conflict": "arm state agrees again",
+            "firmware_fault": "firmware fault cleared",
+        }
         text = texts.get(change.name, f"{name} is back")
         if change.name == "rc" and self._vehicle.rc.problem(t) is not None:
             text = "RC is off and not in use"

@@ -30,7 +30,7 @@ class IsolatedParts:
             return otherwise
         try:
             return part()
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # a part of a lab may call `exit`
             self._off.add(name)
             self._failed(Failed.by(t, name, error, needed))
             return otherwise

@@ -16,6 +16,7 @@ from typing import Literal, NamedTuple
 from firmware_link.protocol import Fault
 from flying_vines.config.config import Config, InterlocksConfig
 from flying_vines.supply import AirNeeded
+from flying_vines.vine.intent import ACTS_WITHIN_S
 from flying_vines.vine.motion import Motion
 
 MODE_FOLLOWS_WITHIN_S = 0.3
@@ -26,6 +27,7 @@ each second, so a forged "armed" does not last so long."""
 LANDING_MARGIN_M = 0.5
 """A bent vine is vented when it is this far below `interlocks.min_altitude_m`."""
 
+ARM_CONFLICT = "armed again within 3 s of a disarm, or a second sender claims to be the autopilot"
 INTERNAL_ERROR = "internal error: restart the service"
 
 FAULT_SENTENCES = {
@@ -64,6 +66,8 @@ class SafetyInputs(NamedTuple):
     """Time since the autopilot's last frame; None before the first one."""
     heartbeat_missing: bool = False
     """The autopilot sends other messages, but no HEARTBEAT. So `armed` is unknown."""
+    link_delay_s: float = 0.0
+    """How late the autopilot's messages come."""
     firmware_ready: bool = False
     firmware_was_ready: bool = False
     firmware_problem: str = "not connected"
@@ -326,8 +330,13 @@ class Safety:
             return f"autopilot silent for {self._losses.autopilot_s:g} s"
         return "no HEARTBEAT: arm state unknown" if now.heartbeat_missing else None
 
+    def _late(self, now: SafetyInputs) -> str | None:
+        """Late messages hide a loss of RC, a landing and the pilot's moves for as long as they are late."""
+        late = now.link_delay_s > ACTS_WITHIN_S
+        return f"vehicle link more than {ACTS_WITHIN_S:g} s late" if late else None
+
     def _arm_conflict(self, now: SafetyInputs) -> str | None:
-        return "armed and disarmed: a second sender claims to be the autopilot" if now.arm_conflict else None
+        return ARM_CONFLICT if now.arm_conflict else None
 
     def _serial(self, now: SafetyInputs) -> str | None:
         if now.firmware_was_ready and not now.firmware_ready:
@@ -379,6 +388,7 @@ _Check = Callable[[Safety, SafetyInputs], str | None]
 _LOSSES: dict[str, _Check] = {
     "rc": Safety._rc,
     "autopilot": Safety._autopilot,
+    "late": Safety._late,
     "arm_conflict": Safety._arm_conflict,
     "serial": Safety._serial,
     "telemetry": Safety._telemetry,

@@ -82,6 +82,9 @@ class Request(_Message, frozen=True, tag="ask"):
         needs_value, needs_name = self.command in ("bend", "pressure"), self.command == "profile"
         if needs_value != (self.value is not None) or needs_name != (self.name is not None):
             raise ValueError(f"'{self.command}' {_NEEDS.get(self.command, 'takes no value and no name')}")
+        if self.name is not None and not self.name.isprintable():
+            # Terminals show the name, and would carry out its control characters.
+            raise ValueError("the name has characters that cannot be printed")
         if self.value is not None and not math.isfinite(self.value):
             raise ValueError("the value is not a finite number")
 

@@ -28,6 +28,8 @@ Arm them from a ground station (command USER_4 with param1 = 3), or delete the f
 """
 
 
+MAX_LATCHED_BYTES = 16_000
+"""Far more than all faults together. Displays get the sentences whole, and longer ones stop the page."""
 UNREADABLE = {"last_run": "the latched faults of the last run cannot be read"}
 """Latched if the stored faults cannot be read. Clearing this fault clears all stored faults."""
 
@@ -129,7 +131,7 @@ class PersistentState:
     def read_latched(self) -> dict[str, str]:
         """The faults that nobody has cleared."""
         try:
-            return msgspec.json.decode(read_bytes(self.latched), type=dict[str, str])
+            return msgspec.json.decode(read_bytes(self.latched, MAX_LATCHED_BYTES), type=dict[str, str])
         except FileNotFoundError:
             return {}
         except (OSError, ValueError, RecursionError):

@@ -56,6 +56,8 @@ FLUSH_S = 0.3
 """Time after a stop to send the vent and the queued status texts."""
 REFUSALS_EVERY_S = 60.0
 SNAPSHOT_S = 0.1
+WRITE_AGAIN_S = 10.0
+"""After this time, a state that could not be written is tried again."""
 RESTART_S = 1.0
 """Wait before a failed task is started again."""
 DISPLAY_MESSAGES = ("NAMED_VALUE_FLOAT",)
@@ -103,6 +105,8 @@ class Service:
         self._answer_check = AnswerCheck()
         self._unread_reported = False
         self._stopping = asyncio.Event()
+        self._ending = False
+        """Only the changed states must still be written."""
         self._vehicle = open_link(
             parse_address(config.vehicle.link),
             self._vehicle_bytes,
@@ -160,15 +164,17 @@ class Service:
                         ("actuator link", self._firmware.run, True),
                         ("tick", self._tick, True),
                         ("display", self._show, False),
-                        ("file storage", self._write_changes, False),
                         ("signing clock storage", self._store_signing_clock, False),
                     )
                 ]
+                tasks.create_task(self._restarted("file storage", self._write_changes, False))
                 await self._stopping.wait()
                 self._feed(Stop(self.now))
                 await asyncio.sleep(FLUSH_S)
                 for edge in edges:
                     edge.cancel()
+                self._ending = True
+                self._changed.set()
         finally:
             loop.set_exception_handler(previous_handler)
             self.notify_watchers()
@@ -195,16 +201,26 @@ class Service:
         self.failed("event loop", error, needed=not modules.isdisjoint(_LINKS))
 
     async def _write_changes(self) -> None:
-        """Write changed states in a thread, so that a slow disk delays nothing else."""
-        while True:
-            await self._changed.wait()
+        """Write changed states in a thread, so that a slow disk delays nothing else.
+
+        A state that cannot be written is reported once and tried again. At the end all states are written.
+        """
+        failed: dict[str, Callable[[], None]] = {}
+        while not self._ending:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(WRITE_AGAIN_S if failed else None):
+                    await self._changed.wait()
             self._changed.clear()
+            self._unwritten = {**failed, **self._unwritten}
             while self._unwritten:
                 state, write = self._unwritten.popitem()
                 try:
                     await asyncio.to_thread(write)
+                    failed.pop(state, None)
                 except (parameter_file.ParameterFileError, PersistentStateError) as error:
-                    self.say(Severity.WARNING, f"{state} not saved: {error}")
+                    if state not in failed:
+                        self.say(Severity.WARNING, f"{state} not saved: {error}")
+                    failed[state] = write
 
     def _store(self, state: str, write: Callable[[], None]) -> None:
         self._unwritten[state] = write

@@ -89,6 +89,8 @@ class VehicleState:
         self.mode = ""
         self.heartbeat_at: float | None = None
         self.received_at: float | None = None
+        self.delay_s = 0.0
+        """How late the latest message with a time stamp came, after a growing delay of the link."""
 
     @property
     def kind(self) -> str:
@@ -171,9 +173,11 @@ class VehicleState:
         if not self.is_ours(message):
             return events
         self.note_frame(t)
-        if kind in handled.CLOCK and self.clock.stamp(t, message.time_boot_ms, kind == "RC_CHANNELS"):
-            self._altitudes.clear()
-            events.append(Rebooted())
+        if kind in handled.CLOCK:
+            if self.clock.stamp(t, message.time_boot_ms, kind == "RC_CHANNELS"):
+                self._altitudes.clear()
+                events.append(Rebooted())
+            self.delay_s = self.clock.mark(t).suspected_s
         if kind == "HEARTBEAT":
             self.heartbeat_at = t
             self.arm_state.handle(t, bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED))

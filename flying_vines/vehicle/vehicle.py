@@ -112,7 +112,9 @@ class Vehicle:
             answers = self.component.handle(t, message, state, vented)
             out.extend(answers or ())
             from_autopilot = state.is_ours(message)  # this HEARTBEAT may have made its sender our autopilot
-        if kind in handled.COMMANDS and answers is None and state.found:
+        # The component answers nothing to another program with our ids, but everybody may let air out.
+        by_namesake = kind in handled.COMMANDS and self.component.has_our_ids(message, state)
+        if kind in handled.COMMANDS and (answers is None or by_namesake) and state.found:
             self._waiting.append((state.clock.mark(t), message))
         if self._waiting and (kind in handled.CLOCK or kind in handled.COMMANDS):
             out.extend(self._command_triggers(t))
@@ -121,7 +123,7 @@ class Vehicle:
             if kind in handled.RADIO:
                 out.extend(self.pilot.handle(t, message, self._autopilot, vented))
                 self.component.parameters.mode_channel = self.pilot.mode_channel
-        elif kind == "RC_CHANNELS_OVERRIDE":
+        elif kind == "RC_CHANNELS_OVERRIDE" and message.target_system in (0, state.system_id):
             self.pilot.override(t, message)
         if out and any(isinstance(output, Trigger) and output.by_person for output in out):
             self._watch.forget(t)

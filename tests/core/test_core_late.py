@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import pytest
 from mission_on_bad_link import SCRIPT, WP
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -9,9 +11,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.config import config
 from flying_vines.core.events import Action, Decision
 from flying_vines.simulation.autopilot import FakeAutopilot
+from flying_vines.simulation.autopilot.receiver import RcSource
 from flying_vines.simulation.phlosar.mishaps import Reset
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.storage import AutopilotKind
 from flying_vines.vehicle.notice import Notice
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vine.intent import (
@@ -26,7 +30,7 @@ from flying_vines.vine.intent import (
     VentVine,
 )
 
-from .flights import HIGH, airborne, decisions, ground_command, run_for
+from .flights import HIGH, LOW, airborne, assert_vented, decisions, ground_command, run_for
 from .prepared import prepared
 
 TAKEOFF, DELAY, LAND = 22, 93, 21
@@ -119,6 +123,49 @@ def test_a_process_that_stopped_bends_nothing_when_it_continues(stall_s: float) 
     assert (decision.what["seq"], decision.safety) == (3, "refused")
     assert "s late" in decision.reason
     assert flight.phlosar.cv_kPa < 1.0
+
+
+class Queue:
+    """A wire that queues the autopilot's frames, so that each comes later than the one before."""
+
+    def __init__(self, flight: SimulatedFlight, later_s_per_s: float, longest_s: float) -> None:
+        self._flight, self._later, self._longest_s = flight, later_s_per_s, longest_s
+        self._began = flight.world.now
+        self._waiting: deque[tuple[float, bytes]] = deque()
+
+    def __call__(self, frame: bytes) -> bytes:
+        now = self._flight.world.now
+        delay_s = min(self._longest_s, self._later * (now - self._began))
+        self._waiting.append((now + delay_s, frame))
+        arrived = b""
+        while self._waiting and self._waiting[0][0] <= now:
+            arrived += self._waiting.popleft()[1]
+        return arrived
+
+
+@pytest.mark.parametrize(("kind", "receiver"), [("ardupilot", None), ("px4", "sbus")])
+def test_a_link_that_delays_more_and_more_vents_the_vine_and_the_switch_bends_nothing(
+    kind: AutopilotKind, receiver: RcSource | None
+) -> None:
+    autopilot = FakeAutopilot(kind, rc_failsafe_mode=None, receiver=receiver)
+    flight = airborne(autopilot=autopilot)
+    flight.autopilot.set_rc(9, HIGH)
+    assert [d.safety for d in decisions(run_for(flight, 3.0))] == ["accepted"]
+    flight.from_autopilot = Queue(flight, later_s_per_s=0.5, longest_s=4.0)
+    actions = run_for(flight, 5.0)
+    assert "Vine: vehicle link more than 1 s late, vented" in texts_of(actions)
+    assert_vented(flight)
+    for pulse_us in (LOW, HIGH):
+        flight.autopilot.set_rc(9, pulse_us)
+        actions += run_for(flight, 7.0)
+    assert [d.intent for d in decisions(actions) if d.safety == "refused"] == ["bend-full"]
+    assert_vented(flight)
+    flight.from_autopilot = Queue(flight, 0.0, 0.0)
+    assert "Vine: vehicle link is in time again" in texts_of(run_for(flight, 2.0))
+    flight.autopilot.set_rc(9, LOW)
+    run_for(flight, 5.0)
+    flight.autopilot.set_rc(9, HIGH)
+    assert [d.safety for d in decisions(run_for(flight, 3.0))] == ["accepted"]
 
 
 LATE: list[tuple[Intent, str]] = [

@@ -205,6 +205,15 @@ def test_a_station_without_a_heartbeat_may_bend(sender: tuple[int, int]) -> None
     assert answers(command(airborne(), USER_2, 30.0, sender=sender)) == [(USER_2, ACCEPTED)]
 
 
+def test_another_program_with_our_own_ids_may_let_air_out_and_nothing_else() -> None:
+    flight, namesake = bent(), (1, 191)
+    assert answers(command(flight, USER_2, 30.0, sender=namesake)) == [(USER_2, DENIED)]
+    assert is_bent(flight)
+    assert answers(command(flight, USER_4, VENT, sender=namesake)) == [(USER_4, ACCEPTED)]
+    run_for(flight, 0.5)
+    assert_vented(flight)
+
+
 @pytest.mark.parametrize("sender", STRANGERS)
 def test_an_unknown_sender_may_not_bend(sender: tuple[int, int]) -> None:
     flight = airborne()

@@ -13,7 +13,18 @@ from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.component.telemetry import MUTED_S, SLOW_S
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 
-from .flights import airborne, answers, assert_vented, bent, ground_command, notices, on_the_ground, run_for
+from .flights import (
+    HIGH,
+    LOW,
+    airborne,
+    answers,
+    assert_vented,
+    bent,
+    ground_command,
+    notices,
+    on_the_ground,
+    run_for,
+)
 
 STATIONS = {
     "QGroundControl, Mission Planner": (255, 190),
@@ -206,3 +217,17 @@ def test_a_bend_of_unknown_age_that_cannot_wait_is_refused_as_late() -> None:
     actions += bends_by_many(flight, 0, 60)
     (decision, *_) = [action for action in actions if isinstance(action, Decision)]
     assert (decision.safety, decision.reason) == ("refused", "came 60.0 s late")
+
+
+# RC overrides.
+
+
+@pytest.mark.parametrize(("vehicle", "bends"), [(1, False), (0, False), (2, True)])
+def test_an_override_of_another_vehicle_says_nothing_about_our_switch(vehicle: int, bends: bool) -> None:
+    flight = airborne()
+    send(flight, mavlink.MAVLink_rc_channels_override_message(vehicle, 1, *[LOW] * 18), (255, 190))
+    run_for(flight, 2.6)  # an override lasts 3 s
+    flight.autopilot.set_rc(9, HIGH)
+    actions = run_for(flight, 1.0)
+    assert ("Vine: switch ch9 moved as an override ended, move it again" in notices(actions)) is not bends
+    assert (flight.phlosar.cv_kPa > 15.0) is bends

@@ -28,7 +28,9 @@ number = st.integers(0, 2**53)
 asks = st.one_of(
     st.builds(Request, number, by, st.sampled_from(plain)),
     st.builds(Request, number, by, st.sampled_from(["bend", "pressure"]), finite),
-    st.builds(lambda n, b, name: Request(n, b, "profile", None, name), number, by, st.text()),
+    st.builds(
+        lambda n, b, name: Request(n, b, "profile", None, name), number, by, st.text().filter(str.isprintable)
+    ),
 )
 
 
@@ -55,6 +57,12 @@ def test_messages_of_the_service_are_read_back_equal(message: ToGateway) -> None
         assert snapshot["evp_opening"] is None, "what is not known is null"
     if isinstance(again, Happened):
         assert msgspec.json.decode(again.fields)["t"] == 2.0
+
+
+@pytest.mark.parametrize("name", ["\x1b[2J\x1b]0;vented\x07", "a\n   0.1  Vine: vented", "\u202e", "\x9b2J"])
+def test_a_name_cannot_write_control_characters_or_lines_to_a_terminal(name: str) -> None:
+    with pytest.raises(ValueError, match="cannot be printed"):
+        Request(0, "page", "profile", None, name)
 
 
 @given(asks)

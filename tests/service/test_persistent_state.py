@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -17,9 +19,11 @@ from waiting import until
 from flying_vines.config import config
 from flying_vines.core.events import Action, Decision
 from flying_vines.core.watcher import EachAction
+from flying_vines.service import service as service_module
 from flying_vines.service.persistent_state import NO_BOARD, UNREADABLE, PersistentState
 from flying_vines.service.service import Service
 from flying_vines.simulation.autopilot import FakeAutopilot
+from flying_vines.vehicle.component import parameter_file
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mavlink.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S, Signing
 from flying_vines.vehicle.mavlink.signing_key import TimestampFile
@@ -136,15 +140,41 @@ async def test_pneumatics_stay_disarmed_over_restarts_until_a_person_arms_them(
         assert doing(served) == "vented" and not any("disarmed" in text for text in served.texts)
 
 
-async def test_a_disarm_that_cannot_be_stored_is_reported_and_takes_effect(
-    bench: Bench, tmp_path: Path
+async def test_a_disarm_that_cannot_be_stored_is_reported_takes_effect_and_is_stored_later(
+    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(service_module, "WRITE_AGAIN_S", 0.1)
     async with serving(bench, tmp_path) as served:
-        (tmp_path / "vine.disarmed").mkdir()
+        in_the_way = tmp_path / "vine.disarmed"
+        in_the_way.mkdir()
         await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
         command(bench, STOP, DISARM)
         await until(lambda: any("disarming not saved" in text for text in served.texts), "the text is shown")
         assert doing(served) == "pneumatics disarmed"
+        in_the_way.rmdir()
+        await until(in_the_way.is_file, "it is stored when the disk takes it")
+        assert len([text for text in served.texts if "not saved" in text]) == 1
+
+
+async def test_a_disarm_before_a_stop_is_stored_however_slow_the_disk_is(
+    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    quick, begun = parameter_file.write, threading.Event()
+
+    def slow(*file: Any) -> None:
+        begun.set()
+        time.sleep(1.0)
+        quick(*file)
+
+    monkeypatch.setattr(parameter_file, "write", slow)
+    async with serving(bench, tmp_path) as served:
+        await until(lambda: "RES_KPA" in bench.ground.values, "the service runs")
+        set_rate(bench, 30.0)
+        await until(begun.is_set, "the disk is busy")
+        command(bench, STOP, DISARM)
+        await until(lambda: doing(served) == "pneumatics disarmed", "it takes effect")
+        assert not served.state.disarmed
+    assert served.state.disarmed
 
 
 def test_without_a_folder_nothing_is_disarmed_but_an_unreadable_folder_is_an_error(
@@ -203,7 +233,7 @@ def test_a_damaged_file_of_latched_faults_is_a_latched_fault(tmp_path: Path) -> 
     assert state.read_latched() == {}
     state.store_latched({"filling": "not filling: …"})
     assert state.read_latched() == {"filling": "not filling: …"}
-    for damaged in (b"", b"[1]", b"\xff{"):
+    for damaged in (b"", b"[1]", b"\xff{", b'{"filling": "' + b"x" * 300_000 + b'"}'):
         state.latched.write_bytes(damaged)
         assert state.read_latched() == UNREADABLE
     state.store_latched({})

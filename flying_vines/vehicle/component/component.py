@@ -56,7 +56,7 @@ class Component:
         """
         if not vehicle.found:
             return None
-        if (message.get_srcSystem(), message.get_srcComponent()) == (vehicle.system_id, self._component_id):
+        if self.has_our_ids(message, vehicle):
             return list(self._duplicate_id.received(t))
         number = message.get_msgId()
         sender = self.sender(message, vehicle)
@@ -74,6 +74,13 @@ class Component:
             us = (vehicle.system_id, self._component_id)
             return self.parameters.handle(t, message, us, sender, may_change)
         return None
+
+    def has_our_ids(self, message: MavlinkMessage, vehicle: VehicleState) -> bool:
+        """True for a message of another program that has our system and component id."""
+        return (message.get_srcSystem(), message.get_srcComponent()) == (
+            vehicle.system_id,
+            self._component_id,
+        )
 
     def sender(self, message: MavlinkMessage, vehicle: VehicleState) -> Sender:
         """The sender of a message, and what it may do."""

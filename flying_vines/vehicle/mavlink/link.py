@@ -24,8 +24,9 @@ PEER_REPLACED_S = 3.0
 MAX_FIRST_DATAGRAM_BYTES = 2048
 """Maximum size of a new sender's first datagram. A frame has up to 280 bytes, an Ethernet packet 1500."""
 MAX_QUEUED_BYTES = 64 * 1024
-MAX_READ_BYTES = 64 * 1024
-"""No datagram is longer."""
+MAX_READ_BYTES = 4096
+"""Maximum bytes of a read; a longer datagram is cut. Routers send up to 1500. Noise that looks like headers
+takes 3 µs per byte, and the loop must not wait for it until the board's dead-man acts."""
 
 OnBytes = Callable[[bytes], None]
 OnStranger = Callable[[bytes, Callable[[], None]], None]
@@ -268,10 +269,7 @@ class TcpLink(_NetworkLink, asyncio.Protocol):
 
 
 def _limit_reads(transport: Any) -> None:
-    """Give each read a smaller buffer than asyncio's 256 KiB.
-
-    The C library maps such a buffer anew for each datagram. That takes ten times as long as the read itself.
-    """
+    """Give each read a smaller buffer than asyncio's 256 KiB, which the C library would map each time."""
     transport.max_size = MAX_READ_BYTES
 
 
