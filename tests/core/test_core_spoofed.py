@@ -31,7 +31,7 @@ TRY_S = 8.0
 STEP_S = 0.02
 BEND = mavlink.MAV_CMD_USER_2
 QUADROTOR, ARDUPILOT = 2, 3
-CONFLICT = "armed and disarmed: a second sender claims to be the autopilot"
+CONFLICT = "armed again within 3 s of a disarm, or a second sender claims to be the autopilot"
 
 
 class Spoofer:

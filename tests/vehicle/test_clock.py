@@ -162,6 +162,15 @@ def test_a_clock_with_a_wrong_rate_makes_nothing_late_and_hides_no_stall(pace: f
     assert clock.age_s(mark, 606.0) == pytest.approx(5.8, abs=0.5)
 
 
+def test_one_stamp_ahead_makes_requests_late_only_until_the_next_answer() -> None:
+    line = Line()
+    line.stream(100.0)
+    line.clock.stamp(100.05, int((UP_S + 115.0) * 1000))
+    line.clock.answered(100.9)
+    line.stream(103.0, since_t=101.0)
+    assert line.age_s(line.item(103.05), 103.05) == 0.0
+
+
 def test_a_delay_that_grows_is_no_slow_clock() -> None:
     """The answers are as late as all else: a full radio link."""
     clock = AutopilotClock()
