@@ -213,7 +213,7 @@ def _conditions(function: ast.FunctionDef) -> Iterator[tuple[ast.expr, str]]:
                     yield value, neutral
 
 
-def is_missed(rule: Rule, room: Path) -> bool | None:
+def is_caught(rule: Rule, room: Path) -> bool | None:
     """True if a test fails without the rule; None if the tests did not end.
 
     `room` holds a copy of the sources that no other run uses now.
@@ -265,20 +265,20 @@ def main() -> int:
         def take_away(rule: Rule) -> None:
             room = rooms.get()
             try:
-                missed = is_missed(rule, room)
+                caught = is_caught(rule, room)
             finally:
                 rooms.put(room)
-            verdict = "NO END" if missed is None else "missed" if missed else "NOT MISSED"
+            verdict = "NO END" if caught is None else "caught" if caught else "NOT CAUGHT"
             print(f"{verdict}  {rule}", flush=True)
-            if not missed:
+            if not caught:
                 survivors.append(rule)
 
         with ThreadPoolExecutor(args.jobs) as pool:
             list(pool.map(take_away, rules))
     minutes = (time.monotonic() - began_s) / 60.0
-    print(f"{len(rules)} rules taken away, {len(rules) - len(survivors)} missed, in {minutes:.0f} min")
+    print(f"{len(rules)} rules taken away, {len(rules) - len(survivors)} caught, in {minutes:.0f} min")
     for rule in survivors:
-        print(f"not missed: {rule}")
+        print(f"not caught: {rule}")
     return 1 if survivors else 0
 
 

@@ -903,7 +903,7 @@ class Core:
             evp_opening=telemetry.evp_opening if telemetry else math.nan,
             dvp_opening=telemetry.dvp_opening if telemetry else math.nan,
             solenoid=telemetry.solenoid if telemetry else None,
-            cycles=self._supply.cycles_left,
+            cycles=self._supply.cycles_left if telemetry else None,
             doing=self._motion.name if self._motion else self._resting(telemetry),
             safe_state=self._safety.reasons,
             unstable=self._unstable(t),
