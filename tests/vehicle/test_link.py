@@ -18,9 +18,8 @@ from pseudo_terminal import Terminal
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from examples import examples
-from firmware_link import serial_port
+from firmware_link import reconnect
 from flying_vines.config.address import Address, NetworkAddress, SerialAddress
-from flying_vines.vehicle.mavlink import link as link_module
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 from flying_vines.vehicle.mavlink.link import (
     MAX_FIRST_DATAGRAM_BYTES,
@@ -40,8 +39,7 @@ TIMEOUT_S = 5.0
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(link_module, "RETRY_S", 0.02)
-    monkeypatch.setattr(serial_port, "RETRY_S", 0.02)
+    monkeypatch.setattr(reconnect.Reconnect, "wait_s", lambda *_: 0.02)
 
 
 class Watched:
@@ -464,13 +462,13 @@ async def test_tcp_comes_back_when_the_server_does() -> None:
 
 async def test_tcp_reports_once_why_there_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     loop, tried = asyncio.get_running_loop(), asyncio.Semaphore(0)
-    connect = loop.create_connection
+    connect = loop.sock_connect
 
-    async def counted(*args: Any) -> Any:
+    async def counted(*args: Any) -> None:
         tried.release()
-        return await connect(*args)
+        await connect(*args)
 
-    monkeypatch.setattr(loop, "create_connection", counted)
+    monkeypatch.setattr(loop, "sock_connect", counted)
     port = free_port()
     async with running(NetworkAddress("tcp", HOST, port)) as watched, asyncio.timeout(TIMEOUT_S):
         for _ in range(4):
