@@ -681,7 +681,7 @@ class Core:
             pneumatics_armed=self._pneumatics_armed,
             armed=self._vehicle.state.armed,
             armed_s=self._vehicle.state.arm_state.armed_s(t),
-            arm_conflict=self._vehicle.state.arm_state.in_conflict(t),
+            conflict=self._vehicle.state.conflict(t),
             altitude_m=self._vehicle.state.altitude_m(t),
             rc_problem=self._vehicle.rc.problem(t) if self._rc_in_use else None,
             autopilot_age_s=self._vehicle.state.silence_s(t),
@@ -763,7 +763,7 @@ class Core:
         texts = {
             "rc": "RC is off and not in use" if rc_is_off else "RC is back",
             "autopilot": "autopilot is back",
-            "arm_conflict": "arm state agrees again",
+            "conflict": "only one autopilot again",
             "serial": f"{self._actuator} is back",
             "telemetry": f"{self._actuator} telemetry is back",
             "firmware_fault": "firmware fault cleared",

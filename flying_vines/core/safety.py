@@ -54,8 +54,8 @@ class SafetyInputs(NamedTuple):
     """The vehicle is armed."""
     armed_s: float = math.inf
     """Time since the vehicle was armed."""
-    arm_conflict: bool = False
-    """Two senders claim to be the autopilot and disagree about `armed`."""
+    conflict: str = ""
+    """A sentence about two senders that both claim to be the autopilot."""
     altitude_m: float | None = None
     rc_problem: str | None = None
     """Why RC cannot be trusted; None if it can, or if RC is not in use."""
@@ -325,8 +325,8 @@ class Safety:
             return f"autopilot silent for {self._losses.autopilot_s:g} s"
         return "no HEARTBEAT: arm state unknown" if now.heartbeat_missing else None
 
-    def _arm_conflict(self, now: SafetyInputs) -> str | None:
-        return "armed and disarmed: a second sender claims to be the autopilot" if now.arm_conflict else None
+    def _conflict(self, now: SafetyInputs) -> str | None:
+        return now.conflict or None
 
     def _serial(self, now: SafetyInputs) -> str | None:
         if now.firmware_was_ready and not now.firmware_ready:
@@ -378,7 +378,7 @@ _Check = Callable[[Safety, SafetyInputs], str | None]
 _LOSSES: dict[str, _Check] = {
     "rc": Safety._rc,
     "autopilot": Safety._autopilot,
-    "arm_conflict": Safety._arm_conflict,
+    "conflict": Safety._conflict,
     "serial": Safety._serial,
     "telemetry": Safety._telemetry,
     "firmware_fault": Safety._firmware_fault,
