@@ -86,11 +86,11 @@ def unread_from(link: Link) -> str:
 class _NetworkLink(asyncio.BaseProtocol):
     """Base of the network links: the address, and one connection after the other."""
 
-    def __init__(
-        self, address: NetworkAddress, on_bytes: OnBytes, on_state: OnState, policy: Policy = POLICY
-    ) -> None:
+    def __init__(self, address: NetworkAddress, on_bytes: OnBytes, on_state: OnState) -> None:
         self._address = address
         self._on_bytes = on_bytes
+        self._is_listening = address.kind == "udpin"
+        policy = LISTENING if self._is_listening else POLICY
         self._kept = KeptOpen(
             policy, self._connect, lambda up, why: on_state(up, "" if up else f"{address}: {why}")
         )
@@ -204,8 +204,7 @@ class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
         on_state: OnState,
         on_stranger: OnStranger | None = None,
     ) -> None:
-        self._is_listening = address.kind == "udpin"
-        super().__init__(address, on_bytes, on_state, LISTENING if self._is_listening else POLICY)
+        super().__init__(address, on_bytes, on_state)
         self.unread_from = ""
         self._on_stranger = on_stranger
         self._local_port = 0
