@@ -24,7 +24,8 @@ from typing import IO
 
 import msgspec
 from aiohttp import ClientSession, ClientTimeout
-from latency import configuration_text, ended, environment, free_port
+from latency import configuration_text, ended, environment
+from ports import free_port
 from process_cost import cpu_s, only_child, pss_MB
 from serial_board import SerialBoard
 from switch_flips import Flight, Flipper, NotMeasured
