@@ -32,8 +32,11 @@ from rich.table import Table
 from serial_board import SerialBoard
 from switch_flips import Flight, Flipper, NotMeasured
 
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
+
+from ports import free_port
+
 from flying_vines.config import config as configuration
-from flying_vines.simulation.autopilot_server import free_udp_port
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent
@@ -189,7 +192,7 @@ def _count(text: str) -> int:
 def _fly(subject: Subject, result: Result, flips: int, seed: int, scratch: Path) -> None:
     """Fly one flight with a new process."""
     folder = Path(tempfile.mkdtemp(dir=scratch))
-    udp_port = free_udp_port()
+    udp_port = free_port()
     with SerialBoard(monotonic()) as board, (folder / "output").open("w+", encoding="utf-8") as output:
         started_s = monotonic()
         process = subprocess.Popen(

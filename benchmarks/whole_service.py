@@ -25,12 +25,12 @@ from typing import IO
 import msgspec
 from aiohttp import ClientSession, ClientTimeout
 from latency import configuration_text, ended, environment
+from ports import free_port
 from process_cost import cpu_s, only_child, pss_MB
 from serial_board import SerialBoard
 from switch_flips import Flight, Flipper, NotMeasured
 
 from flying_vines.gateway import page_token
-from flying_vines.simulation.autopilot_server import free_udp_port
 from flying_vines.vehicle.mavlink.signing import KEY_SIZE, Signing
 
 STARTS_WITHIN_S = 20.0
@@ -146,7 +146,7 @@ def running(
     switched: Switched, flips: int, seed: int, cores: set[int] | None = None
 ) -> Iterator[tuple[Whole, Flipper]]:
     """Start a service, only on these cores if they are given, and prepare its flight."""
-    udp_port, port = free_udp_port(), _free_tcp_port() if switched.page else 0
+    udp_port, port = free_port(), free_port() if switched.page else 0
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="whole-service-")))
         board = stack.enter_context(SerialBoard(time.monotonic()))
@@ -214,12 +214,6 @@ def _set(text: str, table: str, key: str, value: str) -> str:
 def _write_private(path: Path, text: str) -> None:
     path.touch(mode=0o600)
     path.write_text(text, encoding="ascii")
-
-
-def _free_tcp_port() -> int:
-    with socket.create_server(("", 0)) as probe:
-        port: int = probe.getsockname()[1]
-        return port
 
 
 def _until_it_listens(whole: Whole) -> None:

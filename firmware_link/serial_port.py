@@ -1,4 +1,4 @@
-"""A serial port that reopens by itself."""
+"""A serial port that is opened again after every loss and every long silence."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ from typing import Any
 from serial_asyncio_fast import SerialTransport, create_serial_connection
 
 from firmware_link.find import BoardNotFoundError, Ports, UsbBoard
+from firmware_link.reconnect import KeptOpen, Policy, Problem
 
-RETRY_S = 0.2
-"""Time between two tries. A try takes about 1 ms of processor time. A board that is plugged in again must be
-connected within 1 s."""
+POLICY = Policy(first_wait_s=0.2, longest_wait_s=0.5, quiet_s=5.0)
+"""A try takes about 1 ms of processor time. A board that is plugged in again must be connected within 1 s.
+
+The name of a silent port may lead to another port by now. A silent board has vented long before, by its
+dead-man or by our command. Opening sets DTR. A Teensy does not reset by that, only by a speed of 134 baud."""
 _CLOSING_S = 0.5
 STALE_S = 0.25
 """Data that waits longer is dropped, because a setpoint is valid only for this time."""
@@ -46,9 +49,9 @@ class SerialPort:
         self._dropped_bytes = 0
         self._ports = ports
         self._on_bytes = on_bytes
-        self._on_state = on_state
-        self._reported: tuple[bool, str] | None = None
+        self._kept = KeptOpen(POLICY, self._connect, on_state)
         self._connection: _Connection | None = None
+        self._closing: asyncio.Future[None] | None = None
 
     @property
     def connected(self) -> bool:
@@ -72,19 +75,28 @@ class SerialPort:
 
     async def run(self) -> None:
         """Keep the port open until cancelled; then close it."""
-        while True:
-            name = str(self.where)
-            try:
-                path = await self._find()
-                name = path if path == name else f"{name} ({path})"
-                connection = await self._open(path, name)
-            except BoardNotFoundError as error:
-                self._report(False, str(error))
-            except (OSError, ValueError) as error:
-                self._report(False, _why_not(name, error))
-            else:
-                await self._serve(connection, name)
-            await asyncio.sleep(RETRY_S)
+        try:
+            await self._kept.run()
+        finally:
+            await self._closed()
+
+    async def _closed(self) -> None:
+        """Wait until the last connection is closed, but not long: a driver may keep an unplugged port."""
+        if self._closing is not None:
+            await asyncio.wait([self._closing], timeout=_CLOSING_S)
+
+    async def _connect(self) -> Problem:
+        await self._closed()
+        name = str(self.where)
+        try:
+            path = await self._find()
+            name = path if path == name else f"{name} ({path})"
+            connection = await self._open(path, name)
+        except BoardNotFoundError as error:
+            return Problem(str(error))
+        except (OSError, ValueError) as error:
+            return Problem(_why_not(name, error))
+        return Problem(f"{name} was lost: {await self._serve(connection)}")
 
     async def _find(self) -> str:
         if isinstance(self.where, str):
@@ -96,7 +108,7 @@ class SerialPort:
         opening = asyncio.ensure_future(
             create_serial_connection(
                 asyncio.get_running_loop(),
-                lambda: _Connection(self._on_bytes, lambda connection: self._came_up(connection, name)),
+                lambda: _Connection(self._received, lambda connection: self._came_up(connection, name)),
                 path,
                 baudrate=self.baud,
                 exclusive=True if os.name == "posix" else None,
@@ -111,29 +123,21 @@ class SerialPort:
         assert isinstance(connection, _Connection)
         return connection
 
-    async def _serve(self, connection: _Connection, name: str) -> None:
+    async def _serve(self, connection: _Connection) -> str:
         try:
-            why = await asyncio.shield(connection.lost)
-            self._end(connection)
-            self._report(False, f"{name} was lost: {why}")
+            return await asyncio.shield(connection.lost)
         finally:
-            self._end(connection)
-            # A driver may keep an unplugged port for a long time. Do not wait longer.
-            await asyncio.wait([connection.gone], timeout=_CLOSING_S)
+            connection.close()
+            self._dropped_bytes = self.dropped_bytes
+            self._connection, self._closing = None, connection.gone
 
     def _came_up(self, connection: _Connection, name: str) -> None:
         self._connection = connection
-        self._report(True, f"{name} is open")
+        self._kept.opened(f"{name} is open")
 
-    def _end(self, connection: _Connection) -> None:
-        connection.close()
-        self._dropped_bytes = self.dropped_bytes
-        self._connection = None
-
-    def _report(self, up: bool, why: str) -> None:
-        if (up, why) != self._reported:
-            self._reported = (up, why)
-            self._on_state(up, why)
+    def _received(self, data: bytes) -> None:
+        self._kept.heard()
+        self._on_bytes(data)
 
 
 class _Connection(asyncio.Protocol):

@@ -16,7 +16,8 @@ FORMS = (
     f"serial:/dev/NAME[:BAUD], {USB_FORM}, udpin:HOST:PORT[?peer=ADDRESS], udpout:HOST:PORT or tcp:HOST:PORT"
 )
 DEFAULT_BAUD = 115200
-BROKER_FORMS = "mqtt://HOST[:PORT], or mqtts://HOST[:PORT] for TLS"
+BROKER_FORMS = "mqtt://HOST[:PORT], or mqtts://HOST[:PORT] for TLS; an IPv6 address in brackets"
+_HOST_NAME = re.compile(r"[^\s:\[\]]+")
 _BAUD = re.compile(r"[1-9][0-9]{1,7}")
 _PORT = re.compile(r"[0-9]{1,5}")
 
@@ -39,11 +40,14 @@ class NetworkAddress:
     peer: str = ""
     """`udpin` reads only datagrams from this address; empty: from all addresses."""
 
+    def __str__(self) -> str:
+        return f"{self.kind}:{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}"
+
     @property
     def on_loopback(self) -> bool:
         """True if only programs on this computer can be at the other end."""
         try:
-            return self.host == "localhost" or ipaddress.ip_address(self.host).is_loopback
+            return self.host == "localhost" or _plain(self.host).is_loopback
         except ValueError:
             return False
 
@@ -86,7 +90,7 @@ def same_address(one: str, other: str) -> bool:
 
 
 def _plain(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
-    address = ipaddress.ip_address(text)
+    address = ipaddress.ip_address(text.partition("%")[0])
     return getattr(address, "ipv4_mapped", None) or address
 
 
@@ -116,6 +120,7 @@ def parse_address(text: str) -> Address:
         return UsbBoard.parse(text)
     rest, asks, query = rest.partition("?")
     host, _, port = rest.rpartition(":")
+    host = _host(host)
     if host and _PORT.fullmatch(port) and 0 < int(port) < 65536:
         match kind:
             case "udpin" | "udp":
@@ -125,8 +130,18 @@ def parse_address(text: str) -> Address:
     raise ValueError(f"'{text}' is not a link: give {FORMS}")
 
 
+def _host(text: str) -> str:
+    """The host name or IP address, an IPv6 address without brackets; empty if it is neither."""
+    bare = text[1:-1] if text[:1] == "[" and text[-1:] == "]" else text
+    with contextlib.suppress(ValueError):
+        ipaddress.IPv6Address(bare)
+        return bare
+    return text if _HOST_NAME.fullmatch(text) else ""
+
+
 def _peer(query: str) -> str:
     key, _, peer = query.partition("=")
+    peer = _host(peer)
     try:
         address = _plain(peer)
     except ValueError:

@@ -121,9 +121,10 @@ _CONDITION_NAMES = {
     "serial": "{actuator}",
     "telemetry": "{actuator} telemetry",
     "firmware_reset": "{actuator}",
-    "arm_conflict": "arm state",
+    "conflict": "autopilot",
 }
 """By safety's name for a loss: the name in texts. All others have the same name in both."""
+
 
 class Core:
     """One vine on one vehicle. `handle` takes every event, in time order, and returns the actions, in order.
@@ -700,7 +701,7 @@ class Core:
             pneumatics_armed=self._pneumatics_armed,
             armed=self._vehicle.state.armed,
             armed_s=self._vehicle.state.arm_state.armed_s(t),
-            arm_conflict=self._vehicle.state.arm_state.in_conflict(t),
+            conflict=self._vehicle.state.conflict(t),
             altitude_m=self._vehicle.state.altitude_m(t),
             rc_problem=self._vehicle.rc.problem(t) if self._rc_in_use else None,
             autopilot_age_s=self._vehicle.state.silence_s(t),
@@ -791,7 +792,7 @@ class Core:
         name = self._condition(change.name)
         texts = {
             "late": "vehicle link is in time again",
-            "arm_conflict": "arm state agrees again",
+            "conflict": "only one autopilot again",
             "firmware_fault": "firmware fault cleared",
         }
         text = texts.get(change.name, f"{name} is back")

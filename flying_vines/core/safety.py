@@ -27,7 +27,6 @@ each second, so a forged "armed" does not last so long."""
 LANDING_MARGIN_M = 0.5
 """A bent vine is vented when it is this far below `interlocks.min_altitude_m`."""
 
-ARM_CONFLICT = "armed again within 3 s of a disarm, or a second sender claims to be the autopilot"
 INTERNAL_ERROR = "internal error: restart the service"
 
 FAULT_SENTENCES = {
@@ -57,8 +56,8 @@ class SafetyInputs(NamedTuple):
     """The vehicle is armed."""
     armed_s: float = math.inf
     """Time since the vehicle was armed."""
-    arm_conflict: bool = False
-    """Two senders claim to be the autopilot and disagree about `armed`."""
+    conflict: str = ""
+    """A sentence about two senders that both claim to be the autopilot."""
     altitude_m: float | None = None
     rc_problem: str | None = None
     """Why RC cannot be trusted; None if it can, or if RC is not in use."""
@@ -335,8 +334,8 @@ class Safety:
         late = now.link_delay_s > ACTS_WITHIN_S
         return f"vehicle link more than {ACTS_WITHIN_S:g} s late" if late else None
 
-    def _arm_conflict(self, now: SafetyInputs) -> str | None:
-        return ARM_CONFLICT if now.arm_conflict else None
+    def _conflict(self, now: SafetyInputs) -> str | None:
+        return now.conflict or None
 
     def _serial(self, now: SafetyInputs) -> str | None:
         if now.firmware_was_ready and not now.firmware_ready:
@@ -389,7 +388,7 @@ _LOSSES: dict[str, _Check] = {
     "rc": Safety._rc,
     "autopilot": Safety._autopilot,
     "late": Safety._late,
-    "arm_conflict": Safety._arm_conflict,
+    "conflict": Safety._conflict,
     "serial": Safety._serial,
     "telemetry": Safety._telemetry,
     "firmware_fault": Safety._firmware_fault,

@@ -11,7 +11,7 @@ import msgspec
 
 from flying_vines.config.config import Config
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.autopilot_server import AutopilotServer, free_udp_port
+from flying_vines.simulation.autopilot_server import FIRST_CLIENT, AutopilotServer
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
 
@@ -33,9 +33,8 @@ async def between(
 
     Without `phlosar` the configuration's firmware link stays.
     """
-    companion_port = free_udp_port()
-    vehicle = f"udpin:127.0.0.1:{companion_port}"
-    server = AutopilotServer(autopilot, ("127.0.0.1", companion_port))
+    server = AutopilotServer(autopilot, FIRST_CLIENT, listen=[("127.0.0.1", 0)])
+    await server.open()
     with ExitStack() as stack:
         living = [asyncio.create_task(server.run())]
         firmware = config.firmware.link
@@ -44,7 +43,7 @@ async def between(
             living.append(asyncio.create_task(port.run()))
             firmware = f"serial:{port.path}"
         try:
-            yield linked(config, vehicle, firmware)
+            yield linked(config, f"tcp:127.0.0.1:{server.ports[0]}", firmware)
         finally:
             for task in living:
                 task.cancel()

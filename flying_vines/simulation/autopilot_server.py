@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import socket
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import cast
@@ -19,6 +18,7 @@ PACE_S = 0.01
 MAX_CLIENTS = 8
 """Maximum number of TCP clients on all TCP ports together, because an autopilot has few ports."""
 MAX_QUEUED_BYTES = 64 * 1024
+FIRST_CLIENT = "the first TCP client"
 
 
 class AutopilotServer:
@@ -41,12 +41,18 @@ class AutopilotServer:
     ) -> None:
         """`companion` and `gcs` are (host, port) or "udpout:host:port"; otherwise raises `ValueError`.
 
+        A `companion` that is `FIRST_CLIENT` is the first TCP client.
+
         `script`: times (s since the start of `run`) and stimuli, in any order. `listen`: TCP ports as
         "tcpin:host:port" or (host, port); port 0 is any free port. `speed`: 10 is ten times real time.
         """
         self.autopilot = autopilot
         self._peers: dict[str, SocketAddress] = {}
-        if companion is not None:
+        self._links = [f"tcp{number}" for number in range(1, MAX_CLIENTS + 1)]
+        """The autopilot's ports for TCP clients, each for one."""
+        if companion == FIRST_CLIENT:
+            self._links.insert(0, COMPANION)
+        elif companion is not None:
             self._peers[COMPANION] = _host_and_port(companion)
         if gcs is not None:
             self._peers[GCS] = _host_and_port(gcs)
@@ -56,7 +62,8 @@ class AutopilotServer:
         self._start_s = 0.0
         self._ends: dict[str, _UdpPeer | _TcpClient] = {}
         self.ports: list[int] = []
-        """The TCP ports, in the order of `listen`; valid once `ready`."""
+        """The TCP ports, in the order of `listen`; valid after `open` and once `ready`."""
+        self._servers: list[asyncio.Server] = []
         self.ready = asyncio.Event()
         self.frames_unsent = 0
 
@@ -64,6 +71,14 @@ class AutopilotServer:
     def now_s(self) -> float:
         """The vehicle's time since the start of `run`, s."""
         return (asyncio.get_running_loop().time() - self._start_s) * self._speed
+
+    async def open(self) -> None:
+        """Open the TCP ports. `run` does it, too, but then the ports are known later. Raises `OSError`."""
+        for address in self._listen[len(self._servers) :]:
+            with _named(address):
+                server = await asyncio.get_running_loop().create_server(lambda: _TcpClient(self), *address)
+            self._servers.append(server)
+        self.ports = [server.sockets[0].getsockname()[1] for server in self._servers]
 
     async def run(self) -> None:
         """Serve until cancelled.
@@ -73,15 +88,11 @@ class AutopilotServer:
         """
         loop = asyncio.get_running_loop()
         self._start_s = loop.time()
-        servers: list[asyncio.Server] = []
         try:
             for link, address in self._peers.items():
                 with _named(address):
                     await self._connect(link, address)
-            for address in self._listen:
-                with _named(address):
-                    servers.append(await loop.create_server(lambda: _TcpClient(self), *address))
-            self.ports = [server.sockets[0].getsockname()[1] for server in servers]
+            await self.open()
             self.ready.set()
             slot = 0
             while True:
@@ -90,7 +101,7 @@ class AutopilotServer:
                 slot = max(slot + 1, int((loop.time() - self._start_s) / PACE_S))
                 await asyncio.sleep(self._start_s + slot * PACE_S - loop.time())
         finally:
-            for server in servers:
+            for server in self._servers:
                 server.close()
             for end in list(self._ends.values()):
                 end.close()
@@ -105,8 +116,7 @@ class AutopilotServer:
 
     def add_client(self, client: _TcpClient) -> str | None:
         """The autopilot's port for a TCP client; None if none is free."""
-        for number in range(1, MAX_CLIENTS + 1):
-            link = f"tcp{number}"
+        for link in self._links[:MAX_CLIENTS]:
             if link not in self._ends:
                 self._ends[link] = client
                 self.autopilot.add_link(link)
@@ -225,11 +235,3 @@ def _listening(at: str | SocketAddress) -> SocketAddress:
     address = parse_address(f"tcp:{place}")
     assert isinstance(address, NetworkAddress)
     return address.host, address.port
-
-
-def free_udp_port() -> int:
-    """An unused UDP port of this computer."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port

@@ -29,7 +29,7 @@ from flying_vines.record.reader import FlightLog
 from flying_vines.record.recorder import FlightStart, Recorder
 from flying_vines.service.service import Service
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.autopilot_server import AutopilotServer, free_udp_port
+from flying_vines.simulation.autopilot_server import FIRST_CLIENT, AutopilotServer
 from flying_vines.simulation.ground_station import GroundStation
 from flying_vines.simulation.phlosar.mishaps import Hole
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
@@ -295,19 +295,19 @@ async def fly(
     """Fly the script in real time; log and picture go to `out`. `page`: serve the status page."""
     ground = GroundStation()
     ground_port = await ground.listen()
-    companion_port = free_udp_port()
     phlosar = SimulatedPhlosar(rig, reservoir_kPa=690.0)
     autopilot = FakeAutopilot("ardupilot", mission=demo_mission(), rc_failsafe_mode=None)
     autopilot.set_rc(SWITCH_CHANNEL, LOW)
+    server = AutopilotServer(autopilot, FIRST_CLIENT, ("127.0.0.1", ground_port), listen=[("127.0.0.1", 0)])
+    await server.open()
     with PtyPhlosar(phlosar) as port:
         default = configuration.default()
         text = configuration.default_text()
-        text = text.replace(default.vehicle.link, f"udpin:127.0.0.1:{companion_port}")
+        text = text.replace(default.vehicle.link, f"tcp:127.0.0.1:{server.ports[0]}")
         text = text.replace(default.firmware.link, f"serial:{port.path}")
         config = configuration.parse(text, "the demo's configuration")
         log = Recorder(out, FlightStart(text, config.pneumatics))
         world = World(config, autopilot, phlosar, ground)
-        server = AutopilotServer(autopilot, ("127.0.0.1", companion_port), ("127.0.0.1", ground_port))
         began = asyncio.get_running_loop().time()
         view = LiveView(began, config.limits.max_kPa, config.pneumatics.full_kPa)
 

@@ -1,9 +1,9 @@
-"""The WebSocket of a service's page; reconnects after each loss."""
+"""The WebSocket of a service's page; opened again after each loss."""
 
 from __future__ import annotations
 
 import asyncio
-import os
+import contextlib
 from collections.abc import Callable
 
 from aiohttp import (
@@ -11,15 +11,18 @@ from aiohttp import (
     ClientError,
     ClientSession,
     ClientTimeout,
+    ClientWSTimeout,
     WSMsgType,
     WSServerHandshakeError,
 )
 from yarl import URL
 
+from firmware_link.reconnect import KeptOpen, Policy, Problem, why_not
 from flying_vines.terminal.page_protocol import LATE_S
 
-OPENS_WITHIN_S = 3.0
-FIRST_BACKOFF_S, MAX_BACKOFF_S = 0.25, 4.0
+POLICY = Policy(first_wait_s=0.25, longest_wait_s=4.0, opens_within_s=3.0, quiet_s=LATE_S)
+CLOSING_S = 0.5
+"""A page that is silent does not answer a goodbye, either."""
 MAX_MESSAGE_BYTES = 1024 * 1024
 
 
@@ -29,22 +32,27 @@ class NotAdmittedError(Exception):
 
 def socket_of(page: str) -> URL:
     """The WebSocket's URL for the page's URL. Raises `ValueError` if the page's URL is invalid."""
-    url = URL(page if "://" in page else f"http://{page}")
-    if url.scheme not in ("http", "https") or not url.host:
-        raise ValueError("give http://HOST:PORT")
-    return url.with_path("/live").with_query(url.query)
+    with contextlib.suppress(ValueError):
+        url = URL(page if "://" in page else f"http://{page}")
+        if url.scheme in ("http", "https") and url.host:
+            return url.with_path("/live").with_query(url.query)
+    raise ValueError("give http://HOST:PORT, with an IPv6 address in brackets")
 
 
 class PageSocket:
     """A link to a page's socket. `take` gets each message; `problem` is a sentence while there is no link."""
 
     def __init__(self, url: URL, token: str, take: Callable[[str], None]) -> None:
-        self.problem = "connecting"
+        self._why_down = "connecting"
         self._url = url
         self._headers = {"Authorization": f"Bearer {token}"} if token else {}
         self._take = take
         self._to_send: asyncio.Queue[str] = asyncio.Queue(maxsize=1)
-        self._backoff_s = FIRST_BACKOFF_S
+        self._kept = KeptOpen(POLICY, self._connect, self._changed)
+
+    @property
+    def problem(self) -> str:
+        return self._why_down or ("no data from the page" if self._kept.is_silent else "")
 
     def send(self, text: str) -> None:
         """Send if there is a link; otherwise drop the text, because it would be late."""
@@ -53,38 +61,38 @@ class PageSocket:
 
     async def run(self) -> None:
         """Run until cancelled. Raises `NotAdmittedError`."""
-        async with ClientSession(
-            headers=self._headers, timeout=ClientTimeout(connect=OPENS_WITHIN_S)
-        ) as session:
-            while True:
-                try:
-                    await self._communicate(session)
-                    self.problem = "the page has closed the link"
-                except WSServerHandshakeError as refused:
-                    self.problem = _why(refused.status)
-                except TimeoutError:
-                    self.problem = "no data from the page"
-                except ClientConnectorError as error:
-                    self.problem = f"{error.host}:{error.port}: {os.strerror(error.errno or 0)}"
-                except (ClientError, OSError) as error:
-                    self.problem = str(error) or type(error).__name__
-                await asyncio.sleep(self._backoff_s)
-                self._backoff_s = min(2.0 * self._backoff_s, MAX_BACKOFF_S)
+        await self._kept.run()
+
+    def _changed(self, up: bool, why: str) -> None:
+        self._why_down = "" if up else why
+
+    async def _connect(self) -> Problem:
+        try:
+            async with ClientSession(
+                headers=self._headers, timeout=ClientTimeout(connect=POLICY.opens_within_s)
+            ) as session:
+                await self._communicate(session)
+        except WSServerHandshakeError as refused:
+            return Problem(_why(refused.status))
+        except ClientConnectorError as error:
+            return Problem(f"{error.host}:{error.port}: {why_not(error.os_error)}")
+        except (ClientError, OSError) as error:
+            return Problem(str(error) or type(error).__name__)
+        return Problem("the page has closed the link")
 
     async def _communicate(self, session: ClientSession) -> None:
-        async with asyncio.timeout(OPENS_WITHIN_S):
-            viewing = await session.ws_connect(self._url, max_msg_size=MAX_MESSAGE_BYTES)
-        async with viewing:
-            self.problem = ""
+        async with session.ws_connect(
+            self._url, max_msg_size=MAX_MESSAGE_BYTES, timeout=ClientWSTimeout(ws_close=CLOSING_S)
+        ) as viewing:
             while not self._to_send.empty():
                 self._to_send.get_nowait()
+            self._kept.opened()
             sending = asyncio.create_task(self._send_all(viewing.send_str))
             try:
-                while True:
-                    message = await viewing.receive(LATE_S)
+                async for message in viewing:
                     if message.type is not WSMsgType.TEXT:
                         return
-                    self._backoff_s = FIRST_BACKOFF_S
+                    self._kept.heard()
                     self._take(message.data)
             finally:
                 sending.cancel()

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.arm_state import ArmState
+from flying_vines.vehicle.arm_state import ArmState, Clocks
 from flying_vines.vehicle.autopilots import OTHER, of_heartbeat
 from flying_vines.vehicle.clock import AutopilotClock
 from flying_vines.vehicle.mavlink import handled_messages as handled
@@ -25,6 +26,9 @@ LOWEST_M, HIGHEST_M = -1_000.0, 100_000.0
 HEARTBEAT_FRESH_S = 5.0
 """Only HEARTBEAT, at 1 Hz, carries the arm state. Five HEARTBEATs are hardly ever lost in a row. A disarmed
 vehicle must not count as armed for longer than this."""
+
+OTHER_ID_AFTER_S = 5.0
+"""If our autopilot is silent for this time, and another system id is heard, it may have a new id."""
 
 CHOOSING_S = 2.0
 """A second autopilot within this time after the first makes the choice ambiguous."""
@@ -62,7 +66,15 @@ class Ambiguous:
     system_ids: tuple[int, int]
 
 
-VehicleEvent = Rebooted | AutopilotFound | Ambiguous
+@dataclass(frozen=True, slots=True)
+class OtherHeard:
+    """Another system id is heard, and our autopilot is not. It may be another vehicle: not served."""
+
+    expected: int
+    heard: int
+
+
+VehicleEvent = Rebooted | AutopilotFound | Ambiguous | OtherHeard
 
 
 class VehicleState:
@@ -77,6 +89,9 @@ class VehicleState:
         self._found_at: float | None = None
         self._ambiguous = False
         self.clock = AutopilotClock()
+        self._clocks = Clocks()
+        self._others: dict[int, float] = {}
+        """When each other autopilot was first heard without ours; infinite once that was reported."""
         self._altitudes: deque[tuple[float, float]] = deque()
         """Time and altitude of the latest report, and of each earlier one below all later ones."""
         self._altitudes_since = 0.0
@@ -111,6 +126,14 @@ class VehicleState:
     def armed(self) -> bool:
         """The arm state in the autopilot's latest HEARTBEAT."""
         return self.arm_state.armed
+
+    def conflict(self, t: float) -> str:
+        """How two senders with the autopilot's ids contradict each other; empty if they do not."""
+        if self._clocks.in_conflict(t):
+            return f"two autopilots with id {self.system_id}"
+        if self.arm_state.in_conflict(t):
+            return "armed again within 3 s of a disarm, or a second sender claims to be the autopilot"
+        return ""
 
     def silence_s(self, t: float) -> float | None:
         """Time since the last frame of the autopilot; None before the first one."""
@@ -174,11 +197,14 @@ class VehicleState:
             return events
         self.note_frame(t)
         if kind in handled.CLOCK:
-            if self.clock.stamp(t, message.time_boot_ms, kind == "RC_CHANNELS"):
+            is_measured = kind == "RC_CHANNELS"
+            is_other_clock = not is_measured and self._clocks.stamp(t, message.time_boot_ms / 1000.0)
+            if self.clock.stamp(t, message.time_boot_ms, is_measured):
                 self._altitudes.clear()
-                events.append(Rebooted())
+                events += [] if is_other_clock else [Rebooted()]
             self.delay_s = self.clock.mark(t).suspected_s
         if kind == "HEARTBEAT":
+            self._others.clear()
             self.heartbeat_at = t
             self.arm_state.handle(t, bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED))
             self.autopilot = of_heartbeat(message.autopilot)
@@ -202,16 +228,23 @@ class VehicleState:
             return []
         if self._configured_id:
             if system != self._configured_id:
-                return []
+                return self._other(t, self._configured_id, system)
         elif self._found_at is not None:
             if t - self._found_at > CHOOSING_S:
-                return []
+                return self._other(t, self.system_id, system)
             pair = (self.system_id, system)
             self.system_id, self._ambiguous = 0, True
             self.arm_state = ArmState()
             return [Ambiguous(pair)]
         self.system_id, self._found_at = system, t
         return [AutopilotFound(system)]
+
+    def _other(self, t: float, expected: int, heard: int) -> list[VehicleEvent]:
+        first_at = self._others.setdefault(heard, t)
+        if t - first_at < OTHER_ID_AFTER_S:
+            return []
+        self._others[heard] = math.inf
+        return [OtherHeard(expected, heard)]
 
 
 def _is_autopilot(message: MavlinkMessage) -> bool:

@@ -21,7 +21,7 @@ from flying_vines.vehicle.own_triggers import messages_of, own_triggers
 from flying_vines.vehicle.radio.pilot import Pilot, Straightened
 from flying_vines.vehicle.radio.rc import RadioLink
 from flying_vines.vehicle.radio.switch import SwitchReader
-from flying_vines.vehicle.state import Ambiguous, AutopilotFound, VehicleState
+from flying_vines.vehicle.state import Ambiguous, AutopilotFound, OtherHeard, VehicleState
 from flying_vines.vehicle.streams import Streams
 from flying_vines.vehicle.triggers import Rules, Trigger
 from flying_vines.vine.intent import VentVine
@@ -93,12 +93,16 @@ class Vehicle:
         kind = message.get_type()
         state = self.state
         from_autopilot = state.is_ours(message)
+        out: list[VehicleOutput] = []
         if from_autopilot:
             state.clock.frame(t, message.get_seq())
             state.note_frame(t)
+        elif self.component.is_duplicate(message, state):
+            out.extend(self.component.note_duplicate(t))
+            if kind not in handled.COMMANDS:
+                return out
         if kind not in handled.ALL:
-            return self._items(t) if from_autopilot and not self._watch.idle else []
-        out: list[VehicleOutput] = []
+            return self._items(t) if from_autopilot and not self._watch.idle else out
         if kind == "HEARTBEAT":
             out.extend(self._on_heartbeat(t, message))
         elif from_autopilot and kind in handled.STATE and state.handle(t, message):
@@ -112,9 +116,7 @@ class Vehicle:
             answers = self.component.handle(t, message, state, vented)
             out.extend(answers or ())
             from_autopilot = state.is_ours(message)  # this HEARTBEAT may have made its sender our autopilot
-        # The component answers nothing to another program with our ids, but everybody may let air out.
-        by_namesake = kind in handled.COMMANDS and self.component.has_our_ids(message, state)
-        if kind in handled.COMMANDS and (answers is None or by_namesake) and state.found:
+        if kind in handled.COMMANDS and answers is None and state.found:
             self._waiting.append((state.clock.mark(t), message))
         if self._waiting and (kind in handled.CLOCK or kind in handled.COMMANDS):
             out.extend(self._command_triggers(t))
@@ -153,6 +155,9 @@ class Vehicle:
                 case Ambiguous((one, other)):
                     text = f"Vine: autopilots {one} and {other}: set vehicle.system_id"
                     out.append(Notice(t, Severity.ERROR, text))
+                case OtherHeard(expected, heard):
+                    text = f"Vine: autopilot {expected} expected, {heard} heard: set vehicle.system_id"
+                    out.append(Notice(t, Severity.WARNING, text))
         if self.state.autopilot is not self._autopilot:
             self._take_autopilot(t)
         if self.state.armed and (self.state.armed, self.state.mode) != before:

@@ -37,6 +37,9 @@ from flying_vines.config.address import (
         ("udpout:10.0.0.1:1", NetworkAddress("udpout", "10.0.0.1", 1)),
         ("tcp:drone.local:65535", NetworkAddress("tcp", "drone.local", 65535)),
         ("tcp:::1:5760", NetworkAddress("tcp", "::1", 5760)),
+        ("tcp:[::1]:5760", NetworkAddress("tcp", "::1", 5760)),
+        ("tcp:[fe80::1%eth0]:5760", NetworkAddress("tcp", "fe80::1%eth0", 5760)),
+        ("udpin:[::]:14540?peer=[fe80::1]", NetworkAddress("udpin", "::", 14540, "fe80::1")),
     ],
 )
 def test_every_form(text: str, address: Address | None) -> None:
@@ -54,6 +57,8 @@ def test_every_form(text: str, address: Address | None) -> None:
         "tcp:host:0", "tcp:host:65536", "tcp:host:-1", "tcp:host:+5", "tcp:host:5760 ", "tcp:host:5_760",
         "udpout:10.0.0.1:1?peer=10.0.0.1", "tcp:host:1?peer=10.0.0.1", "udpin:0.0.0.0?peer=1.2.3.4:1",
         "tcp:host:²", "tcp:host:" + "9" * 5000, "udpin:5760", "TCP:host:5760", "tcpin:host:5760", "http:a:80",
+        "tcp:[::1]", "tcp:::1", "tcp:2001:db8::1", "tcp:[::1:5760", "tcp:[host]:5760", "tcp:[127.0.0.1]:5760",
+        "tcp:a:b:5760", "tcp:a b:5760",
     ],
 )  # fmt: skip
 def test_an_invalid_link_gives_a_sentence_with_the_valid_forms(text: str) -> None:
@@ -78,7 +83,7 @@ def test_an_invalid_peer_gives_a_sentence(query: str) -> None:
         ("udpin:localhost:14540", False),
         ("udpin:::1:14540", False),
         ("udpin:0.0.0.0:14540", True),
-        ("udpin:::14540", True),
+        ("udpin::::14540", True),
         ("udpin:192.168.4.2:14540", True),
         ("udpin:drone.local:14540", True),
         ("udpin:0.0.0.0:14540?peer=192.168.4.1", False),
@@ -116,7 +121,7 @@ def test_who_can_command_is_one_line(text: str, signed: bool, said: str) -> None
 
 
 def test_an_ipv6_socket_writes_ipv4_addresses_in_its_own_way() -> None:
-    address = parse_address("udpin:::14540?peer=192.168.4.1")
+    address = parse_address("udpin::::14540?peer=192.168.4.1")
     assert isinstance(address, NetworkAddress)
     assert address.reads("::ffff:192.168.4.1") and not address.reads("::ffff:192.168.4.2")
 

@@ -138,9 +138,30 @@ def test_a_forged_disarm_in_flight_vents_and_refuses_until_it_ends() -> None:
     (refused,) = decisions(ground_command(flight, BEND, 30.0))
     assert (refused.safety, refused.reason) == ("refused", CONFLICT)
     told = notices(run_for(flight, CONFLICT_S + 1.1))
-    assert "Vine: arm state agrees again" in told
+    assert "Vine: only one autopilot again" in told
     (accepted,) = decisions(ground_command(flight, BEND, 30.0))
     assert accepted.safety == "accepted"
+
+
+@pytest.mark.parametrize("apart_s", [-300.0, 40.0])
+def test_two_autopilots_of_one_id_are_told_once_and_bend_nothing(apart_s: float) -> None:
+    flight = bent()
+    second, actions = MavlinkCodec(1, 1), []
+    for _ in range(60):
+        boot_ms = 1_000_000 + round((flight.world.now + apart_s) * 1000)
+        position = mavlink.MAVLink_global_position_int_message(boot_ms, 0, 0, 0, 30_000, 0, 0, 0, 0)
+        (received,) = MavlinkCodec(1, 191).decode(second.encode(position, 1))
+        actions += flight.feed(VehicleMessage(flight.world.now, received))
+        actions += run_for(flight, 0.2)
+    told = notices(actions)
+    assert [text for text in told if "two autopilots" in text] == ["Vine: two autopilots with id 1, vented"]
+    assert sum("rebooted" in text for text in told) <= 1
+    assert_vented(flight)
+    (refused,) = decisions([*ground_command(flight, BEND, 30.0), *run_for(flight, 0.5)])
+    assert (refused.safety, refused.reason) == ("refused", "two autopilots with id 1")
+    (vent,) = decisions([*ground_command(flight, mavlink.MAV_CMD_USER_4, 0.0), *run_for(flight, 0.5)])
+    assert vent.safety == "accepted"
+    assert "Vine: only one autopilot again" in notices(run_for(flight, CONFLICT_S + 1.0))
 
 
 def test_arming_and_disarming_once_are_no_conflict() -> None:

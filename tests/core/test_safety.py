@@ -52,7 +52,7 @@ def test_a_good_flight_bends() -> None:
 LOSSES: dict[str, dict[str, object]] = {
     "rc": {"rc_problem": "no RC_CHANNELS for 1 s"},
     "autopilot": {"autopilot_age_s": 3.1},
-    "arm_conflict": {"arm_conflict": True},
+    "conflict": {"conflict": "two autopilots with id 1"},
     "serial": {"firmware_ready": False},
     "telemetry": {"telemetry_age_s": 0.31},
     "firmware_fault": {"faults": Fault.DEAD_MAN},

@@ -19,7 +19,6 @@ from wrapped_board import WrappedBoard
 from firmware_link import protocol
 from firmware_link.protocol import PROTOCOL_VERSION, Fault, Mode, SettingsMemory, Telemetry, Units, Welcome
 from flying_vines.config import config as configuration
-from flying_vines.config.address import NetworkAddress, parse_address
 from flying_vines.config.config import Config
 from flying_vines.doctor.examine import RadioQuestion, examine
 from flying_vines.doctor.fakes import between, linked
@@ -28,6 +27,7 @@ from flying_vines.doctor.look import configuration as look
 from flying_vines.doctor.look.configuration import ServiceConfiguration
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.simulation.autopilot import FakeAutopilot
+from flying_vines.simulation.autopilot.port import COMPANION
 from flying_vines.simulation.phlosar.firmware import Firmware
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
@@ -59,13 +59,19 @@ class Vehicle(FakeAutopilot):
         self.received: list[Any] = []
         self._decoder = MavlinkCodec(0, 0)
         self._mute = mute
+        self.stranger: Callable[[int], bytes] | None = None
+        self._strange_frames = 0
 
     def receive(self, t: float, link: str, data: bytes) -> None:
         self.received += self._decoder.decode(data)
         super().receive(t, link, data)
 
     def advance(self, t: float) -> list[tuple[str, bytes]]:
-        return [(link, frame) for link, frame in super().advance(t) if not self._mute(_message_id(frame))]
+        frames = [(link, frame) for link, frame in super().advance(t) if not self._mute(_message_id(frame))]
+        while self.stranger is not None and self._strange_frames < 10.0 * t:
+            frames.append((COMPANION, self.stranger(self._strange_frames)))
+            self._strange_frames += 1
+        return frames
 
 
 def _message_id(frame: bytes) -> int:
@@ -160,7 +166,7 @@ class World:
     start: Callable[[Config, Path], ServiceConfiguration] = lambda config, folder: look.given(config, "test")
     """Makes the configuration of the service from one with the right links, and from a folder for files."""
     stranger: Callable[[int], bytes] | None = None
-    """Makes a frame of another program from a count; it is sent to the companion ten times a second."""
+    """Makes a frame of another program from a count; ten times a second one comes over the vehicle's link."""
     ask: Callable[[Vehicle], RadioQuestion] | None = None
 
 
@@ -183,6 +189,7 @@ class Examined:
 
 async def examined(world: World, folder: Path) -> Examined:
     vehicle, board = world.vehicle(), world.phlosar() if world.phlosar else None
+    vehicle.stranger = world.stranger
     told: list[Sequence[DoctorFinding]] = []
     async with AsyncExitStack() as stack:
         config = configuration.default()
@@ -190,8 +197,6 @@ async def examined(world: World, folder: Path) -> Examined:
             path = await stack.enter_async_context(_instead(world.firmware()))
             config = linked(config, config.vehicle.link, f"serial:{path}")
         config = await stack.enter_async_context(between(config, vehicle, board))
-        if world.stranger is not None:
-            await stack.enter_async_context(_stranger(config, world.stranger))
         ask = world.ask(vehicle) if world.ask else None
         findings = await examine(world.start(config, folder), folder, SECONDS, told.append, ask)
         return Examined(findings, told, vehicle, board)
@@ -221,27 +226,3 @@ async def _instead(answer: Callable[[bytes], bytes]) -> AsyncIterator[str]:
         await asyncio.wait([living])
         os.close(ours)
         os.close(theirs)
-
-
-@asynccontextmanager
-async def _stranger(config: Config, frame: Callable[[int], bytes]) -> AsyncIterator[None]:
-    address = parse_address(config.vehicle.link)
-    assert isinstance(address, NetworkAddress)
-    transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
-        asyncio.DatagramProtocol, remote_addr=(address.host, address.port)
-    )
-
-    async def live() -> None:
-        count = 0
-        while True:
-            transport.sendto(frame(count))
-            count += 1
-            await asyncio.sleep(0.1)
-
-    living = asyncio.create_task(live())
-    try:
-        yield
-    finally:
-        living.cancel()
-        await asyncio.wait([living])
-        transport.close()

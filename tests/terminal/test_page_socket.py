@@ -1,69 +1,96 @@
-"""The link to a page, with scripted connections and no waiting."""
+"""The link to a page: over real sockets, to pages that misbehave."""
 
 from __future__ import annotations
 
 import asyncio
-from types import SimpleNamespace
-from typing import Any
+import contextlib
+from collections.abc import AsyncIterator
+from dataclasses import replace
 
 import pytest
-from aiohttp import ClientConnectionError, WSMsgType
+from aiohttp import web
+from waiting import until
 
+from firmware_link import reconnect
 from flying_vines.terminal import page_socket
-from flying_vines.terminal.page_socket import FIRST_BACKOFF_S, PageSocket, socket_of
-
-DOWN = [ClientConnectionError()]
-TEXT, CLOSED = (SimpleNamespace(type=kind, data="{}") for kind in (WSMsgType.TEXT, WSMsgType.CLOSED))
+from flying_vines.terminal.page_socket import PageSocket, socket_of
 
 
 class Page:
-    """A session, and its present connection. A connection is opened, then receives; each may be an error."""
+    """A page whose WebSocket does what `kind` says, and counts its visitors."""
 
-    def __init__(self, connections: list[list[Any]]) -> None:
-        self._connections = iter(connections)
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+        self.visits = 0
 
-    async def __aenter__(self) -> Page:
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        pass
-
-    async def ws_connect(self, *_: object, **__: object) -> Page:
-        self._received = iter(next(self._connections))
-        await self.receive()
-        return self
-
-    async def receive(self, *_: object) -> Any:
-        received = next(self._received)
-        if isinstance(received, Exception):
-            raise received
-        return received
-
-    async def send_str(self, text: str) -> None:
-        raise AssertionError(text)
+    async def live(self, request: web.Request) -> web.WebSocketResponse:
+        self.visits += 1
+        if self.kind == "never answers the greeting":
+            await asyncio.sleep(3600)
+        socket = web.WebSocketResponse(autoping=False)
+        await socket.prepare(request)
+        if self.kind == "never closes":
+            await asyncio.sleep(3600)
+        while self.kind == "sends":
+            await socket.send_str("{}")
+            await asyncio.sleep(0.02)
+        return socket
 
 
-async def waits(monkeypatch: pytest.MonkeyPatch, *connections: list[Any]) -> list[float]:
-    """The waits after these connections, as multiples of the first one."""
-    slept: list[float] = []
+@contextlib.asynccontextmanager
+async def watched(kind: str, host: str = "127.0.0.1") -> AsyncIterator[tuple[Page, PageSocket, list[str]]]:
+    page, received = Page(kind), list[str]()
+    application = web.Application()
+    application.router.add_get("/live", page.live)
+    runner = web.AppRunner(application, shutdown_timeout=0.1)
+    await runner.setup()
+    await web.TCPSite(runner, host, 0).start()
+    port = runner.addresses[0][1]
+    socket = PageSocket(
+        socket_of(f"[{host}]:{port}" if ":" in host else f"{host}:{port}"), "", received.append
+    )
+    following = asyncio.create_task(socket.run())
+    try:
+        yield page, socket, received
+    finally:
+        following.cancel()
+        await asyncio.wait({following})
+        await runner.cleanup()
 
-    async def sleep(seconds: float) -> None:
-        slept.append(seconds / FIRST_BACKOFF_S)
-        if len(slept) == len(connections):
-            raise asyncio.CancelledError
 
-    monkeypatch.setattr(page_socket, "ClientSession", lambda **_: Page(list(connections)))
-    monkeypatch.setattr(asyncio, "sleep", sleep)
-    with pytest.raises(asyncio.CancelledError):
-        await PageSocket(socket_of("drone"), "", lambda text: None).run()
-    return slept
+@pytest.fixture(autouse=True)
+def in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
+    quick = replace(
+        page_socket.POLICY, first_wait_s=0.02, longest_wait_s=0.05, opens_within_s=0.5, quiet_s=0.5
+    )
+    monkeypatch.setattr(page_socket, "POLICY", quick)
+    monkeypatch.setattr(reconnect, "CHECK_S", 0.02)
 
 
-@pytest.mark.parametrize("end", [CLOSED, TimeoutError(), ClientConnectionError()])
-async def test_a_link_that_has_worked_is_soon_opened_again(monkeypatch: pytest.MonkeyPatch, end: Any) -> None:
-    assert await waits(monkeypatch, DOWN, DOWN, [None, TEXT, end], DOWN) == [1, 2, 1, 2]
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
+async def test_messages_arrive(host: str) -> None:
+    async with watched("sends", host) as (page, socket, received):
+        await until(lambda: len(received) > 50, "messages")
+        assert (page.visits, socket.problem) == (1, "")
 
 
-@pytest.mark.parametrize("end", [CLOSED, TimeoutError()])
-async def test_a_link_without_a_message_has_not_worked(monkeypatch: pytest.MonkeyPatch, end: Any) -> None:
-    assert await waits(monkeypatch, [None, end], [None, end], [None, end]) == [1, 2, 4]
+@pytest.mark.parametrize(
+    ("kind", "problem"),
+    [
+        ("never answers the greeting", "no answer"),
+        ("never closes", "no data from the page"),
+        ("closes at once", "the page has closed the link"),
+    ],
+)
+async def test_a_page_that_does_not_serve_is_tried_again_and_said(kind: str, problem: str) -> None:
+    async with watched(kind) as (page, socket, _):
+        await until(lambda: page.visits >= 3, "visits")
+        await until(lambda: socket.problem == problem, "the problem")
+        page.kind = "sends"
+        await until(lambda: socket.problem == "", "the link")
+
+
+@pytest.mark.parametrize("url", ["http://::1:8017", "::1:8017", "ftp://drone", "http://", "drone:x"])
+def test_what_is_no_page_is_refused_with_a_clear_line(url: str) -> None:
+    with pytest.raises(ValueError, match=r"give http://HOST:PORT, with an IPv6 address in brackets"):
+        socket_of(url)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import os
+import socket
 import time
 import tracemalloc
 from collections.abc import AsyncIterator, Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +22,8 @@ from pseudo_terminal import Terminal
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from examples import examples
-from firmware_link import serial_port
-from flying_vines.config.address import Address, NetworkAddress, SerialAddress
+from firmware_link import reconnect, serial_port
+from flying_vines.config.address import Address, NetworkAddress, SerialAddress, parse_address
 from flying_vines.vehicle.mavlink import link as link_module
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 from flying_vines.vehicle.mavlink.frames import Frames
@@ -43,8 +46,13 @@ TIMEOUT_S = 5.0
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(link_module, "RETRY_S", 0.02)
-    monkeypatch.setattr(serial_port, "RETRY_S", 0.02)
+    monkeypatch.setattr(reconnect.Reconnect, "wait_s", lambda *_: 0.02)
+    monkeypatch.setattr(reconnect, "CHECK_S", 0.02)
+
+
+@pytest.fixture
+def soon_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(link_module, "POLICY", replace(link_module.POLICY, quiet_s=0.2))
 
 
 class Watched:
@@ -471,15 +479,117 @@ async def test_tcp_comes_back_when_the_server_does() -> None:
             assert [up for up, _ in watched.states].count(True) == round_number + 2
 
 
+@pytest.mark.usefixtures("soon_quiet")
+async def test_tcp_that_falls_silent_is_opened_again_where_its_name_leads_now(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As after a peer without power: no FIN comes. The link stays up, so nothing is vented for it."""
+    loop = asyncio.get_running_loop()
+    async with tcp_server() as old, tcp_server() as new:
+        ports = iter((old.port, new.port))
+
+        async def look_up(*_: Any, **__: Any) -> Any:
+            return [(socket.AF_INET, socket.SOCK_STREAM, 0, "", (HOST, next(ports, new.port)))]
+
+        monkeypatch.setattr(loop, "getaddrinfo", look_up)
+        async with running(NetworkAddress("tcp", "drone", 5760)) as watched:
+            await old.connection()
+            old.writers[0].write(b"once")
+            reader = await new.connection()
+            new.writers[0].write(b" and again")
+            await watched.until(lambda: watched.data == b"once and again")
+            assert watched.link.write(b"hello")
+            assert await reader.readexactly(5) == b"hello"
+        assert watched.states == [(True, "")]
+
+
+@pytest.mark.usefixtures("soon_quiet")
+async def test_tcp_that_sends_and_never_reads_is_opened_again() -> None:
+    async with tcp_server() as server, running(NetworkAddress("tcp", HOST, server.port)) as watched:
+        await server.connection()
+        await watched.until(lambda: watched.up)
+        while watched.link.write(bytes(32 * 1024)):
+            pass
+        async with asyncio.timeout(TIMEOUT_S):
+            while len(server.writers) < 2:
+                server.writers[0].write(b"news")
+                await asyncio.sleep(0.01)
+        assert watched.states == [(True, "")]
+
+
+async def test_tcp_that_accepts_and_closes_at_once_is_told_a_few_times() -> None:
+    tries = 0
+
+    async def close(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        nonlocal tries
+        tries += 1
+        writer.close()
+
+    async with await asyncio.start_server(close, HOST, 0) as server:
+        port = server.sockets[0].getsockname()[1]
+        async with running(NetworkAddress("tcp", HOST, port)) as watched, asyncio.timeout(TIMEOUT_S):
+            while tries < 20:
+                await asyncio.sleep(0.01)
+        assert len(watched.states) == 6
+        assert watched.states[-1][1].endswith("it accepts the connection and closes it at once")
+
+
+@pytest.mark.usefixtures("soon_quiet")
+@pytest.mark.parametrize("ends_by", ["an error", "silence"])
+async def test_udp_out_is_opened_again_after_its_address_went_or_the_peer_fell_silent(ends_by: str) -> None:
+    async with (
+        udp_peer() as (peer, _, port),
+        running(NetworkAddress("udpout", HOST, port)) as watched,
+    ):
+        await watched.until(lambda: watched.up)
+        assert isinstance(watched.link, UdpLink)
+        watched.link.write(b"one")
+        first = await peer.next()
+        before = watched.link._transport
+        if ends_by == "an error":
+            watched.link.error_received(OSError(errno.ENETUNREACH, "Network is unreachable"))
+        async with asyncio.timeout(TIMEOUT_S):
+            while watched.link._transport in (before, None):
+                await asyncio.sleep(0.01)
+        watched.link.write(b"one")
+        assert await peer.next() == first, "the peer knows us by our port"
+        down = (False, f"udpout:{HOST}:{port}: Network is unreachable")
+        assert watched.states == [(True, ""), *([down, (True, "")] if ends_by == "an error" else [])]
+
+
+@pytest.mark.parametrize("host", ["[::1]", "::1", "[::ffff:127.0.0.1]"])
+async def test_ipv6_with_and_without_brackets(host: str) -> None:
+    """TCP, and UDP in both directions."""
+    port = free_port()
+    accepted: asyncio.Queue[asyncio.StreamWriter] = asyncio.Queue()
+    served = "127.0.0.1" if "127" in host else "::1"
+    server = await asyncio.start_server(lambda _, writer: accepted.put_nowait(writer), served, port)
+    async with server, running(parse_address(f"tcp:{host}:{port}")) as watched:
+        writer = await asyncio.wait_for(accepted.get(), TIMEOUT_S)
+        writer.write(b"tcp")
+        await watched.until(lambda: watched.data == b"tcp")
+        writer.transport.abort()
+    async with (
+        running(parse_address(f"udpin:{host}:{port}")) as listening,
+        running(parse_address(f"udpout:{host}:{port}")) as sending,
+    ):
+        await listening.until(lambda: listening.up)
+        await sending.until(lambda: sending.up)
+        sending.link.write(b"udp")
+        await listening.until(lambda: listening.data == b"udp")
+        listening.link.write(b"answer")
+        await sending.until(lambda: sending.data == b"answer")
+
+
 async def test_tcp_reports_once_why_there_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     loop, tried = asyncio.get_running_loop(), asyncio.Semaphore(0)
-    connect = loop.create_connection
+    connect = loop.sock_connect
 
-    async def counted(*args: Any) -> Any:
+    async def counted(*args: Any) -> None:
         tried.release()
-        return await connect(*args)
+        await connect(*args)
 
-    monkeypatch.setattr(loop, "create_connection", counted)
+    monkeypatch.setattr(loop, "sock_connect", counted)
     port = free_port()
     async with running(NetworkAddress("tcp", HOST, port)) as watched, asyncio.timeout(TIMEOUT_S):
         for _ in range(4):
@@ -551,6 +661,29 @@ async def test_serial_both_ways_and_back_after_it_was_pulled_out(tmp_path: Path)
             assert await terminal.read(3) == b"yes"
     finally:
         terminal.pull_out()
+
+
+async def test_a_silent_serial_port_is_opened_again_where_its_name_leads_now(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The device's file stays open and dead, and udev has made a new link."""
+    monkeypatch.setattr(serial_port, "POLICY", replace(serial_port.POLICY, quiet_s=0.2))
+    name = tmp_path / "port"
+    dead = Terminal(name)
+    async with running(SerialAddress(str(name), 57600)) as watched:
+        await watched.until(lambda: watched.up)
+        os.write(dead.device, b"last words")
+        await watched.until(lambda: watched.data == b"last words")
+        live = Terminal(name)
+        async with asyncio.timeout(TIMEOUT_S):
+            while not watched.data.endswith(b"here"):
+                os.write(live.device, b"here")
+                await asyncio.sleep(0.05)
+        assert watched.link.write(b"yes")
+        assert b"yes" in await live.read(3)
+        assert [up for up, _ in watched.states] == [True]
+    dead.pull_out()
+    live.unplug()
 
 
 async def test_a_serial_port_that_is_not_there_gives_a_sentence(tmp_path: Path) -> None:

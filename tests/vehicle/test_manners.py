@@ -20,8 +20,9 @@ from flying_vines.vehicle.component.parameter_table import SETTINGS
 from flying_vines.vehicle.component.texts import MAX_TEXT_LENGTH, harmless
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
-from flying_vines.vehicle.state import VehicleState
+from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vehicle.vehicle import Vehicle
+from flying_vines.vine.intent import VentVine
 
 READ_BY_OTHERS = (
     "copter", "rover", "plane", "frame", "prearm", "arm:", "tuning:", "mission:", "radio failsafe",
@@ -177,17 +178,38 @@ def test_one_stray_message_is_no_clash() -> None:
         assert detector.received(i * (WITHIN_S + 0.1)) == []
 
 
-def test_a_clash_is_seen_on_the_link_and_only_there() -> None:
-    ours, state = Component(config.default()), VehicleState()
-    state.handle(0.0, from_sender(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3), (1, 1)))
-    notices = []
+@pytest.mark.parametrize(
+    "message",
+    [
+        HEARTBEAT,
+        mavlink.MAVLink_named_value_float_message(0, b"RES_KPA", 600.0),
+        mavlink.MAVLink_statustext_message(6, b"Vine: bend"),
+        mavlink.MAVLink_command_ack_message(31010, 0),
+        mavlink.MAVLink_param_value_message(b"VINE_RATE", 1.0, 9, 1, 0),
+        mavlink.MAVLink_debug_message(0, 1, 1.0),
+    ],
+)
+def test_a_clash_is_seen_on_the_link_by_any_message_and_only_there(message: mavlink.MAVLink_message) -> None:
+    """ArduPilot forwards no HEARTBEAT of a second program with our ids, but its other messages."""
+    ours = Vehicle(config.default())
+    autopilot = mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3)
+    ours.handle(0.0, from_sender(autopilot, (1, 1)))
+    outputs = []
     for i in range(4):
         for sender in ((1, 192), (2, 191), (255, 191), (1, 1)):
-            assert not ours.handle(float(i), from_sender(HEARTBEAT, sender), state, True)
+            assert not ours.handle(float(i), from_sender(message, sender))
     for i in range(4):
-        notices += ours.handle(5.0 + i, from_sender(HEARTBEAT, (1, 191)), state, True) or []
-    assert [notice.text for notice in notices if isinstance(notice, Notice)] == [TAKEN]
-    assert len(notices) == 1
+        outputs += ours.handle(5.0 + i, from_sender(message, (1, 191)))
+    assert [notice.text for notice in outputs if isinstance(notice, Notice)] == [TAKEN]
+    assert len(outputs) == 1
+
+
+def test_a_vent_of_a_second_program_with_our_ids_acts() -> None:
+    ours = Vehicle(config.default())
+    ours.handle(0.0, from_sender(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3), (1, 1)))
+    vent = mavlink.MAVLink_command_long_message(1, 191, mavlink.MAV_CMD_USER_4, 0, 0, 0, 0, 0, 0, 0, 0)
+    outputs = [*ours.handle(5.0, from_sender(vent, (1, 191))), *ours.tick(6.0)]
+    assert [output.intent for output in outputs if isinstance(output, Trigger)] == [VentVine()]
 
 
 @pytest.mark.parametrize("sender", [(1, 1), (1, 191)])

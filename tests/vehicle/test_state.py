@@ -15,6 +15,7 @@ from flying_vines.vehicle.state import (
     LOWEST_OF_S,
     Ambiguous,
     AutopilotFound,
+    OtherHeard,
     Rebooted,
     VehicleEvent,
     VehicleState,
@@ -127,11 +128,62 @@ def test_two_autopilots_at_once_are_both_ignored(later_s: float) -> None:
         assert not state.is_ours(heartbeat(1))
 
 
-def test_a_second_vehicle_that_comes_later_is_ignored() -> None:
-    state = found()
-    for t in (2.1, 10.0, 11.0):
-        assert state.handle(t, heartbeat(2, base_mode=ARMED)) == []
+@pytest.mark.parametrize("configured", [0, 1])
+def test_another_autopilot_is_not_served_but_named_once_if_ours_is_silent(configured: int) -> None:
+    state = VehicleState(configured)
+    state.handle(0.0, heartbeat(1))
+    heard = [state.handle(t, heartbeat(2, base_mode=ARMED)) for t in (2.1, 6.0, 7.2, 8.0, 60.0)]
+    assert heard == [[], [], [OtherHeard(1, 2)], [], []]
     assert (state.system_id, state.armed) == (1, False)
+    state.handle(61.0, heartbeat(1))
+    for t in range(62, 100):
+        assert state.handle(t, heartbeat(2)) == state.handle(t + 0.5, heartbeat(1)) == []
+
+
+def test_an_autopilot_of_another_id_than_the_configured_one_is_named() -> None:
+    state = VehicleState(7)
+    heard = [event for t in range(20) for event in state.handle(float(t), heartbeat(2))]
+    assert heard == [OtherHeard(7, 2)]
+
+
+@pytest.mark.parametrize("apart_s", [-900.0, -25.0, -5.0, 5.0, 300.0])
+@pytest.mark.parametrize("rate_Hz", [1.0, 5.0, 50.0])
+def test_two_autopilots_of_one_id_are_a_conflict_and_not_many_reboots(apart_s: float, rate_Hz: float) -> None:
+    state, reboots = VehicleState(), 0
+    state.handle(0.0, heartbeat(1))
+    for n in range(round(20.0 * rate_Hz)):
+        t = 1000.0 + n / rate_Hz
+        for boot_s in (t, t + apart_s):
+            reboots += len(state.handle(t, position(round(boot_s * 1000), 20.0)))
+    assert reboots <= 1
+    assert state.conflict(t) == "two autopilots with id 1"
+    for n in range(round(12.0 * rate_Hz)):
+        t = 1020.0 + n / rate_Hz
+        reboots += len(state.handle(t, position(round(t * 1000), 20.0)))
+    assert state.conflict(t) == ""
+    assert reboots <= 1
+
+
+@pytest.mark.parametrize("boots_s", [(500.0,), (500.0, 503.0), (500.0, 501.5, 503.0)])
+def test_reboots_are_no_conflict(boots_s: tuple[float, ...]) -> None:
+    state, reboots = VehicleState(), 0
+    state.handle(0.0, heartbeat(1))
+    for n in range(1, 2600):
+        t = n / 5.0
+        since = max((boot for boot in boots_s if boot <= t), default=-100.0)
+        reboots += len(state.handle(t, position(round((t - since) * 1000), 20.0)))
+        assert state.conflict(t) == ""
+    assert reboots >= 1
+
+
+def test_a_stamp_that_stands_still_beside_one_that_runs_is_no_conflict() -> None:
+    state = VehicleState()
+    state.handle(0.0, heartbeat(1))
+    for n in range(1, 500):
+        t = 100.0 + n / 5.0
+        state.handle(t, position(100_000, 20.0))
+        state.handle(t + 0.01, mavlink.MAVLink_system_time_message(0, round(t * 1000)))
+        assert state.conflict(t) == ""
 
 
 def test_the_configured_vehicle_is_served_among_others() -> None:

@@ -1,11 +1,10 @@
-"""Keeps a connection to the broker, and reconnects when it is lost."""
+"""Keeps a connection to the broker."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import logging
-import random
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -14,14 +13,20 @@ import aiomqtt
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
+from firmware_link.reconnect import KeptOpen, Policy, Problem
 from flying_vines.config.address import parse_broker
 from flying_vines.gateway.feed import Feed, FeedReader, NoAnswerError
 from flying_vines.gateway.messages import Happened
 from flying_vines.gateway.mqtt import credentials
-from flying_vines.gateway.mqtt.health import Health
 from flying_vines.gateway.mqtt.home_assistant import discovery
 from flying_vines.gateway.mqtt.payloads import AnswerPayload
-from flying_vines.gateway.mqtt.problems import FileError, RefusedError, may_want_other_version, problem_of
+from flying_vines.gateway.mqtt.problems import (
+    THROWN_OUT,
+    FileError,
+    RefusedError,
+    may_want_other_version,
+    problem_of,
+)
 from flying_vines.gateway.mqtt.publisher import Now, Publication, Publisher
 from flying_vines.gateway.mqtt.requests import QueuedRequest, RequestQueue
 from flying_vines.gateway.mqtt.topics import Topics
@@ -35,8 +40,15 @@ REQUEST_INTERVAL_S = 0.05
 """Minimum time between two requests to the service, which has other tasks."""
 FLOOD_REPORT_S = 60.0
 GOODBYE_S = 1.0
-LEAVING_S = 3.0
-"""Time to disconnect. It covers our last message and the library's."""
+POLICY = Policy(
+    first_wait_s=1.0,
+    longest_wait_s=60.0,
+    refused_waits_s=(15.0, 300.0),
+    spread=0.5,
+    report_after_s=5.0,
+    short_lived=THROWN_OUT,
+)
+"""Short interruptions lose no events. The library ends a silent connection, by MQTT's keep-alive."""
 _OTHER_VERSION = {
     aiomqtt.ProtocolVersion.V5: aiomqtt.ProtocolVersion.V311,
     aiomqtt.ProtocolVersion.V311: aiomqtt.ProtocolVersion.V5,
@@ -68,6 +80,7 @@ class Connection:
         self._happened, self._requested = asyncio.Event(), asyncio.Event()
         self._protocol = aiomqtt.ProtocolVersion.V5
         self._flood_reported_at = -FLOOD_REPORT_S
+        self._kept = KeptOpen(POLICY, self._connect, self._changed)
         for happened in feed.happened:
             self._publisher.take(self._now.t, happened)
 
@@ -84,43 +97,21 @@ class Connection:
                     self._happened.set()
 
     async def stay_connected(self) -> None:
-        health = Health(self._now.t, self._mqtt.broker)
-        while True:
-            failure = await self._one_connection(health)
-            problem = problem_of(failure, self._broker, health.is_connected)
-            if not health.is_connected and may_want_other_version(failure):
-                self._protocol = _OTHER_VERSION[self._protocol]
-            self._report(health.failed(self._now.t, problem))
-            await asyncio.sleep(health.wait_s(random.random()))
+        await self._kept.run()
 
-    def _report(self, sentence: str | None) -> None:
-        if sentence is not None:
-            self._feed.trouble(sentence)
+    def _changed(self, up: bool, why: str) -> None:
+        self._feed.trouble(f"MQTT: {self._mqtt.broker}{' is back' if up else f': {why}'}")
 
-    async def _one_connection(self, health: Health) -> Exception:
-        """Runs one connection and ends it when we are cancelled.
-
-        Cancels it repeatedly: the library loses a cancellation that arrives together with an awaited result.
-        """
-        connection = asyncio.create_task(self._connect(health))
-        try:
-            await asyncio.wait({connection})
-        finally:
-            while not connection.done():
-                connection.cancel()
-                await asyncio.wait({connection}, timeout=LEAVING_S)
-        return connection.result()
-
-    async def _connect(self, health: Health) -> Exception:
+    async def _connect(self) -> Problem:
         """Runs one connection. Returns why it ended."""
         failure: Exception = RefusedError("the connection ended")
         client: _Client | None = None
         try:
             client = await self._client()
             async with client:
-                health.connected(self._now.t)
+                self._kept.opened()
                 try:
-                    await self._communicate(client, health)
+                    await self._communicate(client)
                 finally:
                     await self._say_goodbye(client)
         except* (aiomqtt.MqttError, RefusedError, FileError, OSError) as group:
@@ -129,7 +120,9 @@ class Connection:
             self._requests.disconnected()
             if client is not None:
                 client.close()
-        return failure
+        if not self._kept.is_open and may_want_other_version(failure):
+            self._protocol = _OTHER_VERSION[self._protocol]
+        return problem_of(failure, self._broker, self._kept.is_open)
 
     async def _client(self) -> _Client:
         def read() -> tuple[str | None, Any]:
@@ -176,12 +169,12 @@ class Connection:
         with contextlib.suppress(aiomqtt.MqttError):
             await _publish(client, self._publisher.last_will(self._now))
 
-    async def _communicate(self, client: _Client, health: Health) -> None:
+    async def _communicate(self, client: _Client) -> None:
         async with asyncio.TaskGroup() as tasks:
             # Detects a lost connection much faster than a failed publication does.
             tasks.create_task(_lost(client))
             await self._greet(client)
-            tasks.create_task(self._publish_states(client, health))
+            tasks.create_task(self._publish_states(client))
             for part in (self._publish_events, self._ask_service, self._publish_answers):
                 tasks.create_task(part(client))
 
@@ -194,13 +187,12 @@ class Connection:
                 self._publisher.events.published(pending)
             await self._happened.wait()
 
-    async def _publish_states(self, client: _Client, health: Health) -> None:
+    async def _publish_states(self, client: _Client) -> None:
         period_s = 1.0 / self._mqtt.rate_Hz
         due = self._now.t
         while True:
             for publication in self._publisher.due(self._now):
                 await _publish(client, publication)
-            self._report(health.lasts(self._now.t))
             due = max(due + period_s, self._now.t)
             await asyncio.sleep(due - self._now.t)
 

@@ -8,9 +8,13 @@ import ssl
 import aiomqtt
 from paho.mqtt.reasoncodes import ReasonCode
 
+from firmware_link.reconnect import Problem
 from flying_vines.config.address import BrokerAddress
-from flying_vines.gateway.mqtt.health import BrokerProblem
 
+THROWN_OUT = Problem(
+    "it accepts us and then closes: does another vehicle have the same mqtt.name?", needs_person=True
+)
+"""Some brokers do not report that another client has our client id."""
 _OTHER_VERSION = 0x84
 _NO_GREETING = "Operation timed out"
 """The library's text if a broker accepts the TCP connection but does not answer the MQTT connect message."""
@@ -32,38 +36,34 @@ class FileError(Exception):
     """A password, key or certificate cannot be used."""
 
 
-def problem_of(error: BaseException, broker: BrokerAddress, connected: bool) -> BrokerProblem:
+def problem_of(error: BaseException, broker: BrokerAddress, connected: bool) -> Problem:
     """The meaning of `error`. `connected`: the error came after a successful login."""
     if isinstance(error, RefusedError | FileError):
-        return BrokerProblem(str(error), needs_person=True)
+        return Problem(str(error), needs_person=True)
     cause = _beneath(error)
     if isinstance(cause, aiomqtt.MqttCodeError):
         return _by_code(cause, connected)
     if isinstance(cause, ssl.SSLCertVerificationError):
-        return BrokerProblem(
-            f"its certificate is not trusted: {_lower(cause.verify_message)}", needs_person=True
-        )
+        return Problem(f"its certificate is not trusted: {_lower(cause.verify_message)}", needs_person=True)
     if broker.tls and not connected and isinstance(cause, ssl.SSLEOFError | ConnectionResetError):
-        return BrokerProblem("it closes the connection at once: does this port use TLS?", needs_person=True)
+        return Problem("it closes the connection at once: does this port use TLS?", needs_person=True)
     if isinstance(cause, ssl.SSLError):
         reason = (cause.reason or str(cause)).replace("_", " ").lower()
         if reason == "wrong version number":
-            return BrokerProblem(
-                "this port does not use TLS: mqtt:// instead of mqtts://?", needs_person=True
-            )
-        return BrokerProblem(f"TLS: {reason}", needs_person=True)
+            return Problem("this port does not use TLS: mqtt:// instead of mqtts://?", needs_person=True)
+        return Problem(f"TLS: {reason}", needs_person=True)
     if isinstance(cause, socket.gaierror):
-        return BrokerProblem("unknown host name: no network, or a wrong address")
+        return Problem("unknown host name: no network, or a wrong address")
     if isinstance(cause, ConnectionRefusedError):
-        return BrokerProblem("nothing answers there")
+        return Problem("nothing answers there")
     if connected:
-        return BrokerProblem("the connection is lost")
+        return Problem("the connection is lost")
     if str(error) == _NO_GREETING:
         hint = "?" if broker.tls else ", or does it need mqtts://?"
-        return BrokerProblem(f"it accepts the connection but sends nothing: is it a broker{hint}")
+        return Problem(f"it accepts the connection but sends nothing: is it a broker{hint}")
     if isinstance(cause, TimeoutError):
-        return BrokerProblem("no answer")
-    return BrokerProblem(f"{getattr(cause, 'strerror', None) or cause or error}")
+        return Problem("no answer")
+    return Problem(f"{getattr(cause, 'strerror', None) or cause or error}")
 
 
 def may_want_other_version(error: BaseException) -> bool:
@@ -80,14 +80,14 @@ def _beneath(error: BaseException) -> BaseException | None:
     return error.__cause__ or error.__context__
 
 
-def _by_code(error: aiomqtt.MqttCodeError, connected: bool) -> BrokerProblem:
+def _by_code(error: aiomqtt.MqttCodeError, connected: bool) -> Problem:
     text = _BY_CODE.get(_code(error))
     if text is not None:
-        return BrokerProblem(text, needs_person=True)
+        return Problem(text, needs_person=True)
     if connected:
-        return BrokerProblem("the connection is lost")
+        return Problem("the connection is lost")
     reason = error.rc.getName() if isinstance(error.rc, ReasonCode) else str(error)
-    return BrokerProblem(f"it refuses: {_lower(reason)}")
+    return Problem(f"it refuses: {_lower(reason)}")
 
 
 def _code(error: aiomqtt.MqttCodeError) -> int:

@@ -56,8 +56,6 @@ class Component:
         """
         if not vehicle.found:
             return None
-        if self.has_our_ids(message, vehicle):
-            return list(self._duplicate_id.received(t))
         number = message.get_msgId()
         sender = self.sender(message, vehicle)
         if number == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
@@ -75,12 +73,14 @@ class Component:
             return self.parameters.handle(t, message, us, sender, may_change)
         return None
 
-    def has_our_ids(self, message: MavlinkMessage, vehicle: VehicleState) -> bool:
-        """True for a message of another program that has our system and component id."""
-        return (message.get_srcSystem(), message.get_srcComponent()) == (
-            vehicle.system_id,
-            self._component_id,
-        )
+    def is_duplicate(self, message: MavlinkMessage, vehicle: VehicleState) -> bool:
+        """True if another program sends with our ids. The codec has dropped the echoes of our messages."""
+        us = (vehicle.system_id, self._component_id)
+        return vehicle.found and (message.get_srcSystem(), message.get_srcComponent()) == us
+
+    def note_duplicate(self, t: float) -> list[Notice]:
+        """Note any message of it: ArduPilot forwards its values and texts to us, but no HEARTBEAT."""
+        return self._duplicate_id.received(t)
 
     def sender(self, message: MavlinkMessage, vehicle: VehicleState) -> Sender:
         """The sender of a message, and what it may do."""

@@ -1,4 +1,4 @@
-"""Transports for MAVLink: UDP, TCP and serial. Each reopens by itself after a loss.
+"""Transports for MAVLink: UDP, TCP and serial. `firmware_link.reconnect` says when each is opened again.
 
 All have the interface of `firmware_link.serial_port.SerialPort`: `run()` runs until cancelled. `write()`
 never blocks. `on_bytes` is called from the event loop. `on_state(up, why)` is called at each change.
@@ -7,16 +7,29 @@ never blocks. `on_bytes` is called from the event loop. `on_state(up, why)` is c
 from __future__ import annotations
 
 import asyncio
-import os
+import contextlib
+import errno
 import socket
 from collections.abc import Callable
 from typing import Any, Protocol
 
 from firmware_link.find import UsbBoard
+from firmware_link.reconnect import KeptOpen, Policy, Problem, why_not
 from flying_vines.config.address import DEFAULT_BAUD, Address, NetworkAddress, SerialAddress
 from flying_vines.vehicle.mavlink.frames import from_autopilot
 
-RETRY_S = 1.0
+POLICY = Policy(
+    first_wait_s=0.5,
+    longest_wait_s=2.0,
+    quiet_s=5.0,
+    short_lived=Problem("it accepts the connection and closes it at once"),
+)
+"""An autopilot sends a HEARTBEAT each second."""
+CONNECTS_WITHIN_S = 3.0
+LISTENING = Policy(first_wait_s=0.5, longest_wait_s=2.0)
+"""A socket that listens hears every sender. Opened again, it could lose its port to another program."""
+_NO_WAY_OUT = (errno.ENETUNREACH, errno.EADDRNOTAVAIL, errno.EINVAL, errno.ENETDOWN, errno.ENODEV)
+"""Errors of a UDP socket whose own address is gone. Others end when the receiver starts."""
 MAX_PEERS = 4
 PEER_FORGOTTEN_S = 30.0
 PEER_REPLACED_S = 3.0
@@ -71,35 +84,73 @@ def unread_from(link: Link) -> str:
     return link.unread_from if isinstance(link, UdpLink) else ""
 
 
-class _NetworkLink:
-    """Base of the network links: it has the address, and reports each change once."""
+class _NetworkLink(asyncio.BaseProtocol):
+    """Base of the network links: the address, and one connection after the other."""
 
     def __init__(self, address: NetworkAddress, on_bytes: OnBytes, on_state: OnState) -> None:
         self._address = address
         self._on_bytes = on_bytes
-        self._on_state = on_state
-        self._why_down = ""
+        self._is_listening = address.kind == "udpin"
+        policy = LISTENING if self._is_listening else POLICY
+        self._kept = KeptOpen(
+            policy, self._connect, lambda up, why: on_state(up, "" if up else f"{address}: {why}")
+        )
+        self._transport: Any = None
+        self._lost: asyncio.Future[str] | None = None
+        self._full = False
         self.dropped_bytes = 0
 
-    def _up(self) -> None:
-        self._why_down = ""
-        self._on_state(True, "")
+    async def run(self) -> None:
+        await self._kept.run()
 
-    def _down(self, reason: str) -> None:
-        why = f"{self._address.kind}:{self._address.host}:{self._address.port}: {reason}"
-        if why != self._why_down:
-            self._why_down = why
-            self._on_state(False, why)
+    async def _connect(self) -> Problem:
+        self._lost = asyncio.get_running_loop().create_future()
+        try:
+            transport = await self._open()
+        except (OSError, UnicodeError) as error:
+            return Problem(why_not(error))
+        # asyncio reads into 256 KiB. The C library maps such a buffer anew for each datagram, which takes ten
+        # times as long as the read itself.
+        transport.max_size = MAX_READ_BYTES
+        self._transport, self._full = transport, False
+        self._kept.opened()
+        try:
+            return Problem(await self._lost)
+        finally:
+            self._transport = None
+            transport.abort()
+
+    async def _open(self) -> Any:
+        """The open transport. Raises `OSError` or `UnicodeError`."""
+        raise NotImplementedError
+
+    async def _socket(self, kind: socket.SocketKind, local_port: int = 0) -> socket.socket:
+        """A socket that is connected to the address, by whatever IP address its name has now."""
+        loop = asyncio.get_running_loop()
+        # Without a limit: the system has one, and a look-up that is given up leaves its thread behind.
+        places = await loop.getaddrinfo(self._address.host, self._address.port, type=kind)
+        return await _first_connected(places, local_port)
 
     def write(self, data: bytes) -> bool:
         """Send, or drop and return False."""
-        sent = self._send(data)
+        sent = self._transport is not None and not self._full and self._send(data)
         if not sent:
             self.dropped_bytes += len(data)
         return sent
 
     def _send(self, data: bytes) -> bool:
         raise NotImplementedError
+
+    def _lose(self, why: str) -> None:
+        if self._lost is not None and not self._lost.done():
+            self._lost.set_result(why)
+
+    def pause_writing(self) -> None:
+        """64 KiB are queued. Drop from now on: asyncio itself has no limit."""
+        self._full = True
+
+    def resume_writing(self) -> None:
+        self._full = False
 
 
 Source = tuple[str, int]
@@ -157,38 +208,23 @@ class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
         super().__init__(address, on_bytes, on_state)
         self.unread_from = ""
         self._on_stranger = on_stranger
-        self._transport: asyncio.DatagramTransport | None = None
-        self._full = False
+        self._local_port = 0
+        """The port of the last connection. The receiver knows us by it."""
         self._peers = Peers()
 
-    async def run(self) -> None:
+    async def _open(self) -> asyncio.DatagramTransport:
         loop = asyncio.get_running_loop()
-        endpoint = (self._address.host, self._address.port)
-        listening = self._address.kind == "udpin"
-        while True:
-            try:
-                transport, _ = await loop.create_datagram_endpoint(
-                    lambda: self,
-                    local_addr=endpoint if listening else None,
-                    remote_addr=None if listening else endpoint,
-                )
-            except (OSError, UnicodeError) as error:
-                self._down(_reason(error))
-                await asyncio.sleep(RETRY_S)
-                continue
-            _limit_reads(transport)
-            self._transport, self._full = transport, False
-            self._up()
-            try:
-                await loop.create_future()
-            finally:
-                self._transport = None
-                transport.close()
+        if self._is_listening:
+            here = (self._address.host, self._address.port)
+            transport, _ = await loop.create_datagram_endpoint(lambda: self, local_addr=here)
+            return transport
+        connected = await self._socket(socket.SOCK_DGRAM, self._local_port)
+        self._local_port = connected.getsockname()[1]
+        transport, _ = await loop.create_datagram_endpoint(lambda: self, sock=connected)
+        return transport
 
     def _send(self, data: bytes) -> bool:
-        if self._transport is None or self._full:
-            return False
-        if self._address.kind == "udpout":
+        if not self._is_listening:
             self._transport.sendto(data)
             return True
         peers = self._peers.present(asyncio.get_running_loop().time())
@@ -197,12 +233,13 @@ class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
         return bool(peers)
 
     def datagram_received(self, data: bytes, addr: Source) -> None:
+        self._kept.heard()
         now = asyncio.get_running_loop().time()
         if self._peers.note(addr, now):
             self._on_bytes(data)
         elif not self._address.reads(addr[0]):
             self.unread_from = addr[0]
-        elif self._address.kind == "udpout" or self._on_stranger is None:
+        elif not self._is_listening or self._on_stranger is None:
             self._peers.enter(addr, now)
             self._on_bytes(data)
         elif len(data) > MAX_FIRST_DATAGRAM_BYTES:
@@ -215,57 +252,31 @@ class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
     def _enter(self, source: Source) -> None:
         self._peers.enter(source, asyncio.get_running_loop().time())
 
-    def pause_writing(self) -> None:
-        """64 KiB are queued. Drop from now on: asyncio itself has no limit."""
-        self._full = True
-
-    def resume_writing(self) -> None:
-        self._full = False
-
     def error_received(self, exc: Exception) -> None:
-        """Ignore the ICMP error: the receiver may start later."""
+        """A receiver that is not there may start later."""
+        if not self._is_listening and isinstance(exc, OSError) and exc.errno in _NO_WAY_OUT:
+            self._lose(why_not(exc))
 
 
 class TcpLink(_NetworkLink, asyncio.Protocol):
-    def __init__(self, address: NetworkAddress, on_bytes: OnBytes, on_state: OnState) -> None:
-        super().__init__(address, on_bytes, on_state)
-        self._transport: asyncio.Transport | None = None
-        self._lost: asyncio.Future[None] | None = None
-
-    async def run(self) -> None:
-        loop = asyncio.get_running_loop()
-        host, port = self._address.host, self._address.port
-        while True:
-            self._lost = loop.create_future()
-            try:
-                transport, _ = await loop.create_connection(lambda: self, host, port)
-            except (OSError, UnicodeError) as error:
-                self._down(_reason(error))
-                await asyncio.sleep(RETRY_S)
-                continue
-            _limit_reads(transport)
-            self._transport = transport
-            self._up()
-            try:
-                await self._lost
-            finally:
-                self._transport = None
-                transport.abort()
-            self._down("the connection was closed")
-            await asyncio.sleep(RETRY_S)
+    async def _open(self) -> asyncio.Transport:
+        connected = await self._socket(socket.SOCK_STREAM)
+        transport, _ = await asyncio.get_running_loop().create_connection(lambda: self, sock=connected)
+        transport.set_write_buffer_limits(MAX_QUEUED_BYTES)
+        return transport
 
     def _send(self, data: bytes) -> bool:
-        if self._transport is None or self._transport.get_write_buffer_size() > MAX_QUEUED_BYTES:
-            return False
         self._transport.write(data)
         return True
 
     def data_received(self, data: bytes) -> None:
+        # A peer that sends and does not read is as good as silent: it gets no message of ours.
+        if not self._full:
+            self._kept.heard()
         self._on_bytes(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        if self._lost is not None and not self._lost.done():
-            self._lost.set_result(None)
+        self._lose("the connection was closed")
 
 
 def _limit_reads(transport: Any) -> None:
@@ -273,8 +284,24 @@ def _limit_reads(transport: Any) -> None:
     transport.max_size = MAX_READ_BYTES
 
 
-def _reason(error: OSError | UnicodeError) -> str:
-    """The operating system's text for the error. An invalid host name raises a `UnicodeError`."""
-    if isinstance(error, OSError) and error.errno and not isinstance(error, socket.gaierror):
-        return os.strerror(error.errno)
-    return getattr(error, "strerror", None) or str(error)
+async def _first_connected(places: list[Any], local_port: int) -> socket.socket:
+    """A socket that is connected to the first of `places` that can be reached. Raises `OSError`."""
+    failure = OSError("no address")
+    for family, kind, protocol, _, place in places:
+        one = socket.socket(family, kind, protocol)
+        try:
+            one.setblocking(False)
+            if local_port:
+                with contextlib.suppress(OSError):
+                    one.bind(("", local_port))
+            async with asyncio.timeout(CONNECTS_WITHIN_S):
+                await asyncio.get_running_loop().sock_connect(one, place)
+        except OSError as error:
+            one.close()
+            failure = error
+        except BaseException:
+            one.close()
+            raise
+        else:
+            return one
+    raise failure

@@ -8,6 +8,7 @@ import gc
 import re
 import ssl
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,9 @@ from real_time import real_time
 from required_programs import need
 from waiting import until
 
-from flying_vines.gateway.mqtt import connection, health
+from firmware_link import reconnect
+from flying_vines.gateway.mqtt import connection
+from flying_vines.gateway.mqtt.problems import THROWN_OUT
 from flying_vines.gateway.mqtt.publisher import Publication
 
 from .brokers import MOSQUITTO_HOW, Broker, Line, Onlooker, make_certificates, onlooker, run_quietly, running
@@ -29,10 +32,9 @@ BASE = "flying-vines/heron"
 
 @pytest.fixture(autouse=True)
 def in_a_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(health, "FIRST_WAIT_S", 0.1)
-    monkeypatch.setattr(health, "MAX_WAIT_S", 0.2)
-    monkeypatch.setattr(health, "REPORT_AFTER_S", 0.0)
-    monkeypatch.setattr(health, "STABLE_S", 0.1)
+    quick = replace(connection.POLICY, first_wait_s=0.1, longest_wait_s=0.2, report_after_s=1e-6)
+    monkeypatch.setattr(connection, "POLICY", quick)
+    monkeypatch.setattr(reconnect, "STABLE_S", 0.1)
 
 
 def ask(id: str, command: str = "vent", **more: Any) -> dict[str, Any]:
@@ -186,13 +188,13 @@ async def test_vehicles_of_a_fleet_are_distinguished(broker: Broker, people: Onl
 
 
 async def test_two_vehicles_of_one_name_are_reported(broker: Broker, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(health, "STABLE_S", 3.0)
-    monkeypatch.setattr(health, "REPORT_AFTER_S", 5.0)
+    monkeypatch.setattr(reconnect, "STABLE_S", 3.0)
+    monkeypatch.setattr(connection, "POLICY", replace(connection.POLICY, report_after_s=5.0))
     heron = {"broker": broker.url, "name": "heron"}
     async with flying(**heron) as first, flying(**heron) as second:
         await until(lambda: bool(first.troubles or second.troubles), "a trouble")
         troubles = first.troubles + second.troubles
-        assert {trouble.split(": ", 2)[2] for trouble in troubles} == {health.THROWN_OUT.text}
+        assert {trouble.split(": ", 2)[2] for trouble in troubles} == {THROWN_OUT.text}
 
 
 async def test_a_user_and_a_password(tmp_path: Path) -> None:
@@ -317,24 +319,3 @@ async def test_a_broker_that_knows_no_mqtt_5(tmp_path: Path, monkeypatch: pytest
             await people.say(f"{BASE}/ask", ask("1"))
             await people.until(f"{BASE}/answer", id="1", safety="accepted")
         await people.until(f"{BASE}/status", status="offline")
-
-
-async def test_a_connection_that_misses_its_cancellation_does_not_outlive_its_service(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The library's `asyncio.wait_for` may lose a cancellation if an answer comes in the same turn."""
-    cancelled = []
-
-    async def deaf(self: connection.Connection, health: health.Health) -> Exception:
-        try:
-            await asyncio.sleep(3600)
-        except asyncio.CancelledError:
-            cancelled.append("missed")
-        await asyncio.sleep(3600)
-        raise AssertionError
-
-    monkeypatch.setattr(connection, "LEAVING_S", 0.05)
-    monkeypatch.setattr(connection.Connection, "_connect", deaf)
-    async with flying(broker="mqtt://localhost", name="heron"):
-        await asyncio.sleep(0.05)
-    assert cancelled == ["missed"]

@@ -8,9 +8,9 @@ from pathlib import Path
 import msgspec
 
 from flying_vines.gateway.messages import COMMANDS
-from flying_vines.gateway.mqtt import health
-from flying_vines.gateway.mqtt.connection import MAX_PACKET
+from flying_vines.gateway.mqtt.connection import MAX_PACKET, POLICY
 from flying_vines.gateway.mqtt.payloads import PAYLOADS, SCHEMA_VERSION, schemas
+from flying_vines.gateway.mqtt.problems import THROWN_OUT
 from flying_vines.gateway.mqtt.publisher import RESERVOIR_S
 from flying_vines.gateway.mqtt.requests import MAX_AT_ONCE, MAX_PER_S
 from flying_vines.gateway.mqtt.topics import Topics
@@ -57,16 +57,16 @@ def test_its_numbers_and_commands_are_the_code_s() -> None:
         f"the last {mqtt.kept_events} events (`mqtt.kept_events`)",
         f"`mqtt.asked_within_s` ({mqtt.asked_within_s:g} s)",
         f"longer than {MAX_PACKET // 1024} kB",
-        f"shorter than {health.REPORT_AFTER_S:g} s",
-        f"after {health.FIRST_WAIT_REFUSED_S:g} s",
-        health.THROWN_OUT.text,
+        f"shorter than {POLICY.report_after_s:g} s",
+        "after 15 s, later every five minutes",
+        THROWN_OUT.text,
     ):
         assert said in " ".join(PAGE.split()), said
-    assert (MAX_AT_ONCE, MAX_PER_S, health.MAX_WAIT_S, health.MAX_WAIT_REFUSED_S) == (
+    assert (MAX_AT_ONCE, MAX_PER_S, POLICY.longest_wait_s, POLICY.refused_waits_s) == (
         10,
         5,
         60,
-        300,
+        (15, 300),
     )
     guide = PAGE[PAGE.index("## Commands to the vehicle") :]
     assert all(f"`{command}`" in guide for command in COMMANDS)
