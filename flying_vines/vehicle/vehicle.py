@@ -94,7 +94,8 @@ class Vehicle:
         if from_autopilot:
             state.clock.frame(t, message.get_seq())
             state.note_frame(t)
-        if kind not in handled.ALL:
+        # A later part of a long text may begin like a text of its own.
+        if kind not in handled.ALL or (kind == "STATUSTEXT" and message.chunk_seq):
             return self._items(t) if from_autopilot and not self._watch.idle else []
         out: list[VehicleOutput] = []
         if kind == "HEARTBEAT":
