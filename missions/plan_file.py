@@ -88,7 +88,8 @@ def read_plan(path: Path, kind: AutopilotKind | None = None) -> PlanFile:
     except RecursionError:
         raise PlanFileError(f"{path}: not a plan of QGroundControl: nested too deeply") from None
     except msgspec.MsgspecError as error:
-        raise PlanFileError(f"{path}: not a plan of QGroundControl: {_plain(error)}") from None
+        text = f"{path}: not a plan of QGroundControl: {_plain(error)}; open it there and save it again"
+        raise PlanFileError(text) from None
     if content.fileType != "Plan":
         raise PlanFileError(f"{path}: not a plan of QGroundControl: its fileType is {content.fileType!r}")
     mission = content.mission

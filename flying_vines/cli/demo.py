@@ -30,9 +30,10 @@ def _demo(arguments: argparse.Namespace) -> int:
     from flying_vines.physics.plant.true_rig import load_true_rig
     from flying_vines.physics.rig import RigError
     from flying_vines.simulation.demo import fly, summary
+    from flying_vines.terminal.screen import can_redraw
 
     console = Console()
-    live = console.is_terminal and not arguments.plain
+    live = can_redraw(console) and not arguments.plain
     with file_errors(arguments.out, RigError):
         rig = load_true_rig(arguments.rig) if arguments.rig else None
         flight = asyncio.run(fly(arguments.out, console, live, rig, arguments.page))

@@ -21,6 +21,7 @@ from flying_vines.config.address import FORMS, Address, parse_address
 from flying_vines.service.link_settings import SettingsError, exchange_settings
 from flying_vines.service.link_watch import LinkEvent, LinkWatch
 from flying_vines.service.persistent_state import PersistentState
+from flying_vines.terminal.screen import can_redraw
 
 _REFRESH_PER_S = 8
 
@@ -89,7 +90,7 @@ async def monitor(address: Address, title: str, seconds: float | None, objects: 
         return stopped.is_set() or (seconds is not None and watch.t >= seconds)
 
     console = Console()
-    if objects or raw or not console.is_terminal:
+    if objects or raw or not can_redraw(console):
         await watch.run(_printer(console, objects, raw), over)
         if objects:
             print(json.dumps({"t": round(watch.t, 6), "statistics": watch.statistics._asdict()}))

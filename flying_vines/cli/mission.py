@@ -110,10 +110,11 @@ def _upload(arguments: argparse.Namespace) -> int:
 
 
 def _watch(arguments: argparse.Namespace) -> int:
+    from flying_vines.terminal.screen import can_redraw
     from missions.watch import watch
 
     console = _console()
-    live = console.is_terminal and not arguments.plain
+    live = can_redraw(console) and not arguments.plain
     return _on_vehicle(watch(arguments.link, console, live))
 
 

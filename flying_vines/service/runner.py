@@ -21,7 +21,7 @@ from flying_vines.service.persistent_state import PersistentState
 from flying_vines.service.service import Service
 from flying_vines.service.systemd import service_manager
 from flying_vines.supply import RigPrior
-from flying_vines.terminal.screen import LiveView, plain_printer
+from flying_vines.terminal.screen import LiveView, can_redraw, plain_printer
 from flying_vines.vehicle.mavlink.signing import Signing
 from flying_vines.vehicle.notice import Severity
 
@@ -55,7 +55,7 @@ async def serve(
     """Serve until a stop signal, or until the service ends. `page` is a line with the page's address."""
     loop = asyncio.get_running_loop()
     view = LiveView(loop.time(), config.limits.max_kPa, config.pneumatics.full_kPa)
-    live = live and console.is_terminal
+    live = live and can_redraw(console)
     shown = EachAction(view.take if live else plain_printer(console, loop.time()))
     gateway = Gateway(
         config,

@@ -14,7 +14,7 @@ from yarl import URL
 from flying_vines.terminal import keys
 from flying_vines.terminal.page_protocol import LATE_S, InvalidMessageError, PageDecoder, VentRequest
 from flying_vines.terminal.page_socket import PageSocket
-from flying_vines.terminal.screen import LiveView, event_line
+from flying_vines.terminal.screen import LiveView, can_redraw, event_line
 
 POLL_S = 0.1
 SECOND_PRESS_S = 3.0
@@ -28,7 +28,7 @@ class RemoteView:
     def __init__(self, url: URL, token: str, plain: bool, as_json: bool) -> None:
         self._page = url.origin()
         self._console = Console()
-        self._live = self._console.is_terminal and not plain and not as_json
+        self._live = can_redraw(self._console) and not plain and not as_json
         self._as_json = as_json
         self._decoder = PageDecoder()
         self._view: LiveView | None = None

@@ -280,6 +280,11 @@ class NonBlockingOutput(io.TextIOBase):
             data = data[os.write(self._stdout.fileno(), data) :]
 
 
+def can_redraw(console: Console) -> bool:
+    """True for a terminal that the live view can redraw. On TERM=dumb rich would show nothing."""
+    return console.is_terminal and not console.is_dumb_terminal
+
+
 def plain_printer(console: Console, began: float) -> Callable[[Action], None]:
     """Returns a function that prints one line per event."""
 

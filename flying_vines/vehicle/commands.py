@@ -30,10 +30,6 @@ class CommandReceiver:
         self._component_id = component_id
         self._repeats = Repeats()
 
-    def _for_us(self, message: MavlinkMessage, system_id: int) -> bool:
-        """True if target system and component are ours; a broadcast is not."""
-        return bool(message.target_system == system_id and message.target_component == self._component_id)
-
     def handle(
         self,
         t: float,
@@ -48,17 +44,22 @@ class CommandReceiver:
         Every sender may deflate the vine; `Sender.refusal` says who may do more.
 
         PX4 sends mission items to component 0. A script on an ArduPilot sends them to our component id.
+        Of other broadcasts only our own commands that deflate the vine are for us: a bend needs our ids.
         `age_s` is the age of the message.
         """
-        to_us = self._for_us(message, system_id)
-        to_all = message.target_system in (0, system_id) and message.target_component == 0
-        is_item = sender.is_autopilot and message.command in self._rules.commands
-        if not to_us and not (to_all and is_item and watch.publishes_items):
+        system, component = message.target_system, message.target_component
+        if system not in (0, system_id) or component not in (0, self._component_id):
             return []
+        params = _params(message)
+        is_item = sender.is_autopilot and message.command in self._rules.commands
+        if not (system and component):
+            is_broadcast_item = is_item and watch.publishes_items and component == 0
+            intent, _ = direct_intent(message.command, params) or (None, "")
+            if not is_broadcast_item and not self._rules.only_deflates(intent):
+                return []
         confirmation = getattr(message, "confirmation", 0)
         repeat_s = PX4_REPEAT_S if sender.is_autopilot else STATION_REPEAT_S
         repeat = self._repeats.is_repeat(t, _key(message), confirmation, message.get_seq(), repeat_s)
-        params = _params(message)
         if repeat and (is_item or not self._only_deflates(message.command, params)):
             result = self._repeats.answered(_key(message))
             return [acknowledgement(message, mavlink.MAV_RESULT_ACCEPTED if result is None else result)]

@@ -101,7 +101,8 @@ class Vehicle:
             out.extend(self.component.note_duplicate(t))
             if kind not in handled.COMMANDS:
                 return out
-        if kind not in handled.ALL:
+        # A later part of a long text may begin like a text of its own.
+        if kind not in handled.ALL or (kind == "STATUSTEXT" and message.chunk_seq):
             return self._items(t) if from_autopilot and not self._watch.idle else out
         if kind == "HEARTBEAT":
             out.extend(self._on_heartbeat(t, message))

@@ -143,7 +143,7 @@ class Terminal:
 
 
 @contextlib.asynccontextmanager
-async def on_terminal(bench: Bench) -> AsyncIterator[Terminal]:
+async def on_terminal(bench: Bench, term: str = "xterm-256color") -> AsyncIterator[Terminal]:
     ours, theirs = pty.openpty()
     process = await asyncio.create_subprocess_exec(
         sys.executable,
@@ -151,7 +151,7 @@ async def on_terminal(bench: Bench) -> AsyncIterator[Terminal]:
         stdin=theirs,
         stdout=theirs,
         stderr=theirs,
-        env={**os.environ, "TERM": "xterm-256color", "COLUMNS": "48", "LINES": "30"},
+        env={**os.environ, "TERM": term, "COLUMNS": "48", "LINES": "30"},
     )
     os.close(theirs)
     terminal = Terminal(process, ours)
@@ -182,6 +182,12 @@ async def test_on_a_terminal_it_is_live_and_v_twice_vents(bench: Bench) -> None:
         terminal.type("q")
         async with asyncio.timeout(MAX_WAIT_S):
             assert await terminal.process.wait() == 0
+
+
+async def test_a_terminal_that_cannot_be_redrawn_gets_lines(bench: Bench) -> None:
+    async with on_terminal(bench, "dumb") as terminal, showing(bench):
+        await terminal.shows("link: open")
+    assert "\x1b" not in terminal.screen
 
 
 @pytest.mark.long

@@ -27,6 +27,7 @@ from flying_vines.vine.intent import (
     ClearLatchedFaults,
     DisarmPneumatics,
     Hold,
+    Intent,
     SetPressure,
     StartProfile,
     VentVine,
@@ -189,14 +190,28 @@ def test_commands_for_others_get_no_answer(target: tuple[int, int], sender: tupl
     assert bench.answers == []
 
 
-@pytest.mark.parametrize("number", [USER_2, USER_4, 400, 512, 1000, 1001, 2003])
+@pytest.mark.parametrize("target", [(1, 0), (0, 0), (0, US)])
+@pytest.mark.parametrize(
+    ("number", "param1", "intent"),
+    [
+        (USER_2, 30.0, None),
+        (USER_3, 10.0, None),
+        (USER_4, 0.0, VentVine()),
+        (USER_4, 1.0, None),
+        (USER_4, 2.0, DisarmPneumatics()),
+        (USER_4, 3.0, None),
+        (USER_5, 1.0, None),
+        *((number, 0.0, None) for number in (400, 512, 1000, 1001, 2003)),
+    ],
+)
 @pytest.mark.parametrize("sender", [STATION, AUTOPILOT])
-def test_broadcasts_that_are_no_mission_items_get_no_answer(number: int, sender: tuple[int, int]) -> None:
+def test_of_broadcasts_that_are_no_mission_items_only_those_that_deflate_act(
+    target: tuple[int, int], number: int, param1: float, intent: Intent | None, sender: tuple[int, int]
+) -> None:
     bench = Bench()
-    for target in ((1, 0), (0, 0)):
-        bench.take(10.0, command(number, (0.0,), sender=sender, target=target))
-    assert bench.triggers == []
-    assert bench.answers == []
+    bench.take(10.0, command(number, (param1,), sender=sender, target=target))
+    assert [trigger.intent for trigger in bench.triggers] == ([intent] if intent else [])
+    assert bench.results() == ([ACCEPTED] if intent else [])
 
 
 def test_an_item_that_is_not_from_the_autopilot_is_ignored() -> None:

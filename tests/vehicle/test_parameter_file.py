@@ -93,6 +93,9 @@ def test_the_last_write_counts(tmp_path: Path) -> None:
         ("VINE_MAX_KPA = 18\nVINE_MAX_K", ":2: not TOML: "),
         ("VINE_MAX_KPA = 18\nVINE_MAX_KPA = 17\n", ":2: not TOML: "),
         ("\x00\x00\x00", ":1: not TOML: "),
+        # A power cut may leave an empty file. It must not end a limit from the field unseen.
+        ("", ": is empty: its parameters are lost; set them again after deleting the file"),
+        (" \n\n", ": is empty: its parameters are lost; set them again after deleting the file"),
     ],
 )
 def test_a_file_that_cannot_be_used_is_named_with_the_line(tmp_path: Path, text: str, error: str) -> None:
@@ -101,6 +104,7 @@ def test_a_file_that_cannot_be_used_is_named_with_the_line(tmp_path: Path, text:
     with pytest.raises(ParameterFileError) as caught:
         read(path, CONFIG)
     assert str(caught.value).startswith(f"{path}{error}")
+    assert ("not TOML" in error) <= str(caught.value).endswith("set them again after deleting the file")
     assert "\n" not in str(caught.value)
 
 

@@ -169,6 +169,17 @@ def test_messages_of_a_second_vehicle_move_nothing() -> None:
     assert link.triggers == []
 
 
+@pytest.mark.parametrize("words", ["Radio Failsafe", "Mission: 3 Scripting", "ArduPilot Ready"])
+def test_a_later_part_of_a_long_text_is_no_text_of_its_own(words: str) -> None:
+    link = Link()
+    link.run(4.0, 1000, boot_ms=100_000)
+    link.receive(mavlink.MAVLink_statustext_message(6, 50 * b"a", 9, 0))
+    link.receive(mavlink.MAVLink_statustext_message(6, words.encode(), 9, 1))
+    link.wait(1.0)
+    assert link.triggers == []
+    assert link.vehicle.rc.problem(link.now_s - 1.0) is None
+
+
 def test_a_reboot_vents_and_everything_is_requested_again() -> None:
     link = Link()
     link.run(5.0, 1000, boot_ms=100_000)

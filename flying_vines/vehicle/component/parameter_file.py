@@ -34,6 +34,9 @@ _REMOVED = {
 """Parameters of earlier versions, and why they were removed."""
 
 
+_REMEDY = "set them again after deleting the file"
+
+
 class ParameterFileError(OneLineError):
     """The file cannot be used. The text is one line with file, line number and what to do."""
 
@@ -47,6 +50,9 @@ def read(path: Path, base: Config) -> dict[str, float]:
     if not path.exists():
         return {}
     text = read_text(path, ParameterFileError)
+    if not text.strip():
+        # `write` always writes a heading. Without this check, limits from the field would end unseen.
+        raise ParameterFileError(f"{path}: is empty: its parameters are lost; {_REMEDY}")
     values = _parsed(text, path)
     config = base
     for name, value in values.items():
@@ -83,7 +89,10 @@ def _text(values: Mapping[str, float], base: Config) -> str:
 
 def _parsed(text: str, path: Path) -> dict[str, float]:
     """The numbers of known parameters, by name."""
-    raw = parsed(text, str(path), ParameterFileError)
+    try:
+        raw = parsed(text, str(path), ParameterFileError)
+    except ParameterFileError as error:
+        raise ParameterFileError(f"{error}; correct the line, or {_REMEDY}") from None
     return {name: _number(name, value, place(text, str(path), (name,))) for name, value in raw.items()}
 
 
