@@ -87,7 +87,7 @@ class Connection:
         health = Health(self._now.t, self._mqtt.broker)
         while True:
             failure = await self._one_connection(health)
-            problem = problem_of(failure, self._broker, health.is_connected)
+            problem = problem_of(failure, self._mqtt, health.is_connected)
             if not health.is_connected and may_want_other_version(failure):
                 self._protocol = _OTHER_VERSION[self._protocol]
             self._report(health.failed(self._now.t, problem))
