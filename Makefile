@@ -45,11 +45,11 @@ tools:
 	  $(AS_ROOT) apt-get update -q && $(AS_ROOT) apt-get install -qy --no-install-recommends $(TOOLS); }
 
 wheels: $(BIN)/pip
-	rm -rf $@
+	rm -rf $@ build
 	$(BIN)/pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir $@ .
 	for python in $(PYTHONS); do \
 	  $(BIN)/pip download --quiet --disable-pip-version-check --only-binary :all: $(PLATFORMS) --python-version $$python \
-	    --dest $@ "$$(echo $@/flying_vines-*.whl)[$(EXTRAS)]" $(IN_ADDITION) || exit; \
+	    --dest $@ "$$(echo $@/flying_vines-*.whl)$(if $(EXTRAS),[$(EXTRAS)])" $(IN_ADDITION) || exit; \
 	done
 
 $(BIN)/pip:
