@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -19,10 +20,12 @@ from docs.documented_commands import PAGES, blocks_and_spans
 from docs.example_files import maker
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from required_programs import need
 
 pytestmark = pytest.mark.long
 
 ROOT = Path(__file__).parents[2]
+INSTALL = (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
 PACKAGES = ("firmware_link", "flying_vines", "missions")
 FOLDERS = ("benchmarks", "docs", "examples", "tests")
 OTHERS = (*FOLDERS, "LICENSE", "MANIFEST.in", "Makefile", "README.md", "pyproject.toml")
@@ -140,6 +143,32 @@ def test_the_service_needs_only_its_own_dependencies(built: Path, installed: Pat
     assert "pytest" in hidden
     code = WITHOUT.format(hidden=sorted(hidden))
     outcome(sys.executable, "-c", code, cwd=installed, PYTHONPATH=str(installed))
+
+
+def made_wheels(sources: Path, *settings: str) -> Path:
+    """The folder that `make wheels` fills. Needs the package index."""
+    make = need("make", "sudo apt install make")
+    outcome(make, "wheels", f"VENV={sys.prefix}", *settings, cwd=sources)
+    return sources / "wheels"
+
+
+def test_wheels_for_a_drone_hold_all_that_each_of_its_pythons_needs(sources: Path) -> None:
+    names = [path.name for path in made_wheels(sources).iterdir()]
+    assert [name for name in names if not name.endswith(("-any.whl", "aarch64.whl"))] == []
+    for package in ("msgspec", "numba", "pymavlink"):
+        assert {tag for name in names for tag in re.findall(rf"^{package}-.*-(cp\d+)-", name)} == {
+            "cp311",
+            "cp313",
+        }
+
+
+def test_a_drone_without_network_is_installed_as_printed(sources: Path, tmp_path: Path) -> None:
+    version = f"PYTHONS={sys.version_info.major}.{sys.version_info.minor}"
+    made_wheels(sources, f"MACHINE={platform.machine()}", version, "EXTRAS=")
+    for command in re.findall(r"^    sudo (.*(?:--without-pip|--find-links).*)$", INSTALL, re.MULTILINE):
+        here = command.replace("python3 -m venv", f"{sys.executable} -m venv")
+        outcome("sh", "-c", here.replace("/opt/flying-vines", str(tmp_path)), cwd=sources, PYTHONPATH="")
+    outcome(tmp_path / "bin" / "flying-vines", "config", "init", "vine.toml", cwd=tmp_path, PYTHONPATH="")
 
 
 def needed_by(wanted: Iterable[str]) -> set[str]:

@@ -56,6 +56,6 @@ async def facts(mqtt: MqttConfig) -> BrokerFacts:
                 raise
             await greet(aiomqtt.ProtocolVersion.V311)
     except (aiomqtt.MqttError, FileError, OSError) as error:
-        problem = problem_of(error, broker, connected=False)
+        problem = problem_of(error, mqtt, connected=False)
         return BrokerFacts(mqtt.broker, problem.text, needs_person=problem.needs_person)
     return BrokerFacts(mqtt.broker, took_s=time.monotonic() - began_s)

@@ -122,7 +122,7 @@ class Connection:
                 client.close()
         if not self._kept.is_open and may_want_other_version(failure):
             self._protocol = _OTHER_VERSION[self._protocol]
-        return problem_of(failure, self._broker, self._kept.is_open)
+        return problem_of(failure, self._mqtt, self._kept.is_open)
 
     async def _client(self) -> _Client:
         def read() -> tuple[str | None, Any]:

@@ -33,9 +33,10 @@ def tls(mqtt: MqttConfig, broker: BrokerAddress) -> ssl.SSLContext | None:
     if mqtt.certificate_file:
         _read_private(mqtt.key_file, "the key")
         try:
-            context.load_cert_chain(mqtt.certificate_file, mqtt.key_file)
+            # Without a password here, OpenSSL asks for a key's password on the terminal and waits.
+            context.load_cert_chain(mqtt.certificate_file, mqtt.key_file, password="")
         except OSError as error:
-            why = _why(error, "they are not a certificate and its key")
+            why = _why(error, "they are not a certificate and its key, or the key has a password")
             raise FileError(f"{mqtt.certificate_file}, {mqtt.key_file}: {why}") from None
     return context
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import socket
 import ssl
+import sys
 
 import aiomqtt
 from paho.mqtt.reasoncodes import ReasonCode
 
 from firmware_link.reconnect import Problem
-from flying_vines.config.address import BrokerAddress
+from flying_vines.config.address import parse_broker
+from flying_vines.config.config import MqttConfig
 
 THROWN_OUT = Problem(
     "it accepts us and then closes: does another vehicle have the same mqtt.name?", needs_person=True
@@ -26,6 +28,25 @@ _BY_CODE = {
     0x8C: "it requires another authentication method",
     0x8E: "another client has the same client id: does another vehicle have the same mqtt.name?",
 }
+_NOT_SIGNED = (
+    "no authority in {trusted} has signed its certificate: mqtt.ca_file must name the broker's authority"
+)
+_OTHER_NAME = (
+    "its certificate is not for {host}: make one for this name (docs/mqtt.md), or correct mqtt.broker"
+)
+_NOT_TRUSTED = {
+    9: "its certificate is not valid yet: is this computer's clock right?",
+    10: "its certificate has expired: make a new one (docs/mqtt.md); or is this computer's clock wrong?",
+    18: _NOT_SIGNED,
+    19: _NOT_SIGNED,
+    20: _NOT_SIGNED,
+    21: _NOT_SIGNED,
+    62: _OTHER_NAME,
+    64: _OTHER_NAME,
+}
+"""By OpenSSL's code, X509_V_ERR_… in x509_vfy.h."""
+_BADLY_MADE = "Python {python} refuses its certificate, or {trusted}: {why}. Make both again (docs/mqtt.md)"
+"""All other codes. Python 3.13 and newer ask for what RFC 5280 demands, older ones do not."""
 
 
 class RefusedError(Exception):
@@ -36,15 +57,22 @@ class FileError(Exception):
     """A password, key or certificate cannot be used."""
 
 
-def problem_of(error: BaseException, broker: BrokerAddress, connected: bool) -> Problem:
+def problem_of(error: BaseException, mqtt: MqttConfig, connected: bool) -> Problem:
     """The meaning of `error`. `connected`: the error came after a successful login."""
+    broker = parse_broker(mqtt.broker)
     if isinstance(error, RefusedError | FileError):
         return Problem(str(error), needs_person=True)
     cause = _beneath(error)
     if isinstance(cause, aiomqtt.MqttCodeError):
         return _by_code(cause, connected)
     if isinstance(cause, ssl.SSLCertVerificationError):
-        return Problem(f"its certificate is not trusted: {_lower(cause.verify_message)}", needs_person=True)
+        text = _NOT_TRUSTED.get(cause.verify_code, _BADLY_MADE).format(
+            host=broker.host,
+            trusted=mqtt.ca_file or "this computer's list of authorities",
+            python=".".join(map(str, sys.version_info[:2])),
+            why=cause.verify_message,
+        )
+        return Problem(text, needs_person=True)
     if broker.tls and not connected and isinstance(cause, ssl.SSLEOFError | ConnectionResetError):
         return Problem("it closes the connection at once: does this port use TLS?", needs_person=True)
     if isinstance(cause, ssl.SSLError):
@@ -59,8 +87,8 @@ def problem_of(error: BaseException, broker: BrokerAddress, connected: bool) -> 
     if connected:
         return Problem("the connection is lost")
     if str(error) == _NO_GREETING:
-        hint = "?" if broker.tls else ", or does it need mqtts://?"
-        return Problem(f"it accepts the connection but sends nothing: is it a broker{hint}")
+        hint = "refuse mqtt.certificate_file" if broker.tls else "need mqtts://"
+        return Problem(f"it accepts the connection but sends nothing: is it a broker, or does it {hint}?")
     if isinstance(cause, TimeoutError):
         return Problem("no answer")
     return Problem(f"{getattr(cause, 'strerror', None) or cause or error}")

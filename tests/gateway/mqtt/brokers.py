@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import re
+import shlex
 import shutil
 import socket
 import subprocess
@@ -199,20 +201,37 @@ def run_quietly(*command: str, folder: Path | None = None) -> None:
     subprocess.run(command, cwd=folder, check=True, capture_output=True)
 
 
+def commands_of_the_page() -> list[list[str]]:
+    """docs/mqtt.md's commands for an authority, and for the broker's certificate."""
+    page = (Path(__file__).parents[3] / "docs" / "mqtt.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```sh\n(openssl .*?)^```$", page, re.MULTILINE | re.DOTALL)
+    return [
+        shlex.split(line) for line in block.replace("\\\n", "").splitlines() if line.startswith("openssl")
+    ]
+
+
 def make_certificates(folder: Path) -> None:
-    """`ca` and `another` are self-signed; `server`, for the name localhost, and `heron` are signed by
-    `ca`."""
-    openssl = need("openssl", "sudo apt install openssl")
+    """`server`, for the name localhost, and `heron` are signed by `ca`. `another` is an authority that signed
+    nothing. `lax` is an authority as many guides make it, and has signed `of_lax`."""
+    need("openssl", "sudo apt install openssl")
 
-    def run(*arguments: str) -> None:
-        run_quietly(openssl, *arguments, folder=folder)
+    def run(command: list[str], **instead: str) -> None:
+        for old, new in instead.items():
+            command = [word.replace(old.replace("_", "."), new) for word in command]
+        run_quietly(*command, folder=folder)
 
-    key = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-noenc", "-keyout")
-    for name in ("ca", "another"):
-        run("req", "-x509", *key, f"{name}.key", "-out", f"{name}.pem", "-subj", f"/CN={name}", "-days", "1")
-    (folder / "names").write_text("subjectAltName=DNS:localhost")
-    for name in ("server", "heron"):
-        run("req", *key, f"{name}.key", "-out", f"{name}.csr", "-subj", f"/CN={name}")
-        signing = ("-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-days", "1", "-extfile", "names")
-        run("x509", "-req", "-in", f"{name}.csr", *signing, "-out", f"{name}.pem")
-        (folder / f"{name}.key").chmod(0o600)
+    authority, certificate = commands_of_the_page()
+    lax = [word for word in authority if word != "-addext" and not word.startswith("keyUsage")]
+    run(authority)
+    run(authority, ca_key="another.key", ca_pem="another.pem")
+    run(lax, ca_key="lax.key", ca_pem="lax.pem")
+    run(certificate, broker_example="localhost")
+    run(certificate, broker_example="heron", server_key="heron.key", server_pem="heron.pem")
+    run(
+        certificate,
+        broker_example="localhost",
+        ca_key="lax.key",
+        ca_pem="lax.pem",
+        server_key="of_lax.key",
+        server_pem="of_lax.pem",
+    )

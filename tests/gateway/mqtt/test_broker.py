@@ -18,6 +18,8 @@ from required_programs import need
 from waiting import until
 
 from firmware_link import reconnect
+from flying_vines.config.config import MqttConfig
+from flying_vines.doctor.look.broker import facts
 from flying_vines.gateway.mqtt import connection
 from flying_vines.gateway.mqtt.problems import THROWN_OUT
 from flying_vines.gateway.mqtt.publisher import Publication
@@ -248,7 +250,9 @@ def rights_of_the_page() -> str:
 
 # After a failed handshake the library leaves the socket to the garbage collector.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-async def test_tls_with_the_right_certificate_and_with_every_wrong_one(tmp_path: Path) -> None:
+async def test_tls_with_the_right_certificate_and_with_every_wrong_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     make_certificates(tmp_path)
     settings = (
         f"allow_anonymous true\ncafile {tmp_path}/ca.pem\ncertfile {tmp_path}/server.pem\n"
@@ -272,16 +276,49 @@ async def test_tls_with_the_right_certificate_and_with_every_wrong_one(tmp_path:
         ):
             await people.until(f"{BASE}/state")
             assert not vehicle.troubles
-        await trouble(right, "its certificate is not trusted: self-signed", **ours)
-        await trouble(right, "its certificate is not trusted", ca_file=f"{tmp_path}/another.pem", **ours)
+        await trouble(
+            right, "no authority in this computer's list of authorities has signed its certificate", **ours
+        )
+        await trouble(
+            right, f"no authority in {tmp_path}/another.pem has", ca_file=f"{tmp_path}/another.pem", **ours
+        )
         wrong_name = f"mqtts://127.0.0.1:{broker.port}"
-        await trouble(wrong_name, "IP address mismatch, certificate is not valid", **trusted, **ours)
+        await trouble(wrong_name, "its certificate is not for 127.0.0.1", **trusted, **ours)
         await trouble(right, "No such file", ca_file=f"{tmp_path}/nowhere.pem", **ours)
-        await trouble(right, "it contains no certificates", ca_file=f"{tmp_path}/names", **ours)
+        await trouble(right, "it contains no certificates", ca_file=f"{tmp_path}/ca.key", **ours)
+        with monkeypatch.context() as impatient:
+            impatient.setattr(connection, "TIMEOUT_S", 0.5)
+            await trouble(right, "or does it refuse mqtt.certificate_file?", **trusted)
         (tmp_path / "heron.key").chmod(0o644)
         await trouble(right, "others may read or change the key", **trusted, **ours)
     async with running(Broker(tmp_path)) as plain:
         await trouble(f"mqtts://127.0.0.1:{plain.port}", "does this port use TLS?", **trusted)
+    gc.collect()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+async def test_an_authority_without_key_usage_is_refused_as_python_3_13_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_certificates(tmp_path)
+    relaxed = ssl.create_default_context
+
+    def strict(cafile: str | None = None) -> ssl.SSLContext:
+        context = relaxed(cafile=cafile)
+        context.verify_flags |= ssl.VERIFY_X509_STRICT
+        return context
+
+    monkeypatch.setattr(ssl, "create_default_context", strict)
+    settings = f"allow_anonymous true\ncertfile {tmp_path}/of_lax.pem\nkeyfile {tmp_path}/of_lax.key"
+    async with running(Broker(tmp_path, settings)) as broker:
+        mqtt = MqttConfig(broker=f"mqtts://localhost:{broker.port}", ca_file=f"{tmp_path}/lax.pem")
+        why = (
+            f"refuses its certificate, or {tmp_path}/lax.pem: CA cert does not include key usage extension. "
+            "Make both again (docs/mqtt.md)"
+        )
+        async with flying(broker=mqtt.broker, name="heron", ca_file=mqtt.ca_file) as vehicle:
+            await vehicle.in_trouble(why)
+        assert (await facts(mqtt)).problem.endswith(why)
     gc.collect()
 
 
