@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_args
 
 import msgspec
 from msgspec import Meta
@@ -33,7 +33,7 @@ from flying_vines.files.toml_text import (
     place,
     read_text,
 )
-from flying_vines.physics.rig import FlowResistance, ReservoirVolume, VineVolume, range_of
+from flying_vines.physics.rig import FlowResistance, ReservoirVolume, VineVolume
 from flying_vines.vine.curve import BendCurve
 from flying_vines.vine.intent import CommandName
 from flying_vines.vine.profile import PressureProfile, Segment, Sine, ends_kPa, flatten
@@ -145,7 +145,7 @@ class SwitchConfig(_Table, frozen=True):
 
     def __post_init__(self) -> None:
         if len(self.positions) not in (2, 3, 6):
-            raise ValueError(f"a switch has 2, 3 or 6 positions, not {len(self.positions)}")
+            raise ValueError(f"positions: a switch has 2, 3 or 6, not {len(self.positions)}")
 
     @property
     def channel_problem(self) -> str:
@@ -170,10 +170,10 @@ class ItemConfig(_Table, frozen=True):
         for name in self._commands:
             if isinstance(name, str) and name not in ITEM_COMMANDS:
                 raise ValueError(
-                    f"unknown command '{name}': give one of {', '.join(ITEM_COMMANDS)}, or a MAV_CMD number"
+                    f"command: '{name}' must be one of {', '.join(ITEM_COMMANDS)}, or a MAV_CMD number"
                 )
         if not self._commands:
-            raise ValueError("an item needs a command")
+            raise ValueError("command: is empty: give at least one")
         if (self.profile is None) == (self.bend is None):
             raise ValueError("an item needs either profile or bend")
 
@@ -204,7 +204,10 @@ class VineConfig(_Table, frozen=True):
     hysteresis_kPa: VinePressure = 0.0
 
     def __post_init__(self) -> None:
-        BendCurve(self.curve)
+        try:
+            BendCurve(self.curve)
+        except ValueError as error:
+            raise ValueError(f"curve: {error}") from None
 
     def bend_curve(self) -> BendCurve:
         return BendCurve(self.curve, self.hysteresis_kPa)
@@ -574,58 +577,7 @@ def no_profile(config: Config, name: str) -> str:
 
 
 def _explain(text: str, source: str, raw: object, error: str, inside: Key) -> ConfigError:
-    key, reason = explained(error, _known_keys, inside, raw, _range)
-    if reason.startswith("Invalid"):
-        reason += f": give one of {', '.join(_choices(key))}"
+    key, reason = explained(error, Config, inside, raw)
+    if key[-1:] == ("kind",) and (own := installed("segments")):
+        reason += f"; installed packages have {', '.join(own)}"
     return ConfigError(located(text, source, key, reason))
-
-
-def _known_keys(path: Key) -> list[str]:
-    """The keys that the table at `path` may have."""
-    if "segments" in path:
-        return sorted({field for segment in get_args(Segment) for field in segment.__struct_fields__})
-    here: object = Config
-    for part in path:
-        if isinstance(part, str):
-            here = _TABLES.get(part, here)
-    return list(getattr(here, "__struct_fields__", ()))
-
-
-def _range(key: Key) -> str:
-    """The range of the number at `key`, as text; empty if it has none or is no number of a table."""
-    if not key:
-        return ""
-    if key[:2] == ("vine", "curve") and key[-1] in (0, 1):
-        return range_of((CurveKPa, CurveDeg)[int(key[-1])])
-    hints = get_type_hints(_TABLES.get(str(key[0]), Config), include_extras=True)
-    return range_of(hints.get(str(key[-1])))
-
-
-def _choices(key: Key) -> list[str]:
-    """The words that the value at `key` may be, if it is a choice."""
-    if key[-1] == "kind":
-        return [*SEGMENTS, *installed("segments")]
-    hint = get_type_hints(_TABLES.get(str(key[0]), Config)).get(str(key[-1]))
-    literals = [part for part in (hint, *get_args(hint)) if get_origin(part) is Literal]
-    return [str(word) for literal in literals for word in get_args(literal)]
-
-
-_TABLES = {
-    "vehicle": VehicleConfig,
-    "firmware": FirmwareConfig,
-    "switch": SwitchConfig,
-    "vine": VineConfig,
-    "limits": LimitsConfig,
-    "interlocks": InterlocksConfig,
-    "losses": LossesConfig,
-    "pneumatics": PneumaticsConfig,
-    "checks": ChecksConfig,
-    "telemetry": TelemetryConfig,
-    "page": PageConfig,
-    "mqtt": MqttConfig,
-    "log": LogConfig,
-    "state": StateConfig,
-    "items": ItemConfig,
-    "triggers": TriggerConfig,
-    "profiles": PressureProfile,
-}
