@@ -6,7 +6,7 @@ import difflib
 import ipaddress
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -27,16 +27,16 @@ from flying_vines.files.toml_text import (
     OneLineError,
     dotted,
     explained,
+    lines_of_keys,
     located,
     not_finite,
     parsed,
     place,
     read_text,
 )
-from flying_vines.physics.rig import FlowResistance, ReservoirVolume, VineVolume
 from flying_vines.vine.curve import BendCurve
 from flying_vines.vine.intent import CommandName
-from flying_vines.vine.profile import PressureProfile, Segment, Sine, ends_kPa, flatten
+from flying_vines.vine.profile import PressureProfile, Ramp, Segment, Sine, ends_kPa, flatten
 
 ITEM_COMMANDS = {
     "script_message": 217,
@@ -75,6 +75,10 @@ def param_index(param: Param) -> int:
 ReservoirPressure = Annotated[float, Meta(ge=0, le=5000)]
 VinePressure = Annotated[float, Meta(ge=0, le=200)]
 Rate = Annotated[float, Meta(ge=0.01, le=2000)]
+# A unit that is wrong by a thousand is outside: Pa for kPa, mL or m³ for L.
+ReservoirVolume = Annotated[float, Meta(ge=0.01, le=200)]
+VineVolume = Annotated[float, Meta(ge=0.001, le=50)]
+FlowResistance = Annotated[float, Meta(ge=10, le=1e6)]
 CurveKPa = Annotated[float, Meta(ge=-200, le=200)]
 CurveDeg = Annotated[float, Meta(ge=-3600, le=3600)]
 CommandId = Annotated[int, Meta(ge=1, le=65_535)]
@@ -351,6 +355,15 @@ class Config(_Table, frozen=True):
     state: StateConfig = StateConfig()
 
 
+_PATHS = (
+    ("vehicle", "signing_key"),
+    ("pneumatics", "rig"),
+    ("page", "token_file"),
+    ("state", "folder"),
+    *(("mqtt", name) for name in ("password_file", "ca_file", "certificate_file", "key_file")),
+)
+
+
 def default_text() -> str:
     """The built-in configuration, which `config init` writes."""
     return resources.files("flying_vines.config").joinpath("default.toml").read_text(encoding="utf-8")
@@ -387,7 +400,10 @@ def parse(text: str, source: str, recorded: bool = False) -> Config:
     open, and a switch on any channel.
     """
     raw = parsed(text, source, ConfigError)
-    _drop_old_settings(raw, text, source)
+    for table, *keys in OLD_SETTINGS:
+        inside_of = raw.get(table) if keys else raw
+        if isinstance(inside_of, dict):
+            inside_of.pop((keys or [table])[0], None)
     try:
         inside: Key = ()
         for name, profile in _profiles_of(raw):
@@ -407,17 +423,25 @@ def parse(text: str, source: str, recorded: bool = False) -> Config:
     return config
 
 
-def _drop_old_settings(raw: dict[str, Any], text: str, source: str) -> None:
-    """Ignores settings of earlier versions. Raises `ConfigError` if one requests a removed behaviour."""
-    raw.pop("calibration", None)
-    if isinstance(telemetry := raw.get("telemetry"), dict):
-        telemetry.pop("fuel_status", None)
-    losses = raw.get("losses")
-    wanted = losses.pop("on_autopilot_loss", "vent") if isinstance(losses, dict) else "vent"
-    if wanted != "vent":
-        key = ("losses", "on_autopilot_loss")
-        reason = "remove this line: a lost autopilot always vents, because the altitude is then unknown"
-        raise ConfigError(f"{place(text, source, key)}: {dotted(key)}: {reason}")
+OLD_SETTINGS: dict[Key, str] = {
+    ("calibration",): "the vine is calibrated on the ground: flying-vines calibrate",
+    ("telemetry", "fuel_status"): "FUEL_STATUS is no longer sent, because no ground station shows it",
+    (
+        "losses",
+        "on_autopilot_loss",
+    ): "the loss of the autopilot always vents the vine, because the altitude is lost, too",
+}
+"""Settings of earlier versions, which are ignored, and why."""
+
+
+def ignored(text: str, source: str, old: Mapping[Key, str]) -> list[str]:
+    """A line for each of these settings that the text of a TOML file has."""
+    present = lines_of_keys(text)
+    return [
+        located(text, source, key, f"is ignored, delete it: {why}")
+        for key, why in old.items()
+        if key in present
+    ]
 
 
 def _profiles_of(raw: dict[str, Any]) -> list[tuple[str, Any]]:
@@ -502,7 +526,26 @@ def _above_the_limit(config: Config, curve: BendCurve) -> Iterator[tuple[Key, st
 
 
 def _unsafe(config: Config) -> list[tuple[Key, str]]:
-    return [*_open_links(config), *_taken(config)]
+    return [*_open_links(config), *_taken(config), *_without_effect(config)]
+
+
+def _without_effect(config: Config) -> Iterator[tuple[Key, str]]:
+    """What is written and could not do what it says."""
+    for key in _PATHS:
+        path = getattr(getattr(config, key[0]), key[1])
+        if path.startswith("~") or "$" in path:
+            yield key, f"'{path}': ~ and $ are not replaced: write the whole path"
+    if config.firmware.is_phlosar and config.firmware.settings:
+        yield ("firmware", "settings"), "a phloSAR has none: delete them, or set firmware.kind"
+    full_kPa, needed_kPa = config.pneumatics.full_kPa, config.limits.max_kPa + config.interlocks.reserve_kPa
+    if full_kPa < needed_kPa:
+        reason = f"is below limits.max_kPa + interlocks.reserve_kPa = {needed_kPa:g}: a full bend is refused"
+        yield ("pneumatics", "full_kPa"), reason
+    for name, profile in config.profiles.items():
+        for segment in profile.segments:
+            if isinstance(segment, Ramp) and segment.over_s > config.limits.max_bent_s:
+                reason = f"a ramp of {segment.over_s:g} s is longer than limits.max_bent_s, which ends it"
+                yield ("profiles", name), reason
 
 
 def _taken(config: Config) -> Iterator[tuple[Key, str]]:

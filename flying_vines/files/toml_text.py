@@ -39,7 +39,7 @@ def read_text(
     try:
         content = read_bytes(path, most_bytes)
         # Notepad's "Unicode" is UTF-16.
-        wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        wide = len(content) > 2 and content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
         text = content.decode("utf-16" if wide else "utf-8-sig")
         return text.replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as problem:
@@ -93,7 +93,8 @@ def _slip(text: str, line: int, problem: str) -> tuple[int, str]:
         same += [n for n, other in before if key[: len(other)] == other or other[: len(key)] == key]
         first = next(iter(same), line)
         if stopped.startswith("[") and stopped.startswith("[[") != lines[first - 1].strip().startswith("[["):
-            return line, f"[{dotted(key)}] and [[{dotted(key)}]]: write it as in line {first}"
+            name = dotted(tuple(part for part in key if isinstance(part, str)))
+            return line, f"[{name}] and [[{name}]]: write it as in line {first}"
         return line, f"{dotted(key)} stands twice, first in line {first}: keep one"
     in_list = HEADER.match(stopped) and problem.startswith("Invalid value")
     if in_list or problem.startswith("Unclosed array"):

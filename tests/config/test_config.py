@@ -227,7 +227,6 @@ def test_a_key_that_belongs_elsewhere(text: str, instead: str) -> None:
         ("[switch]\npositions = 'straight'", 2, "switch.positions", "a list of values, not 'straight'"),
         ("[switch]\npositions = ['straight', 5]", 2, "switch.positions[1]", "a text in quotes, not 5"),
         ("[losses]\non_rc_loss = 'land'", 2, "losses.on_rc_loss", "must be one of vent, hold, not 'land'"),
-        ("[losses]\non_autopilot_loss = 'hold'", 2, "losses.on_autopilot_loss", "remove this line"),
         ("[losses]\nrc_s = 20", 2, "losses.rc_s", "from 0.3 to 10, not 20"),
         ("[interlocks]\nbench_mode = 1", 2, "interlocks.bench_mode", "must be true or false, not 1"),
         ("[[items]]\nprofile = 'straight'", 1, "items[0]", "'command' is missing"),
@@ -357,6 +356,25 @@ def test_a_switch_has_two_three_or_six_positions(count: int) -> None:
         ("[vehicle]\nlink = 'tcp:127.0.0.1:3000'\n[firmware]\nlink = 'tcp:127.0.0.1:3001'\n", 0, "", ""),
         ("[vehicle]\nlink = 'serial:/dev/ttyS1'\n[firmware]\nlink = 'tcp:127.0.0.1:3001'\n", 0, "", ""),
         ("[vehicle]\nlink = 'udpin:127.0.0.1:3000'\n[firmware]\nlink = 'tcp:127.0.0.1:3000'\n", 0, "", ""),
+        ("[pneumatics]\nfull_kPa = 60", 2, "pneumatics.full_kPa", "interlocks.reserve_kPa = 60.7: a full bend is"),
+        ("[pneumatics]\nreservoir_volume_L = 0.002", 2, "pneumatics.reservoir_volume_L", "from 0.01 to 200"),
+        (
+            "[pneumatics]\nevp_flow_resistance_kPa_s_per_SL = 2.042",
+            2, "pneumatics.evp_flow_resistance_kPa_s_per_SL", "from 10 to 1000000",
+        ),
+        (
+            "[profiles.x]\nsegments = [{ kind = 'ramp', to_deg = 5, over_s = 1500 }]",
+            1, "profiles.x", "longer than limits.max_bent_s",
+        ),
+        ("[firmware]\nsettings = { a = 1 }", 2, "firmware.settings", "a phloSAR has none"),
+        ("[state]\nfolder = '~/vine'", 2, "state.folder", "~ and $ are not replaced"),
+        ("[pneumatics]\nrig = '$HOME/rig.toml'", 2, "pneumatics.rig", "~ and $ are not replaced"),
+        ("[vehicle]\nlink = 'serial:/dev/ttyAMA0:57600x'", 2, "vehicle.link", "'57600x' is no baud rate"),
+        ("[vehicle]\nlink = 'serial:/dev/ttyAMA0:'", 2, "vehicle.link", "'' is no baud rate"),
+        ("[vehicle]\nlink = 'serial:/dev/ttyAMA0:12'", 2, "vehicle.link", "'12' is no baud rate"),
+        ("[vehicle]\nlink = 'serial:/dev/ttyAMA0,57600'", 2, "vehicle.link", "is no device"),
+        ("[vehicle]\nlink = 'serial:ttyAMA0:57600'", 2, "vehicle.link", "write its whole path"),
+        ("[vehicle]\nlink = 'serial:$PORT'", 2, "vehicle.link", "write its whole path"),
         ("[limits]\nmax_kPa = 30\n", 1, "limits.overpressure_kPa", "must be above max_kPa"),
         ("[limits]\nmax_kPa = 15\n", 0, "", ""),
         (
@@ -554,22 +572,19 @@ def test_any_slip_in_the_built_in_configuration_parses_or_is_refused(at: int, le
     parses_or_is_refused(whole[:at] + put + whole[at + length :])
 
 
-def test_a_configuration_of_an_earlier_version_that_vents_where_the_autopilot_is_lost_still_holds() -> None:
-    text = config.default_text()
-    old = text.replace("[losses]\n", "[losses]\non_autopilot_loss = 'vent'\n")
-    assert old != text
-    assert config.parse(old, "test") == config.default()
-
-
 @pytest.mark.parametrize(
     ("before", "after"),
     [
         ("[log]\n", "[calibration]\nsteps = 6\nhold_s = 3\n[log]\n"),
         ("[telemetry]\n", "[telemetry]\nfuel_status = true\n"),
+        ("[losses]\n", "[losses]\non_autopilot_loss = 'hold'\n"),
     ],
 )
-def test_settings_of_an_earlier_version_that_move_nothing_are_ignored(before: str, after: str) -> None:
+def test_settings_of_an_earlier_version_are_ignored_with_a_line(before: str, after: str) -> None:
     text = config.default_text()
     old = re.sub(rf"^{re.escape(before.strip())}.*\n", after, text, flags=re.MULTILINE)
     assert old != text
     assert config.parse(old, "test") == config.default()
+    (line,) = config.ignored(old, "my.toml", config.OLD_SETTINGS)
+    assert re.match(r"my\.toml:\d+: [a-z_.]+: is ignored, delete it: ", line)
+    assert not config.ignored(text, "my.toml", config.OLD_SETTINGS)
