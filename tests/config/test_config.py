@@ -356,7 +356,7 @@ def test_a_switch_has_two_three_or_six_positions(count: int) -> None:
         ("[vehicle]\nlink = 'tcp:127.0.0.1:3000'\n[firmware]\nlink = 'tcp:127.0.0.1:3001'\n", 0, "", ""),
         ("[vehicle]\nlink = 'serial:/dev/ttyS1'\n[firmware]\nlink = 'tcp:127.0.0.1:3001'\n", 0, "", ""),
         ("[vehicle]\nlink = 'udpin:127.0.0.1:3000'\n[firmware]\nlink = 'tcp:127.0.0.1:3000'\n", 0, "", ""),
-        ("[pneumatics]\nfull_kPa = 60", 2, "pneumatics.full_kPa", "interlocks.reserve_kPa = 60.7: a full bend is"),
+        ("[pneumatics]\nfull_kPa = 60", 2, "pneumatics.full_kPa", "reserve_kPa = 60.7: a full bend is"),
         ("[pneumatics]\nreservoir_volume_L = 0.002", 2, "pneumatics.reservoir_volume_L", "from 0.01 to 200"),
         (
             "[pneumatics]\nevp_flow_resistance_kPa_s_per_SL = 2.042",

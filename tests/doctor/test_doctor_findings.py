@@ -209,6 +209,7 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     ),
     (configuration_check.NO_CLOCK, of_configuration(signing_clock_problem="stamp: damaged")),
     (configuration_check.PARAMETERS, of_configuration(parameters={"FV_MAX_KPA": 15.0})),
+    (configuration_check.IGNORED, of_configuration(ignored=["p.toml:1: VINE_AP_ACTION: is ignored"])),
     (configuration_check.BAD_PARAMETERS, of_configuration(parameters_problem="p.toml:1: damaged")),
     (configuration_check.DISARMED, of_configuration(disarming="vine.disarmed")),
     (configuration_check.LATCHED, of_configuration(latched={"overpressure": "vine at 60.0 kPa, limit 50"})),
