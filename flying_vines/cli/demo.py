@@ -30,7 +30,7 @@ def _demo(arguments: argparse.Namespace) -> int:
     from flying_vines.physics.rig import RigError
     from flying_vines.simulation.demo import fly, summary
 
-    console = Console()
+    console = Console(markup=False)
     live = console.is_terminal and not arguments.plain
     with file_errors(arguments.out, RigError):
         rig = load_true_rig(arguments.rig) if arguments.rig else None

@@ -89,7 +89,7 @@ async def _run(arguments: argparse.Namespace) -> int:
             found = await examine(examined, arguments.out, arguments.seconds, lambda findings: None)
             print(json.dumps(as_json(found), allow_nan=False))
             return 0 if may_fly(found) else MAY_NOT_FLY
-        console = Console(highlight=False)
+        console = Console(markup=False, highlight=False)
         switch = examined.config.switch
         with console.status(f"Listening to both links for {arguments.seconds:g} s") as status:
 

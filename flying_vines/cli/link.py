@@ -88,7 +88,7 @@ async def monitor(address: Address, title: str, seconds: float | None, objects: 
     def over() -> bool:
         return stopped.is_set() or (seconds is not None and watch.t >= seconds)
 
-    console = Console()
+    console = Console(markup=False)
     if objects or raw or not console.is_terminal:
         await watch.run(_printer(console, objects, raw), over)
         if objects:
@@ -122,7 +122,7 @@ async def settings(
             named = {name: getattr(setting, name) for name in ("name", "value", "least", "most", "standard")}
             print(json.dumps(named))
     else:
-        Console().print(settings_table(known))
+        Console(markup=False).print(settings_table(known))
 
 
 def _stopped() -> asyncio.Event:
