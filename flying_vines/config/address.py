@@ -21,7 +21,7 @@ _BAUD = re.compile(r"[1-9][0-9]{1,7}")
 _BAUDS = range(1200, 12_000_001)
 _WITH_COLONS = ("/dev/serial/by-path/", "/dev/serial/by-id/")
 """Folders of devices whose names have colons of their own."""
-_DEVICE = re.compile(r"/[^,$]+|COM\d+")
+_NO_DEVICE = re.compile(r"~.*|.*[,$].*|(tty|serial\d).*")
 _PORT = re.compile(r"[0-9]{1,5}")
 
 
@@ -132,7 +132,7 @@ def _serial(text: str, rest: str) -> SerialAddress:
         path, baud = rest, str(DEFAULT_BAUD)
     if not (_BAUD.fullmatch(baud) and int(baud) in _BAUDS):
         raise ValueError(f"'{text}': '{baud}' is no baud rate: write serial:{path}:57600")
-    if not _DEVICE.fullmatch(path):
+    if _NO_DEVICE.fullmatch(path):
         raise ValueError(
             f"'{text}': '{path}' is no device: write its whole path, as in serial:/dev/ttyAMA0:57600"
         )

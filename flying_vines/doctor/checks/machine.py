@@ -73,8 +73,8 @@ TOO_BUSY = FindingText(
     "this computer is too busy: late by {late:.0f} ms; after {limit:.0f} ms telemetry is stale and it vents",
     "end other programs (top shows them), then repeat this check",
 )
-BUSY_S = 0.1
-"""A loop that wakes up later than this, several times, shows a busy computer."""
+BUSY_S = 0.05
+"""The period of RC_CHANNELS. A loop that wakes up later than this, several times, shows a busy computer."""
 
 
 def load(late_s: float, stale_s: float) -> DoctorFinding:
