@@ -400,10 +400,12 @@ def parse(text: str, source: str, recorded: bool = False) -> Config:
     open, and a switch on any channel.
     """
     raw = parsed(text, source, ConfigError)
-    for table, *keys in OLD_SETTINGS:
-        inside_of = raw.get(table) if keys else raw
-        if isinstance(inside_of, dict):
-            inside_of.pop((keys or [table])[0], None)
+    for *tables, key in OLD_SETTINGS:
+        table: Any = raw
+        for name in tables:
+            table = table.get(name) if isinstance(table, dict) else None
+        if isinstance(table, dict):
+            table.pop(key, None)
     try:
         inside: Key = ()
         for name, profile in _profiles_of(raw):

@@ -268,8 +268,8 @@ def type_at(kind: object, key: Key, raw: object = None) -> object:
             arguments = get_args(option)
             if get_origin(option) is dict:
                 inner = arguments[1]
-            elif get_origin(option) is tuple:
-                inner = arguments[0 if arguments[-1] is Ellipsis else int(part)]
+            elif get_origin(option) in (tuple, list):
+                inner = arguments[0 if arguments[-1] is Ellipsis or len(arguments) == 1 else int(part)]
         tables = _tables(kind, _value_at(raw, key[:at]))
         tags = tuple(table.__struct_config__.tag for table in _tables(kind, None))
         if tables and part == tables[0].__struct_config__.tag_field:
@@ -315,7 +315,7 @@ def _described(kind: object) -> Iterator[str]:
         origin, arguments = get_origin(plain), get_args(plain)
         if origin is tuple and Ellipsis not in arguments:
             yield f"a list of {len(arguments)} values"
-        elif origin is tuple:
+        elif origin in (tuple, list):
             yield f"a list{range_of(kind) or ' of'} {'tables' if _tables(arguments[0], None) else 'values'}"
         elif get_origin(plain) in (Literal, Union, types.UnionType):
             yield from _described(plain)

@@ -58,7 +58,7 @@ def read_inputs(path: Path, rig: Path | None = None, broker_files: bool = False)
         try:
             yield
         except kinds as error:
-            raise ConfigError(located(text, str(path), key, str(error))) from None
+            raise ConfigError(located(text, str(path), key, str(error)) if key else str(error)) from None
         except OSError as error:
             reason = f"{error.filename}: {error.strerror}"
             raise ConfigError(located(text, str(path), key, reason)) from None

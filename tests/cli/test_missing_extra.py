@@ -6,6 +6,7 @@ import io
 import re
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -59,9 +60,9 @@ def test_the_remedy_fits_how_this_copy_was_installed(
             return f'{{"url": "{(tmp_path / "flying_vines-1-py3-none-any.whl").as_uri()}"}}'
 
     monkeypatch.setattr(extras, "SOURCES", tmp_path)
-    monkeypatch.setattr(extras.metadata, "distribution", lambda name: Installed())
+    monkeypatch.setattr(metadata, "distribution", lambda name: Installed())
     requires = ["rich>=13", 'numpy>=1.26; extra == "analysis"', "scipy>=1.11; extra == 'analysis'"]
-    monkeypatch.setattr(extras.metadata, "requires", lambda name: requires)
+    monkeypatch.setattr(metadata, "requires", lambda name: requires)
     if sources:
         (tmp_path / "pyproject.toml").touch()
     if wheel:
