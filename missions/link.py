@@ -14,7 +14,7 @@ from typing import Any
 
 from firmware_link.find import BoardNotFoundError, UsbBoard
 from flying_vines.config.address import DEFAULT_BAUD, SerialAddress, parse_address
-from flying_vines.files.extras import lacks
+from flying_vines.files.extras import install_command
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 from flying_vines.vehicle.mission.storage import AutopilotKind
@@ -143,8 +143,9 @@ def _mavsdk() -> Any:
     try:
         import mavsdk.asyncio
         from mavsdk.logging import log_subscribe
-    except ModuleNotFoundError as error:
-        raise VehicleLinkError(f"{lacks(error, 'missions')} (on 64-bit systems)") from None
+    except ModuleNotFoundError:
+        remedy = install_command("missions")
+        raise VehicleLinkError(f"mavsdk is missing: {remedy}, on 64-bit systems") from None
     except Exception as error:  # mavsdk's own exception class is in the library that failed to load
         raise VehicleLinkError(f"mavsdk does not run here: {str(error).splitlines()[0]}") from None
 

@@ -16,9 +16,9 @@ from urllib.parse import unquote, urlsplit
 SOURCES = Path(__file__).parents[2]
 
 
-def lacks(error: ImportError, extra: str = "analysis") -> str:
-    """The text for a missing package of an extra, with the command that installs it."""
-    return f"{error.name} is missing: {install_command(extra)}"
+def lacks(error: ImportError) -> str:
+    """The text for a missing package of the extra `analysis`, with the command that installs it."""
+    return f"{error.name} is missing: {install_command('analysis')}"
 
 
 def install_command(extra: str) -> str:
