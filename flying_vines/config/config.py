@@ -400,12 +400,12 @@ def parse(text: str, source: str, recorded: bool = False) -> Config:
     open, and a switch on any channel.
     """
     raw = parsed(text, source, ConfigError)
-    for *tables, key in OLD_SETTINGS:
+    for *tables, old in OLD_SETTINGS:
         table: Any = raw
         for name in tables:
             table = table.get(name) if isinstance(table, dict) else None
         if isinstance(table, dict):
-            table.pop(key, None)
+            table.pop(old, None)
     try:
         inside: Key = ()
         for name, profile in _profiles_of(raw):
