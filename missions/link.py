@@ -14,6 +14,7 @@ from typing import Any
 
 from firmware_link.find import BoardNotFoundError, UsbBoard
 from flying_vines.config.address import DEFAULT_BAUD, SerialAddress, parse_address
+from flying_vines.files.extras import install_command
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 from flying_vines.vehicle.mission.storage import AutopilotKind
@@ -32,7 +33,6 @@ _CALLBACKS: list[Any] = []
 """Keeps mavsdk's callbacks alive. mavsdk 4.1.0 frees them when it is destroyed; a callback that runs at this
 moment would crash the process."""
 
-_EXTRA = "pip install 'flying-vines[missions]'"
 _RESULTS = {
     1: "the vehicle reports an error",
     2: "the vehicle does not accept its frame",
@@ -144,7 +144,8 @@ def _mavsdk() -> Any:
         import mavsdk.asyncio
         from mavsdk.logging import log_subscribe
     except ModuleNotFoundError:
-        raise VehicleLinkError(f"mavsdk is missing: {_EXTRA}, on 64-bit systems") from None
+        remedy = install_command("missions")
+        raise VehicleLinkError(f"mavsdk is missing: {remedy}, on 64-bit systems") from None
     except Exception as error:  # mavsdk's own exception class is in the library that failed to load
         raise VehicleLinkError(f"mavsdk does not run here: {str(error).splitlines()[0]}") from None
 

@@ -9,7 +9,6 @@ import msgspec
 from msgspec import Meta
 
 from flying_vines.files.toml_text import (
-    Key,
     dotted,
     explained,
     located,
@@ -112,9 +111,7 @@ def parse(text: str, source: str) -> Mission:
     try:
         return msgspec.convert(raw, Mission)
     except msgspec.ValidationError as error:
-        key, reason = explained(str(error), _known_keys, raw=raw)
-        if reason.startswith("Invalid enum"):
-            reason += f": give one of {', '.join(_CHOICES.get(str(key[-1]), ()))}"
+        key, reason = explained(str(error), Mission, raw=raw)
         raise MissionError(located(text, source, key, reason)) from None
 
 
@@ -128,18 +125,3 @@ def planned_home(mission: Mission, kind: AutopilotKind, source: str) -> Home:
     if mission.home == "simulator":
         return AUTOPILOTS[kind].simulator_home
     return Home(*mission.home.at, mission.home.altitude_m)
-
-
-_CHOICES = {"end": ("land", "return"), "autopilot": tuple(AUTOPILOTS), "home": ("simulator",)}
-_TABLES: dict[str, type[_Table]] = {
-    "home": PlannedHome,
-    "takeoff": Takeoff,
-    "waypoints": Waypoint,
-    "vine": VineAction,
-}
-
-
-def _known_keys(path: Key) -> list[str]:
-    """The keys that the table at `path` may have."""
-    names = [part for part in path if isinstance(part, str)]
-    return list((_TABLES[names[-1]] if names else Mission).__struct_fields__)

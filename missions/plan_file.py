@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +18,7 @@ import msgspec
 from msgspec import Meta
 
 from flying_vines.files.bounded import MB
-from flying_vines.files.toml_text import OneLineError, read_text
+from flying_vines.files.toml_text import OneLineError, dotted, explained, read_text
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import GLOBAL_FRAME, MAX_NUMBER, WAYPOINT, MissionItem, has_place
 from flying_vines.vehicle.mission.jumps import JUMP
@@ -84,12 +85,19 @@ def read_plan(path: Path, kind: AutopilotKind | None = None) -> PlanFile:
     """
     text = read_text(path, PlanFileError, most_bytes=PLAN_BYTES)
     try:
-        content = msgspec.json.decode(text.encode(), type=_File)
+        raw = msgspec.json.decode(text.encode())
+        content = msgspec.convert(raw, _File)
     except RecursionError:
         raise PlanFileError(f"{path}: not a plan of QGroundControl: nested too deeply") from None
-    except msgspec.MsgspecError as error:
-        text = f"{path}: not a plan of QGroundControl: {_plain(error)}; open it there and save it again"
-        raise PlanFileError(text) from None
+    except msgspec.ValidationError as error:
+        key, reason = explained(str(error), _File, raw=raw)
+        raise PlanFileError(
+            f"{path}: not a plan of QGroundControl: {dotted(key)}: {reason}; open it there and save it again"
+        ) from None
+    except msgspec.DecodeError as error:
+        at = re.search(r"byte (\d+)", str(error))
+        line = text.encode()[: int(at[1]) if at else None].count(b"\n") + 1
+        raise PlanFileError(f"{path}:{line}: not a plan of QGroundControl: the JSON is damaged") from None
     if content.fileType != "Plan":
         raise PlanFileError(f"{path}: not a plan of QGroundControl: its fileType is {content.fileType!r}")
     mission = content.mission
@@ -200,7 +208,8 @@ def _simple_items(path: Path, items: Sequence[_Item]) -> Iterator[_Item]:
         try:
             yield from msgspec.convert(inner, list[_Item])
         except msgspec.ValidationError as error:
-            raise PlanFileError(f"{path}: mission.items[{index}]: {_plain(error)}") from None
+            key, reason = explained(str(error), list[_Item], raw=inner)
+            raise PlanFileError(f"{path}: mission.items[{index}]: {dotted(key)}: {reason}") from None
 
 
 def _item(path: Path, item: _Item, seq: int, numbers: dict[int, int]) -> MissionItem:
@@ -216,7 +225,3 @@ def _item(path: Path, item: _Item, seq: int, numbers: dict[int, int]) -> Mission
     p1, p2, p3, p4, x, y, z = values
     made = MissionItem(seq, item.command, (p1, p2, p3, p4, x, y, z), item.frame, current=seq == 0)
     return replace(made, autocontinue=item.autoContinue)
-
-
-def _plain(error: Exception) -> str:
-    return str(error).replace("`", "").replace("Expected", "expected").replace(" - at $", " at ")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from flying_vines.calibration.findings import Chart, Estimate, MeasuredQuantity, Result, Series
+from flying_vines.files.extras import lacks
 
 
 def curve(pairs: tuple[tuple[float, float], ...]) -> Result:
@@ -14,8 +15,8 @@ def curve(pairs: tuple[tuple[float, float], ...]) -> Result:
     try:
         from flying_vines.identification.bend_curve import Pairs, PairsError, fit
         from flying_vines.identification.bend_curve.pairs import MIN_PAIRS
-    except ImportError:
-        why = "needs pip install 'flying-vines[analysis]'; findings.json has the pairs for `vine fit`"
+    except ImportError as error:
+        why = f"{lacks(error)}; findings.json has the pairs for `vine fit`"
         return Result((top.unknown(why), width.unknown(why)))
     if len(pairs) < MIN_PAIRS:
         why = f"{len(pairs)} angles were entered; a curve needs at least {MIN_PAIRS}, up and down"

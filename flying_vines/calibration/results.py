@@ -28,7 +28,7 @@ from flying_vines.calibration.findings import Findings
 from flying_vines.calibration.terminal import CalibrationTerminal
 from flying_vines.config import on_disk
 from flying_vines.config.config import ConfigError, PneumaticsConfig
-from flying_vines.config.extras import lacks
+from flying_vines.files.extras import lacks
 from flying_vines.physics.plant.true_rig import TrueRig, true_rig_text
 from flying_vines.supply import nominal_rig
 

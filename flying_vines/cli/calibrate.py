@@ -124,7 +124,7 @@ def _run(arguments: argparse.Namespace) -> int:
         angles=_pairs(arguments.angles) if arguments.angles else None,
         asks_angles=interactive or fake,
     )
-    terminal = CalibrationTerminal(Console(highlight=False), interactive)
+    terminal = CalibrationTerminal(Console(markup=False, highlight=False), interactive)
     if fake:
         rig = None if arguments.fake == LIKELY else arguments.fake
         done = simulated_rig.calibrate(user, request, arguments.out, terminal, rig)

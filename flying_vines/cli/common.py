@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from flying_vines.cli.bad_input import bad_input
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
-from flying_vines.config.extras import lacks
+from flying_vines.files.extras import lacks
 from flying_vines.vehicle.mission.item import MissionItem
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}")
-    console = Console(stderr=True)
+    console = Console(markup=False, stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("reading", total=1.0)
         yield lambda step, share: bar.update(task, description=step, completed=share)
@@ -106,7 +106,7 @@ def show_found(
         return 0
     from rich.console import Console
 
-    console = Console()
+    console = Console(markup=False)
     show(console)
     for path in figures:
         console.print(f"Figure   {path}", highlight=False, soft_wrap=True)

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from flying_vines.cli.common import add_cause_option, fail, rig_file_prior
+from flying_vines.cli.common import add_cause_option, fail
 from flying_vines.config import config as configuration
 
 
@@ -39,11 +39,10 @@ def _config_init(arguments: argparse.Namespace) -> int:
 
 
 def _config_check(arguments: argparse.Namespace) -> int:
-    from flying_vines.service.service import check_plugins
+    from flying_vines.service.starting import read_inputs
 
-    config = configuration.load(arguments.file)
-    check_plugins(config)
-    known = rig_file_prior(config, arguments.file)
+    read = read_inputs(arguments.file, broker_files=True)
+    config, known = read.config, read.known
     print(
         f"{arguments.file}: good. RC switch on channel {config.switch.channel}, {len(config.profiles)} "
         f"profiles, {len(config.items)} item rules, up to {config.limits.max_kPa:g} kPa."
@@ -51,4 +50,6 @@ def _config_check(arguments: argparse.Namespace) -> int:
     print(f"Vehicle link {config.vehicle.who_can_command}.")
     if known:
         print(f"{known.path}: good. {known.summary[0].upper()}{known.summary[1:]}.")
+    for note in read.notes:
+        print(note)
     return 0

@@ -32,7 +32,7 @@ def _demo(arguments: argparse.Namespace) -> int:
     from flying_vines.simulation.demo import fly, summary
     from flying_vines.terminal.screen import can_redraw
 
-    console = Console()
+    console = Console(markup=False)
     live = can_redraw(console) and not arguments.plain
     with file_errors(arguments.out, RigError):
         rig = load_true_rig(arguments.rig) if arguments.rig else None

@@ -104,7 +104,7 @@ def _diagnose(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(verdict.as_json(), allow_nan=False))
         return 0
-    console = Console()
+    console = Console(markup=False)
     show(verdict, console)
     if files:
         console.print(f"Report   {files[0]}", highlight=False, soft_wrap=True)
@@ -158,5 +158,5 @@ def _diagnose_all(arguments: argparse.Namespace) -> int:
 
     outcomes = diagnose_all(arguments.case, scheduler=arguments.scheduler, rig=arguments.rig)
     with file_errors(arguments.case[0], ClusterError):
-        every = show_all(outcomes, len(arguments.case), arguments.json, Console())
+        every = show_all(outcomes, len(arguments.case), arguments.json, Console(markup=False))
     return 0 if every else BAD_INPUT

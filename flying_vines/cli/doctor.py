@@ -71,7 +71,7 @@ async def _run(arguments: argparse.Namespace) -> int:
     from flying_vines.doctor.look import configuration as look
     from flying_vines.doctor.show import as_json, asking, last_line, show
     from flying_vines.doctor.vehicle_probe import SwitchFacts
-    from flying_vines.service.service import check_plugins
+    from flying_vines.service.starting import check_plugins
 
     async with AsyncExitStack() as stack:
         if arguments.fakes:
@@ -84,12 +84,12 @@ async def _run(arguments: argparse.Namespace) -> int:
             examined = look.read(arguments.config)
         else:
             examined = look.given(configuration.default(), "the built-in configuration")
-        check_plugins(examined.config)
+        check_plugins(examined.config, arguments.config)
         if arguments.json:
             found = await examine(examined, arguments.out, arguments.seconds, lambda findings: None)
             print(json.dumps(as_json(found), allow_nan=False))
             return 0 if may_fly(found) else MAY_NOT_FLY
-        console = Console(highlight=False)
+        console = Console(markup=False, highlight=False)
         switch = examined.config.switch
         with console.status(f"Listening to both links for {arguments.seconds:g} s") as status:
 

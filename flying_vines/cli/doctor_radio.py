@@ -46,7 +46,7 @@ def test_radio(arguments: argparse.Namespace) -> int:
     path: Path | None = arguments.config
     examined = look.read(path) if path else look.given(configuration.default(), "the built-in configuration")
     # With --json, standard output has only the JSON object.
-    console = Console(highlight=False, stderr=arguments.json)
+    console = Console(markup=False, highlight=False, stderr=arguments.json)
     ports: list[DoctorFinding] = []
     try:
         learned = asyncio.run(_test(examined, arguments.fakes, console, ports))

@@ -68,12 +68,12 @@ def _proposal(path: Path, first: Proposal | None, options: argparse.Namespace, f
     for text in options.column:
         answers_file.set_column(said, answers_file.column_from_option(text))
     proposal = propose(path, said, dict(answers_file.volume_from_option(text) for text in options.volume_L))
-    show(proposal, Console())
+    show(proposal, Console(markup=False))
     while proposal.questions and sys.stdin.isatty():
         for question in proposal.questions:
             _ask(path, question, proposal.answers)
         proposal = propose(path, proposal.answers)
-        show(proposal, Console())
+        show(proposal, Console(markup=False))
     if not saved.exists() or not answers_file.same_answers(
         proposal.answers, answers_file.read_answers(saved)
     ):

@@ -105,9 +105,10 @@ def _installation(arguments: argparse.Namespace) -> InstallPlan:
 
     root: Path = arguments.root
     user: str = arguments.user
-    program = InstalledProgram.here()
-    config_file = arguments.config.resolve() if arguments.config else files.CONFIGURATION
-    written = arguments.config or below(root, config_file)
+    here = root == THIS_MACHINE
+    program = InstalledProgram.here() if here else InstalledProgram.below(root)
+    config_file = _in_image(root, arguments.config) if arguments.config else files.CONFIGURATION
+    written = below(root, config_file)
     fresh = files.built_in_configuration()
     if arguments.config or written.exists():
         config = configuration.load(written)
@@ -118,7 +119,7 @@ def _installation(arguments: argparse.Namespace) -> InstallPlan:
         *_named(config, config_file.parent),
         *([config_file] if written.exists() else []),
     ]
-    if root == THIS_MACHINE:
+    if here:
         # Folders and users of an image cannot be checked from here.
         check_reachable(read, _reader(user))
     state_folder = PersistentState.of(config_file, config).parameters.parent
@@ -133,6 +134,10 @@ def _installation(arguments: argparse.Namespace) -> InstallPlan:
         f"The configuration is {config_file}. "
         "Change it, then: sudo systemctl restart flying-vines (which vents first)"
     ]
+    if not here and not os.path.lexists(below(root, Path(program.command[0]))):
+        remarks.append(
+            f"The image has no flying-vines yet: install it as {program.command[0]} (docs/install.md)."
+        )
     if changes[-1].how is How.CHANGED:
         remarks.append("A running service keeps its old settings until it is restarted.")
     remarks.append("State and log of the service: systemctl status flying-vines; journalctl -fu flying-vines")
@@ -146,6 +151,14 @@ def _installation(arguments: argparse.Namespace) -> InstallPlan:
         ],
         remarks=remarks,
     )
+
+
+def _in_image(root: Path, path: Path) -> Path:
+    """The path that a file has on the machine whose system is at `root`."""
+    absolute, image = path.resolve(), root.resolve()
+    if not absolute.is_relative_to(image):
+        raise InstallError(f"{path} is not in the image {root}: copy it there, and give this path")
+    return THIS_MACHINE / absolute.relative_to(image)
 
 
 def _named(config: Config, folder: Path) -> list[Path]:
@@ -197,7 +210,7 @@ def _reader(user: str) -> FileReader:
 def _carry_out(plan: InstallPlan, root: Path, agreed: bool) -> int:
     from rich.console import Console
 
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(markup=False, highlight=False, soft_wrap=True)
     commands = [*plan.before, *plan.after]
     for change in plan.changes:
         _show(change, console)

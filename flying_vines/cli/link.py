@@ -89,7 +89,7 @@ async def monitor(address: Address, title: str, seconds: float | None, objects: 
     def over() -> bool:
         return stopped.is_set() or (seconds is not None and watch.t >= seconds)
 
-    console = Console()
+    console = Console(markup=False)
     if objects or raw or not can_redraw(console):
         await watch.run(_printer(console, objects, raw), over)
         if objects:
@@ -123,7 +123,7 @@ async def settings(
             named = {name: getattr(setting, name) for name in ("name", "value", "least", "most", "standard")}
             print(json.dumps(named))
     else:
-        Console().print(settings_table(known))
+        Console(markup=False).print(settings_table(known))
 
 
 def _stopped() -> asyncio.Event:

@@ -101,7 +101,7 @@ def _list(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps([summary_as_json(summary) for summary in summaries]))
     elif summaries:
-        Console().print(summary_table(summaries))
+        Console(markup=False).print(summary_table(summaries))
     else:
         print(f"{arguments.folder}: no flights yet")
     for why in unreadable:
@@ -117,7 +117,7 @@ def _show(log: FlightLog, arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(events_as_json(log), allow_nan=False))
     else:
-        show_events(log, Console())
+        show_events(log, Console(markup=False))
     return 0
 
 
@@ -157,7 +157,7 @@ def _bundle(log: FlightLog, arguments: argparse.Namespace) -> int:
 
     path: Path = arguments.out or Path(f"{log.folder.resolve().name}.zip")
     text = io.StringIO()
-    show_events(log, Console(file=text, width=120))
+    show_events(log, Console(markup=False, file=text, width=120))
     names = bundle(log, text.getvalue(), path)
     print(f"Wrote {path}: {', '.join(names)}")
     return 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
@@ -32,6 +33,7 @@ from flying_vines.cli import (
 from flying_vines.cli.common import add_own_causes, fail
 from flying_vines.config.config import ConfigError
 from flying_vines.config.plugins import PluginError
+from flying_vines.files.toml_text import one_line
 from flying_vines.simulation.phlosar import FirmwareBuildError
 
 COMMANDS = (
@@ -68,8 +70,18 @@ class _Version(argparse.Action):
         parser.exit()
 
 
+class _Parser(argparse.ArgumentParser):
+    """Says in one line what is wrong and what to do. The parsers of the commands are of this class, too."""
+
+    def error(self, message: str) -> NoReturn:
+        if wrong := re.fullmatch(r"argument (\S+): invalid (\w+) value: (.*)", message):
+            kind = "a whole number" if wrong[2] == "int" else "a number"
+            message = f"{wrong[1]} must be {kind}, not {wrong[3]}"
+        self.exit(2, f"{self.prog}: {one_line(message)} ({self.prog} --help shows all options)\n")
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="flying-vines", description="A soft robot arm on a drone.")
+    parser = _Parser(prog="flying-vines", description="A soft robot arm on a drone.")
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for command in COMMANDS:

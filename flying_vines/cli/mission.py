@@ -167,7 +167,7 @@ def _on_vehicle(work: Coroutine[None, None, int]) -> int:
 def _console() -> Console:
     from rich.console import Console
 
-    return Console(highlight=False)
+    return Console(markup=False, highlight=False)
 
 
 def _home(text: str) -> Home:
@@ -291,7 +291,7 @@ def _tell(report: Report, as_json_wanted: bool, written: list[Path]) -> int:
         files = {"files": [str(path) for path in written]}
         print(json.dumps({**as_json(report), **files}, allow_nan=False))
         return BAD_INPUT if report.errors else 0
-    console = Console(highlight=False)
+    console = Console(markup=False, highlight=False)
     show(report, console)
     for path in written:
         console.print(f"Written  {path}", soft_wrap=True)

@@ -86,7 +86,7 @@ def _replay(arguments: argparse.Namespace) -> int:
 
         from flying_vines.terminal.screen import decision_table
 
-        Console().print(decision_table(decisions))
+        Console(markup=False).print(decision_table(decisions))
     if reader.skipped_bytes:
         print(
             f"flying-vines: {recording}: {reader.skipped_bytes} bytes are not part of a MAVLink frame",
@@ -110,7 +110,7 @@ def _replay_flight(recording: Path, config: Path | None, as_json: bool) -> int:
             replay = replay_flight(log, instead)
     except LogError as error:
         return bad_input(str(error))
-    show_replay(replay, as_json, Console())
+    show_replay(replay, as_json, Console(markup=False))
     if replay.damage:
         print(f"flying-vines: {replay.damage}", file=sys.stderr)
     return DIFFERENT if replay.differences else 0
@@ -124,4 +124,4 @@ def _action_printer(live: bool) -> Callable[[Action], None]:
 
     from flying_vines.terminal.screen import plain_printer
 
-    return plain_printer(Console(), 0.0)
+    return plain_printer(Console(markup=False), 0.0)

@@ -8,8 +8,7 @@ import gc
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flying_vines.cli.common import FLIGHTS, add_cause_option, fail, file_errors, rig_file_prior
-from flying_vines.config import config as configuration
+from flying_vines.cli.common import FLIGHTS, add_cause_option, fail, file_errors
 from flying_vines.files.bounded import read_bytes
 
 if TYPE_CHECKING:
@@ -37,25 +36,18 @@ def _run(arguments: argparse.Namespace) -> int:
     gc.disable()
     from flying_vines.gateway.page_token import PageTokenError
     from flying_vines.record.recorder import FlightStart, Recorder
-    from flying_vines.service.persistent_state import PersistentState
     from flying_vines.service.runner import Remembered, serve
-    from flying_vines.service.service import check_plugins
+    from flying_vines.service.starting import read_inputs
     from flying_vines.terminal.screen import NonBlockingOutput
-    from flying_vines.vehicle.component.parameter_file import ParameterFileError
-    from flying_vines.vehicle.mavlink.signing_key import SigningKeyError
 
-    text = configuration.text_of(arguments.config)
-    config = configuration.parse(text, str(arguments.config))
-    check_plugins(config)
-    known = rig_file_prior(config, arguments.config, arguments.rig)
-    state = PersistentState.of(arguments.config, config)
-    with file_errors(arguments.config, ParameterFileError, SigningKeyError, PageTokenError):
-        signing, clock_problem = state.read_signing(config)
-        remembered = Remembered(state, state.read(config), signing, state.read_page_token(config))
+    read = read_inputs(arguments.config, arguments.rig)
+    config, known, state = read.config, read.known, read.state
+    with file_errors(arguments.config, PageTokenError):
+        remembered = Remembered(state, read.stored, read.signing, state.read_page_token(config))
     try:
         numbers = known.prior.pneumatics if known else config.pneumatics
         rig = read_bytes(known.path).decode() if known else ""
-        began = FlightStart(text, numbers, rig, remembered.stored)
+        began = FlightStart(read.text, numbers, rig, remembered.stored)
         log = Recorder(arguments.out, began, config.log.least_free_MB)
     except OSError as error:
         fail(f"{arguments.out}: no flight log can be written there: {error.strerror}")
@@ -68,8 +60,7 @@ def _run(arguments: argparse.Namespace) -> int:
         lines.append(f"Rig {known.path}: {known.summary}")
     parameters = remembered.stored.parameters
     lines += [f"Parameter {parameter} = {value:g}" for parameter, value in parameters.items()]
-    if clock_problem:
-        lines.append(clock_problem)
+    lines += read.notes
     page = _page_line(config, state, remembered.page_token, console) if config.page.port else ""
     if page:
         lines.append(page)

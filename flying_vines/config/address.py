@@ -19,6 +19,10 @@ DEFAULT_BAUD = 115200
 BROKER_FORMS = "mqtt://HOST[:PORT], or mqtts://HOST[:PORT] for TLS; an IPv6 address in brackets"
 _HOST_NAME = re.compile(r"[^\s:\[\]]+")
 _BAUD = re.compile(r"[1-9][0-9]{1,7}")
+_BAUDS = range(1200, 12_000_001)
+_WITH_COLONS = ("/dev/serial/by-path/", "/dev/serial/by-id/")
+"""Folders of devices whose names have colons of their own."""
+_NO_DEVICE = re.compile(r"~.*|.*[,$].*|(tty|serial\d).*")
 _PORT = re.compile(r"[0-9]{1,5}")
 
 
@@ -112,10 +116,7 @@ def parse_address(text: str) -> Address:
     """Raises `ValueError` with a sentence if `text` has none of the valid forms."""
     kind, _, rest = text.partition(":")
     if kind == "serial" and rest:
-        path, _, baud = rest.rpartition(":")
-        if path and _BAUD.fullmatch(baud):
-            return SerialAddress(path, int(baud))
-        return SerialAddress(rest)
+        return _serial(text, rest)
     if kind == "usb":
         return UsbBoard.parse(text)
     rest, asks, query = rest.partition("?")
@@ -128,6 +129,19 @@ def parse_address(text: str) -> Address:
             case "udpout" | "tcp" if not asks:
                 return NetworkAddress(kind, host, int(port))
     raise ValueError(f"'{text}' is not a link: give {FORMS}")
+
+
+def _serial(text: str, rest: str) -> SerialAddress:
+    path, colon, baud = rest.rpartition(":")
+    if not colon or (path.startswith(_WITH_COLONS) and not _BAUD.fullmatch(baud)):
+        path, baud = rest, str(DEFAULT_BAUD)
+    if not (_BAUD.fullmatch(baud) and int(baud) in _BAUDS):
+        raise ValueError(f"'{text}': '{baud}' is no baud rate: write serial:{path}:57600")
+    if _NO_DEVICE.fullmatch(path):
+        raise ValueError(
+            f"'{text}': '{path}' is no device: write its whole path, as in serial:/dev/ttyAMA0:57600"
+        )
+    return SerialAddress(path, int(baud))
 
 
 def _host(text: str) -> str:

@@ -6,10 +6,10 @@ import difflib
 import ipaddress
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_args
 
 import msgspec
 from msgspec import Meta
@@ -27,16 +27,16 @@ from flying_vines.files.toml_text import (
     OneLineError,
     dotted,
     explained,
+    lines_of_keys,
     located,
     not_finite,
     parsed,
     place,
     read_text,
 )
-from flying_vines.physics.rig import FlowResistance, ReservoirVolume, VineVolume, range_of
 from flying_vines.vine.curve import BendCurve
 from flying_vines.vine.intent import CommandName
-from flying_vines.vine.profile import PressureProfile, Segment, Sine, ends_kPa, flatten
+from flying_vines.vine.profile import PressureProfile, Ramp, Segment, Sine, ends_kPa, flatten
 
 ITEM_COMMANDS = {
     "script_message": 217,
@@ -75,6 +75,10 @@ def param_index(param: Param) -> int:
 ReservoirPressure = Annotated[float, Meta(ge=0, le=5000)]
 VinePressure = Annotated[float, Meta(ge=0, le=200)]
 Rate = Annotated[float, Meta(ge=0.01, le=2000)]
+# A unit that is wrong by a thousand is outside: Pa for kPa, mL or m³ for L.
+ReservoirVolume = Annotated[float, Meta(ge=0.01, le=200)]
+VineVolume = Annotated[float, Meta(ge=0.001, le=50)]
+FlowResistance = Annotated[float, Meta(ge=10, le=1e6)]
 CurveKPa = Annotated[float, Meta(ge=-200, le=200)]
 CurveDeg = Annotated[float, Meta(ge=-3600, le=3600)]
 CommandId = Annotated[int, Meta(ge=1, le=65_535)]
@@ -145,7 +149,7 @@ class SwitchConfig(_Table, frozen=True):
 
     def __post_init__(self) -> None:
         if len(self.positions) not in (2, 3, 6):
-            raise ValueError(f"a switch has 2, 3 or 6 positions, not {len(self.positions)}")
+            raise ValueError(f"positions: a switch has 2, 3 or 6, not {len(self.positions)}")
 
     @property
     def channel_problem(self) -> str:
@@ -170,10 +174,10 @@ class ItemConfig(_Table, frozen=True):
         for name in self._commands:
             if isinstance(name, str) and name not in ITEM_COMMANDS:
                 raise ValueError(
-                    f"unknown command '{name}': give one of {', '.join(ITEM_COMMANDS)}, or a MAV_CMD number"
+                    f"command: '{name}' must be one of {', '.join(ITEM_COMMANDS)}, or a MAV_CMD number"
                 )
         if not self._commands:
-            raise ValueError("an item needs a command")
+            raise ValueError("command: is empty: give at least one")
         if (self.profile is None) == (self.bend is None):
             raise ValueError("an item needs either profile or bend")
 
@@ -204,7 +208,10 @@ class VineConfig(_Table, frozen=True):
     hysteresis_kPa: VinePressure = 0.0
 
     def __post_init__(self) -> None:
-        BendCurve(self.curve)
+        try:
+            BendCurve(self.curve)
+        except ValueError as error:
+            raise ValueError(f"curve: {error}") from None
 
     def bend_curve(self) -> BendCurve:
         return BendCurve(self.curve, self.hysteresis_kPa)
@@ -348,6 +355,15 @@ class Config(_Table, frozen=True):
     state: StateConfig = StateConfig()
 
 
+_PATHS = (
+    ("vehicle", "signing_key"),
+    ("pneumatics", "rig"),
+    ("page", "token_file"),
+    ("state", "folder"),
+    *(("mqtt", name) for name in ("password_file", "ca_file", "certificate_file", "key_file")),
+)
+
+
 def default_text() -> str:
     """The built-in configuration, which `config init` writes."""
     return resources.files("flying_vines.config").joinpath("default.toml").read_text(encoding="utf-8")
@@ -384,7 +400,12 @@ def parse(text: str, source: str, recorded: bool = False) -> Config:
     open, and a switch on any channel.
     """
     raw = parsed(text, source, ConfigError)
-    _drop_old_settings(raw, text, source)
+    for *tables, old in OLD_SETTINGS:
+        table: Any = raw
+        for name in tables:
+            table = table.get(name) if isinstance(table, dict) else None
+        if isinstance(table, dict):
+            table.pop(old, None)
     try:
         inside: Key = ()
         for name, profile in _profiles_of(raw):
@@ -404,17 +425,25 @@ def parse(text: str, source: str, recorded: bool = False) -> Config:
     return config
 
 
-def _drop_old_settings(raw: dict[str, Any], text: str, source: str) -> None:
-    """Ignores settings of earlier versions. Raises `ConfigError` if one requests a removed behaviour."""
-    raw.pop("calibration", None)
-    if isinstance(telemetry := raw.get("telemetry"), dict):
-        telemetry.pop("fuel_status", None)
-    losses = raw.get("losses")
-    wanted = losses.pop("on_autopilot_loss", "vent") if isinstance(losses, dict) else "vent"
-    if wanted != "vent":
-        key = ("losses", "on_autopilot_loss")
-        reason = "remove this line: a lost autopilot always vents, because the altitude is then unknown"
-        raise ConfigError(f"{place(text, source, key)}: {dotted(key)}: {reason}")
+OLD_SETTINGS: dict[Key, str] = {
+    ("calibration",): "the vine is calibrated on the ground: flying-vines calibrate",
+    ("telemetry", "fuel_status"): "FUEL_STATUS is no longer sent, because no ground station shows it",
+    (
+        "losses",
+        "on_autopilot_loss",
+    ): "the loss of the autopilot always vents the vine, because the altitude is lost, too",
+}
+"""Settings of earlier versions, which are ignored, and why."""
+
+
+def ignored(text: str, source: str, old: Mapping[Key, str]) -> list[str]:
+    """A line for each of these settings that the text of a TOML file has."""
+    present = lines_of_keys(text)
+    return [
+        located(text, source, key, f"is ignored, delete it: {why}")
+        for key, why in old.items()
+        if key in present
+    ]
 
 
 def _profiles_of(raw: dict[str, Any]) -> list[tuple[str, Any]]:
@@ -499,7 +528,26 @@ def _above_the_limit(config: Config, curve: BendCurve) -> Iterator[tuple[Key, st
 
 
 def _unsafe(config: Config) -> list[tuple[Key, str]]:
-    return [*_open_links(config), *_taken(config)]
+    return [*_open_links(config), *_taken(config), *_without_effect(config)]
+
+
+def _without_effect(config: Config) -> Iterator[tuple[Key, str]]:
+    """What is written and could not do what it says."""
+    for key in _PATHS:
+        path = getattr(getattr(config, key[0]), key[1])
+        if path.startswith("~") or "$" in path:
+            yield key, f"'{path}': ~ and $ are not replaced: write the whole path"
+    if config.firmware.is_phlosar and config.firmware.settings:
+        yield ("firmware", "settings"), "a phloSAR has none: delete them, or set firmware.kind"
+    full_kPa, needed_kPa = config.pneumatics.full_kPa, config.limits.max_kPa + config.interlocks.reserve_kPa
+    if full_kPa < needed_kPa:
+        reason = f"is below limits.max_kPa + interlocks.reserve_kPa = {needed_kPa:g}: a full bend is refused"
+        yield ("pneumatics", "full_kPa"), reason
+    for name, profile in config.profiles.items():
+        for segment in profile.segments:
+            if isinstance(segment, Ramp) and segment.over_s > config.limits.max_bent_s:
+                reason = f"a ramp of {segment.over_s:g} s is longer than limits.max_bent_s, which ends it"
+                yield ("profiles", name), reason
 
 
 def _taken(config: Config) -> Iterator[tuple[Key, str]]:
@@ -574,58 +622,7 @@ def no_profile(config: Config, name: str) -> str:
 
 
 def _explain(text: str, source: str, raw: object, error: str, inside: Key) -> ConfigError:
-    key, reason = explained(error, _known_keys, inside, raw, _range)
-    if reason.startswith("Invalid"):
-        reason += f": give one of {', '.join(_choices(key))}"
+    key, reason = explained(error, Config, inside, raw)
+    if key[-1:] == ("kind",) and (own := installed("segments")):
+        reason += f"; installed packages have {', '.join(own)}"
     return ConfigError(located(text, source, key, reason))
-
-
-def _known_keys(path: Key) -> list[str]:
-    """The keys that the table at `path` may have."""
-    if "segments" in path:
-        return sorted({field for segment in get_args(Segment) for field in segment.__struct_fields__})
-    here: object = Config
-    for part in path:
-        if isinstance(part, str):
-            here = _TABLES.get(part, here)
-    return list(getattr(here, "__struct_fields__", ()))
-
-
-def _range(key: Key) -> str:
-    """The range of the number at `key`, as text; empty if it has none or is no number of a table."""
-    if not key:
-        return ""
-    if key[:2] == ("vine", "curve") and key[-1] in (0, 1):
-        return range_of((CurveKPa, CurveDeg)[int(key[-1])])
-    hints = get_type_hints(_TABLES.get(str(key[0]), Config), include_extras=True)
-    return range_of(hints.get(str(key[-1])))
-
-
-def _choices(key: Key) -> list[str]:
-    """The words that the value at `key` may be, if it is a choice."""
-    if key[-1] == "kind":
-        return [*SEGMENTS, *installed("segments")]
-    hint = get_type_hints(_TABLES.get(str(key[0]), Config)).get(str(key[-1]))
-    literals = [part for part in (hint, *get_args(hint)) if get_origin(part) is Literal]
-    return [str(word) for literal in literals for word in get_args(literal)]
-
-
-_TABLES = {
-    "vehicle": VehicleConfig,
-    "firmware": FirmwareConfig,
-    "switch": SwitchConfig,
-    "vine": VineConfig,
-    "limits": LimitsConfig,
-    "interlocks": InterlocksConfig,
-    "losses": LossesConfig,
-    "pneumatics": PneumaticsConfig,
-    "checks": ChecksConfig,
-    "telemetry": TelemetryConfig,
-    "page": PageConfig,
-    "mqtt": MqttConfig,
-    "log": LogConfig,
-    "state": StateConfig,
-    "items": ItemConfig,
-    "triggers": TriggerConfig,
-    "profiles": PressureProfile,
-}

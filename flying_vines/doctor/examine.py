@@ -30,7 +30,7 @@ from flying_vines.doctor.firmware_probe import FirmwareProbe
 from flying_vines.doctor.look import broker, ports, processes
 from flying_vines.doctor.look import disk as folders
 from flying_vines.doctor.look import machine as computer
-from flying_vines.doctor.look.clock import Clock, when
+from flying_vines.doctor.look.clock import Clock, lateness_s, when
 from flying_vines.doctor.look.configuration import ServiceConfiguration
 from flying_vines.doctor.vehicle_probe import SwitchFacts
 from flying_vines.doctor.vehicle_watch import TICK_S, VehicleWatch
@@ -87,11 +87,12 @@ async def examine(
         for probe in (board, watch):
             if probe is not None:
                 tasks.create_task(probe.run(over.is_set))
+        late_s = await lateness_s(seconds) if board or watch else 0.0
         if board or watch:
-            await asyncio.sleep(seconds)
-        add(firmware.check(board.facts if board else None, config, examined.board_settings))
+            add([machine.load(late_s, config.losses.telemetry_s)])
+        add(firmware.check(board.facts if board else None, config, examined.board_settings, late_s))
         facts = watch.facts if watch else None
-        add(vehicles.check(facts, config, seconds, running))
+        add(vehicles.check(facts, config, seconds, running, late_s))
         autopilot = facts if facts and facts.found else None
         switch = autopilot.radio if autopilot else None
         if watch and ask and switch and switch.problem is None and vehicles.uses_switch(config):

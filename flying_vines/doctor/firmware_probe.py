@@ -83,7 +83,8 @@ class FirmwareProbe:
     def facts(self) -> FirmwareFacts:
         watch, session = self._watch, self._watch.monitor.session
         if session.state is not SessionState.READY:
-            return FirmwareFacts(port=watch.port.text)
+            why = "the board stopped answering" if watch.answered else "the board does not answer"
+            return FirmwareFacts(port=f"{watch.port.text}, but {why}" if watch.port.good else watch.port.text)
         now, before = watch.statistics, watch.clean_since or watch.statistics
         bad = (now.bad_frames - before.bad_frames, now.lost_frames - before.lost_frames)
         facts = FirmwareFacts(

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 
+from flying_vines.files.extras import install_command
 from flying_vines.identification.case import Case, read_case
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.from_log import read_flight
@@ -144,9 +145,8 @@ def _cluster(address: str) -> Iterator[tuple[Executor, int]]:
         from distributed import Client
         from distributed.comm import get_address_host_port
     except ModuleNotFoundError as error:
-        raise ClusterError(
-            f"a scheduler needs {error.name}, which is missing: pip install 'flying-vines[cluster]'"
-        ) from None
+        why = f"a scheduler needs {error.name}, which is missing: {install_command('cluster')}"
+        raise ClusterError(why) from None
     try:
         # A client with an empty address would hang when it closes.
         get_address_host_port(address)

@@ -25,7 +25,7 @@ def show_all(
     """Print outcomes as they arrive. True if every case has a verdict."""
     seen: list[tuple[Path, CaseOutcome]] = []
     # A redirected output must not contain the progress bar.
-    screen = console if console.is_terminal else Console(stderr=True)
+    screen = console if console.is_terminal else Console(markup=False, stderr=True)
     bar = Progress(
         BarColumn(),
         MofNCompleteColumn(),

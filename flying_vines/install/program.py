@@ -12,6 +12,10 @@ from pathlib import Path
 
 import flying_vines
 
+IN_IMAGE = tuple(
+    Path(folder, "flying-vines") for folder in ("/opt/flying-vines/bin", "/usr/local/bin", "/usr/bin")
+)
+"""Where a system image may have the program, as the installation guide names the places."""
 VOLATILE_FOLDERS = tuple(map(Path, ("/tmp", "/var/tmp", "/run", "/dev/shm")))
 
 
@@ -25,6 +29,12 @@ class InstalledProgram:
 
     command: tuple[str, ...]
     places: tuple[Path, ...]
+
+    @classmethod
+    def below(cls, root: Path) -> InstalledProgram:
+        """The program in the system image at `root`; where the guide installs it, if it is not there yet."""
+        found = (path for path in IN_IMAGE if os.path.lexists(root / path.relative_to("/")))
+        return cls((str(next(found, IN_IMAGE[0])),), ())
 
     @classmethod
     def here(cls) -> InstalledProgram:

@@ -23,6 +23,8 @@ from typing import Any, TypeVar, cast, get_type_hints
 
 import numpy as np
 
+from flying_vines.files.extras import lacks
+
 F = TypeVar("F", bound=Callable[..., Any])
 _OURS = __name__.partition(".")[0]
 _CONFIG_LOCK = Lock()
@@ -44,8 +46,8 @@ def compiled(function: F, not_inlined: tuple[Callable[..., Any], ...] = ()) -> F
     """
     try:
         import numba
-    except ImportError:
-        raise NoCompiler("compiling needs numba: pip install 'flying-vines[analysis]'") from None
+    except ImportError as error:
+        raise NoCompiler(f"compiling: {lacks(error)}") from None
     folder = _cache_folder(function)
     config: Any = numba.config
     with _CONFIG_LOCK:

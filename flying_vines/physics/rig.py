@@ -11,7 +11,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import msgspec
 
-from flying_vines.files.toml_text import OneLineError, parsed, place, read_text
+from flying_vines.files.toml_text import OneLineError, parsed, place, range_of, read_text
 from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
 from flying_vines.physics.gas import Gas
 
@@ -231,16 +231,6 @@ def number_error(reason: str, key: str, value: object, hint: object = None) -> s
     if not reason.startswith("Expected `float`"):
         return f"{key}: {reason}."
     return f"{key} must be a number{range_of(hint)}, not {value!r}."
-
-
-def range_of(hint: object) -> str:
-    """The range of a number's type as text, such as " from 0.001 to 1000"; empty if it has none."""
-    for meta in getattr(hint, "__metadata__", ()):
-        if meta.ge is not None and meta.le is not None:
-            return f" from {meta.ge:g} to {meta.le:g}"
-        if meta.gt is not None:
-            return f" above {meta.gt:g}" + (f", up to {meta.le:g}" if meta.le is not None else "")
-    return ""
 
 
 def _hint(key: str) -> object:

@@ -405,9 +405,3 @@ def line_to(config: FirmwareConfig) -> Line:
         raise
     except Exception as error:
         raise PluginError(f"firmware.kind: {config.kind}: {error}") from error
-
-
-def check_plugins(config: Config) -> None:
-    """Raises `PluginError` if the configuration names a plugin that cannot be used."""
-    line_to(config.firmware)
-    Core(config)

@@ -18,10 +18,10 @@ from rich.text import Text
 
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
-from flying_vines.config.extras import lacks
 from flying_vines.core.events import Action, Decision
 from flying_vines.core.snapshot import Snapshot
 from flying_vines.core.watcher import EachAction
+from flying_vines.files.extras import lacks
 from flying_vines.gateway.gateway import Gateway
 from flying_vines.gateway.page_token import address
 from flying_vines.physics.plant.true_rig import TrueRig

@@ -27,7 +27,7 @@ class RemoteView:
 
     def __init__(self, url: URL, token: str, plain: bool, as_json: bool) -> None:
         self._page = url.origin()
-        self._console = Console()
+        self._console = Console(markup=False)
         self._live = can_redraw(self._console) and not plain and not as_json
         self._as_json = as_json
         self._decoder = PageDecoder()

@@ -256,7 +256,7 @@ class NonBlockingOutput(io.TextIOBase):
 
     def console(self) -> Console:
         # Rich compiles its patterns for highlights and loads its emoji at the first text: 20 ms of the start.
-        return Console(file=cast(IO[str], self), highlight=False, emoji=False)
+        return Console(markup=False, file=cast(IO[str], self), highlight=False, emoji=False)
 
     @property
     def encoding(self) -> str:  # type: ignore[override]

@@ -8,6 +8,9 @@ from pathlib import Path
 import pytest
 from command_line import status as run
 
+from flying_vines.cli.main import main
+from flying_vines.config import config
+
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
 
 
@@ -108,3 +111,87 @@ def test_a_truncated_recording_is_replayed_as_far_as_it_goes_and_printed_as_a_ta
     assert table.count("accepted") == 3
     assert "bend-half" in table
     assert "not part of a MAVLink frame" in err
+
+
+@pytest.mark.parametrize(
+    ("command", "says"),
+    [
+        ("doctor --seconds abc", "--seconds must be a number, not 'abc'"),
+        ("doctor --seconds -3", "argument --seconds: must be from 5 to 3600"),
+        (
+            "simulate --rig r.toml --scenario case --out x --seed 1.5",
+            "--seed must be a whole number, not '1.5'",
+        ),
+        ("simulate --scenario case", "the following arguments are required: --rig"),
+        ("watch --prot 3", "unrecognized arguments: --prot 3"),
+    ],
+)
+def test_a_wrong_option_is_one_line_that_names_the_help(
+    command: str, says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(command.split())
+    assert stopped.value.code == 2
+    said = capsys.readouterr().err
+    assert says in said and "--help" in said
+    assert said.count("\n") == 1
+
+
+SIGNED = ('signing_key = ""', 'signing_key = "key"')
+
+
+@pytest.mark.parametrize(
+    ("changes", "files", "where"),
+    [
+        ((), {}, ""),
+        ((SIGNED,), {}, "vine.toml:12: vehicle.signing_key: "),
+        ((SIGNED,), {"key": "short"}, "vine.toml:12: vehicle.signing_key: "),
+        ((('rig = ""', 'rig = "rig.toml"'),), {}, "vine.toml:157: pneumatics.rig: "),
+        ((('rig = ""', 'rig = "rig.toml"'),), {"rig.toml": "[cv\n"}, "vine.toml:157: pneumatics.rig: "),
+        ((('kind = "phlosar"', 'kind = "phlosarr"'),), {}, "vine.toml:18: firmware.kind: "),
+        ((("own = {}", 'own = { stuck = "fault" }'),), {}, "vine.toml:183: checks.own.stuck: "),
+        ((('folder = ""', 'folder = "file"'),), {"file": ""}, "vine.toml:215: state.folder: "),
+        ((), {"vine.parameters.toml": "VINE_MAX_KPA = 3000"}, "vine.parameters.toml:1: VINE_MAX_KPA: "),
+        ((), {"vine.parameters.toml": "VINE_FUEL_STATUS = 1"}, ""),
+        ((("max_kPa = 20.7", "max_kPa = 20.7 kPa"),), {}, "vine.toml:136: not TOML: "),
+    ],
+)
+def test_check_refuses_what_run_refuses_with_the_same_words(
+    changes: tuple[tuple[str, str], ...],
+    files: dict[str, str],
+    where: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    async def served(*inputs: object, **how: object) -> None:
+        pass
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("flying_vines.service.runner.serve", served)
+    text = config.default_text()
+    for before, after in changes:
+        assert before in text
+        text = text.replace(before, after, 1)
+    Path("vine.toml").write_text(text, encoding="utf-8")
+    for name, content in files.items():
+        Path(name).write_text(content, encoding="utf-8")
+        Path(name).chmod(0o600)
+    checked = run("config", "check", "vine.toml")
+    wrong = capsys.readouterr().err
+    ran = run("run", "--config", "vine.toml", "--plain")
+    assert (checked, wrong) == (ran, capsys.readouterr().err)
+    assert wrong.startswith(f"flying-vines: {where}") if where else wrong == ""
+
+
+@pytest.mark.parametrize(
+    ("key", "file"), [("ca_file", "/nonexistent/ca.pem"), ("password_file", "/nonexistent/password")]
+)
+def test_check_reads_the_files_for_the_broker(
+    key: str, file: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = config.default_text().replace('broker = ""', 'broker = "mqtts://127.0.0.1"')
+    text = text.replace('username = ""', 'username = "vine"').replace(f'{key} = ""', f'{key} = "{file}"')
+    (tmp_path / "vine.toml").write_text(text, encoding="utf-8")
+    assert run("config", "check", str(tmp_path / "vine.toml")) == 2
+    assert f": mqtt.{key}: {file}: " in capsys.readouterr().err

@@ -144,7 +144,10 @@ def test_any_text_is_a_link_or_is_refused_with_a_sentence(text: str) -> None:
     try:
         address = parse_address(text)
     except ValueError as error:
-        assert any(f"is {what}" in str(error) for what in ("not a link", "not a USB board", "not a peer"))
+        assert any(
+            f"is {what}" in str(error)
+            for what in ("not a link", "not a USB board", "not a peer", "no baud", "no device")
+        )
         return
     if isinstance(address, SerialAddress):
         assert address.baud > 0

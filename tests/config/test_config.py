@@ -106,6 +106,44 @@ def test_a_file_that_is_not_toml(text: str, line: int) -> None:
     assert ": not TOML: " in said
 
 
+@pytest.mark.parametrize(
+    ("text", "line", "remedy"),
+    [
+        ("[limits]\n[vine]\n[limits]", 3, "limits stands twice, first in line 1: keep one"),
+        ("[limits]\nmax_kPa = 1\nmax_kPa = 2", 3, "limits.max_kPa stands twice, first in line 2: keep one"),
+        ("[[items]]\n[items]", 2, "[items] and [[items]]: write it as in line 1"),
+        ("x = { a = 1, a = 2 }", 1, "a stands twice in this line"),
+        ("vehicle:\n  link: x", 1, "write = after the key, not :"),
+        ("[switch]\nchannel: 9", 2, "write = after the key, not :"),
+        ("[vehicle]\nlink = “udp”", 2, "write straight quotes"),
+        ("[vehicle]\nlink = udp:x", 2, "write a text in quotes"),
+        ('[vehicle]\nlink = "udp:x', 2, "the text has no closing quote"),
+        ('[pneumatics]\nrig = "C:\\Users"', 2, "in a text is written"),
+        ('[switch]\npositions = ["a", "b"\nchannel = 9', 2, "the list has no closing ]"),
+        ("[profiles.x]\nsegments = [\n  { kind = 'hold' },\n\n[limits]", 2, "the list has no closing ]"),
+        ("[limits\nmax_kPa = 1", 1, "the section has no closing ]"),
+        ("[profiles.my vine]", 1, "a name with a space needs quotes"),
+        ("[limits]\nmax_kPa = 20,7", 2, "write a point in a number"),
+        ("[limits]\nmax_kPa = 20.7 kPa", 2, "write the number alone"),
+        ("[limits]\nmax_kPa =   # none", 2, "the value after = is missing"),
+        ("[limits]\nmax_kPa = = 2", 2, "write one ="),
+        ("[limits]\nmax_kPa = .5", 2, "write digits before and after the point"),
+        ("[limits]\nmax kPa = 5", 2, "write a key with a to z, and without spaces"),
+        ("[switch]\nchannel = 09", 2, "without a leading 0"),
+        ("[interlocks]\nbench_mode = True", 2, "write true or false"),
+        ("[interlocks]\nbench_mode = yes", 2, "write true or false"),
+        ("// mine", 1, "a comment begins with #"),
+        ("x = { a = 1 b = 2 }", 1, "with commas between its keys"),
+        ("x = { a = 1,\n b = 2 }", 1, "stands in one line"),
+        ("just words", 1, "write key = value, [section] or # comment"),
+    ],
+)
+def test_what_is_not_toml_is_named_with_the_remedy(text: str, line: int, remedy: str) -> None:
+    found_line, _, said = mistake(text)
+    assert remedy in said
+    assert found_line == line
+
+
 def test_a_text_that_ends_too_soon_and_one_that_nests_too_deep() -> None:
     with pytest.raises(ConfigError, match=r"^my\.toml:1: not TOML: "):
         config.parse('a = "', "my.toml")
@@ -150,8 +188,21 @@ def test_misspelt_keys_elsewhere(text: str, key: str, meant: str) -> None:
     assert line in (1, 2, 3)
 
 
-def test_a_key_like_no_other_is_named_without_a_suggestion() -> None:
-    assert mistake("[limits]\nzzz = 1") == (2, "limits.zzz", "my.toml:2: limits.zzz: unknown key")
+@pytest.mark.parametrize(
+    ("text", "instead"),
+    [
+        ("[limits]\nzzz = 1", "the keys here are max_bent_s, max_kPa, max_rate_kPa_per_s, overpressure_kPa"),
+        ("[limits]\nmin_altitude_m = 1", "it belongs to [interlocks]"),
+        ("# mine\nchannel = 9", "it belongs to [switch]"),
+        (
+            "[profiles.x]\nsegments = [{ kind = 'hold', for_s = 2, to_deg = 3 }]",
+            "the keys here are for_s, kind",
+        ),
+    ],
+)
+def test_a_key_that_belongs_elsewhere(text: str, instead: str) -> None:
+    line, key, said = mistake(text)
+    assert (line, said) == (2, f"my.toml:2: {key}: unknown key; {instead}")
 
 
 @pytest.mark.parametrize(
@@ -171,44 +222,43 @@ def test_a_key_like_no_other_is_named_without_a_suggestion() -> None:
         ("[limits]\nmax_kPa = 201", 2, "limits.max_kPa", "from 0.1 to 200, not 201"),
         ("[limits]\n\n# so\nmax_bent_s = -1", 4, "limits.max_bent_s", "from 0.1 to 3600, not -1"),
         ("limits = 5", 1, "limits", "must be a table, not 5"),
-        ("items = 5", 1, "items", "must be a list, not 5"),
+        ("items = 5", 1, "items", "must be a list of at most 1000 tables, not 5"),
         ("[switch]\nchannel = 19", 2, "switch.channel", "from 1 to 18, not 19"),
-        ("[switch]\npositions = 'straight'", 2, "switch.positions", "a list, not 'straight'"),
+        ("[switch]\npositions = 'straight'", 2, "switch.positions", "a list of values, not 'straight'"),
         ("[switch]\npositions = ['straight', 5]", 2, "switch.positions[1]", "a text in quotes, not 5"),
-        ("[losses]\non_rc_loss = 'land'", 2, "losses.on_rc_loss", "'land': give one of vent, hold"),
-        ("[losses]\non_autopilot_loss = 'hold'", 2, "losses.on_autopilot_loss", "remove this line"),
+        ("[losses]\non_rc_loss = 'land'", 2, "losses.on_rc_loss", "must be one of vent, hold, not 'land'"),
         ("[losses]\nrc_s = 20", 2, "losses.rc_s", "from 0.3 to 10, not 20"),
         ("[interlocks]\nbench_mode = 1", 2, "interlocks.bench_mode", "must be true or false, not 1"),
         ("[[items]]\nprofile = 'straight'", 1, "items[0]", "'command' is missing"),
-        ("[[items]]\ncommand = 'gripper'\nbend = 'param9'", 3, "items[0].bend", "give one of param1, param2"),
+        ("[[items]]\ncommand = 'gripper'\nbend = 'param9'", 3, "items[0].bend", "be one of param1, param2"),
         (
             "[[items]]\ncommand = 'gripper'\nmatch = { param9 = 1 }\nprofile = 'straight'",
-            3, "items[0].match", "'param9': give one of param1",
+            3, "items[0].match.param9", "must be one of param1, param2",
         ),
         (
             "[[items]]\ncommand = 'gripper'\nmatch = { param1 = 'x' }\nprofile = 'straight'",
-            3, "items[0].match", "must be a number",
+            3, "items[0].match.param1", "must be a number, not 'x'",
         ),
-        ("[[items]]\ncommand = 4.5\nprofile = 'straight'", 2, "items[0].command", "expected int | str"),
-        ("[[items]]\ncommand = []\nprofile = 'straight'", 1, "items[0]", "needs a command"),
-        ("[[items]]\ncommand = ['winch', 'x']\nbend = 'param1'", 1, "items[0]", "unknown command 'x'"),
-        ("[[items]]\ncommand = 'griper'\nprofile = 'straight'", 1, "items[0]", "unknown command 'griper'"),
+        ("[[items]]\ncommand = 4.5\nprofile = 'straight'", 2, "items[0].command", "a text in quotes or"),
+        ("[[items]]\ncommand = []\nprofile = 'straight'", 2, "items[0].command", "give at least one"),
+        ("[[items]]\ncommand = ['winch', 'x']\nbend = 'param1'", 2, "items[0].command", "'x' must be"),
+        ("[[items]]\ncommand = 'griper'\nprofile = 'straight'", 2, "items[0].command", "'griper' must be"),
         ("[[items]]\ncommand = 'gripper'", 1, "items[0]", "needs either profile or bend"),
         ("[[items]]\ncommand = 5\nprofile = 'x'\nbend = 'param1'", 1, "items[0]", "either profile or bend"),
-        ("[vine]\ncurve = [[0, 0], [1]]", 2, "vine.curve[1]", "expected array of length 2"),
-        ("[vine]\ncurve = [[0, 0]]", 1, "vine", "at least two pairs"),
-        ("[vine]\ncurve = [[0, 0], [0, 5]]", 1, "vine", "must rise"),
+        ("[vine]\ncurve = [[0, 0], [1]]", 2, "vine.curve[1]", "must be a list of 2 values, not [1]"),
+        ("[vine]\ncurve = [[0, 0]]", 2, "vine.curve", "at least two pairs"),
+        ("[vine]\ncurve = [[0, 0], [0, 5]]", 2, "vine.curve", "must rise"),
         ("[profiles.x]\nsegments = []", 1, "profiles.x", "at least one segment"),
-        (f"[profiles.x]\nrepeat = 0\n{STEP}", 1, "profiles.x", "repeat must"),
+        (f"[profiles.x]\nrepeat = 0\n{STEP}", 2, "profiles.x.repeat", "must be 1 to 1000, not 0"),
         ("[profiles.x]\nsegments = [{ to_kPa = 0 }]", 2, "profiles.x.segments[0]", "'kind' is missing"),
         (
             "[profiles.x]\nsegments = [\n  { kind = 'step', to_kPa = 0 },\n  { kind = 'stop' },\n]",
-            2, "profiles.x.segments[1].kind", "'stop': give one of step, ramp, hold, sine, profile",
+            2, "profiles.x.segments[1].kind", "one of step, ramp, hold, sine, profile, not 'stop'",
         ),
         ("[profiles.x]\nsegments = [{ kind = 'step' }]", 2, "profiles.x.segments[0]", "give either to_"),
         (
             "[profiles.x]\nsegments = [{ kind = 'hold', for_s = 0 }]",
-            2, "profiles.x.segments[0]", "for_s must be from 0.0001 to 1000000, not 0",
+            2, "profiles.x.segments[0].for_s", "must be from 0.0001 to 1000000, not 0",
         ),
         ("[profiles]\nx = 5", 2, "profiles.x", "must be a table, not 5"),
     ],
@@ -216,7 +266,7 @@ def test_a_key_like_no_other_is_named_without_a_suggestion() -> None:
 def test_wrong_types_and_values(text: str, line: int, key: str, reason: str) -> None:
     found_line, dotted, said = mistake(text)
     assert (found_line, dotted) == (line, key), said
-    assert reason in said.replace("expected object", "expected the table")
+    assert reason in said
 
 
 @pytest.mark.parametrize("number", ["nan", "inf", "-inf"])
@@ -226,8 +276,12 @@ def test_wrong_types_and_values(text: str, line: int, key: str, reason: str) -> 
         ("[[items]]\ncommand = 'winch'\nprofile = 'straight'\nscale = {}", 4, "items[0].scale"),
         ("[vine]\ncurve = [[0, 0], [5, {}]]", 2, "vine.curve[1][1]"),
         ("[profiles.x]\nsegments = [{{ kind = 'step', to_kPa = {} }}]", 2, "profiles.x.segments[0].to_kPa"),
-        ("[profiles.x]\nsegments = [{{ kind = 'hold', for_s = {} }}]", 2, "profiles.x.segments[0]"),
-        ("[profiles.x]\nrate_kPa_per_s = {}\nsegments = [{{ kind = 'step', to_kPa = 0 }}]", 1, "profiles.x"),
+        ("[profiles.x]\nsegments = [{{ kind = 'hold', for_s = {} }}]", 2, "profiles.x.segments[0].for_s"),
+        (
+            "[profiles.x]\nrate_kPa_per_s = {}\nsegments = [{{ kind = 'step', to_kPa = 0 }}]",
+            2,
+            "profiles.x.rate_kPa_per_s",
+        ),
     ],
 )
 def test_numbers_that_are_none(text: str, line: int, key: str, number: str) -> None:
@@ -247,8 +301,8 @@ def test_every_number_of_every_table_must_be_one() -> None:
 @pytest.mark.parametrize("count", [1, 4, 5, 7])
 def test_a_switch_has_two_three_or_six_positions(count: int) -> None:
     line, dotted, said = mistake(f"[switch]\npositions = {['straight'] * count}")
-    assert (line, dotted) == (1, "switch")
-    assert f"2, 3 or 6 positions, not {count}" in said
+    assert (line, dotted) == (2, "switch.positions")
+    assert f"2, 3 or 6, not {count}" in said
     for good in (2, 3, 6):
         config.parse(f"[switch]\npositions = {['straight'] * good}\n{PROFILES}", "my.toml")
 
@@ -302,7 +356,26 @@ def test_a_switch_has_two_three_or_six_positions(count: int) -> None:
         ("[vehicle]\nlink = 'tcp:127.0.0.1:3000'\n[firmware]\nlink = 'tcp:127.0.0.1:3001'\n", 0, "", ""),
         ("[vehicle]\nlink = 'serial:/dev/ttyS1'\n[firmware]\nlink = 'tcp:127.0.0.1:3001'\n", 0, "", ""),
         ("[vehicle]\nlink = 'udpin:127.0.0.1:3000'\n[firmware]\nlink = 'tcp:127.0.0.1:3000'\n", 0, "", ""),
-        ("[limits]\nmax_kPa = 30\n", 1, "limits", "overpressure_kPa must be above max_kPa"),
+        ("[pneumatics]\nfull_kPa = 60", 2, "pneumatics.full_kPa", "reserve_kPa = 60.7: a full bend is"),
+        ("[pneumatics]\nreservoir_volume_L = 0.002", 2, "pneumatics.reservoir_volume_L", "from 0.01 to 200"),
+        (
+            "[pneumatics]\nevp_flow_resistance_kPa_s_per_SL = 2.042",
+            2, "pneumatics.evp_flow_resistance_kPa_s_per_SL", "from 10 to 1000000",
+        ),
+        (
+            "[profiles.x]\nsegments = [{ kind = 'ramp', to_deg = 5, over_s = 1500 }]",
+            1, "profiles.x", "longer than limits.max_bent_s",
+        ),
+        ("[firmware]\nsettings = { a = 1 }", 2, "firmware.settings", "a phloSAR has none"),
+        ("[state]\nfolder = '~/vine'", 2, "state.folder", "~ and $ are not replaced"),
+        ("[pneumatics]\nrig = '$HOME/rig.toml'", 2, "pneumatics.rig", "~ and $ are not replaced"),
+        ("[vehicle]\nlink = 'serial:/dev/ttyAMA0:57600x'", 2, "vehicle.link", "'57600x' is no baud rate"),
+        ("[vehicle]\nlink = 'serial:/dev/ttyAMA0:'", 2, "vehicle.link", "'' is no baud rate"),
+        ("[vehicle]\nlink = 'serial:/dev/ttyAMA0:12'", 2, "vehicle.link", "'12' is no baud rate"),
+        ("[vehicle]\nlink = 'serial:/dev/ttyAMA0,57600'", 2, "vehicle.link", "is no device"),
+        ("[vehicle]\nlink = 'serial:ttyAMA0:57600'", 2, "vehicle.link", "write its whole path"),
+        ("[vehicle]\nlink = 'serial:$PORT'", 2, "vehicle.link", "write its whole path"),
+        ("[limits]\nmax_kPa = 30\n", 1, "limits.overpressure_kPa", "must be above max_kPa"),
         ("[limits]\nmax_kPa = 15\n", 0, "", ""),
         (
             "[vine]\ncurve = [[0, 0], [24, 60]]",
@@ -499,22 +572,19 @@ def test_any_slip_in_the_built_in_configuration_parses_or_is_refused(at: int, le
     parses_or_is_refused(whole[:at] + put + whole[at + length :])
 
 
-def test_a_configuration_of_an_earlier_version_that_vents_where_the_autopilot_is_lost_still_holds() -> None:
-    text = config.default_text()
-    old = text.replace("[losses]\n", "[losses]\non_autopilot_loss = 'vent'\n")
-    assert old != text
-    assert config.parse(old, "test") == config.default()
-
-
 @pytest.mark.parametrize(
     ("before", "after"),
     [
         ("[log]\n", "[calibration]\nsteps = 6\nhold_s = 3\n[log]\n"),
         ("[telemetry]\n", "[telemetry]\nfuel_status = true\n"),
+        ("[losses]\n", "[losses]\non_autopilot_loss = 'hold'\n"),
     ],
 )
-def test_settings_of_an_earlier_version_that_move_nothing_are_ignored(before: str, after: str) -> None:
+def test_settings_of_an_earlier_version_are_ignored_with_a_line(before: str, after: str) -> None:
     text = config.default_text()
     old = re.sub(rf"^{re.escape(before.strip())}.*\n", after, text, flags=re.MULTILINE)
     assert old != text
     assert config.parse(old, "test") == config.default()
+    (line,) = config.ignored(old, "my.toml", config.OLD_SETTINGS)
+    assert re.match(r"my\.toml:\d+: [a-z_.]+: is ignored, delete it: ", line)
+    assert not config.ignored(text, "my.toml", config.OLD_SETTINGS)

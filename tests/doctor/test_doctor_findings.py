@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -36,6 +38,7 @@ from flying_vines.doctor.checks.port import PortFacts
 from flying_vines.doctor.checks.service import Process
 from flying_vines.doctor.finding import DoctorFinding, FindingText, may_fly, summary
 from flying_vines.doctor.firmware_probe import FirmwareFacts
+from flying_vines.doctor.look.clock import lateness_s
 from flying_vines.doctor.radio_test import RadioLearned, Sign, TransmitterLoss
 from flying_vines.doctor.vehicle_probe import StreamFacts, SwitchFacts, VehicleFacts
 from flying_vines.supply import CyclesLeft
@@ -209,6 +212,7 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     ),
     (configuration_check.NO_CLOCK, of_configuration(signing_clock_problem="stamp: damaged")),
     (configuration_check.PARAMETERS, of_configuration(parameters={"FV_MAX_KPA": 15.0})),
+    (configuration_check.IGNORED, of_configuration(ignored=["p.toml:1: VINE_AP_ACTION: is ignored"])),
     (configuration_check.BAD_PARAMETERS, of_configuration(parameters_problem="p.toml:1: damaged")),
     (configuration_check.DISARMED, of_configuration(disarming="vine.disarmed")),
     (configuration_check.LATCHED, of_configuration(latched={"overpressure": "vine at 60.0 kPa, limit 50"})),
@@ -237,10 +241,14 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (network.NO_PACKAGE, of_broker(problem="aiomqtt is missing", missing_package=True)),
     (network.AWAY, of_broker(problem="nothing answers there")),
     (network.REFUSES, of_broker(problem="it does not accept this user and password", needs_person=True)),
+    (machine.ON_TIME, [machine.load(0.004, 0.3)]),
+    (machine.BUSY, [machine.load(0.15, 0.3)]),
+    (machine.TOO_BUSY, [machine.load(0.34, 0.3)]),
     (PORTS["good"], of_port()),
     (PORTS["network"], [port.check_network("phloSAR", "tcp:board:3000", False, None)]),
     (PORTS["free"], [port.check_network("phloSAR", "udpin:127.0.0.1:3000", True, None)]),
     (PORTS["missing"], of_port(missing="/dev/ttyACM0 is not there")),
+    (PORTS["no uart"], of_port(where="serial:/dev/ttyAMA0:57600", missing="/dev/ttyAMA0 does not exist")),
     (PORTS["not allowed"], of_port(may_open=False)),
     (PORTS["log in again"], of_port(may_open=False, member_since_login=True)),
     (PORTS["held"], of_port(held_by=(OTHER,))),
@@ -271,6 +279,7 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (firmware.LOSSES, of_firmware(gaps=2)),
     (firmware.FAR, of_firmware(round_trip_s=0.11)),
     (firmware.SETTINGS, of_firmware()),
+    (firmware.SOME_SETTINGS, of_firmware(settings=(replace(SETTING, count=19),) * 8)),
     (firmware.OWN_SETTINGS, of_firmware(settings=(replace(SETTING, value=25.0),))),
     (
         firmware.NO_SETTINGS,
@@ -524,3 +533,26 @@ def test_on_ardupilot_nothing_waits_for_a_preset_that_is_reported_late() -> None
 )
 def test_the_result_for_the_configuration(learned: RadioLearned, written: int | str | None) -> None:
     assert receiver.to_write(learned, CONFIG) == written
+
+
+@pytest.mark.parametrize("name", ["RC_CHANNELS", "GLOBAL_POSITION_INT"])
+def test_a_slow_stream_is_not_the_autopilots_fault_while_this_computer_is_late(name: str) -> None:
+    slow = replace(VEHICLE, streams=(StreamFacts(name, 20.0, 0.1, True, False),))
+
+    def of(late_s: float) -> DoctorFinding:
+        return next(f for f in vehicle.check(slow, CONFIG, 6.0, late_s=late_s) if f.check == name)
+
+    assert of(0.01).verdict == "bad" and "SR" in of(0.01).do
+    assert of(0.34).verdict == "warning"
+    assert "SR" not in of(0.34).do and "busy" in of(0.34).do
+
+
+async def test_the_doctor_measures_its_own_lateness() -> None:
+    async def hang() -> None:
+        for _ in range(7):
+            await asyncio.sleep(0.03)
+            time.sleep(0.2)  # noqa: ASYNC251  # the loop must hang
+
+    hanging = asyncio.create_task(hang())
+    assert await lateness_s(2.0) > 0.12
+    await hanging

@@ -114,13 +114,13 @@ def test_an_extreme_number_of_the_configuration(at: tuple[str | int, ...], text:
     [
         (
             "reservoir_volume_L = 2000",
-            "pneumatics.reservoir_volume_L: must be a number from 0.001 to 1000, not 2000",
+            "pneumatics.reservoir_volume_L: must be a number from 0.01 to 200, not 2000",
         ),
-        ("cv_volume_L = 100", "pneumatics.cv_volume_L: must be a number from 0.0001 to 50, not 100"),
+        ("cv_volume_L = 100", "pneumatics.cv_volume_L: must be a number from 0.001 to 50, not 100"),
         ("full_kPa = 1e308", "pneumatics.full_kPa: must be a number from 10 to 5000, not 1e+308"),
         (
             "evp_flow_resistance_kPa_s_per_SL = 1e-308",
-            "pneumatics.evp_flow_resistance_kPa_s_per_SL: must be a number from 0.01 to 1e+08, not 1e-308",
+            "pneumatics.evp_flow_resistance_kPa_s_per_SL: must be a number from 10 to 1000000, not 1e-308",
         ),
     ],
 )

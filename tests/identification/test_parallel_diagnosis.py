@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from flying_vines.files.extras import install_command
 from flying_vines.identification import parallel_diagnosis
 from flying_vines.identification.case import Case, read_case
 from flying_vines.identification.diagnose import diagnose
@@ -98,7 +99,7 @@ def test_without_dask_a_scheduler_is_refused(
     monkeypatch.setitem(sys.modules, "distributed", None)
     status, out, err = run(capsys, *map(str, cases), "--scheduler", "tcp://127.0.0.1:8786")
     assert (status, out) == (2, "") and err.count("\n") == 1
-    assert "needs distributed" in err and "pip install 'flying-vines[cluster]'" in err
+    assert "needs distributed" in err and install_command("cluster") in err
 
 
 def replace_diagnose(monkeypatch: pytest.MonkeyPatch, diagnose: Callable[[Case], Verdict]) -> None:

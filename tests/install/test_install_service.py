@@ -76,6 +76,9 @@ def test_systemd_reads_the_unit_without_a_complaint(
     analyze = need("systemd-analyze", "sudo apt install systemd")
     installed(capsys, tmp_path, *more)
     unit = tmp_path / files.UNIT.relative_to("/")
+    # systemd looks for the program, which is in the image, on this machine.
+    here = unit.read_text(encoding="utf-8").replace("/opt/flying-vines/bin/flying-vines", "/bin/true")
+    unit.write_text(here, encoding="utf-8")
     read = subprocess.run((analyze, "verify", str(unit)), capture_output=True, text=True, check=False)
     assert (read.returncode, read.stdout, read.stderr) == (0, "", "")
     security = (analyze, "security", "--offline=true", "--no-pager", str(unit))
@@ -85,11 +88,26 @@ def test_systemd_reads_the_unit_without_a_complaint(
     assert float(exposed[1]) <= MOST_EXPOSED
 
 
-def test_the_unit_runs_the_flying_vines_that_wrote_it(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
+@pytest.mark.parametrize("program", ["/opt/flying-vines/bin/flying-vines", "/usr/local/bin/flying-vines"])
+def test_the_units_of_an_image_have_no_path_of_this_machine(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, program: str
 ) -> None:
-    installed(capsys, tmp_path)
-    (start,) = re.findall(r"^ExecStart=(.*)$", text(tmp_path, files.UNIT), re.MULTILINE)
+    if "local" in program:
+        link = tmp_path / program.removeprefix("/")
+        link.parent.mkdir(parents=True)
+        link.symlink_to("/opt/pipx/only/there")
+    said = installed(capsys, tmp_path)
+    assert ("The image has no flying-vines yet" in said) == ("local" not in program)
+    written = "".join(text(tmp_path, path) for path in there(tmp_path))
+    assert f"ExecStart={program} run --config {files.CONFIGURATION} " in written
+    for path in (tmp_path, sys.prefix, Path(files.__file__).parents[2], Path.home()):
+        assert str(path) not in written
+
+
+def test_the_unit_runs_the_flying_vines_that_wrote_it() -> None:
+    command = InstalledProgram.here().command
+    unit = files.unit(command, files.USER, files.CONFIGURATION, [], files.STATE).text
+    (start,) = re.findall(r"^ExecStart=(.*)$", unit, re.MULTILINE)
     program, *arguments = shlex.split(start)
     assert Path(program).is_absolute()
     told = subprocess.run((program, "--version"), capture_output=True, text=True, check=True).stdout
@@ -209,7 +227,7 @@ def test_without_root_it_reports_it(
         (("--port-id", "16c0:0483"), "'16c0:0483' is not a USB board"),
         (("--port-id", 'usb:16c0:0483:1",RUN="x'), "udev cannot match this serial number"),
         (("--user", "pi\nExecStartPre=/bin/sh"), "is not a valid user name"),
-        (("--config", "none.toml"), "none.toml: no such file"),
+        (("--config", "none.toml"), "none.toml is not in the image"),
     ],
 )
 def test_an_impossible_installation_gives_one_line(
@@ -234,7 +252,8 @@ def test_an_image_that_cannot_be_written_is_one_line(
 def test_a_configuration_with_a_fault_is_not_installed(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    config_file = tmp_path / "vine.toml"
+    config_file = tmp_path / "root/vine.toml"
+    config_file.parent.mkdir()
     config_file.write_text("[limits]\nmax_kPa = -1\n", encoding="utf-8")
     status, _, said = run(
         capsys, "install-service", "--root", tmp_path / "root", "--config", config_file, "--yes"
@@ -246,15 +265,15 @@ def test_a_configuration_with_a_fault_is_not_installed(
 def test_a_configuration_of_ones_own_is_flown_with_where_it_is(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    folder = tmp_path / "100% mine"
-    folder.mkdir()
+    root = tmp_path / "root"
+    folder = root / "100% mine"
+    folder.mkdir(parents=True)
     config_file = folder / "vine.toml"
     config_file.write_text(config.default_text(), encoding="utf-8")
-    root = tmp_path / "root"
     installed(capsys, root, "--config", config_file)
     assert files.CONFIGURATION not in there(root)
     unit = text(root, files.UNIT)
-    named = str(folder).replace("%", "%%")
+    named = "/100%% mine"
     assert f'--config "{named}/vine.toml" --out' in unit
     assert f'ReadWritePaths="{named}"\n' in unit, "parameters are kept beside it"
 
@@ -262,7 +281,8 @@ def test_a_configuration_of_ones_own_is_flown_with_where_it_is(
 def test_files_of_the_configuration_in_a_home_make_homes_readable(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    config_file = tmp_path / "vine.toml"
+    config_file = tmp_path / "root/vine.toml"
+    config_file.parent.mkdir()
     there = config.default_text().replace('signing_key = ""', 'signing_key = "/home/pi/keys/mavlink"')
     config_file.write_text(there.replace('folder = ""', 'folder = "/var/lib/flying-vines"'), encoding="utf-8")
     installed(capsys, tmp_path / "root", "--config", config_file)

@@ -33,7 +33,7 @@ def test_home_is_a_place_or_the_simulators() -> None:
     ("text", "says"),
     [
         ("name = ", "m.toml:1: not TOML"),
-        ("[takeoff]\naltitude_m = 10\n", "m.toml: 'waypoints' is missing"),
+        ("[takeoff]\naltitude_m = 10\n", "m.toml: the section [[waypoints]] is missing"),
         (
             HEAD + waypoint("").replace("north_m", "nort_m"),
             "m.toml:5: waypoints[0].nort_m: unknown key",
@@ -53,7 +53,7 @@ def test_home_is_a_place_or_the_simulators() -> None:
         ),
         (
             HEAD + waypoint("", "at = [95, 8]"),
-            "m.toml:5: waypoints[0].at[0]: must be a number of at most 90, not 95",
+            "m.toml:5: waypoints[0].at[0]: must be a number from -90 to 90, not 95",
         ),
         (
             HEAD + waypoint("", "altitude_m = 5"),
@@ -65,14 +65,14 @@ def test_home_is_a_place_or_the_simulators() -> None:
         ),
         (
             HEAD + waypoint("", "north_m = 1\nstay_s = 1.5"),
-            "m.toml:6: waypoints[0].stay_s: must be a whole number, not 1.5",
+            "m.toml:6: waypoints[0].stay_s: must be a whole number from 0 to 3600, not 1.5",
         ),
         (
             HEAD.replace("= 10", "= -1") + waypoint(""),
-            "m.toml:3: takeoff.altitude_m: must be a number above 0, not -1",
+            "m.toml:3: takeoff.altitude_m: must be a number above 0, up to 1000, not -1",
         ),
-        ("end = 'hover'\n" + HEAD + waypoint(""), "give one of land, return"),
-        ("autopilot = 'apm'\n" + HEAD + waypoint(""), "give one of ardupilot, px4"),
+        ("end = 'hover'\n" + HEAD + waypoint(""), "must be one of land, return, not 'hover'"),
+        ("autopilot = 'apm'\n" + HEAD + waypoint(""), "must be one of ardupilot, px4, not 'apm'"),
         (HEAD.replace('"simulator"', '"sim"') + waypoint(""), "m.toml:1: home: "),
     ],
 )

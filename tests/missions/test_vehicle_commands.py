@@ -14,6 +14,7 @@ from pathlib import Path
 import command_line
 import pytest
 
+from flying_vines.files.extras import install_command
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer
 from flying_vines.vehicle.mission.item import MissionItem
@@ -39,7 +40,7 @@ def test_without_mavsdk_it_names_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "mavsdk", None)
     error = error_line(capsys, *arguments, "--link", NOBODY)
-    assert error == "mavsdk is missing: pip install 'flying-vines[missions]', on 64-bit systems"
+    assert error == f"mavsdk is missing: {install_command('missions')}, on 64-bit systems"
 
 
 def test_if_its_library_does_not_load_the_first_line_reports_it(

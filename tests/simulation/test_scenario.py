@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -100,28 +101,28 @@ PRBS = RUN + 'kind = "prbs"\nduration_s = 1\n'
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "runs: is missing"),
-        ("runs = []", "runs: expected array of length >= 1"),
-        ("runs = 3", "runs: must be a list"),
+        ("", "the section [[runs]] is missing"),
+        ("runs = []", "runs: must be a list of 1 to 20 tables, not []"),
+        ("runs = 3", "runs: must be a list of 1 to 20 tables, not 3"),
         (BENDS + "[other]\n", "other: unknown key"),
         ("nam = 'x'\n" + BENDS, "nam: unknown key; did you mean 'name'?"),
-        (RUN + "cycles = 1", "runs[0].kind: is missing"),
-        (RUN + 'kind = "bend"', "runs[0].kind: invalid value 'bend'; give one of steps, sine, chirp, "),
-        (RUN + 'kind = "bends"', "runs[0].cycles: is missing"),
+        (RUN + "cycles = 1", "runs[0]: 'kind' is missing"),
+        (RUN + 'kind = "bend"', "runs[0].kind: must be one of steps, sine, chirp, "),
+        (RUN + 'kind = "bends"', "runs[0]: 'cycles' is missing"),
         (BENDS + "holds_s = 1", "runs[0].holds_s: unknown key; did you mean 'hold_s'?"),
         (BENDS + BENDS + 'hold_s = "a"', "runs[1].hold_s: must be a number"),
         (BENDS + "bend_kPa = nan", "runs[0].bend_kPa: is not a finite number"),
-        (BENDS + "bend_kPa = 151", "runs[0].bend_kPa: must be a number of at most 150"),
-        (BENDS + "reservoir_kPa = 0", "runs[0].reservoir_kPa: must be a number of at least 1"),
+        (BENDS + "bend_kPa = 151", "runs[0].bend_kPa: must be a number from 0 to 150, not 151"),
+        (BENDS + "reservoir_kPa = 0", "runs[0].reservoir_kPa: must be a number from 1 to 900, not 0"),
         (BENDS + "sample_rate_Hz = 60", "runs[0].sample_rate_Hz: 60 does not divide the firmware's 1000 Hz"),
-        (BENDS + 'name = "../x"', "runs[0].name: "),
+        (BENDS + 'name = "../x"', "runs[0].name: must be a text in quotes of 1 to 40 letters"),
         (BENDS + 'name = "x\\n"', "runs[0].name: "),
         (BENDS.replace("1", "1000") + "hold_s = 3600", "runs[0]: a run of "),
         (SINE + "low_kPa = 10", "runs[0].high_kPa: must be above low_kPa"),
         (SINE.replace("Hz = 1", "Hz = 26"), "runs[0].sample_rate_Hz: 50 samples a second cannot show 26 Hz"),
         (PRBS, "runs[0]: give either levels_kPa or levels_opening"),
         (PRBS + "levels_kPa = [1, 1]", "runs[0].levels_kPa: give at least two levels"),
-        (PRBS + "levels_opening = [0, 2]", "runs[0].levels_opening[1]: must be a number of at most 1"),
+        (PRBS + "levels_opening = [0, 2]", "runs[0].levels_opening[1]: must be a number from 0 to 1, not 2"),
         (PRBS + "levels_kPa = [0, 2]\nmin_hold_s = 2", "runs[0].max_hold_s: must not be below min_hold_s"),
         (PRBS + "levels_kPa = [0, 2]\nmin_hold_s = 0.01", "runs[0].min_hold_s: is shorter than a sample"),
         (
@@ -150,7 +151,7 @@ PRBS = RUN + 'kind = "prbs"\nduration_s = 1\n'
         ),
         (
             RUN + 'kind = "profile"\nsegments = [{ kind = "profile", name = "x" }]',
-            "runs[0].segments[0].kind: invalid value 'profile'; give one of step, ramp, hold, sine",
+            "runs[0].segments[0].kind: must be one of step, ramp, hold, sine, not 'profile'",
         ),
     ],
 )
@@ -158,7 +159,7 @@ def test_an_error_gives_one_line_with_file_and_key(text: str, says: str) -> None
     with pytest.raises(ScenarioError) as raised:
         parse_scenario(text, "mine.toml")
     sentence = str(raised.value)
-    assert sentence.startswith(f"mine.toml: {says}")
+    assert re.match(rf"mine\.toml:(\d+:)? {re.escape(says)}", sentence), sentence
     assert sentence.isprintable()
 
 

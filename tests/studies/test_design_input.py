@@ -26,7 +26,7 @@ ROBOT = 'name = "r"\ncv_volume_L = 0.2\npressure_kPa = 20.0\nfrequency_Hz = 0.5\
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("value = 50.0", "value = -50.0", ["v.toml:6: mass_g.value", "of at least 0"]),
+        ("value = 50.0", "value = -50.0", ["v.toml:6: mass_g.value", "from 0 to"]),
         ("value = 50.0", "value = nan", ["v.toml:6: mass_g"]),
         ("value = 50.0", "value = inf", ["v.toml:6: mass_g"]),
         ("value = 30.0", "value = 0.0", ["v.toml:3: flow_SLPM", "above 0"]),

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from examples import examples
 from flying_vines.config import config
-from flying_vines.vehicle.component.parameter_file import ParameterFileError, read, write
+from flying_vines.vehicle.component.parameter_file import ParameterFileError, ignored_in, read, write
 from flying_vines.vehicle.component.parameter_table import SETTINGS, ParameterRefused, bounds
 from flying_vines.vehicle.component.parameters import Parameters
 
@@ -88,7 +88,6 @@ def test_the_last_write_counts(tmp_path: Path) -> None:
         ("\n\nVINE_MAX_KPA = 'low'\n", ":3: VINE_MAX_KPA: it must be a number"),
         ("VINE_RATE_HZ = true\n", ":1: VINE_RATE_HZ: it must be a number"),
         ("VINE_MAX_KPB = 3\n", ":1: VINE_MAX_KPB: there is no such parameter; did you mean VINE_MAX_KPA?"),
-        ("VINE_AP_ACTION = 1\n", ":1: VINE_AP_ACTION: delete the line: the loss of the autopilot"),
         ("[limits]\nmax_kPa = 3\n", ":1: limits: there is no such parameter: delete the line"),
         ("VINE_MAX_KPA = 18\nVINE_MAX_K", ":2: not TOML: "),
         ("VINE_MAX_KPA = 18\nVINE_MAX_KPA = 17\n", ":2: not TOML: "),
@@ -117,6 +116,15 @@ def test_a_file_that_is_not_a_parameter_file_is_never_overwritten(tmp_path: Path
     with pytest.raises(ParameterFileError):
         write(path, VALUES, CONFIG)
     assert path.read_bytes() == content
+
+
+@pytest.mark.parametrize("name", ["VINE_AP_ACTION", "VINE_FUEL_STATUS"])
+def test_a_parameter_of_an_earlier_version_is_ignored_with_a_line(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "parameters.toml"
+    path.write_text(f"VINE_MAX_KPA = 18\n{name} = 1\n")
+    assert read(path, CONFIG) == {"VINE_MAX_KPA": 18.0}
+    (line,) = ignored_in(path)
+    assert line.startswith(f"{path}:2: {name}: is ignored, delete it: ")
 
 
 def test_a_file_whose_values_the_configuration_no_longer_allows_may_be_written_anew(tmp_path: Path) -> None:

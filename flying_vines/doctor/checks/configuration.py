@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from flying_vines.config.address import NetworkAddress, parse_address
@@ -27,6 +27,8 @@ class ConfigurationFacts:
     parameters: Mapping[str, float] = field(default_factory=dict)
     """Set by a pilot."""
     parameters_problem: str = ""
+    ignored: Sequence[str] = ()
+    """Settings and parameters of an earlier version, a sentence each."""
     disarming: str = ""
     """The file that marks the pneumatics as disarmed; empty if it does not exist."""
     latched: Mapping[str, str] = field(default_factory=dict)
@@ -63,6 +65,7 @@ PARAMETERS = FindingText(
 BAD_PARAMETERS = FindingText(
     "configuration", "bad", "{why}", "correct the file, or delete it; then the configuration's values apply"
 )
+IGNORED = FindingText("configuration", "warning", "{why}", "delete the line")
 DISARMED = FindingText(
     "configuration",
     "bad",
@@ -102,6 +105,7 @@ def check(facts: ConfigurationFacts) -> list[DoctorFinding]:
     elif facts.parameters:
         values = ", ".join(f"{name} = {value:g}" for name, value in facts.parameters.items())
         found.append(PARAMETERS(parameters=values))
+    found += [IGNORED(why=why) for why in facts.ignored]
     if facts.disarming:
         found.append(DISARMED(path=facts.disarming))
     if facts.latched:

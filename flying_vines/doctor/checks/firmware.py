@@ -7,6 +7,7 @@ import math
 from firmware_link.protocol import Setting, SettingsMemory, Welcome, fault_names
 from flying_vines.config.config import Config
 from flying_vines.core.safety import FAULT_SENTENCES, needed_kPa
+from flying_vines.doctor.checks.machine import excused
 from flying_vines.doctor.finding import DoctorFinding, FindingText
 from flying_vines.doctor.firmware_probe import FirmwareFacts
 
@@ -28,7 +29,8 @@ NO_ANSWER = FindingText(
     "phloSAR",
     "bad",
     "{why}",
-    "`flying-vines link` shows the received bytes; docs/link.md explains each sentence",
+    "check its power and USB cable; `sudo fuser -v PORT` names other programs that use its port; "
+    "`flying-vines link` shows the received bytes (docs/link.md)",
 )
 GOOD = FindingText("phloSAR", "good", "{build!r} answers, protocol {version}, boot {boot:08x}")
 FAULTS = FindingText(
@@ -74,6 +76,12 @@ FAR = FindingText(
 )
 SETTINGS = FindingText("phloSAR settings", "good", "all {count} have their defaults")
 OWN_SETTINGS = FindingText("phloSAR settings", "good", "{count}; not at their default: {changed}")
+SOME_SETTINGS = FindingText(
+    "phloSAR settings",
+    "warning",
+    "{read} of {count} settings read in the time",
+    "repeat with a longer --seconds, on a computer that does nothing else",
+)
 NO_SETTINGS = FindingText("phloSAR settings", "warning", "{why}", "try again; then flash the firmware again")
 KNOWN_SETTINGS = FindingText("phloSAR memory", "good", "the settings of the last flight")
 NEW_SETTINGS = FindingText(
@@ -164,9 +172,12 @@ BOTTLE_LOSES = FindingText(
 
 
 def check(
-    facts: FirmwareFacts | None, config: Config, board_settings: int | None = None
+    facts: FirmwareFacts | None, config: Config, board_settings: int | None = None, late_s: float = 0.0
 ) -> list[DoctorFinding]:
-    """`facts` is None if the port could not be opened; `board_settings` is the digest that is known."""
+    """`facts` is None if the port could not be opened; `board_settings` is the digest that is known.
+
+    `late_s` is the lateness of our own loop.
+    """
     if not config.firmware.is_phlosar:
         return [OTHER(kind=config.firmware.kind)]
     if facts is None:
@@ -180,7 +191,7 @@ def check(
         found.append(FAULTS(faults=", ".join(sentences) or fault_names(facts.faults)))
     if facts.restarts:
         found.append(RESTARTED(times=facts.restarts))
-    found += _line(facts, welcome)
+    found += [excused(line, late_s) for line in _line(facts, welcome)]
     if facts.settings_problem:
         found.append(NO_SETTINGS(why=facts.settings_problem))
     elif facts.settings:
@@ -208,6 +219,8 @@ def _line(facts: FirmwareFacts, welcome: Welcome) -> list[DoctorFinding]:
 
 
 def _settings(settings: tuple[Setting, ...]) -> DoctorFinding:
+    if len(settings) < settings[0].count:
+        return SOME_SETTINGS(read=len(settings), count=settings[0].count)
     changed = [f"{s.name} = {s.value:.5g}" for s in settings if s.value != s.standard]
     if changed:
         return OWN_SETTINGS(count=len(settings), changed=", ".join(changed))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from flying_vines.doctor.finding import DoctorFinding, FindingText
 
@@ -59,6 +59,37 @@ HOT = FindingText(
     "{celsius:.0f} °C; it slows down from {limit:.0f} °C",
     "cool the computer",
 )
+
+ON_TIME = FindingText("load", "good", "this computer was late by {late:.0f} ms at most")
+BUSY = FindingText(
+    "load",
+    "warning",
+    "this computer is too busy: late by {late:.0f} ms",
+    "end other programs (top shows them), then repeat this check",
+)
+TOO_BUSY = FindingText(
+    "load",
+    "bad",
+    "this computer is too busy: late by {late:.0f} ms; after {limit:.0f} ms telemetry is stale and it vents",
+    "end other programs (top shows them), then repeat this check",
+)
+BUSY_S = 0.05
+"""The period of RC_CHANNELS. A loop that wakes up later than this, several times, shows a busy computer."""
+
+
+def load(late_s: float, stale_s: float) -> DoctorFinding:
+    """By the lateness of our own loop; `stale_s` is losses.telemetry_s."""
+    if late_s < BUSY_S:
+        return ON_TIME(late=1e3 * late_s)
+    return (TOO_BUSY if late_s >= stale_s else BUSY)(late=1e3 * late_s, limit=1e3 * stale_s)
+
+
+def excused(finding: DoctorFinding, late_s: float) -> DoctorFinding:
+    """A finding about rates and silence: if this computer was late, the other end may be without fault."""
+    if late_s < BUSY_S or finding.verdict == "good":
+        return finding
+    remedy = "repeat it on a computer that is not busy: its lateness (see load) alone can be the cause"
+    return replace(finding, verdict="warning", do=remedy)
 
 
 def check(facts: MachineFacts) -> list[DoctorFinding]:

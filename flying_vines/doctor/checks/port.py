@@ -11,6 +11,7 @@ from flying_vines.doctor.checks.service import Process, named
 from flying_vines.doctor.finding import DoctorFinding, FindingText
 
 Which = Literal["phloSAR", "vehicle"]
+_UART = re.compile(r"serial:/dev/(ttyAMA|ttyS|serial)\d")
 _BY_NUMBER = re.compile(r"/dev/tty(ACM|USB)\d+")
 
 
@@ -57,6 +58,14 @@ def lines_of(which: Which) -> dict[str, FindingText]:
             "{why}",
             f"plug it in and switch it on, or correct {table}.link",
         ),
+        "no uart": FindingText(
+            check,
+            "bad",
+            "{why}",
+            "on a Raspberry Pi: sudo raspi-config, Interface Options, Serial Port: login shell off, hardware "
+            "on (enable_uart=1); for ttyAMA0 on a Pi with Bluetooth also dtoverlay=disable-bt; restart; "
+            f"or correct {table}.link (docs/wiring.md)",
+        ),
         "not allowed": FindingText(
             check,
             "bad",
@@ -100,7 +109,7 @@ def check(facts: PortFacts) -> list[DoctorFinding]:
     """The findings about a serial port."""
     lines = LINES[facts.which]
     if facts.missing:
-        return [lines["missing"](why=facts.missing)]
+        return [lines["no uart" if _UART.match(facts.where) else "missing"](why=facts.missing)]
     found = []
     if facts.console:
         found.append(lines["console"](path=facts.path))

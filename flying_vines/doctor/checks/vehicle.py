@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from flying_vines.config.config import Config
+from flying_vines.doctor.checks.machine import excused
 from flying_vines.doctor.checks.service import Process, named, stop
 from flying_vines.doctor.finding import DoctorFinding, FindingText
 from flying_vines.doctor.vehicle_probe import StreamFacts, VehicleFacts
@@ -153,7 +154,11 @@ NOT_SIGNED = FindingText("signing", "good", "off, on both sides")
 
 
 def check(
-    facts: VehicleFacts | None, config: Config, seconds: float, running: Sequence[Process] = ()
+    facts: VehicleFacts | None,
+    config: Config,
+    seconds: float,
+    running: Sequence[Process] = (),
+    late_s: float = 0.0,
 ) -> list[DoctorFinding]:
     """The findings about the link.
 
@@ -162,6 +167,7 @@ def check(
         config: the configuration.
         seconds: listening time.
         running: our own services that run on this computer.
+        late_s: lateness of our own loop.
     """
     if facts is None:
         return [NOT_ASKED()]
@@ -186,8 +192,12 @@ def check(
     autopilot = of_name(facts.kind)
     return [
         *_autopilot(facts, autopilot),
-        _heartbeat(facts, config),
-        *(_stream(stream, autopilot, config) for stream in facts.streams),
+        excused(_heartbeat(facts, config), late_s),
+        *(
+            excused(found, late_s) if stream.rate_Hz else found
+            for stream in facts.streams
+            for found in (_stream(stream, autopilot, config),)
+        ),
         _component(facts, config, running),
         _signing(facts, bool(config.vehicle.signing_key)),
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from datetime import datetime
 
@@ -23,3 +24,20 @@ class Clock:
 
 def when(unix_s: float) -> str:
     return datetime.fromtimestamp(unix_s).astimezone().isoformat(" ", "seconds")
+
+
+TICK_S = 0.02
+HICCUPS = 5
+
+
+async def lateness_s(seconds: float) -> float:
+    """Listen for `seconds`, and return by how much the fifth latest tick of our own loop was late.
+
+    A few late ticks are hiccups, such as the first use of a module; on a busy computer there are many.
+    """
+    loop, late_s = asyncio.get_running_loop(), [0.0] * HICCUPS
+    ends_s = loop.time() + seconds
+    while (now_s := loop.time()) < ends_s:
+        await asyncio.sleep(TICK_S)
+        late_s.append(loop.time() - now_s - TICK_S)
+    return sorted(late_s)[-HICCUPS]

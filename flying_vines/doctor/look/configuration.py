@@ -14,7 +14,7 @@ from flying_vines.supply import RigPrior, nominal
 from flying_vines.supply.cycles_left import Learned
 from flying_vines.supply.learned_file import learned_from
 from flying_vines.supply.rig_file_prior import load_rig_file_prior
-from flying_vines.vehicle.component.parameter_file import ParameterFileError
+from flying_vines.vehicle.component.parameter_file import ParameterFileError, ignored_in
 from flying_vines.vehicle.component.parameters import Parameters
 from flying_vines.vehicle.mavlink.signing import Signing
 from flying_vines.vehicle.mavlink.signing_key import SigningKeyError
@@ -45,8 +45,10 @@ def read(path: Path) -> ServiceConfiguration:
     config = configuration.load(path)
     state = PersistentState.of(path, config)
     parameters, parameters_problem = {}, ""
+    ignored = configuration.ignored(configuration.text_of(path), str(path), configuration.OLD_SETTINGS)
     try:
         parameters = state.read_parameters(config)
+        ignored += ignored_in(state.parameters)
     except ParameterFileError as error:
         parameters_problem = str(error)
     signing, signing_clock_problem, signing_problem = None, "", ""
@@ -76,6 +78,7 @@ def read(path: Path) -> ServiceConfiguration:
         signing_clock_problem=signing_clock_problem,
         parameters=parameters,
         parameters_problem=parameters_problem,
+        ignored=ignored,
         disarming=str(state.disarming) if _exists(state.disarming) else "",
         latched=state.read_latched(),
     )

@@ -91,7 +91,7 @@ def read_answers(path: Path) -> Answers:
         if answers.setup.gas:
             rig_from({"gas": {"name": answers.setup.gas}})
     except msgspec.ValidationError as error:
-        key, reason = explained(str(error), lambda _: Answers.__struct_fields__, raw=tables)
+        key, reason = explained(str(error), Answers, raw=tables)
         raise CaseError(located(text, str(path), key, reason)) from None
     except (CaseError, RigError) as error:
         raise CaseError(f"{path}: {error}") from None

@@ -20,7 +20,7 @@ def show(proposal: Proposal, console: Console) -> None:
     text, table = proposal.table.layout, Table(box=None, pad_edge=False, header_style="bold")
     header = f"header in line {text.header_line}" if text.header_line else "no header"
     rows = len(proposal.table.cells[0])
-    console.print(f"[bold]{proposal.path.name}[/bold]  {rows} rows, {_SEPARATORS[text.separator]}, "
+    console.print(f"{proposal.path.name}  {rows} rows, {_SEPARATORS[text.separator]}, "
                   f"decimal “{text.decimal}”, {text.encoding}, {header}", highlight=False)  # fmt: skip
     for title in ("column", "meaning", "unit", "factor", "first values, converted", "why"):
         table.add_column(title, overflow="fold", no_wrap=title == "meaning")

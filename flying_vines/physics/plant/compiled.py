@@ -2,7 +2,7 @@
 
 `replay` runs a plant with given openings. The closed loop with the firmware's regulator is
 `flying_vines.simulation.phlosar.closed_loop.closed_loop`. Both functions return a `CompiledRun` and
-need numba: pip install 'flying-vines[analysis]'.
+need numba, of the extra `analysis`.
 """
 
 from __future__ import annotations

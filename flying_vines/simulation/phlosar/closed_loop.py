@@ -2,7 +2,7 @@
 
 At 1 kHz the firmware's own regulator reads the sensors and commands the valves, as in `SimulatedPhlosar`. But
 there is no serial protocol, and the firmware's faults are not simulated: the caller must check the table for
-pressures that are too high. Needs numba: pip install 'flying-vines[analysis]'.
+pressures that are too high. Needs numba, of the extra `analysis`.
 """
 
 from __future__ import annotations

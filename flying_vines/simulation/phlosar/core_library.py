@@ -3,7 +3,7 @@
 Prebuilt libraries for the usual Linux computers need no compiler. Each has a digest of its sources. If the
 sources have changed, or on another computer, the library is compiled into the user's cache. `python -m
 flying_vines.simulation.phlosar.core_library` renews the prebuilt ones with the compiler of the package
-`ziglang`: pip install 'flying-vines[firmware]'.
+`ziglang`, of the extra `firmware`.
 """
 
 from __future__ import annotations

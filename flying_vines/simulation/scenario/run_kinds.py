@@ -19,6 +19,9 @@ FIRMWARE_HZ = 1000
 _NO_CURVE = BendCurve(((0.0, 0.0), (1.0, 0.0)))
 """A bend curve that is never used, because profiles in scenarios are in kPa."""
 
+RunName = Annotated[
+    str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}\Z", description="of 1 to 40 letters, digits, - and _")
+]
 Pressure = Annotated[float, Meta(ge=0, le=MOST_KPA)]
 OpeningFraction = Annotated[float, Meta(ge=0, le=1)]
 Duration = Annotated[float, Meta(gt=0, le=LONGEST_S)]
@@ -36,7 +39,7 @@ class Common(
 ):
     """Keys of all kinds of run. A run starts at rest, with the control volume at ambient pressure."""
 
-    name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}\Z")] | None = None
+    name: RunName | None = None
     """Part of the file's name; default: the kind."""
     reservoir_kPa: Annotated[float, Meta(ge=1, le=900)] = 690.0
     """Gauge, at the start."""

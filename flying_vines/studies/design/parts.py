@@ -226,10 +226,7 @@ def catalogue(*folders: Path) -> Catalogue:
 
 def parse(text: str, source: str) -> Part:
     """The part in the text of a file; `source` is its name in errors. Raises `ConfigError`."""
-    known = {"kind", *Number.__struct_fields__}
-    for kind in (ValvePart, ReservoirPart, VenturiPart, SolenoidPart, Fixed):
-        known.update(kind.__struct_fields__)
-    part: Any = decode(text, source, Part, sorted(known))
+    part: Any = decode(text, source, Part)
     if not isinstance(part, Part):
         raise ConfigError(f"{source}: not a part")
     return part

@@ -132,8 +132,7 @@ def load(path: Path) -> Robot:
 
 def parse(text: str, source: str) -> Robot:
     """The robot in the text of a robot file; `source` is its name in errors. Raises `ConfigError`."""
-    known = [*Robot.__struct_fields__, *PartNames.__struct_fields__]
-    robot: Any = decode(text, source, Robot, known)
+    robot: Any = decode(text, source, Robot)
     if not isinstance(robot, Robot):
         raise ConfigError(f"{source}: not a robot file")
     return robot

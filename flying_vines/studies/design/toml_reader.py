@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -11,14 +10,13 @@ from flying_vines.config.config import ConfigError
 from flying_vines.files.toml_text import explained, located, parsed
 
 
-def decode(text: str, source: str, kind: Any, known: Sequence[str] = ()) -> Any:
+def decode(text: str, source: str, kind: Any) -> Any:
     """The text of a file as the msgspec type `kind`.
 
     Args:
         text: TOML.
         source: its name in errors.
         kind: a type that msgspec converts to.
-        known: keys to suggest for a mistyped one.
 
     Raises `ConfigError`.
     """
@@ -26,5 +24,5 @@ def decode(text: str, source: str, kind: Any, known: Sequence[str] = ()) -> Any:
     try:
         return msgspec.convert(raw, kind)
     except msgspec.ValidationError as error:
-        key, reason = explained(str(error), lambda key: known, raw=raw)
+        key, reason = explained(str(error), kind, raw=raw)
         raise ConfigError(located(text, source, key, reason)) from None

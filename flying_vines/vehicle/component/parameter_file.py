@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from flying_vines.config import on_disk
-from flying_vines.config.config import Config
-from flying_vines.files.toml_text import OneLineError, parsed, place, read_text
+from flying_vines.config.config import OLD_SETTINGS, Config, ignored
+from flying_vines.files.toml_text import Key, OneLineError, parsed, place, read_text
 from flying_vines.vehicle.component.parameter_table import (
     BY_NAME,
     SETTINGS,
@@ -27,11 +27,11 @@ HEADING = """\
 # To use the configuration's value again, delete the line and restart the service.
 """
 
-_REMOVED = {
-    "VINE_AP_ACTION": "the loss of the autopilot always vents the vine, as the altitude is lost, too",
-    "VINE_FUEL_STATUS": "FUEL_STATUS is no longer sent, because no ground station shows it",
+OLD_PARAMETERS: dict[Key, str] = {
+    ("VINE_AP_ACTION",): OLD_SETTINGS["losses", "on_autopilot_loss"],
+    ("VINE_FUEL_STATUS",): OLD_SETTINGS["telemetry", "fuel_status"],
 }
-"""Parameters of earlier versions, and why they were removed."""
+"""Parameters of earlier versions, which are ignored, and why."""
 
 
 _REMEDY = "set them again after deleting the file"
@@ -93,12 +93,19 @@ def _parsed(text: str, path: Path) -> dict[str, float]:
         raw = parsed(text, str(path), ParameterFileError)
     except ParameterFileError as error:
         raise ParameterFileError(f"{error}; correct the line, or {_REMEDY}") from None
-    return {name: _number(name, value, place(text, str(path), (name,))) for name, value in raw.items()}
+    return {
+        name: _number(name, value, place(text, str(path), (name,)))
+        for name, value in raw.items()
+        if (name,) not in OLD_PARAMETERS
+    }
+
+
+def ignored_in(path: Path) -> list[str]:
+    """A line for each parameter of an earlier version in the file."""
+    return ignored(read_text(path, ParameterFileError), str(path), OLD_PARAMETERS) if path.exists() else []
 
 
 def _number(name: str, value: Any, where: str) -> float:
-    if name in _REMOVED:
-        raise ParameterFileError(f"{where}: {name}: delete the line: {_REMOVED[name]}")
     if name not in BY_NAME:
         near = difflib.get_close_matches(name, BY_NAME, n=1)
         hint = f"; did you mean {near[0]}?" if near else ": delete the line"
