@@ -5,14 +5,16 @@ This module imports little, so that Ctrl-C finds `main` at work. A command impor
 
 from __future__ import annotations
 
+import io
 import os
+import signal
 import sys
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
-    from typing import NoReturn
+    from typing import Any, NoReturn, TextIO
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells give it."""
@@ -33,22 +35,14 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
         except SystemExit as stop:
             status = stop.code
         if process:
-            process.ended = True
-        _flush_output()
+            process.end()
     except KeyboardInterrupt:
         status = INTERRUPTED
-    except BaseExceptionGroup as group:
-        if not group.subgroup(BrokenPipeError):
-            raise
-        status = 0
-    except BrokenPipeError:
-        status = 0
     except OSError as error:
         # A disk that is full, or a folder that may not be read, can stop any command anywhere.
         status = _file_error(error)
-    if process:
-        process.ended = True
-        process.drop_unwritten()
+    if process and process.output_error:
+        status = process.output_status()
     sys.exit(status)
 
 
@@ -57,6 +51,7 @@ class _Process:
 
     def __init__(self) -> None:
         self.ended = False
+        self.output_error: OSError | None = None
         self._report = sys.unraisablehook
         sys.unraisablehook = self._unraisable
 
@@ -71,18 +66,32 @@ class _Process:
             except OSError:
                 os.open(os.devnull, os.O_RDWR)
         sys.stdin = sys.stdin or open(0, encoding="utf-8")  # noqa: SIM115  # the stream of the process
-        sys.stdout = sys.stdout or open(1, "w", encoding="utf-8")  # noqa: SIM115
-        sys.stderr = sys.stderr or open(2, "w", encoding="utf-8")  # noqa: SIM115
-        for stream in (sys.stdout, sys.stderr):
-            stream.reconfigure(errors="replace")  # type: ignore[union-attr]  # mypy: a TextIOWrapper
+        sys.stdout = self._stream(1, sys.stdout)
+        sys.stderr = self._stream(2, sys.stderr)
 
-    def drop_unwritten(self) -> None:
-        """The reader of our output may be gone, or its disk full: the interpreter must not try again."""
-        for number, stream in ((1, sys.stdout), (2, sys.stderr)):
-            try:
-                stream.flush()
-            except (OSError, ValueError):
-                os.dup2(os.open(os.devnull, os.O_WRONLY), number)
+    def _stream(self, number: int, given: TextIO | None) -> TextIO:
+        file = _Output(number, self)
+        return io.TextIOWrapper(
+            io.BufferedWriter(file),
+            encoding=given.encoding if given else "utf-8",
+            errors="replace",
+            line_buffering=number == 2 or file.isatty(),
+        )
+
+    def end(self) -> None:
+        """Write the rest of the output. Ctrl-C changes nothing any more, unless a thread still works."""
+        self.ended = True
+        sys.stdout.flush()
+        if len(sys._current_frames()) == 1:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def output_status(self) -> int:
+        """The exit status of a command whose output could not be written. 0 if its reader is gone."""
+        if isinstance(self.output_error, BrokenPipeError):
+            return 0
+        assert self.output_error is not None
+        self.output_error.filename = "standard output"
+        return _file_error(self.output_error)
 
     def _unraisable(self, lost: sys.UnraisableHookArgs) -> None:
         """Python drops an error in a callback, also Ctrl-C."""
@@ -94,6 +103,28 @@ class _Process:
             import _thread
 
             _thread.interrupt_main()
+
+
+class _Output(io.FileIO):
+    """An output whose reader may be gone, or its disk full: then the command ends as after Ctrl-C.
+
+    So every command ends in order, and nothing raises in a callback.
+    """
+
+    def __init__(self, number: int, process: _Process) -> None:
+        super().__init__(number, "w", closefd=False)
+        self._process = process
+
+    def write(self, data: Any) -> int | None:  # type: ignore[override]  # mypy: any buffer
+        try:
+            return super().write(data)
+        except OSError as error:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
+            if self._process.output_error is None:
+                self._process.output_error = error
+                if not self._process.ended:
+                    signal.raise_signal(signal.SIGINT)
+            return len(data)
 
 
 def _run(argv: Sequence[str] | None) -> int:
@@ -111,14 +142,6 @@ def _run(argv: Sequence[str] | None) -> int:
     except (ConfigError, PluginError, FirmwareBuildError, WatchError) as error:
         fail(str(error))
     return status
-
-
-def _flush_output() -> None:
-    try:
-        sys.stdout.flush()
-    except OSError as error:
-        error.filename = "standard output"
-        raise
 
 
 def _file_error(error: OSError) -> int:

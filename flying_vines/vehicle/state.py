@@ -165,7 +165,7 @@ class VehicleState:
         kind = message.get_type()
         events: list[VehicleEvent] = []
         if kind == "HEARTBEAT":
-            if not _is_autopilot(message):
+            if not is_autopilot(message):
                 return events
             events.extend(self._choose(t, message))
         if not self.is_ours(message):
@@ -210,7 +210,7 @@ class VehicleState:
         return [AutopilotFound(system)]
 
 
-def _is_autopilot(message: MavlinkMessage) -> bool:
+def is_autopilot(message: MavlinkMessage) -> bool:
     return (
         message.autopilot != mavlink.MAV_AUTOPILOT_INVALID
         and message.type not in NO_VEHICLE
