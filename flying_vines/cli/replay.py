@@ -65,9 +65,7 @@ def _replay(arguments: argparse.Namespace) -> int:
     recording: Path = arguments.recording
     if recording.is_dir() or is_flight(recording):
         if arguments.mission or arguments.parameters or arguments.pace or arguments.system is not None:
-            fail(
-                "--mission, --parameters, --system and --pace are for a .tlog; a flight log needs none of them"
-            )
+            fail("--mission, --parameters, --system and --pace are for a .tlog, not for a flight log")
         return _replay_flight(recording, arguments.config, arguments.json)
     config = configuration.load_or_default(arguments.config)
     known = rig_file_prior(config, arguments.config)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from flying_vines.files.bounded import TEXT_BYTES, read_bytes
+from flying_vines.files.bounded import TEXT_BYTES, decoded, read_bytes
 
 Key = tuple[str | int, ...]
 """The path to a value: names of tables and keys, and array indexes."""
@@ -30,7 +30,7 @@ def read_text(
     `absent` is added after "no such file"; it says what to do.
     """
     try:
-        return read_bytes(path, most_bytes).decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+        return decoded(read_bytes(path, most_bytes))
     except UnicodeDecodeError:
         reason = "cannot be read: it is not a UTF-8 text file"
     except FileNotFoundError as problem:

@@ -93,7 +93,7 @@ def replay(
 
 
 def autopilots_in(frames: Iterable[tuple[float, bytes]]) -> dict[int, float]:
-    """The system ids of the autopilots in a recording, in order, and the time of each one's first HEARTBEAT."""
+    """The system ids of the autopilots in a recording, each with the time of its first HEARTBEAT."""
     codec = MavlinkCodec(0, 0, read=(mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
     found: dict[int, float] = {}
     for t, frame in frames:

@@ -1,9 +1,9 @@
 """The time of each frame of a recording, even if the computer's clock was wrong while it recorded.
 
 A recording has the computer's time at the arrival of each frame. A computer without a battery for its clock
-begins in 1970, and its clock steps when the network tells the time. The vehicle's clock (`time_boot_ms`) shows
-such a step: the offset between the two clocks changes, and stays changed. After a stall of the link the offset
-changes, too, but the delayed frames bring it back.
+begins in 1970, and its clock steps when the network tells the time. The vehicle's clock (`time_boot_ms`)
+shows such a step: the offset between the two clocks changes, and stays changed. After a stall of the link
+the offset changes, too, but the delayed frames bring it back.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -28,8 +29,8 @@ WINDOW_S = 30.0
 MAX_DRIFT = 0.15
 """A simulated vehicle's clock is up to this much slower than ours."""
 STANDS_S = 20.0
-"""While a computer's clock stands still, the vehicle's clock goes on for longer than this. It also goes on after
-a stall of the link, but not for longer than the stall."""
+"""While a computer's clock stands still, the vehicle's clock goes on for longer than this. It also goes on
+after a stall of the link, but not for longer than the stall."""
 STEP_IN_SILENCE_S = 60.0
 """A step backwards within a silence must be larger than this."""
 MAX_SILENCE_S = 600.0
@@ -79,7 +80,7 @@ class _RecordedTimes:
         step_s = unix_s[0]
         known: dict[_Sender, _Stamp] = {}
         """The last stamp of each sender, with the smallest offset, less the steps."""
-        for index, (before_s, now_s) in enumerate(zip(unix_s, unix_s[1:], strict=False), start=1):
+        for index, (before_s, now_s) in enumerate(pairwise(unix_s), start=1):
             self._note(known, index - 1, step_s)
             passed_s = now_s - before_s
             if not -BACKWARD_S <= passed_s <= FORWARD_S:
@@ -105,7 +106,7 @@ class _RecordedTimes:
 
     def _examined(self) -> list[int]:
         """The records before which the computer's time differs."""
-        pairs = enumerate(zip(self._unix_s, self._unix_s[1:], strict=False), start=1)
+        pairs = enumerate(pairwise(self._unix_s), start=1)
         return [index for index, (one, two) in pairs if not -BACKWARD_S <= two - one <= FORWARD_S]
 
     def _stretch(self, begin: int, end: int) -> None:
@@ -174,7 +175,8 @@ class _RecordedTimes:
     def _tell(self, say: Callable[[str], None]) -> None:
         if self._stood_s:
             say(
-                f"the file's clock stands still for {_readable(self._stood_s)}: times follow the vehicle's clock"
+                f"the file's clock stands still for {_readable(self._stood_s)}: "
+                "times follow the vehicle's clock"
             )
         if self._steps:
             shown = ", ".join(f"{_signed(step_s)} at {at_s:.1f} s" for at_s, step_s in self._steps[:3])

@@ -21,11 +21,11 @@ _EARLIEST_US = 946_684_800_000_000
 """The year 2000, before MAVLink existed. A computer without a clock begins in 1970."""
 _LATEST_US = 4_102_444_800_000_000
 _LOOKED_AT_BYTES = 100_000
-_STREAM = "no MAVLink frame in the file has a time: it is a raw stream; record it as .tlog, for example with MAVProxy"
+_STREAM = "no MAVLink frame in the file has a time: it is a raw stream; record a .tlog, as MAVProxy does"
 _NO_TLOG = {
-    b"\xa3\x95\x80\x80": "an ArduPilot DataFlash log (.bin): it has no MAVLink; give the .tlog of the ground station",
-    b"FMT, 128": "an ArduPilot DataFlash log as text: it has no MAVLink; give the .tlog of the ground station",
-    b"ULog": "a PX4 log (.ulg): it has no MAVLink; give the .tlog of the ground station",
+    b"\xa3\x95\x80\x80": "an ArduPilot DataFlash log (.bin): give the ground station's .tlog",
+    b"FMT, 128": "an ArduPilot DataFlash log as text: give the ground station's .tlog",
+    b"ULog": "a PX4 log (.ulg): give the ground station's .tlog",
     b"\x89MCAP": "an MCAP file: name it .mcap",
     b"PK\x03\x04": "a zip file: unpack it first",
     b"\x1f\x8b": "a gzip file: unpack it first",
