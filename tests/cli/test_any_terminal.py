@@ -10,7 +10,6 @@ import sys
 import time
 
 import pytest
-
 from docs.references import commands
 
 PROGRAM = shlex.join((sys.executable, "-m", "flying_vines"))
