@@ -20,14 +20,14 @@ async def download(path: Path, link: str, console: Console) -> int:
         MissionError: there is no mission, or the file cannot be written.
         VehicleLinkError: no vehicle, or it does not answer.
     """
-    if path.suffix not in (".plan", ".waypoints"):
+    if path.suffix.casefold() not in (".plan", ".waypoints"):
         raise MissionError(f"{path}: the file must be a .plan or .waypoints")
     async with vehicle(link) as peer:
         items = await peer.download()
     if not items:
         raise MissionError(f"{AUTOPILOTS[peer.kind].title} has no mission")
     try:
-        if path.suffix == ".plan":
+        if path.suffix.casefold() == ".plan":
             write_plan(path, items, peer.kind)
         else:
             write_waypoints(path, items)

@@ -31,7 +31,7 @@ def load_items(path: Path, kind: AutopilotKind | None = None) -> Items:
     Raises `MissionError` if the file cannot be read, has no items, or names no autopilot.
     """
     try:
-        if path.suffix == ".plan":
+        if path.suffix.casefold() == ".plan":
             plan = read_plan(path, kind)
             return Items(plan.items, _known(plan.kind, path), plan.home)
         kind = _known(kind, path)

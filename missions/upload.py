@@ -46,10 +46,10 @@ async def upload(path: Path, link: str, console: Console) -> int:
         MissionError: the file cannot be read, or is for another autopilot.
         VehicleLinkError: no vehicle, or it does not answer.
     """
-    found = load_items(path, None if path.suffix == ".plan" else "ardupilot")
+    found = load_items(path, None if path.suffix.casefold() == ".plan" else "ardupilot")
     async with vehicle(link) as peer:
         name = AUTOPILOTS[peer.kind].title
-        if path.suffix == ".plan" and found.kind != peer.kind:
+        if path.suffix.casefold() == ".plan" and found.kind != peer.kind:
             raise MissionError(
                 f"{path}: is for {AUTOPILOTS[found.kind].title}, the vehicle is {name}: build it for {name}"
             )

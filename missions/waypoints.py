@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from flying_vines.files.bounded import read_bytes
+from flying_vines.files.bounded import decoded, read_bytes
 from flying_vines.vehicle.mission.item import MAX_NUMBER, MissionItem
 
 _HEADER = "QGC WPL 110"
@@ -29,7 +29,7 @@ class WaypointsError(ValueError):
 def read_waypoints(path: str | Path) -> list[MissionItem]:
     """The items of the file, in order; their seq counts up from 0.
 
-    Blank lines are skipped, columns may be separated by any white space, and `nan` is a number.
+    Blank lines and comments (#) are skipped, any white space may separate columns, and `nan` is a number.
 
     Raises:
         WaypointsError: wrong header or column count, not a number, number out of range, or seq out of order.
@@ -37,7 +37,7 @@ def read_waypoints(path: str | Path) -> list[MissionItem]:
     """
     path = Path(path)
     try:
-        lines = read_bytes(path).decode("utf-8-sig").splitlines()
+        lines = decoded(read_bytes(path)).split("\n")
     except UnicodeDecodeError as error:
         raise WaypointsError(f"{path}, line 1: this is not a text file") from error
     found = lines[0].strip() if lines else ""
@@ -46,7 +46,7 @@ def read_waypoints(path: str | Path) -> list[MissionItem]:
         raise WaypointsError(f"{path}, line 1: the header must be {headers}, not {found[:40]!r}")
     items: list[MissionItem] = []
     for number, line in enumerate(lines[1:], start=2):
-        if line.strip():
+        if line.strip() and not line.lstrip().startswith("#"):
             items.append(_Line(f"{path}, line {number}", line.split()).item(len(items)))
     return items
 

@@ -7,7 +7,6 @@ telemetry rate is set back.
 from __future__ import annotations
 
 import asyncio
-import signal
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
@@ -37,7 +36,7 @@ from flying_vines.core.watcher import EachAction
 from flying_vines.record.recorder import Recorder
 from flying_vines.service.link_settings import SettingsError, exchange_settings
 from flying_vines.service.persistent_state import PersistentState, PersistentStateError
-from flying_vines.service.service import Service
+from flying_vines.service.service import Service, on_stop_signals
 from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampFile
 from flying_vines.vehicle.notice import Severity
 from flying_vines.vine.intent import Intent
@@ -68,8 +67,7 @@ async def calibrate(
     plan = planned(config, request)
     address = parse_address(user.config.firmware.link)
     stopped = asyncio.Event()
-    for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        asyncio.get_running_loop().add_signal_handler(name, stopped.set)
+    on_stop_signals(stopped.set)
     with terminal.typed():
         async with every_step(address, stopped, terminal.warn) as settings:
             terminal.introduce(plan)

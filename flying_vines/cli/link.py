@@ -96,7 +96,7 @@ async def monitor(address: Address, title: str, seconds: float | None, objects: 
             print(json.dumps({"t": round(watch.t, 6), "statistics": watch.statistics._asdict()}))
         else:
             console.print(statistics_line(watch.statistics), soft_wrap=True, highlight=False)
-        return watch.answered
+        return _answered(watch, stopped)
     view = LinkView(title)
     with Live(view.render(watch), console=console, refresh_per_second=_REFRESH_PER_S, screen=True) as screen:
         drawn_at = 0.0
@@ -110,6 +110,12 @@ async def monitor(address: Address, title: str, seconds: float | None, objects: 
 
         await watch.run(show, over)
     console.print(statistics_line(watch.statistics), soft_wrap=True, highlight=False)
+    return _answered(watch, stopped)
+
+
+def _answered(watch: LinkWatch, stopped: asyncio.Event) -> bool:
+    if stopped.is_set():
+        raise KeyboardInterrupt
     return watch.answered
 
 

@@ -125,7 +125,7 @@ def _plot(log: FlightLog, arguments: argparse.Namespace) -> int:
     from flying_vines.record.picture import draw_flight
 
     path: Path = arguments.out or log.folder / "flight.png"
-    if path.suffix not in PICTURES:
+    if path.suffix.casefold() not in PICTURES:
         return bad_input(f"{path}: the name of a picture must end with one of {', '.join(PICTURES)}")
     draw_flight(log, path, arguments.title)
     print(f"Picture  {path}")

@@ -22,7 +22,7 @@ from flying_vines.core.events import (
     LinkChanged,
 )
 from flying_vines.files.bounded import read_bytes
-from flying_vines.record.folders import ABOUT
+from flying_vines.record.flight_metadata import ABOUT
 from flying_vines.record.reader import FlightLog, LogEntry
 from flying_vines.record.restore import restored
 from flying_vines.record.summary import Summary, summarise

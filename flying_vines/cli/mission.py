@@ -198,7 +198,7 @@ def _build(arguments: argparse.Namespace) -> int:
     from missions.waypoints import write_waypoints
 
     path: Path = arguments.mission
-    if path.suffix in (".plan", ".waypoints"):
+    if path.suffix.casefold() in (".plan", ".waypoints"):
         return _fail(f"{path}: is already a built mission; check it with `flying-vines mission check`")
     try:
         report = _report(arguments)
@@ -210,7 +210,7 @@ def _build(arguments: argparse.Namespace) -> int:
     try:
         for target in _targets(arguments.out or path.parent, path.stem, report.kind):
             target.parent.mkdir(parents=True, exist_ok=True)
-            if target.suffix == ".plan":
+            if target.suffix.casefold() == ".plan":
                 write_plan(target, report.items, report.kind, report.home)
             else:
                 write_waypoints(target, report.items)
@@ -221,7 +221,7 @@ def _build(arguments: argparse.Namespace) -> int:
 
 
 def _targets(out: Path, stem: str, kind: AutopilotKind) -> list[Path]:
-    if out.suffix in (".plan", ".waypoints"):
+    if out.suffix.casefold() in (".plan", ".waypoints"):
         return [out]
     return [out / f"{stem}-{kind}{suffix}" for suffix in (".plan", ".waypoints")]
 
@@ -267,7 +267,7 @@ def _items(
     from missions.mission import MissionError, load, planned_home
 
     path: Path = arguments.mission
-    if path.suffix in SUFFIXES:
+    if path.suffix.casefold() in SUFFIXES:
         if arguments.home:
             raise MissionError(f"{path}: --home is for a .toml; this file already contains positions")
         found = load_items(path, arguments.autopilot)

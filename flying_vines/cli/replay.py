@@ -5,15 +5,18 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import msgspec
 
 from flying_vines.cli.bad_input import bad_input
 from flying_vines.cli.common import add_cause_option, fail, file_errors, read_mission, rig_file_prior
 from flying_vines.config import config as configuration
 
 if TYPE_CHECKING:
+    from flying_vines.config.config import Config
     from flying_vines.core.events import Action
 
 DIFFERENT = 1
@@ -38,6 +41,12 @@ def add(commands: Any) -> None:
         "--parameters", type=Path, metavar="FILE.toml", help="the parameters that a pilot had set"
     )
     replay.add_argument(
+        "--system",
+        type=int,
+        metavar="N",
+        help="the vehicle, by its system id (default: the configuration's, or the only one)",
+    )
+    replay.add_argument(
         "--pace", type=float, default=0.0, metavar="N", help="1: as recorded; 0: as fast as possible (0)"
     )
     add_cause_option(replay)
@@ -55,8 +64,8 @@ def _replay(arguments: argparse.Namespace) -> int:
 
     recording: Path = arguments.recording
     if recording.is_dir() or is_flight(recording):
-        if arguments.mission or arguments.parameters or arguments.pace:
-            fail("--mission, --parameters and --pace are for a .tlog; a flight log needs none of them")
+        if arguments.mission or arguments.parameters or arguments.pace or arguments.system is not None:
+            fail("--mission, --parameters, --system and --pace are for a .tlog, not for a flight log")
         return _replay_flight(recording, arguments.config, arguments.json)
     config = configuration.load_or_default(arguments.config)
     known = rig_file_prior(config, arguments.config)
@@ -67,10 +76,15 @@ def _replay(arguments: argparse.Namespace) -> int:
     if arguments.parameters:
         with file_errors(arguments.parameters, ParameterFileError):
             parameters = read_parameters(arguments.parameters, config)
+    said: list[str] = []
     try:
         reader = TlogReader(recording)
+        frames = list(reader.frames())
+        config = _for_vehicle(config, arguments.system, frames, recording, said.append)
         prior = known.prior if known else None
-        actions = replay(reader.frames(), config, mission, arguments.pace, prior=prior, parameters=parameters)
+        actions = replay(
+            *(frames, config, mission, arguments.pace), prior=prior, parameters=parameters, say=said.append
+        )
         show = _action_printer(live=arguments.pace > 0.0 and not arguments.json)
         decisions: list[Decision] = []
         for action in actions:
@@ -88,11 +102,39 @@ def _replay(arguments: argparse.Namespace) -> int:
 
         Console(markup=False).print(decision_table(decisions))
     if reader.skipped_bytes:
-        print(
-            f"flying-vines: {recording}: {reader.skipped_bytes} bytes are not part of a MAVLink frame",
-            file=sys.stderr,
-        )
+        said.append(f"{reader.skipped_bytes} bytes are not part of a MAVLink frame")
+    for sentence in said:
+        print(f"flying-vines: {recording}: {sentence}", file=sys.stderr)
     return 0
+
+
+def _for_vehicle(
+    config: Config,
+    system: int | None,
+    frames: Sequence[tuple[float, bytes]],
+    recording: Path,
+    say: Callable[[str], None],
+) -> Config:
+    """The configuration for one of the recorded vehicles; fails if there is none or a choice is needed."""
+    from flying_vines.simulation.replay import autopilots_in
+    from flying_vines.vehicle.state import CHOOSING_S
+
+    found = autopilots_in(frames)
+    first, *others = found or [0]
+    ids = ", ".join(map(str, found))
+    wanted = config.vehicle.system_id if system is None else system
+    if not found:
+        fail(f"{recording}: has no HEARTBEAT of an autopilot, so there is nothing to replay")
+    if wanted and wanted not in found:
+        named = f"--system is {system}" if system is not None else f"vehicle.system_id is {wanted}"
+        fail(f"{recording}: {named}, but the recording has autopilot {ids}: give --system {first}")
+    # As the service does, it keeps the first autopilot if others come later.
+    if not wanted and any(abs(found[other] - found[first]) <= CHOOSING_S for other in others):
+        fail(f"{recording}: has several autopilots, {ids}: choose one, for example --system {first}")
+    if others:
+        say(f"has several autopilots, {ids}; this is {wanted or first}; --system N shows another one")
+    replace = msgspec.structs.replace
+    return replace(config, vehicle=replace(config.vehicle, system_id=wanted))
 
 
 def _replay_flight(recording: Path, config: Path | None, as_json: bool) -> int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import stat
 from pathlib import Path
 from typing import BinaryIO
@@ -21,6 +22,10 @@ RECORDING_BYTES = 256 * MB
 """A recorded stream: a ground station's link at 57,600 baud takes ten hours for it."""
 
 
+_UTF_16 = re.compile(rb"\xff\xfe[\t-~]\0|\xfe\xff\0[\t-~]")
+"""Some editors of Windows write this: a byte order mark and an ASCII character."""
+
+
 def opened(path: Path) -> BinaryIO:
     """The file, open for reading. Raises `OSError`, with one line in `strerror`, if it is no regular file."""
     # Without O_NONBLOCK, a FIFO blocks here until somebody writes to it.
@@ -32,6 +37,21 @@ def opened(path: Path) -> BinaryIO:
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     raise OSError(errno.EINVAL, "it is a pipe or a device, not a file", str(path))
+
+
+def decoded(data: bytes) -> str:
+    """The text that a person wrote with any editor: without byte order mark, and with plain line ends.
+
+    Raises `UnicodeDecodeError`.
+    """
+    encoding = "utf-16" if _UTF_16.match(data) else "utf-8-sig"
+    return data.decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
+
+
+def first_line(text: str) -> str:
+    """The first line of a file that holds one text; without comments, which begin with "#", and spaces."""
+    lines = (line.strip() for line in text.splitlines())
+    return next((line for line in lines if line and not line.startswith("#")), "")
 
 
 def read_bytes(path: Path, most_bytes: int = TEXT_BYTES) -> bytes:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import codecs
 import difflib
 import math
 import re
@@ -14,7 +13,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 import msgspec
 
-from flying_vines.files.bounded import TEXT_BYTES, read_bytes
+from flying_vines.files.bounded import TEXT_BYTES, decoded, read_bytes
 
 Key = tuple[str | int, ...]
 """The path to a value: names of tables and keys, and array indexes."""
@@ -38,10 +37,7 @@ def read_text(
     content = b""
     try:
         content = read_bytes(path, most_bytes)
-        # Notepad's "Unicode" is UTF-16.
-        wide = len(content) > 2 and content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-        text = content.decode("utf-16" if wide else "utf-8-sig")
-        return text.replace("\r\n", "\n").replace("\r", "\n")
+        return decoded(content)
     except UnicodeDecodeError as problem:
         reason = "cannot be read: it is not a UTF-8 text file"
         if b"\0" not in content:

@@ -14,7 +14,7 @@ from ipaddress import ip_address
 from pathlib import Path
 
 from flying_vines.config.config import PageConfig
-from flying_vines.files.bounded import read_bytes
+from flying_vines.files.bounded import decoded, first_line, read_bytes
 
 RANDOM_BYTES = 10
 """Too long to guess over a network, short enough to type on a phone."""
@@ -47,14 +47,16 @@ def read(path: Path) -> str:
     try:
         if path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
             raise PageTokenError(f"{path}: others may read or change the page's token: chmod 600 {path}")
-        token, *_ = read_bytes(path).decode("utf-8", errors="replace").splitlines() or [""]
+        token = first_line(decoded(read_bytes(path)))
+    except UnicodeDecodeError:
+        token = ""
     except OSError as error:
         raise PageTokenError(f"{path}: the page's token cannot be read: {error.strerror}") from None
     if not _FORM.fullmatch(_plain(token)):
         raise PageTokenError(
             f"{path}: contains no valid page token: delete the file; the service then creates a new one"
         )
-    return token.strip()
+    return token
 
 
 def address(page: PageConfig, token: str = "") -> str:

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import msgspec
 
-from flying_vines.record.flight_metadata import FlightMetadata
-from flying_vines.record.folders import ABOUT, CONFIGURATION, MCAP, RIG, TLOG
+from flying_vines.record.flight_metadata import ABOUT, FlightMetadata
+from flying_vines.record.folders import CONFIGURATION, MCAP, RIG, TLOG
 from flying_vines.record.reader import FlightLog
 
 PARTS = (MCAP, TLOG, CONFIGURATION, RIG, ABOUT)
@@ -39,9 +39,9 @@ def _this_machine(folder: Path) -> str:
     """The machine that made the bundle. The flight may have been recorded on another."""
     disk = shutil.disk_usage(folder)
     facts = {
-        **msgspec.to_builtins(FlightMetadata.of_this_machine(time.time(), "")),
+        **msgspec.to_builtins(FlightMetadata.of_this_machine(0, time.time(), "")),
         "disk_free_MB": round(disk.free / 1e6),
         "disk_total_MB": round(disk.total / 1e6),
     }
-    del facts["continues"], facts["firmware"]
+    del facts["number"], facts["continues"], facts["firmware"]
     return msgspec.json.format(msgspec.json.encode(facts), indent=2).decode() + "\n"

@@ -27,7 +27,7 @@ from firmware_link import protocol
 from flying_vines.config import on_disk
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.core.events import StoredState
-from flying_vines.record.flight_metadata import FlightMetadata, version_of
+from flying_vines.record.flight_metadata import ABOUT, FlightMetadata, number_of, version_of
 from flying_vines.record.mcap_file import McapFile
 from flying_vines.record.topics import (
     MAVLINK_IN,
@@ -43,7 +43,7 @@ from flying_vines.supply import nominal_rig
 from flying_vines.vehicle.mavlink.tlog import TlogWriter
 
 MCAP, TLOG = "flight.mcap", "flight.tlog"
-CONFIGURATION, RIG, ABOUT = "profile.toml", "rig.toml", "about.json"
+CONFIGURATION, RIG = "profile.toml", "rig.toml"
 SYNC_S = 0.5
 CHECK_DISK_S = 1.0
 TRY_AGAIN_S = 2.0
@@ -91,6 +91,7 @@ class Folders:
         self.continued_in = ""
         """The folder in which the log continued after the last problem."""
         self._try_again_at = 0.0
+        self._number = max(map(number_of, parent.iterdir()), default=0) if parent.is_dir() else 0
         self.folder = self._make_folder()
         self._files: Files | None = self._begin(t, "")
 
@@ -184,7 +185,8 @@ class Folders:
             raise
 
     def _begin(self, t: float, continues: str) -> Files:
-        files = Files(self.folder, self._zero_unix_ns, self._began, t, continues)
+        self._number += 1
+        files = Files(self.folder, self._number, self._zero_unix_ns, self._began, t, continues)
         if self._firmware is not None:
             files.add_firmware(self._firmware)
         return files
@@ -208,11 +210,13 @@ class Folders:
 
 
 class Files:
-    def __init__(self, folder: Path, zero_unix_ns: int, began: FlightStart, t: float, continues: str) -> None:
+    def __init__(
+        self, folder: Path, number: int, zero_unix_ns: int, began: FlightStart, t: float, continues: str
+    ) -> None:
         self.latest = t
         self._folder = folder
         self._zero_unix_ns = zero_unix_ns
-        self._metadata = FlightMetadata.of_this_machine(self._unix_ns(t) / 1e9, continues)
+        self._metadata = FlightMetadata.of_this_machine(number, self._unix_ns(t) / 1e9, continues)
         self._opened = contextlib.ExitStack()
         self._file = self._opened.enter_context((folder / MCAP).open("wb"))
         try:

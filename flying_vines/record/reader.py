@@ -14,6 +14,7 @@ from mcap.records import Channel, Message
 
 from flying_vines.files.bounded import opened
 from flying_vines.files.toml_text import one_line
+from flying_vines.record.flight_metadata import number_of
 from flying_vines.record.folders import MCAP
 from flying_vines.record.mcap_file import MAGIC, TooLargeError, read_chunks, read_summary
 
@@ -60,12 +61,13 @@ def flights_in(parent: Path) -> list[Path]:
     """The folders of flights, oldest first."""
     if not parent.is_dir():
         return []
-    return sorted(folder for folder in parent.iterdir() if (folder / MCAP).is_file())
+    flights = (folder for folder in parent.iterdir() if (folder / MCAP).is_file())
+    return sorted(flights, key=lambda folder: (number_of(folder), folder.name))
 
 
 def is_flight(path: Path) -> bool:
     """True if the path is a flight log, the folder of one, or `last` in a folder of flights."""
-    return path.suffix == Path(MCAP).suffix or (path / MCAP).is_file() or _is_last(path)
+    return path.suffix.casefold() == Path(MCAP).suffix or (path / MCAP).is_file() or _is_last(path)
 
 
 def _is_last(path: Path) -> bool:
@@ -83,7 +85,7 @@ class FlightLog:
             flights = flights_in(path.parent)
             if not flights:
                 raise LogError(f"{path.parent}: contains no flight")
-            path = max(flights, key=lambda folder: (folder / MCAP).stat().st_mtime)
+            path = flights[-1]
         self.path = path / MCAP if path.is_dir() else path
         self.lost = 0
         """The number of missing messages."""

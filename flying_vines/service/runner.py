@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import gc
-import signal
 import sys
 from dataclasses import dataclass
 
@@ -18,7 +17,7 @@ from flying_vines.core.watcher import EachAction
 from flying_vines.gateway.gateway import Gateway
 from flying_vines.record.recorder import Recorder
 from flying_vines.service.persistent_state import PersistentState
-from flying_vines.service.service import Service
+from flying_vines.service.service import Service, on_stop_signals
 from flying_vines.service.systemd import service_manager
 from flying_vines.supply import RigPrior
 from flying_vines.terminal.screen import LiveView, can_redraw, plain_printer
@@ -77,8 +76,7 @@ async def serve(
     gc.freeze()
     gc.enable()
     sys.setswitchinterval(SWITCH_S)
-    for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(name, service.stop)
+    on_stop_signals(service.stop)
     if page:
         view.say(Text(page))
     serving = asyncio.create_task(service.run())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 import time
 import traceback
 from collections.abc import Awaitable, Callable, Iterator, Sequence
@@ -393,6 +394,13 @@ class Service:
                 self._store("latched faults", partial(self._persistent.store_latched, faults))
             case KeepBoardSettings(_, digest) if self._persistent is not None:
                 self._store("board settings", partial(self._persistent.store_board_settings, digest))
+
+
+def on_stop_signals(stop: Callable[[], None]) -> None:
+    """Call `stop` after Ctrl-C, SIGTERM, or the end of the terminal; not after the latter under `nohup`."""
+    for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if name != signal.SIGHUP or signal.getsignal(name) != signal.SIG_IGN:
+            asyncio.get_running_loop().add_signal_handler(name, stop)
 
 
 def line_to(config: FirmwareConfig) -> Line:

@@ -39,7 +39,9 @@ from flying_vines.record.topics import (
 from flying_vines.simulation.simulated_world import SimulatedWorld
 from flying_vines.supply import RigPrior
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
+from flying_vines.vehicle.mavlink.recorded_time import recorded_times
 from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.state import is_autopilot
 
 GAP_S = 0.5
 """Maximum time from the last event of a log to the start of the next log. After a longer time, some input is
@@ -54,16 +56,17 @@ def replay(
     sleep: Callable[[float], None] = time.sleep,
     prior: RigPrior | None = None,
     parameters: Mapping[str, float] | None = None,
+    say: Callable[[str], None] = lambda sentence: None,
 ) -> Iterator[Action]:
     """All actions of the core for a recording. `frames`: (unix time in s, frame) in order.
 
     Times of actions count from the first frame. `pace`: 1 is the recorded speed, 2 twice as fast, 0 as fast
-    as possible. A frame with an earlier time than its predecessor gets the predecessor's time. If the core
-    requests a mission item, it gets the latest item with this number so far.
+    as possible. Where the recorded times are impossible, the vehicle's clock counts; `say` gets a sentence
+    about that. If the core requests a mission item, it gets the latest item with this number so far.
     """
+    recorded = list(frames)
     world = SimulatedWorld(config, mission=mission, prior=prior, stored=StoredState(dict(parameters or {})))
     codec = MavlinkCodec(config.vehicle.system_id, config.vehicle.component_id)
-    began: float | None = None
     started = time.monotonic()
     items: dict[int, MavlinkMessage] = {}
 
@@ -74,9 +77,7 @@ def replay(
             if wanted is not None and wanted.get_type() == "MISSION_REQUEST_INT" and wanted.seq in items:
                 yield from live(world.feed(VehicleMessage(world.now, items[wanted.seq])))
 
-    for unix_s, frame in frames:
-        began = unix_s if began is None else began
-        t = max(world.now, unix_s - began)
+    for t, (_, frame) in zip(recorded_times(recorded, say), recorded, strict=True):
         if pace > 0.0:
             ahead_s = t / pace - (time.monotonic() - started)
             if ahead_s > 0.0:
@@ -89,6 +90,17 @@ def replay(
             if message.get_type() in ("MISSION_ITEM_INT", "MISSION_ITEM") and message.mission_type == 0:
                 items[message.seq] = message
             yield from live(world.feed(VehicleMessage(t, message)))
+
+
+def autopilots_in(frames: Iterable[tuple[float, bytes]]) -> dict[int, float]:
+    """The system ids of the autopilots in a recording, each with the time of its first HEARTBEAT."""
+    codec = MavlinkCodec(0, 0, read=(mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
+    found: dict[int, float] = {}
+    for t, frame in frames:
+        for message in codec.decode(frame, t):
+            if message.get_type() == "HEARTBEAT" and is_autopilot(message):
+                found.setdefault(message.get_srcSystem(), t)
+    return found
 
 
 @dataclass

@@ -190,7 +190,7 @@ class VehicleState:
         kind = message.get_type()
         events: list[VehicleEvent] = []
         if kind == "HEARTBEAT":
-            if not _is_autopilot(message):
+            if not is_autopilot(message):
                 return events
             events.extend(self._choose(t, message))
         if not self.is_ours(message):
@@ -247,7 +247,7 @@ class VehicleState:
         return [OtherHeard(expected, heard)]
 
 
-def _is_autopilot(message: MavlinkMessage) -> bool:
+def is_autopilot(message: MavlinkMessage) -> bool:
     return (
         message.autopilot != mavlink.MAV_AUTOPILOT_INVALID
         and message.type not in NO_VEHICLE

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import functools
+import json
 import math
 import re
-from collections.abc import Sequence
+import struct
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
+from command_line import run
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config
 from flying_vines.core.events import Action, Decision, ToFirmware, ToVehicle
 from flying_vines.simulation.replay import as_json, replay
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
+from flying_vines.vehicle.mavlink.recorded_time import recorded_times
 from flying_vines.vehicle.mavlink.tlog import TlogReader
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.mission_cache import item_of
@@ -23,6 +28,7 @@ from flying_vines.vehicle.notice import Notice
 from missions.waypoints import read_waypoints
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
+FRAMES = sorted(path.stem for path in RECORDINGS.glob("*.tlog"))
 SETTLING_S = 0.45
 """RC_CHANNELS at 10 Hz: up to 0.1 s of delay, the debounce time, and two more samples."""
 
@@ -241,10 +247,112 @@ def test_pace_waits_for_the_recorded_time() -> None:
     assert slept[-1] == pytest.approx(4.0, abs=1.0)
 
 
-def test_time_that_runs_backwards_does_not_stop_the_replay() -> None:
-    frames = list(TlogReader(RECORDINGS / "rc_switch.tlog").frames())[:400]
-    shuffled = [*frames[:200], (frames[0][0] - 50.0, frames[200][1]), *frames[201:]]
-    assert list(replay(shuffled, config.default()))
+REAL = list(TlogReader(RECORDINGS / "rc_switch.tlog").frames())
+BEGAN_S, STEPS_AT_S = REAL[0][0], REAL[0][0] + 22.5
+HOUR_S = 3600.0
+
+
+def stepped(step_s: float) -> Callable[[int, float], float]:
+    return lambda index, unix_s: unix_s + (step_s if unix_s > STEPS_AT_S else 0.0)
+
+
+WRONG_CLOCKS: dict[str, tuple[Callable[[int, float], float], str]] = {
+    "right": (lambda index, unix_s: unix_s, ""),
+    "an hour forward": (stepped(HOUR_S), "steps by +3,600 s at 22.4 s"),
+    "an hour back": (stepped(-HOUR_S), "steps by -3,600 s at 22.4 s"),
+    "three seconds forward": (stepped(3.0), "steps by +3.0 s at 22.4 s"),
+    "two seconds back": (stepped(-2.0), "steps by -2.0 s at 22.4 s"),
+    "a leap of three days": (stepped(72 * HOUR_S), "steps by +259,200 s"),
+    "1970": (lambda index, unix_s: unix_s - BEGAN_S + 12.0, ""),
+    "1970 until the network tells the time": (
+        lambda index, unix_s: unix_s - BEGAN_S + 12.0 if unix_s < STEPS_AT_S else unix_s,
+        "steps by +1,795,211,465 s",
+    ),
+    "no clock": (lambda index, unix_s: 0.0, "stands still for"),
+    "no clock until the network tells the time": (
+        lambda index, unix_s: 0.0 if unix_s < STEPS_AT_S else unix_s,
+        "stands still for",
+    ),
+    "one record far ahead": (
+        lambda index, unix_s: unix_s + 999.0 * (index % 1000 == 557),
+        "steps by +999 s",
+    ),
+    "one record far behind": (lambda index, unix_s: unix_s - 50.0 * (index == 200), "steps by -50 s"),
+    "often": (lambda index, unix_s: unix_s + HOUR_S * (index // 100 % 3), "times more"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG_CLOCKS)
+def test_the_vehicles_clock_counts_where_the_recorded_times_are_impossible(name: str) -> None:
+    times, says = WRONG_CLOCKS[name]
+    said: list[str] = []
+    found = recorded_times([(times(i, unix_s), frame) for i, (unix_s, frame) in enumerate(REAL)], said.append)
+    assert found == sorted(found)
+    for t, (unix_s, _) in zip(found, REAL, strict=True):
+        assert t == pytest.approx(unix_s - BEGAN_S, abs=0.3)
+    assert says in " ".join(said)
+    assert bool(says) == bool(said)
+
+
+@pytest.mark.parametrize("name", FRAMES)
+def test_stalls_reboots_and_losses_of_real_links_are_no_steps(name: str) -> None:
+    frames = list(TlogReader(RECORDINGS / f"{name}.tlog").frames())
+    assert recorded_times(frames, pytest.fail) == [unix_s - frames[0][0] for unix_s, _ in frames]
+
+
+def test_a_gap_of_days_between_two_flights_is_left_out() -> None:
+    later = [(unix_s + 48 * HOUR_S, frame) for unix_s, frame in REAL]
+    said: list[str] = []
+    found = recorded_times([*REAL, *later], said.append)
+    assert found[-1] == pytest.approx(2 * (REAL[-1][0] - BEGAN_S) + 60.0, abs=1.0)
+    assert len(said) == 1
+    assert said[0].startswith("nothing is recorded for 48.0 h after 88.3 s")
+
+
+def test_a_clock_that_steps_costs_no_move_of_the_switch(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    times, _ = WRONG_CLOCKS["an hour back"]
+    path = write_tlog(tmp_path / "x.TLOG", [(times(0, unix_s), frame) for unix_s, frame in REAL[:1200]])
+    status, out, err = run(capsys, "replay", path, "--json")
+    assert status == 0
+    found = [(d["what"]["position"], d["t"]) for d in json.loads(out)]
+    right = [(d.what["position"], d.t) for d in decisions(replayed("rc_switch"), "switch")]
+    assert found == [(position, pytest.approx(t, abs=0.1)) for position, t in right[: len(found)]]
+    assert len(found) >= 6
+    assert err.count("\n") == 1
+    assert "the file's clock steps by -3,600 s at 22.4 s" in err
+
+
+def write_tlog(path: Path, records: Sequence[tuple[float, bytes]]) -> Path:
+    path.write_bytes(b"".join(struct.pack(">Q", round(unix_s * 1e6)) + frame for unix_s, frame in records))
+    return path
+
+
+def of_system(frame: bytes, system: int) -> bytes:
+    """The frame as if another vehicle had sent it."""
+    message = MavlinkCodec(0, 0).decode(frame)[0]
+    sender = mavlink.MAVLink(None, srcSystem=system, srcComponent=message.get_srcComponent())
+    sender.seq = message.get_seq()
+    return bytes(message.pack(sender))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "says"),
+    [
+        ((), 2, "has several autopilots, 1, 7: choose one, for example --system 1"),
+        (("--system", "1"), 0, "this is 1; --system N shows another one"),
+        (("--system", "3"), 2, "--system is 3, but the recording has autopilot 1, 7: give --system 1"),
+    ],
+)
+def test_two_vehicles_in_one_recording_are_named(
+    arguments: tuple[str, ...], status: int, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    both = [(t, frame) for t, own in REAL[:500] for frame in (own, of_system(own, 7))]
+    path = write_tlog(tmp_path / "two.tlog", both)
+    found, _, err = run(capsys, "replay", path, *arguments)
+    assert (found, err.count("\n")) == (status, 1)
+    assert says in err
 
 
 def test_the_json_of_a_decision() -> None:

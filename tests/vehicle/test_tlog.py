@@ -144,11 +144,24 @@ def test_any_file_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, d
     assert sum(8 + len(frame) for _, frame in found) + skipped == len(data)
 
 
-@pytest.mark.parametrize("data", [b"", b"\0" * 500, b"QGC WPL 110\n0\t1\t0\t16\n" * 30, raw(records(1))[:-1]])
-def test_a_file_without_a_frame_is_no_recording(tmp_path: Path, data: bytes) -> None:
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (b"", "it is empty"),
+        (b"\0" * 500, "it is all zeros"),
+        (b"QGC WPL 110\n0\t1\t0\t16\n" * 30, "it is a mission"),
+        (raw(records(1))[:-1], "is it a .tlog?"),
+        (b"".join(frame for _, frame in records(40)), "it is a raw stream"),
+        (b"".join(frame for _, frame in records(40))[5:], "it is a raw stream"),
+        (b"\xa3\x95\x80\x80\x59FMT\0BBnNZ" + bytes(range(256)) * 40, "an ArduPilot DataFlash log"),
+        (b"ULog\x01\x12\x35\x01" + bytes(range(256)) * 40, "a PX4 log"),
+    ],
+)
+def test_a_file_without_a_frame_is_no_recording(data: bytes, says: str, tmp_path: Path) -> None:
     path = tmp_path / "flight.tlog"
     with pytest.raises(TlogError, match=r"flight\.tlog: no MAVLink frame in the file") as caught:
         read(path, data)
+    assert says in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

@@ -8,18 +8,20 @@ from pathlib import Path
 
 from flying_vines.config.address import BrokerAddress
 from flying_vines.config.config import MqttConfig
-from flying_vines.files.bounded import read_bytes
+from flying_vines.files.bounded import decoded, first_line, read_bytes
 from flying_vines.gateway.mqtt.problems import FileError
 
 
 def password(mqtt: MqttConfig) -> str | None:
-    """The first line of the password file. Raises `FileError`; may block on a slow disk."""
+    """The first line of the file that is no comment. Raises `FileError`; may block on a slow disk."""
     if not mqtt.password_file:
         return None
-    lines = _read_private(mqtt.password_file, "the password").splitlines()
-    if not lines or not lines[0]:
+    text = _read_private(mqtt.password_file, "the password")
+    # A password may itself begin with "#".
+    found = first_line(text) or text.strip().partition("\n")[0].strip()
+    if not found:
         raise FileError(f"{mqtt.password_file}: no password in its first line")
-    return lines[0]
+    return found
 
 
 def tls(mqtt: MqttConfig, broker: BrokerAddress) -> ssl.SSLContext | None:
@@ -47,7 +49,7 @@ def _read_private(file: str, what: str) -> str:
         mode = path.stat().st_mode
         if stat.S_ISREG(mode) and mode & 0o077:
             raise FileError(f"{path}: others may read or change {what}: chmod 600 {path}")
-        return read_bytes(path).decode("utf-8")
+        return decoded(read_bytes(path))
     except OSError as error:
         raise FileError(f"{path}: {what} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:

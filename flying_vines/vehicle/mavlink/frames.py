@@ -83,7 +83,7 @@ class Frames:
                 break
             stop = at + len(frame.raw)
             if frame.known:
-                good = _fits(frame)
+                good = fits(frame)
             elif stop == end:
                 break  # wait for the next byte: the result must not depend on how the stream is split
             else:
@@ -161,6 +161,7 @@ def frame_at(data: bytes, at: int) -> Frame | None:
     )
 
 
-def _fits(frame: Frame) -> bool:
+def fits(frame: Frame) -> bool:
+    """True if the checksum of a `known` frame is right."""
     covered = frame.raw[1 : -_TAIL_SIZE if frame.flags else -_CHECKSUM_SIZE]
     return _checksum(covered + _CRC_EXTRA[frame.message_id]) == frame.checksum

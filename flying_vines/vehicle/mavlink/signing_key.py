@@ -9,7 +9,7 @@ import threading
 from pathlib import Path
 
 from flying_vines.config import on_disk
-from flying_vines.files.bounded import read_bytes
+from flying_vines.files.bounded import decoded, first_line, read_bytes
 from flying_vines.vehicle.mavlink.signing import KEY_SIZE, UNITS_PER_S, SigningMemory
 
 MIN_PASSPHRASE_LENGTH = 8
@@ -37,7 +37,10 @@ def read_key(path: Path) -> bytes:
     A passphrase becomes a key by SHA-256, as in Mission Planner and MAVProxy. QGroundControl differs.
     """
     content = _read_private(path)
-    text = content.strip()
+    try:
+        text = first_line(decoded(content)).encode()
+    except UnicodeDecodeError:
+        text = b""
     if text.startswith(_PASSPHRASE):
         passphrase = text.removeprefix(_PASSPHRASE).strip()
         if len(passphrase) < MIN_PASSPHRASE_LENGTH:
@@ -45,7 +48,7 @@ def read_key(path: Path) -> bytes:
         return hashlib.sha256(passphrase).digest()
     if _HEX.fullmatch(text) and len(text) == 2 * KEY_SIZE:
         key = bytes.fromhex(text.decode("ascii"))
-    elif len(content) == KEY_SIZE and not (content.isascii() and text.decode("ascii").isprintable()):
+    elif len(content) == KEY_SIZE and not (content.isascii() and content.strip().decode().isprintable()):
         key = content
     else:
         raise SigningKeyError(f"{path}: no signing key in the file: write {_FORMS}")
