@@ -518,7 +518,7 @@ class Core:
             self._notice(t, Severity.NOTICE, f"cleared: {'; '.join(cleared.values())}")
         return had_faults
 
-    def _record(self, t: float, trigger: Trigger, ruling: Ruling) -> Decision:
+    def _record(self, t: float, trigger: Trigger, ruling: Ruling, shown: bool = True) -> Decision:
         motion = self._motion
         # A request without effect must not invalidate a switch move that still waits for its confirmation.
         is_newer = ruling.verdict != "refused" and ruling.has_effect
@@ -536,7 +536,7 @@ class Core:
             safety=ruling.verdict,
             reason=ruling.reason,
             setpoint_kPa=round(motion.aim_kPa, 3) if motion else 0.0,
-            shown=not (changes_nothing and line.source) or self._request_lines.take(line),
+            shown=shown and (not (changes_nothing and line.source) or self._request_lines.take(line)),
         )
         self._actions.append(decision)
         if is_newer and trigger.kind not in _BY_PILOT_OR_SAFETY:
@@ -757,7 +757,7 @@ class Core:
         is_restart = change.name == "serial" and self._restart_noted  # the restart has a text of its own
         line = None if is_restart else self._loss_line(t, change, response)
         shown = not is_restart and (line is None or self._notice_conditions.take(line, at_once=moved))
-        relevant = moved or (self._vehicle.state.armed and shown)
+        decides = moved or self._vehicle.state.armed
         self._vehicle.pilot.drop_waiting()
         if hold:
             self._freeze(t)
@@ -766,12 +766,12 @@ class Core:
             self._stop_moving(t)
         if change.name == "autopilot" and not self._vehicle.state.heartbeat_missing:
             self._vehicle.forget_radio()
-        if relevant:
+        if decides:
             trigger = Trigger(t, "failsafe", {"loss": change.name}, Hold() if hold else VentVine())
-            self._record(t, trigger, Ruling("accepted", change.reason))
+            self._record(t, trigger, Ruling("accepted", change.reason, has_effect=moved), shown)
         if line is not None:
             severity = line.severity if shown else Severity.DEBUG
-            self._show(replace(line, severity=severity, of_decision=relevant))
+            self._show(replace(line, severity=severity, of_decision=decides and shown))
 
     def _loss_line(self, t: float, change: ResponseNeeded, response: str) -> Notice | None:
         """The text about a loss or fault; None if the text about the dead link stands for it."""

@@ -1,7 +1,7 @@
 """What comes and goes: links that flap, a board that restarts again and again, a computer that is too busy.
 
 The first loss and its end are texts at once. A condition that changes again before it has been stable for
-`SERIES_ENDS_AFTER_S` is unstable: then one text with the number of losses stands for all of them.
+`STABLE_AFTER_S` is unstable: then one text with the number of losses stands for all of them.
 """
 
 from __future__ import annotations
@@ -11,10 +11,12 @@ from dataclasses import dataclass, replace
 
 from flying_vines.vehicle.notice import Notice
 
-SERIES_ENDS_AFTER_S = 10.0
+STABLE_AFTER_S = 5.0
+RESTARTS_END_AFTER_S = 10.0
+"""A board that has restarted again is not cleared before it has run for this time."""
 LOST_FOR_S = 1.0
 """While a condition is unstable, a loss is told when it has lasted for this time."""
-BACK_FOR_S = 5.0
+BACK_FOR_S = 3.0
 """While a condition is unstable, its end is told when it has lasted for this time."""
 COUNT_EVERY_S = 10.0
 LONGEST_COUNT_EVERY_S = 60.0
@@ -32,9 +34,10 @@ LATE_FOR_S = 2.0
 class _Condition:
     began_at: float
     latest: Notice
-    told: Notice | None
+    told: Notice
     """The latest notice that was shown."""
     told_at: float
+    told_losses: int = 1
     count_every_s: float = COUNT_EVERY_S
     losses: int = 1
 
@@ -65,6 +68,7 @@ class Conditions:
         condition.latest = notice
         if at_once or (changed and condition.losses == 1):
             condition.told, condition.told_at = notice, notice.t
+            condition.told_losses = condition.losses
             return True
         return False
 
@@ -73,18 +77,18 @@ class Conditions:
         shown = []
         for key, condition in list(self._conditions.items()):
             latest = condition.latest
-            if latest is condition.told:
-                if t - latest.t >= SERIES_ENDS_AFTER_S:
+            ended_too = condition.told.ended is latest.ended
+            if ended_too and condition.losses == condition.told_losses:
+                if t - latest.t >= STABLE_AFTER_S:
                     del self._conditions[key]
                 continue
             counts = t - condition.told_at >= condition.count_every_s
             settled = bool(latest.condition) and t - latest.t >= (BACK_FOR_S if latest.ended else LOST_FOR_S)
-            same = condition.told is not None and condition.told.ended is latest.ended
-            if not counts and (not settled or same):
+            if not counts and (not settled or ended_too):
                 continue
             if counts:
                 condition.count_every_s = min(LONGEST_COUNT_EVERY_S, 2.0 * condition.count_every_s)
-            condition.told, condition.told_at = latest, t
+            condition.told, condition.told_at, condition.told_losses = latest, t, condition.losses
             shown.append(replace(latest, t=t, text=f"{latest.text} ({condition.count})", of_decision=False))
         return shown
 
@@ -98,7 +102,7 @@ class Conditions:
 
 
 class Restarts:
-    """A series of board restarts: each comes within `SERIES_ENDS_AFTER_S` of the one before."""
+    """A series of board restarts: each comes within `RESTARTS_END_AFTER_S` of the one before."""
 
     def __init__(self, board: str) -> None:
         self._board = board
@@ -106,14 +110,14 @@ class Restarts:
         self._first_at = self._last_at = -math.inf
 
     def note(self, t: float) -> None:
-        if t - self._last_at >= SERIES_ENDS_AFTER_S:
+        if t - self._last_at >= RESTARTS_END_AFTER_S:
             self._count, self._first_at = 0, t
         self._count += 1
         self._last_at = t
 
     def looping(self, t: float) -> str:
         """The text "… restarted N times in M s"; empty if there is no series, or only one restart."""
-        if self._count < 2 or t - self._last_at >= SERIES_ENDS_AFTER_S:
+        if self._count < 2 or t - self._last_at >= RESTARTS_END_AFTER_S:
             return ""
         lasts_s = max(1, round(self._last_at - self._first_at))
         return f"{self._board} restarted {self._count} times in {lasts_s} s"

@@ -21,6 +21,7 @@ from service_bench import between
 from waiting import MAX_WAIT_S
 
 from flying_vines.config import config as configuration
+from flying_vines.files.extras import install_command
 from flying_vines.record.reader import FlightLog
 from flying_vines.record.restore import start_of
 from flying_vines.record.topics import DECISION, TELEMETRY
@@ -166,7 +167,7 @@ def test_with_numpy_alone_it_measures_and_reports_what_is_missing(tmp_path: Path
 def test_without_numpy_it_is_one_line(tmp_path: Path) -> None:
     ended = without(tmp_path, "numpy", "numba")
     assert ended.returncode == 2
-    assert ended.stderr == "flying-vines: numpy is missing: pip install 'flying-vines[analysis]'\n"
+    assert ended.stderr == f"flying-vines: numpy is missing: {install_command('analysis')}\n"
 
 
 # On a terminal, in real time.

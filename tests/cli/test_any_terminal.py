@@ -47,4 +47,5 @@ def test_ctrl_c_is_status_130(name: str, after_s: float) -> None:
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=20)
     assert process.returncode in (130, -signal.SIGINT)
-    assert "Traceback" not in err.replace("site.py", "") or "flying_vines" not in err
+    # Before the first line of ours, Python itself shows a traceback.
+    assert "Traceback" not in err or "flying_vines" not in err

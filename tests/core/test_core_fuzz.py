@@ -94,7 +94,7 @@ def test_while_the_vehicle_is_disarmed_no_message_moves_anything() -> None:
 
 def test_every_movement_stays_within_the_limits() -> None:
     frames, world, codec = RandomFrames(22), SimulatedWorld(serving_vehicle_1()), MavlinkCodec(0, 191)
-    autopilot = MavlinkCodec(1, 1)
+    autopilot, station = MavlinkCodec(1, 1), MavlinkCodec(*STATION)
     limits = config.default().limits
     moved = 0
     for i in range(MESSAGES // 2):
@@ -106,6 +106,10 @@ def test_every_movement_stays_within_the_limits() -> None:
             data += autopilot.encode(mavlink.MAVLink_heartbeat_message(2, 3, 217, 4, 4, 3), 1)
             place = mavlink.MAVLink_global_position_int_message(round(t * 1000), 0, 0, 0, 10_000, 0, 0, 0, 0)
             data += autopilot.encode(place, 1)
+            # A random command may have disarmed the pneumatics.
+            data += station.encode(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), 255)
+            arm = mavlink.MAVLink_command_long_message(1, 191, mavlink.MAV_CMD_USER_4, 0, 3, 0, 0, 0, 0, 0, 0)
+            data += station.encode(arm, 255)
         for message in codec.decode(data):
             actions.extend(world.feed(VehicleMessage(t, message)))
         for setpoint in setpoints(actions):

@@ -165,7 +165,7 @@ def test_bad_input_is_one_line(
     no_cv = tmp_path / "no_cv.toml"
     no_cv.write_text("")
     for arguments, says in (
-        ((rig, bad), f"{bad}: runs[0].cycles: must be a whole number of at least 1"),
+        ((rig, bad), f"{bad}:3: runs[0].cycles: must be a whole number from 1 to 1000, not 0"),
         ((rig, "casse"), "casse: no such file and no such example; the examples are case, discharge"),
         ((tmp_path / "none.toml", scenario), "none.toml: cannot be read"),
         ((leek, scenario), f"{leek}:2: causes.cv_leek is not a cause: the causes are none, "),

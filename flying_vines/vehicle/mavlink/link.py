@@ -279,11 +279,6 @@ class TcpLink(_NetworkLink, asyncio.Protocol):
         self._lose("the connection was closed")
 
 
-def _limit_reads(transport: Any) -> None:
-    """Give each read a smaller buffer than asyncio's 256 KiB, which the C library would map each time."""
-    transport.max_size = MAX_READ_BYTES
-
-
 async def _first_connected(places: list[Any], local_port: int) -> socket.socket:
     """A socket that is connected to the first of `places` that can be reached. Raises `OSError`."""
     failure = OSError("no address")

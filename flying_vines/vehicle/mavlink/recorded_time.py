@@ -71,6 +71,11 @@ class _RecordedTimes:
 
     def times(self, say: Callable[[str], None]) -> list[float]:
         unix_s = self._unix_s
+        for index in self._examined():
+            if index + 1 < len(unix_s) and _goes_on(unix_s[index - 1], unix_s[index + 1]):
+                # One record alone has another time.
+                self._steps.append((unix_s[index - 1] - unix_s[0], unix_s[index] - unix_s[index - 1]))
+                unix_s[index] = unix_s[index - 1]
         # The vehicle's clock goes through a time in which the computer's stands still.
         begin = 0
         for end in [*self._examined(), len(unix_s)]:
@@ -83,7 +88,7 @@ class _RecordedTimes:
         for index, (before_s, now_s) in enumerate(pairwise(unix_s), start=1):
             self._note(known, index - 1, step_s)
             passed_s = now_s - before_s
-            if not -BACKWARD_S <= passed_s <= FORWARD_S:
+            if not _goes_on(before_s, now_s):
                 error_s = self._error(known, index, step_s)
                 if error_s is None:
                     # A reboot, or no clock of a vehicle.
@@ -107,7 +112,7 @@ class _RecordedTimes:
     def _examined(self) -> list[int]:
         """The records before which the computer's time differs."""
         pairs = enumerate(pairwise(self._unix_s), start=1)
-        return [index for index, (one, two) in pairs if not -BACKWARD_S <= two - one <= FORWARD_S]
+        return [index for index, (one, two) in pairs if not _goes_on(one, two)]
 
     def _stretch(self, begin: int, end: int) -> None:
         """Use the vehicle's clock between two records if the computer's stands still."""
@@ -187,6 +192,10 @@ class _RecordedTimes:
                 f"nothing is recorded for {_readable(silence_s)} after {at_s:.1f} s: "
                 f"replayed as a silence of {KEPT_SILENCE_S:.0f} s"
             )
+
+
+def _goes_on(before_s: float, now_s: float) -> bool:
+    return -BACKWARD_S <= now_s - before_s <= FORWARD_S
 
 
 def _signed(step_s: float) -> str:
