@@ -74,6 +74,11 @@ MODULES = (
     Module("flying_vines/core/asked.py", CORE_TESTS),
     Module("flying_vines/core/request_lines.py", ("tests/core/test_request_lines.py",)),
     Module(
+        "flying_vines/core/instability.py",
+        ("tests/core/test_instability.py", "tests/core/test_known.py", "tests/core/test_core_board.py"),
+    ),
+    Module("flying_vines/vehicle/component/texts.py", ("tests/vehicle/test_component.py",), ("say", "due")),
+    Module(
         "flying_vines/supply/physics_checks/setpoint.py",
         ("tests/supply/test_physics_checks.py", "tests/core/test_board_does_not_follow.py"),
     ),

@@ -83,7 +83,7 @@ class Conditions:
                     del self._conditions[key]
                 continue
             counts = t - condition.told_at >= condition.count_every_s
-            settled = bool(latest.condition) and t - latest.t >= (BACK_FOR_S if latest.ended else LOST_FOR_S)
+            settled = t - latest.t >= (BACK_FOR_S if latest.ended else LOST_FOR_S)
             if not counts and (not settled or ended_too):
                 continue
             if counts:

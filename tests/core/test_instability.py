@@ -13,6 +13,7 @@ from flying_vines.core.instability import (
     COUNT_EVERY_S,
     LATE_FOR_S,
     LOST_FOR_S,
+    MAX_CONDITIONS,
     RESTARTS_END_AFTER_S,
     STABLE_AFTER_S,
     Conditions,
@@ -115,6 +116,19 @@ def test_a_loss_that_vents_a_bent_vine_is_always_told_at_once() -> None:
     conditions.take(back(0.1))
     assert not conditions.take(lost(0.2))
     assert conditions.take(lost(0.3), at_once=True)
+
+
+def test_the_same_end_is_told_once() -> None:
+    conditions = Conditions()
+    assert [conditions.take(notice) for notice in (lost(0.0), back(0.1), back(0.2))] == [True, True, False]
+    assert conditions.due(COUNT_EVERY_S) == []
+
+
+def test_many_texts_fill_no_memory() -> None:
+    conditions = Conditions()
+    for i in range(10 * MAX_CONDITIONS):
+        assert conditions.take(Notice(0.001 * i, Severity.WARNING, f"Vine: {i}"))
+    assert len(conditions._conditions) <= MAX_CONDITIONS
 
 
 def test_restarts_in_a_row_are_a_series() -> None:
