@@ -156,7 +156,7 @@ def test_with_numpy_alone_it_measures_and_reports_what_is_missing(tmp_path: Path
     ended = without(tmp_path, "scipy", "matplotlib", "numba", "threadpoolctl")
     assert (ended.returncode, ended.stderr) == (0, "")
     assert "No pictures: " in ended.stdout
-    assert "is missing: pip install 'flying-vines[analysis]'" in ended.stdout
+    assert f"is missing: {install_command('analysis')}" in ended.stdout
     assert "Then: flying-vines diagnose --from-log flights/" in ended.stdout
     (findings,) = tmp_path.glob("flights/*/calibration/findings.json")
     flight = findings.parent.parent

@@ -99,6 +99,7 @@ def test_the_same_text_again_and_again_is_counted() -> None:
     assert [conditions.take(notice) for notice in notices] == [True] + 49 * [False]
     (counted,) = conditions.due(COUNT_EVERY_S)
     assert counted.text == "Vine: cannot write the log (50 times in 1 s)"
+    assert conditions.unstable(COUNT_EVERY_S) == {}, "it is no link"
 
 
 def test_different_losses_do_not_hide_each_other() -> None:
@@ -116,6 +117,11 @@ def test_a_loss_that_vents_a_bent_vine_is_always_told_at_once() -> None:
     conditions.take(back(0.1))
     assert not conditions.take(lost(0.2))
     assert conditions.take(lost(0.3), at_once=True)
+
+
+def test_a_loss_of_which_a_count_has_told_is_not_told_again_before_the_next_count() -> None:
+    every = {tick: lost(tick * TICK_S) for tick in range(0, 40, 13)}
+    assert [text for _, text in shown(every, 9.0)] == ["Vine: RC lost"]
 
 
 def test_the_same_end_is_told_once() -> None:

@@ -18,6 +18,7 @@ from required_programs import needs_compiler
 
 from flying_vines.config.config import Config
 from flying_vines.core.core import Core
+from flying_vines.core.safety import SafetyInputs
 from flying_vines.simulation.autopilot import AutopilotKind, RcSource
 from flying_vines.vehicle.autopilots import OTHER
 from flying_vines.vehicle.autopilots.autopilot import Autopilot
@@ -415,10 +416,13 @@ class DoesNotRereadItems(Core):
 
 
 class ExecutesLateRequests(Core):
-    """Executes late requests."""
+    """Executes late requests, also on a late link."""
 
     def _outdated(self, t: float, trigger: Trigger, intent: Intent) -> str:
         return ""
+
+    def _conditions(self, t: float) -> SafetyInputs:
+        return super()._conditions(t)._replace(link_delay_s=0.0)
 
 
 class AcceptsTheFirstTimeStamp(Core):

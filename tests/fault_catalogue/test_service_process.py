@@ -137,6 +137,7 @@ async def test_a_flight_continues_when_files_fail_or_a_second_service_starts(ser
     served.set_parameter("VINE_RATE_HZ", 3.0)
     await served.until_text(ROWS["disk_read_only"].pilot_text)
 
+    (served.folder / "state").unlink()
     second = await asyncio.create_subprocess_exec(
         *served.command, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT
     )

@@ -29,6 +29,7 @@ from flying_vines.vehicle.component.texts import (
     MAX_TEXT_LENGTH,
     MAX_WAIT_S,
     PER_MINUTE,
+    RESERVED,
     SAME_AGAIN_S,
     SPACING_S,
     Texts,
@@ -285,6 +286,18 @@ def test_the_services_own_warning_is_sent_before_refusals_and_never_dropped_for_
     assert 10 <= len(came) <= BURST
     assert came[0] == "Vine: RC lost, vented"
     assert all("refused" in text for text in came[1:])
+
+
+def test_an_old_refusal_is_not_sent_and_news_never_take_what_is_kept_for_faults() -> None:
+    texts = Texts()
+    for i in range(BURST):
+        texts.say(Notice(0.0, Severity.NOTICE, f"Vine: news {i}"))
+    sent = [text.text for i in range(round(8.0 / SPACING_S)) for text in texts.due(i * SPACING_S)]
+    assert BURST - RESERVED <= len(sent) < BURST
+    texts.say(Notice(8.0, Severity.ERROR, "Vine: refused", source="7/1"))
+    texts.say(Notice(8.0, Severity.WARNING, "Vine: RC lost, vented"))
+    late_s = 8.0 + MAX_WAIT_S + 1.0
+    assert next(text.text for i in range(9) for text in texts.due(late_s + i)) == "Vine: RC lost, vented"
 
 
 # All messages together.
