@@ -46,6 +46,6 @@ def test_ctrl_c_is_status_130(name: str, after_s: float) -> None:
     time.sleep(after_s)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=20)
-    assert process.returncode in (130, -signal.SIGINT)
-    # Before the first line of ours, Python itself shows a traceback.
-    assert "Traceback" not in err or "flying_vines" not in err
+    # On a busy computer it may come before the first line of ours, and Python shows a traceback of its own.
+    before_us = "Traceback" in err and "flying_vines" not in err
+    assert before_us or (process.returncode in (130, -signal.SIGINT) and "Traceback" not in err)
