@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import runpy
-import sys
 from math import inf
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-sys.path.append(str(BENCHMARKS))
-
-from discrepancy_report import neutral_values  # noqa: E402
-from discrepancy_scores import (  # noqa: E402
+from discrepancy import main
+from discrepancy_report import neutral_values
+from discrepancy_scores import (
     Judgement,
     Outcome,
     ResultsError,
@@ -232,12 +227,6 @@ def test_another_file_is_refused_and_left_alone(text: str, tmp_path: Path) -> No
     assert file.read_text(encoding="utf-8") == text
 
 
-def ran(*arguments: str) -> int:
-    """Loads the script by its path, because a folder of the tests has the same name."""
-    status: int = runpy.run_path(str(BENCHMARKS / "discrepancy.py"))["main"](arguments)
-    return status
-
-
 def test_the_tables_come_from_a_file_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "results.jsonl"
     offset = {"estimate": 2.1, "low": 2.05, "high": 2.15}
@@ -261,7 +250,7 @@ def test_the_tables_come_from_a_file_alone(tmp_path: Path, capsys: pytest.Captur
     ]
     for one in rows:
         append(file, one)
-    assert ran("--report", str(file)) == 0
+    assert main(["--report", str(file)]) == 0
     report = capsys.readouterr().out
     lines = [" ".join(line.replace("|", " ").split()) for line in report.splitlines()]
     assert "clear 2/3 21% … 94% 98% 2 0 0 1 1/1 0/1 0/1 4 s" in lines
@@ -288,6 +277,6 @@ def test_bad_input_is_one_line_and_status_2(
     arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
-        ran(*arguments)
+        main(arguments)
     assert ended.value.code == 2
     assert says in capsys.readouterr().err.splitlines()[-1]
