@@ -1,15 +1,12 @@
 """Error of the cycles left: random rigs, unknown to the estimate, fly until the reservoir is empty.
 
-    .venv/bin/python benchmarks/cycles_left.py [--rigs N] [--calibrated N] [--first SEED] [--jobs N] [--each]
-        [--check]
+    .venv/bin/python benchmarks/cycles_left.py [--rigs N] [--first SEED] [--jobs N] [--each] [--check]
 
 Every rig is the high-fidelity plant under the firmware's regulator; the estimate sees only its telemetry.
 After 5 cycles, after 15 and half way the estimate predicts the cycles left. The truth is the number of cycles
 that the rig then flies; a smaller swing counts as part of a cycle. The paper's formula (Eq. 8) predicts with
 the same assumed numbers at the same pressure. `cycles_left_rigs.py` draws the rigs, and
-`cycles_left_flights.py` defines the end of a flight. The second table is for rigs that `flying-vines
-diagnose` has diagnosed before (`cycles_left_calibrated.py`). Needs numba: pip install
-'flying-vines[analysis]'.
+`cycles_left_flights.py` defines the end of a flight. Needs numba: pip install 'flying-vines[analysis]'.
 """
 
 from __future__ import annotations
@@ -17,23 +14,21 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from itertools import count, islice
 from statistics import fmean, median
-from typing import TypeVar
 
-import cycles_left_calibrated as calibrated
 from cycles_left_flights import FEWEST_CYCLES, began, fly, telemetry_messages
-from cycles_left_guess import Guess, by_paper, quantity
 from cycles_left_rigs import draw
 from rich.console import Console
 from rich.table import Table
 
-from flying_vines.supply import ReservoirEstimate, TelemetryReader, nominal
+from flying_vines.config.config import PneumaticsConfig
+from flying_vines.physics import paper
+from flying_vines.supply import CyclesLeft, ReservoirEstimate, TelemetryReader, nominal
 
-T = TypeVar("T")
 MOMENTS = ("after 5 cycles", "after 15 cycles", "half way")
 GOALS = {"after 5 cycles": 0.15, "after 15 cycles": 0.07}
 """Maximum relative error of the median rig."""
@@ -41,6 +36,52 @@ MOST_WITHIN = {"after 5 cycles": 0.9}
 """Minimum share of rigs whose error is within the goal."""
 HELD = 0.85
 """Minimum share of rigs whose truth is in the 90 % interval."""
+
+
+@dataclass(frozen=True)
+class Guess:
+    """The prediction at one moment, and the truth."""
+
+    truth: float
+    estimate: CyclesLeft
+    formula: float
+
+    @property
+    def error(self) -> float:
+        return self.estimate.expected / self.truth - 1.0
+
+    @property
+    def formula_error(self) -> float:
+        return self.formula / self.truth - 1.0
+
+    @property
+    def held(self) -> bool:
+        return self.estimate.low <= self.truth <= self.estimate.high
+
+
+def by_paper(p: PneumaticsConfig, reservoir_kPa: float) -> float:
+    """Cycles left by the paper's Eq. 8, for gauge reservoir pressure; not below 0."""
+    cycles = paper.n_cycles(
+        reservoir_kPa,
+        reservoir_volume_L=p.reservoir_volume_L,
+        cv_volume_L=p.cv_volume_L,
+        swing_kPa=p.cycle_swing_kPa,
+        rate_kPa_per_s=p.cycle_rate_kPa_per_s,
+        flow_resistance_kPa_s_per_SL=p.evp_flow_resistance_kPa_s_per_SL,
+    )
+    return max(0.0, cycles)
+
+
+def quantity(guesses: Sequence[Guess], errors: Sequence[float]) -> list[str]:
+    """The numbers of one row: errors relative to the truth."""
+    sizes = [abs(error) for error in errors]
+    return [
+        str(len(guesses)),
+        f"{median(sizes):.1%}",
+        f"{median(errors):+.1%}",
+        f"{fmean(size <= 0.15 for size in sizes):.1%}",
+        f"{fmean(size <= 0.07 for size in sizes):.1%}",
+    ]
 
 
 @dataclass(frozen=True)
@@ -77,7 +118,7 @@ def judge(seed: int) -> Outcome | None:
     return Outcome(seed, case.kind, flight.total_cycles, tuple(guesses))
 
 
-def outcomes(judge: Callable[[int], T | None], first: int, rigs: int, jobs: int) -> Iterator[T]:
+def outcomes(first: int, rigs: int, jobs: int) -> Iterator[Outcome]:
     """The results of this many rigs. Rigs with too few cycles are skipped."""
     if jobs == 1:
         yield from islice(filter(None, map(judge, count(first))), rigs)
@@ -143,29 +184,16 @@ def tell(outcome: Outcome) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rigs", type=int, default=200)
-    parser.add_argument("--calibrated", type=int, default=13, help="rigs that are diagnosed first")
     parser.add_argument("--first", type=int, default=40_000, help="the first rig's seed")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--each", action="store_true", help="also a line for every rig")
     parser.add_argument("--check", action="store_true", help="exit status 1 if a goal is missed")
     arguments = parser.parse_args()
-    if min(arguments.rigs, arguments.calibrated) < 0 or arguments.jobs < 1:
-        parser.error("--rigs and --calibrated must not be below 0, --jobs not below 1")
+    if min(arguments.rigs, arguments.jobs) < 1:
+        parser.error("--rigs and --jobs must not be below 1")
     console = Console(highlight=False, soft_wrap=True, width=120)
-    missed: list[str] = []
-    if arguments.rigs:
-        missed += unknown_rigs(arguments, console)
-    if arguments.calibrated:
-        missed += calibrated_rigs(arguments, console)
-    for line in missed:
-        console.print(f"missed: {line}")
-    return 1 if missed and arguments.check else 0
-
-
-def unknown_rigs(arguments: argparse.Namespace, console: Console) -> list[str]:
-    """Rigs that the estimate does not know; returns the missed goals."""
     found: list[Outcome] = []
-    for outcome in outcomes(judge, arguments.first, arguments.rigs, arguments.jobs):
+    for outcome in outcomes(arguments.first, arguments.rigs, arguments.jobs):
         found.append(outcome)
         if arguments.each:
             console.print(tell(outcome))
@@ -177,19 +205,10 @@ def unknown_rigs(arguments: argparse.Namespace, console: Console) -> list[str]:
         f"{max(totals):.0f} cycles, in the median {median(totals):.0f}."
     )
     console.print(table_of(found))
-    return missed_goals(found)
-
-
-def calibrated_rigs(arguments: argparse.Namespace, console: Console) -> list[str]:
-    """Rigs with hidden causes, by the nominal and by the diagnosed rig file; returns the missed goals."""
-    found: list[calibrated.Outcome] = []
-    for outcome in outcomes(calibrated.judge, arguments.first, arguments.calibrated, arguments.jobs):
-        found.append(outcome)
-        if arguments.each:
-            console.print(calibrated.tell(outcome))
-    console.print(calibrated.summary(found))
-    console.print(calibrated.table_of(found))
-    return calibrated.missed_goals(found)
+    missed = missed_goals(found)
+    for line in missed:
+        console.print(f"missed: {line}")
+    return 1 if missed and arguments.check else 0
 
 
 if __name__ == "__main__":

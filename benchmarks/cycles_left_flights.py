@@ -18,7 +18,7 @@ from cycles_left_rigs import HOST_TICK_S, Case, Manoeuvre
 from numpy.typing import NDArray
 
 from firmware_link.protocol import Fault, Mode, Telemetry
-from flying_vines.physics.plant.plant import State, at_rest
+from flying_vines.physics.plant.plant import at_rest
 from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
 from flying_vines.supply.air_use import tolerance_kPa
 
@@ -55,25 +55,24 @@ def began(flight: Flight, cycles: float) -> int:
     return int(np.searchsorted(flight.cycles, cycles - 1e-9))
 
 
-def fly(case: Case, state: State | None = None) -> Flight | None:
-    """Fly from `state` (default: filled, at rest). None if the flight is too long."""
-    state = state or at_rest(case.plant, case.fill_kPa)
+def fly(case: Case) -> Flight | None:
+    """Fly from a filled reservoir at rest. None if the flight is too long."""
     length_s = FIRST_S
     while length_s <= LONGEST_S:
-        flight = _fly(case, length_s, state)
+        flight = _fly(case, length_s)
         if flight is not None:
             return flight
         length_s *= 3.0
     return None
 
 
-def _fly(case: Case, length_s: float, state: State) -> Flight | None:
+def _fly(case: Case, length_s: float) -> Flight | None:
     begins, setpoints = setpoints_of(case, length_s)
     run = closed_loop(
         case.plant,
         setpoints,
         length_s,
-        state,
+        at_rest(case.plant, case.fill_kPa),
         tuning=case.tuning,
         cv_sensor=case.cv_sensor,
         reservoir_sensor=case.reservoir_sensor,
@@ -103,7 +102,7 @@ def met(manoeuvre: Manoeuvre, setpoint_kPa: Array, cv_kPa: Array) -> bool:
     return bool(np.any(cv_kPa[setpoint_kPa >= least_kPa] >= least_kPa))
 
 
-def telemetry_messages(table: NDArray[np.void], began_s: float = 0.0) -> Iterator[tuple[float, Telemetry]]:
+def telemetry_messages(table: NDArray[np.void]) -> Iterator[tuple[float, Telemetry]]:
     """The firmware's telemetry messages, with their times."""
     venting = np.isnan(table["setpoint_kPa"])
     columns = [
@@ -116,7 +115,6 @@ def telemetry_messages(table: NDArray[np.void], began_s: float = 0.0) -> Iterato
     rows = zip(*(column.tolist() for column in columns), strict=True)
     for t, vents, setpoint, cv, reservoir, evp, dvp, solenoid in rows:
         mode = Mode.VENT if vents else Mode.REGULATE
-        t += began_s
         yield t, Telemetry(round(1000 * t), mode, Fault.NONE, 0, setpoint, cv, reservoir, evp, dvp, solenoid)
 
 

@@ -1,4 +1,4 @@
-"""Random rigs and random programs, for the benchmarks of the cycles left.
+"""Random rigs and random programs, for the benchmark of the cycles left.
 
 A rig has assumed and true numbers. The estimate gets the assumed ones. `draw` has all distributions.
 """

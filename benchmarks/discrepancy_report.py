@@ -6,7 +6,6 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from statistics import fmean, median
 
-from discrepancy_outcome import DIAGNOSE, Outcome
 from discrepancy_scores import (
     AT_NOISE,
     CONFIDENT,
@@ -16,6 +15,7 @@ from discrepancy_scores import (
     SEVERAL,
     Judgement,
     Neutral,
+    Outcome,
     brier,
     counts,
     false_names,
@@ -53,8 +53,6 @@ GOALS = {
 }
 """Required share of right cases, by tier. If the catalogue lacks everything that is hidden, `unexplained` is
 right."""
-STRONG = ("clear", "subtle")
-"""Tiers whose parameters must be near the truth."""
 PAIR = "pair"
 SEVERAL_GOALS = ("≥ 80 %", "≥ 70 %", "≤ 5 %", "≥ 70 %", "90–98 %", "", "≤ 60 s")
 """Goals for several effects, in the order of the columns of `several_table`."""
@@ -63,76 +61,55 @@ KINDS = ("a cause", NONE, UNEXPLAINED)
 
 def show(outcomes: Sequence[Outcome], console: Console) -> None:
     """Print all tables."""
-    ours = [outcome for outcome in outcomes if outcome.by == DIAGNOSE]
     engines = sorted({outcome.engine for outcome in outcomes})
     if len(engines) > 1:
         console.print(f"These are outcomes of {len(engines)} versions of the sources: {', '.join(engines)}")
-    if ours:
-        parts = [("Named", tiers_table(ours)), ("Parameters of rightly named causes", measured_table(ours))]
-        if any(outcome.truth.tier in SEVERAL for outcome in ours):
-            parts.append(("Several effects at once", several_table(ours)))
-        if wrong := wrong_table(ours):
-            parts.append(("Wrong verdicts", wrong))
-        parts += [("Confidence", confidence_table(ours)), ("Cost", cost_table(ours))]
-        for title, table in parts:
+    parts: list[tuple[str, Table | None]] = [
+        ("Verdicts, and parameters of named causes", tiers_table(outcomes))
+    ]
+    if any(outcome.truth.tier in SEVERAL for outcome in outcomes):
+        parts.append(("Several effects at once", several_table(outcomes)))
+    parts += [("Wrong verdicts", wrong_table(outcomes)), ("Confidence", confidence_table(outcomes))]
+    for title, table in parts:
+        if table is not None:
             console.print(f"\n{title}\n")
             console.print(table)
-        console.print()
-        for line in (*accusations(ours), *fresh_lines(ours)):
-            console.print(line)
-    if peers := sorted({outcome.by for outcome in outcomes} - {DIAGNOSE}):
-        console.print("\nOther methods, on the cases that all have diagnosed\n")
-        console.print(peers_table(outcomes, [DIAGNOSE, *peers] if ours else peers))
+    console.print()
+    for line in accusations(outcomes):
+        console.print(line)
     for outcome in outcomes:
         if outcome.error:
-            tier, seed = outcome.truth.tier, outcome.truth.seed
-            console.print(f"failed: {outcome.by} on {tier} {seed}: {outcome.error}")
+            console.print(f"failed: {outcome.truth.tier} {outcome.truth.seed}: {outcome.error}")
 
 
 def tiers_table(outcomes: Sequence[Outcome]) -> Table:
-    """The number of right cases, by tier."""
-    table = _table("tier", "counted", "share", "95 %", "goal", "right", "alike", "left open", "false extra")
+    """By tier: right cases, parameters of rightly named causes, errors on unseen data, and the cost."""
+    neutral = neutral_values()
+    verdicts = ("counted", "95 %", "goal", "right", "alike", "left open", "false extra")
+    numbers = (f"within {NEAR:.0%}", "interval holds", "at noise", "CPU, median")
+    table = _table("tier", *verdicts, *numbers)
     for tier, group in _by_tier(outcomes):
         counted = sum(counts(outcome) for outcome in group)
         judged = Counter(judgement(outcome) for outcome in group)
-        extra = [o for o in group if o.said and any(one.cause not in o.truth.hidden for one in o.said.also)]
+        said = [(o.truth, o.said) for o in group if o.said is not None]
+        extra = [v for truth, v in said if any(one.cause not in truth.hidden for one in v.also)]
+        found = [one for truth, verdict in said for one in measured(truth, verdict)]
+        ratios = [ratio for _, verdict in said if (ratio := over_noise(verdict)) is not None]
+        cpu_s = [o.cpu_s for o in group if o.cpu_s is not None]
         table.add_row(
             tier,
             f"{counted}/{len(group)}",
-            f"{counted / len(group):.1%}",
             _interval(counted, len(group)),
             f"{GOALS[tier]:.0%}",
             str(judged[Judgement.RIGHT]),
             str(judged[Judgement.ALIKE]),
             str(judged[Judgement.OPEN]),
             str(len(extra)),
+            f"{sum(off(one, neutral) <= NEAR for one in found)}/{len(found)}",
+            f"{sum(one.held for one in found)}/{len(found)}",
+            f"{sum(ratio <= AT_NOISE for ratio in ratios)}/{len(ratios)}",
+            f"{median(cpu_s):.0f} s" if cpu_s else "–",
         )
-    return table
-
-
-def measured_table(outcomes: Sequence[Outcome]) -> Table:
-    """Parameters of rightly named causes, and errors on unseen data."""
-    neutral = neutral_values()
-    near = f"within {NEAR:.0%}"
-    table = _table("tier", "parameters", near, "95 %", "median off", "interval holds", "95 %", "at noise")
-    strong = [outcome for outcome in outcomes if outcome.truth.tier in STRONG]
-    for tier, group in (*_by_tier(outcomes), (" + ".join(STRONG), strong), ("all", outcomes)):
-        said = [(o.truth, o.said) for o in group if o.said is not None]
-        found = [one for truth, verdict in said for one in measured(truth, verdict)]
-        ratios = [ratio for truth, verdict in said if (ratio := over_noise(verdict)) is not None]
-        quiet = sum(ratio <= AT_NOISE for ratio in ratios)
-        errors = [off(one, neutral) for one in found]
-        close = sum(error <= NEAR for error in errors)
-        held = sum(one.held for one in found)
-        known = (
-            str(len(found)),
-            _share(close, len(found)),
-            _interval(close, len(found)),
-            f"{median(errors):.2%}" if errors else "",
-            _share(held, len(found)),
-            _interval(held, len(found)),
-        )
-        table.add_row(tier, *known, f"{quiet}/{len(ratios)}")
     return table
 
 
@@ -228,22 +205,6 @@ def _stated(outcomes: Iterable[Outcome]) -> dict[str, list[tuple[float, bool]]]:
     return {kind: stated for kind, stated in found.items() if stated}
 
 
-def cost_table(outcomes: Sequence[Outcome]) -> Table:
-    """Time of a case, by tier."""
-    table = _table("tier", "CPU median", "90 %", "most", "wall median", "90 %", "most")
-    for tier, group in (*_by_tier(outcomes), ("all", outcomes)):
-        cpu_s = sorted(o.cpu_s for o in group if o.cpu_s is not None)
-        wall_s = sorted(o.wall_s for o in group if o.wall_s is not None)
-        if cpu_s:
-            cells = [f"{value:.1f} s" for times in (cpu_s, wall_s) for value in _spread(times)]
-            table.add_row(tier, *cells)
-    return table
-
-
-def _spread(rising: Sequence[float]) -> tuple[float, float, float]:
-    return median(rising), rising[int(0.9 * (len(rising) - 1))], rising[-1]
-
-
 def accusations(outcomes: Sequence[Outcome]) -> Iterator[str]:
     """Lines that count named causes on rigs with no, unknown, one and two hidden causes."""
     clean = [o for o in outcomes if o.said and not o.truth.hidden]
@@ -266,66 +227,6 @@ def accusations(outcomes: Sequence[Outcome]) -> Iterator[str]:
     if several:
         either = sum(bool(set(o.said.named) & set(o.truth.hidden)) for o in several if o.said)
         yield f"Rigs with two hidden causes, of which at least one was named: {_of(either, len(several))}"
-
-
-def fresh_lines(outcomes: Sequence[Outcome]) -> Iterator[str]:
-    """A line about the cost of the command in a process of its own."""
-    fresh = [outcome.fresh for outcome in outcomes if outcome.fresh is not None]
-    if fresh:
-        cpu_s, wall_s = median(one.cpu_s for one in fresh), median(one.wall_s for one in fresh)
-        peak_MB = max(one.peak_MB for one in fresh)
-        yield (
-            f"The command in a fresh process ({len(fresh)} cases): CPU {cpu_s:.1f} s, wall {wall_s:.1f} s in "
-            f"the median, peak memory {peak_MB:.0f} MB at most"
-        )
-
-
-def peers_table(outcomes: Sequence[Outcome], everyone: Sequence[str]) -> Table:
-    """The comparison of all methods on the same cases."""
-    by: dict[str, dict[tuple[str, int], Outcome]] = {name: {} for name in everyone}
-    for outcome in outcomes:
-        by[outcome.by][outcome.truth.tier, outcome.truth.seed] = outcome
-    shared = set.intersection(*(set(cases) for cases in by.values()))
-    table = _table("", *everyone)
-    rows: dict[str, list[str]] = defaultdict(list)
-    for name in everyone:
-        for title, cell in _answers([by[name][key] for key in sorted(shared)]).items():
-            rows[title].append(cell)
-    for title, cells in rows.items():
-        table.add_row(title, *cells)
-    return table
-
-
-def _answers(outcomes: Sequence[Outcome]) -> dict[str, str]:
-    """One column of the comparison."""
-    said = [(outcome.truth, outcome.said) for outcome in outcomes if outcome.said is not None]
-    hiding = [(truth, verdict) for truth, verdict in said if truth.hidden]
-    known = [(truth, verdict) for truth, verdict in hiding if not truth.outside]
-    nameable = [o for o in outcomes if o.truth.hidden and not o.truth.outside]
-    answers = {
-        f"{tier}: the cause (or both) right": _of(sum(_named(o) for o in group), len(group))
-        for tier, group in _by_tier(nameable)
-    }
-    clean = [verdict for truth, verdict in said if not truth.hidden]
-    outside = [verdict for truth, verdict in said if truth.outside]
-    ratios = [ratio for _, verdict in said if (ratio := over_noise(verdict)) is not None]
-    cpu_s = [outcome.cpu_s for outcome in outcomes if outcome.cpu_s is not None]
-    return answers | {
-        "something hidden, and not `none`": _of(sum(v.cause != NONE for _, v in hiding), len(hiding)),
-        "nothing hidden, and not `none`": _of(sum(v.cause != NONE for v in clean), len(clean)),
-        "wrong names per case, without effects outside the catalogue": _mean(
-            len(false_names(t, v)) for t, v in known
-        ),
-        "outside the catalogue, and a cause named": _of(sum(bool(v.named) for v in outside), len(outside)),
-        "error on unseen data over noise, median": f"{median(ratios):.2f}" if ratios else "–",
-        "CPU seconds per case, median": f"{median(cpu_s):.1f}" if cpu_s else "–",
-        "failed": str(len(outcomes) - len(said)),
-    }
-
-
-def _named(outcome: Outcome) -> bool:
-    """True if the hidden causes are named, or are among the indistinguishable ones."""
-    return judgement(outcome) in (Judgement.RIGHT, Judgement.ALIKE)
 
 
 def neutral_values() -> Neutral:
@@ -359,8 +260,3 @@ def _interval(count: int, of: int) -> str:
 
 def _of(count: int, of: int) -> str:
     return f"{count}/{of} ({_interval(count, of)})" if of else "–"
-
-
-def _mean(values: Iterable[int]) -> str:
-    numbers = list(values)
-    return f"{fmean(numbers):.2f}" if numbers else "–"

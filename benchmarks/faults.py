@@ -19,6 +19,9 @@ import time
 import traceback
 from collections import Counter, defaultdict
 from collections.abc import Iterable
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
 
 from faults_script import Outcome, Script, draw, fly
 from invariant_monitor import Violation

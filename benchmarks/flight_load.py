@@ -10,7 +10,6 @@ from collections.abc import Callable
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
-from flying_vines.vehicle.mavlink.signing import Signing
 
 RC_RATE_HZ = 50.0
 MESSAGES_PER_S = 500.0
@@ -39,9 +38,9 @@ class FlightLoad:
     """All messages except RC_CHANNELS, which the code that flips the switch encodes with the same
     `autopilot`."""
 
-    def __init__(self, began_s: float, seed: int, signing: Signing | None = None) -> None:
-        self.autopilot = MavlinkCodec(SYSTEM_ID, mavlink.MAV_COMP_ID_AUTOPILOT1, signing)
-        self._ground_station = MavlinkCodec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER, signing)
+    def __init__(self, began_s: float, seed: int) -> None:
+        self.autopilot = MavlinkCodec(SYSTEM_ID, mavlink.MAV_COMP_ID_AUTOPILOT1)
+        self._ground_station = MavlinkCodec(255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
         self._began_s = began_s
         self._random = random.Random(seed)
         self._due: list[tuple[float, float, str]] = []

@@ -7,7 +7,7 @@ Each recording goes through the project's importer, with the answers to its ques
 recording, and through `diagnose`. `measured_fits.py` fits the same readings with equations of its own. The
 truth about these rigs is unknown. If both find the same number for the same law, both are probably right; the
 residual shows how well the law describes the rig. The leaking chambers are three rigs, so their folder is not
-also one case. `measured_peers.py` has other methods. Needs pip install 'flying-vines[benchmarks]'.
+also one case. Needs pip install 'flying-vines[analysis]'.
 """
 
 from __future__ import annotations
@@ -81,15 +81,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--only", choices=GROUPS, action="append", help="one folder; may be repeated")
     arguments = parser.parse_args(argv)
-    from measured_peers import unseen_errors  # These packages are needed only here.
-
     console = Console(highlight=False, soft_wrap=True, width=400)
-    looked, instead = [], []
+    looked = []
     for name, files in cases(arguments.only or GROUPS):
         looked.append(look(name, files))
         print(f"{name}: {looked[-1].said['cause']}", file=sys.stderr, flush=True)
-        instead.append(unseen_errors(readings(looked[-1].case)))
-    show(looked, instead, console)
+    show(looked, console)
     return 0
 
 
@@ -230,12 +227,8 @@ def compared(said: Mapping[str, Any], fits: Sequence[Fitted]) -> Iterator[str]:
             yield text
 
 
-def show(looked: Sequence[Looked], instead: Sequence[Mapping[str, float]], console: Console) -> None:
-    """The tables, in Markdown.
-
-    Args:
-        instead: for each case, the errors of other methods on unseen readings, divided by the measured range.
-    """
+def show(looked: Sequence[Looked], console: Console) -> None:
+    """The tables, in Markdown. Errors on unseen readings are divided by the measured range."""
     console.print("\nVerdicts of diagnose\n")
     titles = ("case", "verdict", "causes and shares", "remainder", "unseen before", "after", "noise", "time")
     table = _table(*titles)
@@ -244,13 +237,6 @@ def show(looked: Sequence[Looked], instead: Sequence[Mapping[str, float]], conso
         unseen = (f"{held[key]:.2%}" for key in ("nrmse_before", "nrmse_after", "noise_floor"))
         cells = (said["cause"], _causes(said), _remainder(said.get("remainder")))
         table.add_row(one.name, *cells, *unseen, f"{one.seconds:.0f} s")
-    console.print(table)
-    console.print("\nError on unseen data, with other methods\n")
-    table = _table("case", "baseline", "diagnose", *instead[0])
-    for one, errors in zip(looked, instead, strict=True):
-        held = one.said["held_out"]
-        values = (held["nrmse_before"], held["nrmse_after"], *errors.values())
-        table.add_row(one.name, *(f"{value:.2%}" for value in values))
     console.print(table)
     console.print("\nParameters, and those of an independent fit of the same law\n")
     table = _table("case", "parameters", "impossible", "rms baseline", "diagnose", "independent")

@@ -37,19 +37,6 @@ def memory(pid: int) -> Memory:
     return Memory(sizes_MB["VmRSS"], sizes_MB["VmHWM"])
 
 
-def pss_MB(pid: int) -> float:
-    """Proportional set size: shared memory is divided among the processes that share it."""
-    for line in Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii").splitlines():
-        if line.startswith("Pss:"):
-            return int(line.split()[1]) / 1024
-    raise ValueError(f"{pid} has no memory")
-
-
-def only_child(pid: int) -> int:
-    (child,) = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
-    return int(child)
-
-
 def import_ms(python: str, statement: str, environment: Mapping[str, str], repeats: int) -> float:
     """The median CPU time of the imports in new interpreters, without their own start; bytecode is cached
     before."""

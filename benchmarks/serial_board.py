@@ -39,9 +39,6 @@ class SerialBoard:
         """True after the first frame of the host."""
         self.telemetry_frames = 0
         self.dropped_bytes = 0
-        self.setpoint_gaps_s: list[float] = []
-        """Times between setpoints while the vine is regulated."""
-        self._setpoint_at_s: float | None = None
         self._began_s = began_s
         self._codec = Codec()
         self._mode = Mode.VENT
@@ -68,13 +65,9 @@ class SerialBoard:
             self.received = True
             match message:
                 case Setpoint(target_kPa, _, _, number):
-                    if self._setpoint_at_s is not None:
-                        self.setpoint_gaps_s.append(now_s - self._setpoint_at_s)
-                    self._setpoint_at_s = now_s
                     moved = moved or abs(target_kPa - self._target_kPa) > MOVED_KPA
                     self._mode, self._target_kPa, self._number = Mode.REGULATE, target_kPa, number
                 case Vent(number):
-                    self._setpoint_at_s = None
                     self._mode, self._target_kPa, self._number = Mode.VENT, 0.0, number
                 case Hello(_, nonce):
                     self._send(_welcome(nonce))

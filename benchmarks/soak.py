@@ -33,12 +33,12 @@ from time import monotonic
 from typing import NamedTuple
 
 from process_cost import memory
-from soak_day import LOOK_S, World, flights
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 
 from ports import free_port
 from service_bench import between
+from soak_day import LOOK_S, World, flights
 
 from flying_vines.config import config
 from flying_vines.core.events import Decision

@@ -20,7 +20,6 @@ from flight_load import RC_RATE_HZ, SYSTEM_ID, FlightLoad, mission_count, rc_cha
 from serial_board import TELEMETRY_HZ, SerialBoard
 
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
-from flying_vines.vehicle.mavlink.signing import Signing
 
 PULSES_US = (1100, 1500, 1900)
 DEBOUNCE_S = 0.14
@@ -63,16 +62,14 @@ class Flight:
 class Flipper:
     """Flies one flight to a UDP port of this machine and to the serial board."""
 
-    def __init__(
-        self, port: int, board: SerialBoard, flips: int, seed: int, signing: Signing | None = None
-    ) -> None:
+    def __init__(self, port: int, board: SerialBoard, flips: int, seed: int) -> None:
         self.alive_at_s = math.nan
         """Time of the host's first frame."""
         self._to = ("127.0.0.1", port)
         self._board = board
         self._flips = flips
         self._random = random.Random(seed)
-        self._load = FlightLoad(monotonic(), seed, signing)
+        self._load = FlightLoad(monotonic(), seed)
         self._answers = MavlinkCodec(255, 0)
         self._flight = Flight()
         self._position = 0

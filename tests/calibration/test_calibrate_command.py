@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from command_line import run
@@ -30,6 +31,14 @@ from flying_vines.simulation.replay import replay_flight
 pytestmark = real_time
 
 COMMAND = (sys.executable, "-m", "flying_vines")
+RIG = """
+[cv]
+volume_L = 0.4
+[causes]
+cv_sensor_offset = {offset_kPa = 0.4}
+cv_leak = {flow_resistance_kPa_s_per_SL = 5e3}
+reservoir_leak = {flow_resistance_kPa_s_per_SL = 2e5}
+"""
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +47,7 @@ def fake(tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.Completed
     folder = tmp_path_factory.mktemp("calibrated")
     config_file = folder / "vine.toml"
     config_file.write_text(configuration.default_text().replace("cv_volume_L = 0.1 ", "cv_volume_L = 0.3 "))
-    (folder / "rig.toml").write_text("[cv]\nvolume_L = 0.4\n")
+    (folder / "rig.toml").write_text(RIG)
     stages = ("--only", "levels", "--no-diagnosis")
     arguments = ("calibrate", "--config", config_file, "--fake", "rig.toml", *stages)
     ended = subprocess.run((*COMMAND, *arguments), cwd=folder, capture_output=True, text=True, check=False)
@@ -64,13 +73,35 @@ def test_the_written_configuration_is_valid(
     status, out, err = run(capsys, "config", "check", written)
     assert (status, err) == (0, "")
     assert "good" in out
-    findings = json.loads((written.parent / "findings.json").read_text())["findings"]
-    (volume_L,) = (finding["value"] for finding in findings if finding["name"] == "cv_volume_L")
     numbers = configuration.load(written).pneumatics
-    assert numbers.cv_volume_L == pytest.approx(volume_L, rel=0.02)
+    assert numbers.cv_volume_L == pytest.approx(findings_in(folder)["cv_volume_L"]["value"], rel=0.02)
     assert "was 0.3, measured" in written.read_text()
     assert configuration.load(folder / "vine.toml").pneumatics.cv_volume_L == 0.3
     assert (written.parent / "profile-before.toml").read_text() == (folder / "vine.toml").read_text()
+
+
+def findings_in(folder: Path) -> dict[str, dict[str, Any]]:
+    (path,) = folder.glob("flights/*/calibration/findings.json")
+    return {finding["name"]: finding for finding in json.loads(path.read_text())["findings"]}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("name", "true", "relative"),
+    [
+        ("cv_zero_kPa", 0.4, 0.02),
+        ("cv_volume_L", 0.4, 0.05),
+        ("pouch_air_SL", 0.0, 0.0),
+        ("vine_leak_kPa_s_per_SL", 5e3, 0.05),
+        ("bottle_leak_kPa_s_per_SL", 2e5, 0.1),
+    ],
+)
+def test_the_hidden_values_are_found(
+    fake: tuple[subprocess.CompletedProcess[str], Path], name: str, true: float, relative: float
+) -> None:
+    found = findings_in(fake[1])[name]
+    assert found["value"] == pytest.approx(true, rel=relative)
+    assert found["low"] <= true <= found["high"]
 
 
 @pytest.mark.long

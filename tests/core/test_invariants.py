@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import dataclasses
 import random
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import msgspec
 import pytest
+from faults_flight import PULSES_US, SWITCH, MonitoredFlight, Setup
+from faults_script import draw, fly
 from hypothesis import note, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
@@ -37,11 +37,6 @@ from flying_vines.simulation.phlosar.mishaps import PLACES, Filled, StuckAt
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vine.intent import BendTo, StartProfile
 from flying_vines.vine.motion import Motion
-
-sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
-
-from faults_flight import PULSES_US, SWITCH, MonitoredFlight, Setup
-from faults_script import draw, fly
 
 # Mutants, and the flights that expose them.
 

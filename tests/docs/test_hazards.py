@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import ast
 import re
-import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import pytest
-
-sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
-
 from rules_taken_away import MODULES, rules_of
 
 ROOT = Path(__file__).parents[2]

@@ -7,13 +7,12 @@ Each flight exposes one wrong assumption: a service with this assumption has a v
 from __future__ import annotations
 
 import dataclasses
-import sys
 from collections.abc import Callable, Mapping
 from functools import partial
-from pathlib import Path
 from typing import Literal
 
 import pytest
+from faults_flight import ACTUATOR, SCRIPT_MESSAGE, MonitoredFlight, Setup
 from required_programs import needs_compiler
 
 from flying_vines.config.config import Config
@@ -28,10 +27,6 @@ from flying_vines.vehicle.mission.mission_cache import MissionCache
 from flying_vines.vehicle.radio.pilot import PilotOutput
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vine.intent import Intent
-
-sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
-
-from faults_flight import ACTUATOR, SCRIPT_MESSAGE, MonitoredFlight, Setup
 
 from .catalogue import ROWS
 

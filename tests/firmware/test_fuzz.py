@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from fuzz import FuzzError, drive, driver, listen
 from required_programs import host_compiler, needs_compiler
 
 from flying_vines.simulation.phlosar.core_library import SOURCES
 
 from .native import Mistake, with_mistake
-
-sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
-
-from fuzz import FuzzError, drive, driver, listen
 
 pytestmark = pytest.mark.long
 

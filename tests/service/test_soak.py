@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import pytest
 from required_programs import needs_compiler
-
-from flying_vines.vehicle.mission.storage import AutopilotKind
-
-sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
-
 from soak import Outcome, Sample, simulated
 from soak_day import BUTTONS, Tally, bend
+
+from flying_vines.vehicle.mission.storage import AutopilotKind
 
 pytestmark = pytest.mark.long
 

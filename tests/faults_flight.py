@@ -11,18 +11,13 @@ from __future__ import annotations
 import dataclasses
 import math
 import random
-import sys
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import msgspec
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
-
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
-
 from invariant_monitor import DEAD_MAN_S, LONGEST_HANG_S, InvariantMonitor, MonitoredBoard, Rules, Violation
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config
 from flying_vines.config.config import ITEM_COMMANDS, Config

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 from random import Random
 from typing import NamedTuple
-
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
 
 from faults_flight import ACTUATOR, LIMIT, PULSES_US, SCRIPT_MESSAGE, SWITCH, MonitoredFlight, Setup
 from invariant_monitor import Violation
