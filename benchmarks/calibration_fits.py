@@ -81,7 +81,7 @@ def plant(recording: StageRecording, started: Findings) -> Found:
 
     from flying_vines.identification.case import Case, RecordedRun
     from flying_vines.identification.fit import THEN_STEPS, FitProblem
-    from flying_vines.identification.noise import independent_noise
+    from flying_vines.identification.noise import SensorNoise
     from flying_vines.physics.effects import cause_named
     from flying_vines.physics.rig import with_numbers
 
@@ -102,7 +102,7 @@ def plant(recording: StageRecording, started: Findings) -> Found:
     run = RecordedRun("", read.t_s[kept], command, evp, dvp, solenoid, cv, reservoir, None, None, False)
     noise = [recording.findings.get(f"{name}_noise_kPa").value for name in ("cv", "reservoir")]  # type: ignore[union-attr]
     with threadpool_limits(1):
-        problem = FitProblem(Case(Path(), rig, (run,), ()), independent_noise(noise[0], noise[1]))  # type: ignore[arg-type]
+        problem = FitProblem(Case(Path(), rig, (run,), ()), (SensorNoise(noise[0]), SensorNoise(noise[1])))  # type: ignore[arg-type]
         point = problem.start().freed(tuple(TOLERANCES))
         for name, result in CAUSES.items():
             if not started.findings or not result:

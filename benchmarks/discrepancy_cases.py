@@ -28,7 +28,7 @@ import flying_vines.identification
 from flying_vines.identification.case import Case, read_case
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.fit import FitProblem
-from flying_vines.identification.noise import independent_noise
+from flying_vines.identification.noise import SensorNoise
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent / "tests"))
@@ -115,7 +115,7 @@ def _look(by: str) -> Callable[[Case], dict[str, Any]]:
 
 def _compile(case: Case) -> None:
     """Run a simulation once: it compiles the plant, or loads it from the cache."""
-    problem = FitProblem(case, independent_noise(1.0, 1.0))
+    problem = FitProblem(case, (SensorNoise(1.0), SensorNoise(1.0)))
     problem.residuals(problem.start())
 
 

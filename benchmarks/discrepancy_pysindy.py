@@ -20,7 +20,7 @@ from pysindy.optimizers import STLSQ
 
 from flying_vines.identification.case import Case
 from flying_vines.identification.fit import FitProblem
-from flying_vines.identification.noise import independent_noise
+from flying_vines.identification.noise import SensorNoise
 from flying_vines.identification.verdict import NONE, UNEXPLAINED
 from flying_vines.physics.arrays import Array
 
@@ -57,7 +57,7 @@ NOT_READ = Equation({}, np.ones(2), np.full(2, np.inf))
 
 
 def look(case: Case) -> dict[str, Any]:
-    problem = FitProblem(case, independent_noise(1.0, 1.0))
+    problem = FitProblem(case, (SensorNoise(1.0), SensorNoise(1.0)))
     runs = series(problem, problem.start())
     read = [np.isfinite(run.reservoir_kPa).any() for run in case.runs]
     reservoir = _equation(case, runs, 0, _reservoir) if all(read) else NOT_READ
