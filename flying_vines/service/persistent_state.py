@@ -15,7 +15,6 @@ import msgspec
 
 from flying_vines.config import on_disk
 from flying_vines.config.config import Config
-from flying_vines.core.events import StoredState
 from flying_vines.files.bounded import read_bytes
 from flying_vines.gateway import page_token
 from flying_vines.vehicle.component import parameter_file
@@ -77,17 +76,6 @@ class PersistentState:
             board_settings=folder / f"{stem}.board-settings",
             signing_timestamp=folder / f"{stem}.signing-timestamp",
             page_token=config_file.parent / token_file if token_file else folder / f"{stem}.page-token",
-        )
-
-    def read(self, config: Config) -> StoredState:
-        """The state with which the core starts. Raises `ParameterFileError` or `OSError`."""
-        parameters = self.read_parameters(config)
-        return StoredState(
-            parameters,
-            self.disarmed,
-            self.read_learned(),
-            self.read_latched(),
-            self.read_board_settings(),
         )
 
     def read_parameters(self, config: Config) -> dict[str, float]:
