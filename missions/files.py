@@ -38,8 +38,6 @@ def load_items(path: Path, kind: AutopilotKind | None = None) -> Items:
         items = tuple(read_waypoints(path))
     except (PlanFileError, WaypointsError) as error:
         raise MissionError(str(error)) from None
-    except OSError as error:
-        raise MissionError(f"{path}: cannot be read: {error.strerror}") from None
     if not items:
         raise MissionError(f"{path}: it contains no items")
     return Items(items, kind, home_of(items) or Home(0.0, 0.0, 0.0))

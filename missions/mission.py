@@ -8,16 +8,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from flying_vines.files.toml_text import (
-    dotted,
-    explained,
-    located,
-    not_finite,
-    one_line,
-    parsed,
-    place,
-    read_text,
-)
+from flying_vines.files.toml_text import converted, one_line, read_text
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import AutopilotKind
@@ -105,14 +96,8 @@ def load(path: Path) -> tuple[Mission, str]:
 
 def parse(text: str, source: str) -> Mission:
     """Check a mission's text; errors name it as `source`."""
-    raw = parsed(text, source, MissionError)
-    for key in not_finite(raw):
-        raise MissionError(f"{place(text, source, key)}: {dotted(key)}: is not a finite number")
-    try:
-        return msgspec.convert(raw, Mission)
-    except msgspec.ValidationError as error:
-        key, reason = explained(str(error), Mission, raw=raw)
-        raise MissionError(located(text, source, key, reason)) from None
+    mission: Mission = converted(text, source, Mission, MissionError)
+    return mission
 
 
 def planned_home(mission: Mission, kind: AutopilotKind, source: str) -> Home:

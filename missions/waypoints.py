@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from flying_vines.files.bounded import decoded, read_bytes
+from flying_vines.files.toml_text import read_text
 from flying_vines.vehicle.mission.item import MAX_NUMBER, MissionItem
 
 _HEADER = "QGC WPL 110"
@@ -32,15 +32,11 @@ def read_waypoints(path: str | Path) -> list[MissionItem]:
     Blank lines and comments (#) are skipped, any white space may separate columns, and `nan` is a number.
 
     Raises:
-        WaypointsError: wrong header or column count, not a number, number out of range, or seq out of order.
-        OSError: the file cannot be opened.
+        WaypointsError: the file cannot be read; wrong header or column count, not a number, number out of
+            range, or seq out of order.
     """
-    path = Path(path)
-    try:
-        lines = decoded(read_bytes(path)).split("\n")
-    except UnicodeDecodeError as error:
-        raise WaypointsError(f"{path}, line 1: this is not a text file") from error
-    found = lines[0].strip() if lines else ""
+    lines = read_text(Path(path), WaypointsError).split("\n")
+    found = lines[0].strip()
     if found.split() not in (_HEADER.split(), _WITHOUT_HOME.split()):
         headers = f"{_HEADER!r} or {_WITHOUT_HOME!r}"
         raise WaypointsError(f"{path}, line 1: the header must be {headers}, not {found[:40]!r}")

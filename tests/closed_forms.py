@@ -1,10 +1,10 @@
-"""Discharges of a vessel in closed form."""
+"""Closed forms: discharges of a vessel, and the standard atmosphere."""
 
 from __future__ import annotations
 
 import math
 
-from flying_vines.physics.constants import ALPHA_KPA, GAMMA
+from flying_vines.physics.constants import ALPHA_KPA, GAMMA, STANDARD_PRESSURE_KPA
 
 
 def choked_time_constant_s(volume_L: float, sonic_conductance_SL_per_s_kPa: float) -> float:
@@ -33,3 +33,8 @@ def polytropic_temperature_K(
 ) -> float:
     """T = T₀ (p/p₀)^((n−1)/n): temperature of the gas in a vessel that empties; n = γ if adiabatic."""
     return start_K * float((kPa_abs / start_kPa_abs) ** ((exponent - 1.0) / exponent))
+
+
+def isa_pressure_kPa(altitude_m: float) -> float:
+    """p = 101.325 (1 − 0.0065 h / 288.15)^5.25588: the ICAO standard atmosphere below 11 km."""
+    return STANDARD_PRESSURE_KPA * float((1.0 - 0.0065 * altitude_m / 288.15) ** 5.25588)

@@ -22,16 +22,14 @@ from flying_vines.calibration.calibrator import (
 from flying_vines.calibration.findings import Chart, Findings
 from flying_vines.calibration.plan import CalibrationPlan, CalibrationRequest, plan
 from flying_vines.calibration.terminal import CalibrationTerminal
-from flying_vines.config import config as configuration
 from flying_vines.config.config import Config, PneumaticsConfig
 from flying_vines.config.config_text import configuration_text
 from flying_vines.core.events import Action, StoredState
 from flying_vines.core.snapshot import Snapshot
-from flying_vines.files.bounded import read_bytes
 from flying_vines.record import recorder
 from flying_vines.service.persistent_state import PersistentState
+from flying_vines.service.starting import read_inputs
 from flying_vines.supply import RigPrior
-from flying_vines.supply.rig_file_prior import load_rig_file_prior
 from flying_vines.vehicle.component.parameters import Parameters
 from flying_vines.vehicle.mavlink.signing import Signing
 from flying_vines.vine.intent import Intent
@@ -76,21 +74,17 @@ class CalibrationContext:
 def load_context(user: UserConfiguration) -> tuple[Config, CalibrationContext]:
     """The configuration as `run` would use it: with the stored parameters and the rig file.
 
-    Raises `ParameterFileError`, `SigningKeyError` or `RigError`, each with a text of one line, or `OSError`.
+    Raises `ConfigError`.
     """
-    path, config = user.path, user.config
-    if path is None:
-        return config, CalibrationContext()
-    state = PersistentState.of(path, config)
-    flown = Parameters(config, state.read_parameters(config)).config
-    stored = StoredState(disarmed=state.disarmed)
-    signing, _ = state.read_signing(config)
-    prior, rig_text = None, ""
-    if rig := configuration.rig_named(config, path):
-        prior = load_rig_file_prior(rig, config.pneumatics).prior
-        rig_text = read_bytes(rig).decode()
+    if user.path is None:
+        return user.config, CalibrationContext()
+    read = read_inputs(user.path)
+    flown, prior = Parameters(read.config, read.stored.parameters).config, None
+    if read.known:
+        prior = read.known.prior
         flown = msgspec.structs.replace(flown, pneumatics=prior.pneumatics)
-    return flown, CalibrationContext(prior, rig_text, stored, signing, state)
+    stored = StoredState(disarmed=read.stored.disarmed)
+    return flown, CalibrationContext(prior, read.rig_text, stored, read.signing, read.state)
 
 
 def planned(config: Config, request: CalibrationRequest) -> CalibrationPlan:

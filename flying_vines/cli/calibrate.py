@@ -79,11 +79,9 @@ def run(arguments: argparse.Namespace) -> int:
         from flying_vines.calibration.driver import CalibrateError
         from flying_vines.physics.rig import RigError
         from flying_vines.service.link_settings import SettingsError, SettingsInterruptedError
-        from flying_vines.vehicle.component.parameter_file import ParameterFileError
-        from flying_vines.vehicle.mavlink.signing_key import SigningKeyError
 
         try:
-            with file_errors(arguments.out, CalibrateError, RigError, ParameterFileError, SigningKeyError):
+            with file_errors(arguments.out, CalibrateError, RigError):
                 return _run(arguments)
         except SettingsInterruptedError:
             return INTERRUPTED

@@ -134,5 +134,3 @@ def read_mission(path: Path | None) -> Sequence[MissionItem]:
         return read_waypoints(path)
     except WaypointsError as error:
         fail(str(error))
-    except OSError as error:
-        fail(f"{path}: {error.strerror}")

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flying_vines.cli.common import FLIGHTS, add_cause_option, fail, file_errors
-from flying_vines.files.bounded import read_bytes
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -46,8 +45,7 @@ def _run(arguments: argparse.Namespace) -> int:
         remembered = Remembered(state, read.stored, read.signing, state.read_page_token(config))
     try:
         numbers = known.prior.pneumatics if known else config.pneumatics
-        rig = read_bytes(known.path).decode() if known else ""
-        began = FlightStart(read.text, numbers, rig, remembered.stored)
+        began = FlightStart(read.text, numbers, read.rig_text, remembered.stored)
         log = Recorder(arguments.out, began, config.log.least_free_MB)
     except OSError as error:
         fail(f"{arguments.out}: no flight log can be written there: {error.strerror}")

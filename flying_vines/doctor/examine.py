@@ -112,7 +112,7 @@ async def examine(
 def _disks(examined: ServiceConfiguration, logs: Path) -> list[DoctorFinding]:
     found = [disk.check(folders.facts("flight logs", logs, examined.config.log.least_free_MB))]
     if examined.state is not None:
-        found.append(disk.check(folders.facts("state", examined.state, 0.0)))
+        found.append(disk.check(folders.facts("state", examined.state.parameters.parent, 0.0)))
     return found
 
 
@@ -166,9 +166,9 @@ async def _move_switch(watch: VehicleWatch, positions: int, ask: RadioQuestion) 
 
 def keep_signing(examined: ServiceConfiguration) -> None:
     """Save the signing timestamps, so that the service does not use them again."""
-    if examined.signing is not None and examined.signing_timestamp is not None:
+    if examined.signing is not None and examined.state is not None:
         try:
-            TimestampFile(examined.signing_timestamp).save(examined.signing.memory)
+            TimestampFile(examined.state.signing_timestamp).save(examined.signing.memory)
         except SigningKeyError:
             # An earlier check has already reported the unwritable folder.
             return

@@ -10,6 +10,7 @@ import errno
 import os
 import re
 import stat
+from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
@@ -61,3 +62,14 @@ def read_bytes(path: Path, most_bytes: int = TEXT_BYTES) -> bytes:
     if len(data) > most_bytes:
         raise OSError(errno.EFBIG, f"it has more than {most_bytes / MB:g} MB", str(path))
     return data
+
+
+def read_private(path: Path, what: str, error: Callable[[str], Exception], remedy: str = "") -> bytes:
+    """The content of a file that only its owner may read or change; raises `error` with one line."""
+    try:
+        mode = path.stat().st_mode
+        if stat.S_ISREG(mode) and mode & 0o077:
+            raise error(f"{path}: others may read or change {what}: chmod 600 {path}")
+        return read_bytes(path)
+    except OSError as problem:
+        raise error(f"{path}: {what} cannot be read: {problem.strerror}{remedy}") from None

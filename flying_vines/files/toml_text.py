@@ -77,6 +77,18 @@ def parsed(text: str, source: str, error: Callable[[str], Exception]) -> dict[st
     return tables
 
 
+def converted(text: str, source: str, kind: Any, error: Callable[[str], Exception]) -> Any:
+    """A TOML text as the msgspec type `kind`; raises `error` with one line, also for nan and infinity."""
+    raw = parsed(text, source, error)
+    for key in not_finite(raw):
+        raise error(located(text, source, key, "is not a finite number"))
+    try:
+        return msgspec.convert(raw, kind)
+    except msgspec.ValidationError as problem:
+        key, reason = explained(str(problem), kind, raw=raw)
+        raise error(located(text, source, key, reason)) from None
+
+
 def _slip(text: str, line: int, problem: str) -> tuple[int, str]:
     """The line to correct, and what to write there: tomllib says only where and why its parser stopped."""
     lines = text.split("\n")
@@ -224,10 +236,8 @@ def explained(error: str, kind: object, inside: Key = (), raw: object = None) ->
             expected += f" ([[{key[-1]}]])"
         elif isinstance(value, list) and expected == "a table":
             expected += f" ([{key[-1]}], not [[{key[-1]}]])" if value and isinstance(value[0], dict) else ""
-        return (
-            key,
-            f"must be {expected or 'another value'}{'' if value is None else f', not {_quoted(value)}'}",
-        )
+        quoted = "" if value is None else f", not {_quoted(value)}"
+        return key, f"must be {expected or 'another value'}{quoted}"
     return key, message.replace("`", "")
 
 
@@ -287,36 +297,30 @@ def _tables(kind: object, value: object) -> list[Any]:
 
 def _options(kind: object) -> list[Any]:
     """The types of a union, without `Annotated`; None is no value of a TOML file."""
-    if get_origin(kind) is Annotated:
-        kind = get_args(kind)[0]
-    members = get_args(kind) if get_origin(kind) in (Union, types.UnionType) else (kind,)
-    plain = [get_args(member)[0] if get_origin(member) is Annotated else member for member in members]
-    return [option for member in plain if member is not type(None) for option in _flat(member)]
-
-
-def _flat(member: object) -> list[Any]:
-    return _options(member) if get_origin(member) in (Union, types.UnionType, Annotated) else [member]
+    origin, arguments = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        return _options(arguments[0])
+    if origin in (Union, types.UnionType):
+        return [option for member in arguments for option in _options(member)]
+    return [] if kind in (None, type(None)) else [kind]
 
 
 def _described(kind: object) -> Iterator[str]:
     """What a value of this type may be, in plain words."""
-    if get_origin(kind) in (Union, types.UnionType):
-        for member in get_args(kind):
+    plain = get_args(kind)[0] if get_origin(kind) is Annotated else kind
+    origin, arguments = get_origin(plain), get_args(plain)
+    if origin in (Union, types.UnionType):
+        for member in arguments:
             yield from _described(member)
-    elif get_origin(kind) is Literal:
-        words = [word for word in get_args(kind) if isinstance(word, str)]
+    elif origin is Literal:
+        words = [word for word in arguments if isinstance(word, str)]
         yield f"{'one of ' if len(words) > 1 else ''}{', '.join(words)}"
-    elif kind is not type(None) and kind is not None:
-        plain = get_args(kind)[0] if get_origin(kind) is Annotated else kind
-        origin, arguments = get_origin(plain), get_args(plain)
-        if origin is tuple and Ellipsis not in arguments:
-            yield f"a list of {len(arguments)} values"
-        elif origin in (tuple, list):
-            yield f"a list{range_of(kind) or ' of'} {'tables' if _tables(arguments[0], None) else 'values'}"
-        elif get_origin(plain) in (Literal, Union, types.UnionType):
-            yield from _described(plain)
-        else:
-            yield _KINDS.get(plain, "a table") + range_of(kind)
+    elif origin is tuple and Ellipsis not in arguments:
+        yield f"a list of {len(arguments)} values"
+    elif origin in (tuple, list):
+        yield f"a list{range_of(kind) or ' of'} {'tables' if _tables(arguments[0], None) else 'values'}"
+    elif plain not in (None, type(None)):
+        yield _KINDS.get(plain, "a table") + range_of(kind)
 
 
 def range_of(kind: object) -> str:

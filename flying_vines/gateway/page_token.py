@@ -9,12 +9,11 @@ import os
 import re
 import secrets
 import socket
-import stat
 from ipaddress import ip_address
 from pathlib import Path
 
 from flying_vines.config.config import PageConfig
-from flying_vines.files.bounded import decoded, first_line, read_bytes
+from flying_vines.files.bounded import decoded, first_line, read_private
 
 RANDOM_BYTES = 10
 """Too long to guess over a network, short enough to type on a phone."""
@@ -45,13 +44,9 @@ def read_or_make(path: Path) -> str:
 def read(path: Path) -> str:
     """Raises `PageTokenError`."""
     try:
-        if path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
-            raise PageTokenError(f"{path}: others may read or change the page's token: chmod 600 {path}")
-        token = first_line(decoded(read_bytes(path)))
+        token = first_line(decoded(read_private(path, "the page's token", PageTokenError)))
     except UnicodeDecodeError:
         token = ""
-    except OSError as error:
-        raise PageTokenError(f"{path}: the page's token cannot be read: {error.strerror}") from None
     if not _FORM.fullmatch(_plain(token)):
         raise PageTokenError(
             f"{path}: contains no valid page token: delete the file; the service then creates a new one"

@@ -66,11 +66,6 @@ def rounded_noise(std_kPa: float, step_kPa: float) -> SensorNoise:
     return SensorNoise(max(std_kPa, step_kPa / sqrt(12.0)), 0.0, step_kPa)
 
 
-def independent_noise(cv_kPa: float, reservoir_kPa: float) -> Noise:
-    """Noise of these standard deviations, independent from reading to reading."""
-    return SensorNoise(cv_kPa), SensorNoise(reservoir_kPa)
-
-
 def stated_noise(rig: Rig, readings: Sequence[Array] = ()) -> Noise:
     """The noise in the rig file, and at least that of rounding.
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from flying_vines.files.bounded import TABLE_BYTES, read_bytes
+from flying_vines.files.toml_text import read_text
 from flying_vines.identification.recording import CaseError
 from flying_vines.physics.arrays import Array, BoolArray
 
@@ -161,20 +162,10 @@ def _separator(line: str) -> str:
 
 
 def _lines_of(path: Path) -> list[str]:
-    try:
-        data = read_bytes(path, TABLE_BYTES)
-    except FileNotFoundError:
-        raise CaseError(f"{path}: no such file") from None
-    except OSError as error:
-        raise CaseError(f"{path}: cannot be read: {error.strerror}") from None
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise CaseError(f"{path}:{line}: is not UTF-8 text; save the recording as CSV in UTF-8") from None
+    text = read_text(path, CaseError, most_bytes=TABLE_BYTES)
     if "\0" in text:
         raise CaseError(f"{path}: is not a text file; save the recording as CSV in UTF-8")
-    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    return text.split("\n")
 
 
 def _is_content(line: str) -> bool:

@@ -36,16 +36,6 @@ def alpha_kPa() -> float:
     return density * GAS_CONSTANT_J_PER_MOL_K * STANDARD_TEMPERATURE_K / AIR_MOLAR_MASS_KG_PER_MOL / 1000.0
 
 
-def pressure_rate_kPa_per_s(flow_SL_per_s: Value, volume_L: float) -> Value:
-    """dP/dt = α Q / V, kPa/s (paper, Eq. 1): isothermal gas in a rigid volume.
-
-    Args:
-        flow_SL_per_s: Q, into the volume, standard litres per second.
-        volume_L: V, litres.
-    """
-    return ALPHA_KPA * flow_SL_per_s / volume_L
-
-
 def flow_for_rate_SL_per_s(rate_kPa_per_s: Value, volume_L: float) -> Value:
     """Q = V dP/dt / α, standard litres per second (paper, Eq. 1, solved for Q).
 

@@ -15,7 +15,6 @@ import msgspec
 
 from flying_vines.config import on_disk
 from flying_vines.config.config import Config
-from flying_vines.core.events import StoredState
 from flying_vines.files.bounded import read_bytes
 from flying_vines.gateway import page_token
 from flying_vines.vehicle.component import parameter_file
@@ -79,17 +78,6 @@ class PersistentState:
             page_token=config_file.parent / token_file if token_file else folder / f"{stem}.page-token",
         )
 
-    def read(self, config: Config) -> StoredState:
-        """The state with which the core starts. Raises `ParameterFileError` or `OSError`."""
-        parameters = self.read_parameters(config)
-        return StoredState(
-            parameters,
-            self.disarmed,
-            self.read_learned(),
-            self.read_latched(),
-            self.read_board_settings(),
-        )
-
     def read_parameters(self, config: Config) -> dict[str, float]:
         """Raises `ParameterFileError` with one line."""
         return parameter_file.read(self.parameters, config)
@@ -105,14 +93,7 @@ class PersistentState:
 
     def store_disarmed(self, disarmed: bool) -> None:
         """Raises `PersistentStateError`."""
-        try:
-            if disarmed:
-                on_disk.put(self.disarming, DISARMED)
-            else:
-                on_disk.take_away(self.disarming)
-        except OSError as error:
-            change = "written" if disarmed else "deleted"
-            raise PersistentStateError(f"{self.disarming}: cannot be {change}: {error.strerror}") from None
+        _store(self.disarming, DISARMED if disarmed else None)
 
     def read_learned(self) -> str:
         """The stored text. Empty if there is none or it cannot be read: then the air is learned again."""
@@ -123,10 +104,7 @@ class PersistentState:
 
     def store_learned(self, text: str) -> None:
         """Raises `PersistentStateError`."""
-        try:
-            on_disk.put(self.learned, text)
-        except OSError as error:
-            raise PersistentStateError(f"{self.learned}: cannot be written: {error.strerror}") from None
+        _store(self.learned, text)
 
     def read_latched(self) -> dict[str, str]:
         """The faults that nobody has cleared."""
@@ -139,13 +117,7 @@ class PersistentState:
 
     def store_latched(self, faults: dict[str, str]) -> None:
         """Raises `PersistentStateError`."""
-        try:
-            if faults:
-                on_disk.put(self.latched, msgspec.json.encode(faults).decode() + "\n")
-            else:
-                on_disk.take_away(self.latched)
-        except OSError as error:
-            raise PersistentStateError(f"{self.latched}: cannot be changed: {error.strerror}") from None
+        _store(self.latched, msgspec.json.encode(faults).decode() + "\n" if faults else None)
 
     def read_board_settings(self) -> int | None:
         """The known digest; None before the first board, `NO_BOARD` if the file is damaged."""
@@ -159,11 +131,7 @@ class PersistentState:
 
     def store_board_settings(self, digest: int) -> None:
         """Raises `PersistentStateError`."""
-        try:
-            on_disk.put(self.board_settings, f"{digest:08x}\n")
-        except OSError as error:
-            file = self.board_settings
-            raise PersistentStateError(f"{file}: cannot be written: {error.strerror}") from None
+        _store(self.board_settings, f"{digest:08x}\n")
 
     def read_page_token(self, config: Config) -> str:
         """The token; a new one if there is none, empty if the page needs none. Raises `PageTokenError`."""
@@ -176,3 +144,15 @@ class PersistentState:
         key = read_key(self.config_file.parent / config.vehicle.signing_key)
         memory, problem = TimestampFile(self.signing_timestamp).load()
         return Signing(key, config.vehicle.component_id, memory), problem
+
+
+def _store(file: Path, text: str | None) -> None:
+    """Write the file; delete it without a text."""
+    try:
+        if text is None:
+            on_disk.take_away(file)
+        else:
+            on_disk.put(file, text)
+    except OSError as error:
+        change = "deleted" if text is None else "written"
+        raise PersistentStateError(f"{file}: cannot be {change}: {error.strerror}") from None

@@ -14,7 +14,7 @@ from flying_vines.config.config import Config, ConfigError, MqttConfig
 from flying_vines.config.plugins import PluginError
 from flying_vines.core.core import Core
 from flying_vines.core.events import StoredState
-from flying_vines.files.toml_text import Key, key_of, located
+from flying_vines.files.toml_text import key_of, located, read_text
 from flying_vines.gateway import page_token
 from flying_vines.physics.rig import RigError
 from flying_vines.service.persistent_state import PersistentState
@@ -23,6 +23,9 @@ from flying_vines.supply.rig_file_prior import RigFilePrior, load_rig_file_prior
 from flying_vines.vehicle.component.parameter_file import ParameterFileError, ignored_in
 from flying_vines.vehicle.mavlink.signing import Signing
 from flying_vines.vehicle.mavlink.signing_key import SigningKeyError
+
+RIG, SIGNING_KEY, PARAMETERS = "pneumatics.rig", "vehicle.signing_key", "parameters"
+"""Keys of `read_inputs`' problems."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,11 +39,31 @@ class RunInputs:
     state: PersistentState
     stored: StoredState
     signing: Signing | None
-    notes: list[str]
-    """What does not stop the service, a line each."""
+    ignored: list[str]
+    """Settings and parameters of an earlier version, a sentence each."""
+    clock_problem: str
+    """Why the stored signing clock cannot be used, or empty."""
+
+    @property
+    def rig_text(self) -> str:
+        return read_text(self.known.path, ConfigError) if self.known else ""
+
+    @property
+    def notes(self) -> list[str]:
+        """What does not stop the service, a line each."""
+        notes = [*self.ignored, *([self.clock_problem] if self.clock_problem else [])]
+        folder = self.state.parameters.parent
+        above = next(part for part in (folder, *folder.absolute().parents) if part.exists())
+        if not os.access(above, os.W_OK):
+            notes.append(
+                f"{folder}: this user may not write there: the service's user must, to keep its state"
+            )
+        return notes
 
 
-def read_inputs(path: Path, rig: Path | None = None, broker_files: bool = False) -> RunInputs:
+def read_inputs(
+    path: Path, rig: Path | None = None, broker_files: bool = False, problems: dict[str, str] | None = None
+) -> RunInputs:
     """Raises `ConfigError` with file, line and key.
 
     Args:
@@ -48,53 +71,54 @@ def read_inputs(path: Path, rig: Path | None = None, broker_files: bool = False)
         rig: a rig file in place of the configuration's.
         broker_files: also read the files for the broker and the page. The service reads them later, and flies
             without them.
+        problems: gets what is wrong with the other files, by key, in place of an error. Plugins are then not
+            checked.
     """
     text = configuration.text_of(path)
     config = configuration.parse(text, str(path))
     state = PersistentState.of(path, config)
 
     @contextmanager
-    def named(key: Key, *kinds: type[Exception]) -> Iterator[None]:
+    def named(key: str, *kinds: type[Exception]) -> Iterator[None]:
+        caught: tuple[type[Exception], ...] = (OSError, *kinds)
         try:
             yield
-        except kinds as error:
-            raise ConfigError(located(text, str(path), key, str(error)) if key else str(error)) from None
-        except OSError as error:
-            reason = f"{error.filename}: {error.strerror}"
-            raise ConfigError(located(text, str(path), key, reason)) from None
+        except caught as error:
+            reason = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) else str(error)
+            if problems is None:
+                is_set = "." in key and not (rig and key == RIG)
+                reason = located(text, str(path), key_of(f".{key}"), reason) if is_set else reason
+                raise ConfigError(reason) from None
+            problems[key] = reason
 
-    check_plugins(config, path)
-    known = None
+    if problems is None:
+        check_plugins(config, path)
+    known, signing, clock_problem = None, None, ""
     if file := rig or configuration.rig_named(config, path):
-        with named(() if rig else ("pneumatics", "rig"), RigError):
+        with named(RIG, RigError):
             known = load_rig_file_prior(file, config.pneumatics)
-    with named(("vehicle", "signing_key"), SigningKeyError):
+    with named(SIGNING_KEY, SigningKeyError):
         signing, clock_problem = state.read_signing(config)
     folder = state.parameters.parent
-    with named(("state", "folder")):
+    with named("state.folder"):
         if folder.exists() and not folder.is_dir():
             raise NotADirectoryError(0, "is not a folder", str(folder))
-    try:
-        stored = state.read(config)
-        notes = [
-            *configuration.ignored(text, str(path), configuration.OLD_SETTINGS),
-            *ignored_in(state.parameters),
-        ]
-    except ParameterFileError as error:
-        raise ConfigError(str(error)) from None
-    except OSError as error:
-        raise ConfigError(f"{error.filename}: {error.strerror}") from None
+    parameters, disarmed = dict[str, float](), True
+    ignored = configuration.ignored(text, str(path), configuration.OLD_SETTINGS)
+    with named(PARAMETERS, ParameterFileError):
+        parameters = state.read_parameters(config)
+        ignored += ignored_in(state.parameters)
+    with named("disarmed"):
+        disarmed = state.disarmed
+    stored = StoredState(
+        parameters, disarmed, state.read_learned(), state.read_latched(), state.read_board_settings()
+    )
     if broker_files:
         _read_broker_files(config.mqtt, named)
-        with named(("page", "token_file"), page_token.PageTokenError):
+        with named("page.token_file", page_token.PageTokenError):
             if config.page.needs_token and state.page_token.exists():
                 page_token.read(state.page_token)
-    if clock_problem:
-        notes.append(clock_problem)
-    above = next(part for part in (folder, *folder.absolute().parents) if part.exists())
-    if not os.access(above, os.W_OK):
-        notes.append(f"{folder}: this user may not write there: the service's user must, to keep its state")
-    return RunInputs(text, config, known, state, stored, signing, notes)
+    return RunInputs(text, config, known, state, stored, signing, ignored, clock_problem)
 
 
 def check_plugins(config: Config, config_file: Path | None = None) -> None:
@@ -117,12 +141,12 @@ def _read_broker_files(mqtt: MqttConfig, named: Callable[..., AbstractContextMan
     from flying_vines.gateway.mqtt import credentials
     from flying_vines.gateway.mqtt.problems import FileError
 
-    with named(("mqtt", "password_file"), FileError):
+    with named("mqtt.password_file", FileError):
         credentials.password(mqtt)
     try:
         credentials.tls(mqtt, parse_broker(mqtt.broker))
     except FileError as error:
         files = ("ca_file", "key_file", "certificate_file")
         key = next(name for name in files if str(error).startswith(getattr(mqtt, name) or "\0"))
-        with named(("mqtt", key), FileError):
+        with named(f"mqtt.{key}", FileError):
             raise

@@ -18,7 +18,10 @@ from flying_vines.config import config
 from flying_vines.files.bounded import decoded
 from flying_vines.gateway import page_token
 from flying_vines.gateway.mqtt.credentials import password
+from flying_vines.physics.plant.true_rig import TrueRig, true_rig_text
+from flying_vines.physics.rig import Rig
 from flying_vines.record.reader import FlightLog, flights_in
+from flying_vines.service.starting import read_inputs
 from flying_vines.vehicle.mavlink.signing_key import read_key
 from missions.waypoints import read_waypoints
 
@@ -51,6 +54,11 @@ def test_a_text_of_any_editor_is_read(editor: str, comment: str, tmp_path: Path)
     row = "0\t1\t0\t16\t0\t0\t0\t0\t47\t8\t9\t1\n"
     path.write_bytes(EDITORS[editor]("QGC WPL 110\n" + comment + row))
     assert len(read_waypoints(path)) == 1
+    rig = true_rig_text(TrueRig(Rig()))
+    path.write_bytes(EDITORS[editor](rig))
+    of_the_rig = tmp_path / "vine.toml"
+    of_the_rig.write_text(config.default_text().replace('rig = ""', 'rig = "text"'))
+    assert read_inputs(of_the_rig).rig_text.split() == rig.split()
     assert "\r" not in decoded(path.read_bytes())
 
 

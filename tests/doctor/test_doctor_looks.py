@@ -323,7 +323,7 @@ def write(folder: Path, text: str) -> Path:
 def test_a_configuration_is_read_with_all_that_it_names(tmp_path: Path) -> None:
     healthy = look.read(write(tmp_path, 'rig = ""'))
     assert (healthy.facts.rig, healthy.facts.signing_key, healthy.facts.disarming) == ("", "", "")
-    assert healthy.state == tmp_path
+    assert healthy.state is not None and healthy.state.parameters.parent == tmp_path
     path = write(tmp_path, 'rig = "none.toml"')
     path.write_text(path.read_text().replace('signing_key = ""', 'signing_key = "key"'))
     (tmp_path / "key").write_text("passphrase: long enough")

@@ -217,8 +217,7 @@ REFUSED: dict[str, tuple[str | bytes, str]] = {
     "no pressure": (only(*HEADER.split(",")[:5]), ":1: no pressure was recorded"),
     "no openings": (only("time_s", "cv_pressure_kPa", "reservoir_pressure_kPa"), "valve commands were not"),
     "quotation": (text([*ROWS[:9], '"' + ROWS[9], *ROWS[10:]]), ":11: a quotation mark is not closed"),
-    "latin": (text().replace("time_s", "time_s,°").encode("latin-1"), ":1: is not UTF-8 text"),
-    "utf-16": (text().encode("utf-16"), ":1: is not UTF-8 text"),
+    "latin": (text().replace("time_s", "time_s,°").encode("latin-1"), "(line 1): save it as UTF-8"),
     "binary": (b"time_s,\0\0\0", ": is not a text file"),
     "field": (text([*ROWS, "9,,0,0,0,0," + "9" * 200_000]), ":62: is not a CSV line: field larger"),
 }  # fmt: skip

@@ -11,7 +11,7 @@ import pytest
 from flying_vines.identification.candidate import STRUCTURE
 from flying_vines.identification.case import Case, RecordedRun
 from flying_vines.identification.fit import Fit, FitProblem
-from flying_vines.identification.noise import independent_noise
+from flying_vines.identification.noise import SensorNoise
 from flying_vines.identification.prediction_error import blocks
 from flying_vines.identification.residuals import excess, patterns
 from flying_vines.identification.simulate import Simulation
@@ -19,6 +19,7 @@ from flying_vines.physics.arrays import Array
 from flying_vines.physics.rig import ControlVolume, Rig
 
 NOISE_KPA = (0.15, 1.2)
+NOISE = SensorNoise(NOISE_KPA[0]), SensorNoise(NOISE_KPA[1])
 
 
 def fitted(seed: int) -> tuple[FitProblem, Fit]:
@@ -39,7 +40,7 @@ def fitted(seed: int) -> tuple[FitProblem, Fit]:
         cv_kPa=clean.cv_kPa + random.normal(0.0, NOISE_KPA[0], len(time_s)),
         reservoir_kPa=clean.reservoir_kPa + random.normal(0.0, NOISE_KPA[1], len(time_s)),
     )
-    problem = FitProblem(Case(Path("memory"), rig, (run,), ()), independent_noise(*NOISE_KPA))
+    problem = FitProblem(Case(Path("memory"), rig, (run,), ()), NOISE)
     return problem, problem.fit(problem.start())
 
 
@@ -107,7 +108,7 @@ def test_without_a_thermometer_there_is_no_such_pattern() -> None:
     problem, fit = fitted(2)
     (run,) = problem.case.runs
     case = replace(problem.case, runs=(replace(run, ambient_C=None),))
-    features = {pattern.feature for pattern in patterns(FitProblem(case, independent_noise(*NOISE_KPA)), fit)}
+    features = {pattern.feature for pattern in patterns(FitProblem(case, NOISE), fit)}
     assert "ambient temperature" not in features and "opening of the inflation valve" in features
 
 
@@ -120,7 +121,7 @@ def test_a_slow_logger_has_patterns_in_time_too() -> None:
         "run", time_s, None, shut + 1.0, shut, shut + 1.0, unread_kPa, reservoir_kPa, None, None, True
     )
     case = Case(Path("memory"), Rig(cv=None), (run,), ())
-    problem = FitProblem(case, independent_noise(*NOISE_KPA))
+    problem = FitProblem(case, NOISE)
     assert excess(patterns(problem, problem.fit(problem.start())))[1] > 10.0
 
 

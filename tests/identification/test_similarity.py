@@ -11,7 +11,7 @@ from hidden_truth import draw, write
 
 from flying_vines.identification.case import Case, read_case
 from flying_vines.identification.fit import FitProblem
-from flying_vines.identification.noise import independent_noise
+from flying_vines.identification.noise import SensorNoise
 from flying_vines.identification.similarity import Similarity, similarity
 from flying_vines.identification.simulate import rig_number_keys
 from flying_vines.physics.cause import Cause
@@ -28,7 +28,7 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
 
 
 def found(case: Case, *causes: Cause, there: str | None = None) -> Similarity:
-    problem = FitProblem(case, independent_noise(0.15, 1.2))
+    problem = FitProblem(case, (SensorNoise(0.15), SensorNoise(1.2)))
     start = problem.start()
     if there is not None:
         start = start.with_cause(BY_NAME[there], BY_NAME[there].seeds()[0])

@@ -76,7 +76,7 @@ def test_an_error_names_file_line_and_what_is_wrong(tmp_path: Path, text: str, l
 def test_a_binary_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "plan.waypoints"
     path.write_bytes(b"\xff\xfe\x00\x80")
-    with pytest.raises(WaypointsError, match="not a text file"):
+    with pytest.raises(WaypointsError, match="not a UTF-8 text file"):
         read_waypoints(path)
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import pytest
+from closed_forms import isa_pressure_kPa
 from hidden_truth.effects import CAUSES, EFFECTS
 from hidden_truth.rig import Rig as HiddenRig
 
 from flying_vines.physics.cause import Parameter
 from flying_vines.physics.effects import catalogue, cause_named, causes_of, setup
-from flying_vines.physics.plant.ambient import isa_pressure_kPa
 from flying_vines.physics.plant.commands import HEATED_PART
 from flying_vines.physics.rig import ControlVolume, Pump, Rig
 

@@ -107,11 +107,11 @@ def test_n_cycles_end_where_the_rate_is_out_of_reach() -> None:
 
 @given(pressures, resistances, volumes)
 def test_equation_4_is_1_and_2(reservoir_kPa: float, resistance: float, volume_L: float) -> None:
-    through = paper.pressure_rate_kPa_per_s(paper.flow_SL_per_s(reservoir_kPa, resistance), volume_L)
+    through = ALPHA_KPA * paper.flow_SL_per_s(reservoir_kPa, resistance) / volume_L
     rate = paper.inflation_rate_kPa_per_s(reservoir_kPa, resistance, volume_L)
     assert rate == pytest.approx(through, rel=1e-12)
     assert paper.min_reservoir_kPa(rate, resistance, volume_L) == pytest.approx(reservoir_kPa, rel=1e-12)
-    back = paper.pressure_rate_kPa_per_s(paper.flow_for_rate_SL_per_s(rate, volume_L), volume_L)
+    back = ALPHA_KPA * paper.flow_for_rate_SL_per_s(rate, volume_L) / volume_L
     assert back == pytest.approx(rate, rel=1e-12)
 
 

@@ -7,6 +7,7 @@ import math
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plant_flows import flows
 
 from examples import examples
 from flying_vines.physics.baseline import Inputs
@@ -15,7 +16,7 @@ from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
 from flying_vines.physics.plant.numbers import numbers_of
 from flying_vines.physics.plant.plant import Held, Plant, State, at_rest
-from flying_vines.physics.plant.rates import conditions, flows, rates
+from flying_vines.physics.plant.rates import conditions, rates
 from flying_vines.physics.plant.simulator import TICK_S, Simulator
 from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
 from flying_vines.physics.plant.venturi import Ejector

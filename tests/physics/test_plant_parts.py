@@ -8,6 +8,7 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from plant_flows import flows
 
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.constants import ALPHA_KPA
@@ -16,7 +17,6 @@ from flying_vines.physics.plant.ambient import (
     Recorded,
     Steady,
     air_at,
-    isa_pressure_kPa,
 )
 from flying_vines.physics.plant.coil import Coil, current_A, resistance_ohm, temperature_after_K
 from flying_vines.physics.plant.effects import Effects
@@ -29,9 +29,7 @@ from flying_vines.physics.plant.flow import (
 )
 from flying_vines.physics.plant.likely_effects import DVP
 from flying_vines.physics.plant.plant import Plant, at_rest
-from flying_vines.physics.plant.rates import flows
 from flying_vines.physics.plant.simulator import Simulator
-from flying_vines.physics.plant.tubing import tubing_of
 from flying_vines.physics.plant.valve_response import (
     SolenoidTiming,
     ValveMotion,
@@ -198,12 +196,6 @@ def test_a_valve_driven_by_a_warm_coil_opens_less() -> None:
     assert openings[-1] < 0.95 * openings[0]
 
 
-def test_tubing_has_the_volume_and_resistance_of_its_size() -> None:
-    tube = tubing_of(1.0, 4.0)
-    assert tube.volume_L == pytest.approx(0.012566, rel=1e-4)
-    assert tube.flow_resistance_kPa_s_per_SL == pytest.approx(2.88, abs=0.01)
-
-
 def test_the_pressure_at_the_valves_is_above_the_one_in_the_volume() -> None:
     """By R Q while air flows; a part of the flow is stored in the tube. Without flow both are equal."""
     plant = Plant(Rig(), Effects(tubing=Hose(0.005, 8.0)))
@@ -218,11 +210,6 @@ def test_the_pressure_at_the_valves_is_above_the_one_in_the_volume() -> None:
     for _ in range(50):
         simulator.advance(Inputs(0.0, 0.0, False))
     assert simulator.conditions.line_kPa == pytest.approx(simulator.conditions.cv_kPa, abs=1e-9)
-
-
-def test_the_standard_atmosphere() -> None:
-    for altitude_m, expected in ((0, 101.3), (1000, 89.9), (2000, 79.5), (3000, 70.1), (4000, 61.6)):
-        assert isa_pressure_kPa(altitude_m) == pytest.approx(expected, abs=0.05)
 
 
 def test_a_sealed_tank_shows_more_at_altitude() -> None:

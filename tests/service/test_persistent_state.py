@@ -22,6 +22,7 @@ from flying_vines.core.watcher import EachAction
 from flying_vines.service import service as service_module
 from flying_vines.service.persistent_state import NO_BOARD, UNREADABLE, PersistentState
 from flying_vines.service.service import Service
+from flying_vines.service.starting import read_inputs
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.vehicle.component import parameter_file
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
@@ -51,12 +52,12 @@ class Served:
         self.config = config.load(self.config_file)
         self.state = PersistentState.of(self.config_file, self.config)
         self.seen: list[Action] = []
-        signing, _ = self.state.read_signing(self.config)
+        read = read_inputs(self.config_file)
         self.service = Service(
             self.config,
             (EachAction(self.seen.append),),
-            stored=self.state.read(self.config),
-            signing=signing,
+            stored=read.stored,
+            signing=read.signing,
             persistent=self.state,
         )
 

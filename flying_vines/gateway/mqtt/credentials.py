@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import ssl
-import stat
 from pathlib import Path
 
 from flying_vines.config.address import BrokerAddress
 from flying_vines.config.config import MqttConfig
-from flying_vines.files.bounded import decoded, first_line, read_bytes
+from flying_vines.files.bounded import decoded, first_line, read_private
 from flying_vines.gateway.mqtt.problems import FileError
 
 
@@ -16,7 +15,11 @@ def password(mqtt: MqttConfig) -> str | None:
     """The first line of the file that is no comment. Raises `FileError`; may block on a slow disk."""
     if not mqtt.password_file:
         return None
-    text = _read_private(mqtt.password_file, "the password")
+    path, what = Path(mqtt.password_file), "the password"
+    try:
+        text = decoded(read_private(path, what, FileError))
+    except UnicodeDecodeError:
+        raise FileError(f"{path}: {what} cannot be read: not UTF-8") from None
     # A password may itself begin with "#".
     found = first_line(text) or text.strip().partition("\n")[0].strip()
     if not found:
@@ -33,7 +36,7 @@ def tls(mqtt: MqttConfig, broker: BrokerAddress) -> ssl.SSLContext | None:
     except OSError as error:
         raise FileError(f"{mqtt.ca_file}: {_why(error, 'it contains no certificates')}") from None
     if mqtt.certificate_file:
-        _read_private(mqtt.key_file, "the key")
+        read_private(Path(mqtt.key_file), "the key", FileError)
         try:
             # Without a password here, OpenSSL asks for a key's password on the terminal and waits.
             context.load_cert_chain(mqtt.certificate_file, mqtt.key_file, password="")
@@ -41,19 +44,6 @@ def tls(mqtt: MqttConfig, broker: BrokerAddress) -> ssl.SSLContext | None:
             why = _why(error, "they are not a certificate and its key, or the key has a password")
             raise FileError(f"{mqtt.certificate_file}, {mqtt.key_file}: {why}") from None
     return context
-
-
-def _read_private(file: str, what: str) -> str:
-    path = Path(file)
-    try:
-        mode = path.stat().st_mode
-        if stat.S_ISREG(mode) and mode & 0o077:
-            raise FileError(f"{path}: others may read or change {what}: chmod 600 {path}")
-        return decoded(read_bytes(path))
-    except OSError as error:
-        raise FileError(f"{path}: {what} cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise FileError(f"{path}: {what} cannot be read: not UTF-8") from None
 
 
 def _why(error: OSError, of_tls: str) -> str:

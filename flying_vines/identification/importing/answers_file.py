@@ -15,7 +15,7 @@ import msgspec
 
 from flying_vines.config.on_disk import put
 from flying_vines.config.toml_edit import table_lines
-from flying_vines.files.toml_text import explained, located, one_line, parsed, read_text
+from flying_vines.files.toml_text import converted, one_line, read_text
 from flying_vines.identification.importing.columns import MEANINGS, ImportedColumn
 from flying_vines.identification.importing.layout import TextLayout
 from flying_vines.identification.importing.units import parse_unit
@@ -82,17 +82,13 @@ def read_answers(path: Path) -> Answers:
     if not path.exists():
         return Answers()
     text = read_text(path, CaseError)
-    tables = parsed(text, str(path), CaseError)
+    answers: Answers = converted(text, str(path), Answers, CaseError)
     try:
-        answers = msgspec.convert(tables, Answers)
         for column in answers.columns:
             check_column(column)
         rig_from(answers.rig)
         if answers.setup.gas:
             rig_from({"gas": {"name": answers.setup.gas}})
-    except msgspec.ValidationError as error:
-        key, reason = explained(str(error), Answers, raw=tables)
-        raise CaseError(located(text, str(path), key, reason)) from None
     except (CaseError, RigError) as error:
         raise CaseError(f"{path}: {error}") from None
     return answers

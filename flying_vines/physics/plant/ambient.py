@@ -92,8 +92,3 @@ def air_at(ambient: Ambient, t_s: float) -> Air:
 def air_between(before: Air, after: Air, dt_s: float) -> Air:
     """The air from one instant to another `dt_s` later."""
     return Air(before.kPa, (after.kPa - before.kPa) / dt_s, before.ratio, (after.ratio - before.ratio) / dt_s)
-
-
-def isa_pressure_kPa(altitude_m: float) -> float:
-    """p = 101.325 (1 − 0.0065 h / 288.15)^5.25588: the ICAO standard atmosphere below 11 km."""
-    return STANDARD_PRESSURE_KPA * float((1.0 - 0.0065 * altitude_m / 288.15) ** 5.25588)

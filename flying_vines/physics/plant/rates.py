@@ -16,8 +16,6 @@ These are plain functions over tuples of numbers, so that `compiled` can compile
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.flow import flow_SL_per_s
@@ -32,42 +30,13 @@ Floats = tuple[float, ...]
 """The numbers of a state, without names."""
 
 
-class Flows(NamedTuple):
-    """Flows in standard litres per second, and heat into the gas in W.
-
-    Each `…_ratio` is the temperature of the flowing gas over 293.15 K.
-    """
-
-    inflation_SL_per_s: float
-    inflation_ratio: float
-    motive_SL_per_s: float
-    motive_ratio: float
-    outlet_SL_per_s: float
-    outlet_ratio: float
-    reservoir_leak_SL_per_s: float
-    reservoir_leak_ratio: float
-    cv_leak_SL_per_s: float
-    cv_leak_ratio: float
-    line_to_cv_SL_per_s: float
-    line_to_cv_ratio: float
-    reservoir_heat_W: float
-    cv_heat_W: float
-
-
-def flows(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held) -> Flows:
-    """All flows at time `at_s` after the start of `air`."""
-    found = _balance(numbers, air, at_s, state, held)
-    g = numbers.gamma - 1.0
-    return Flows._make((*found[:12], found[12] / g, found[13] / g))
-
-
 def rates(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held) -> Floats:
     """Derivative of the state at time `at_s` after the start of `air`."""
     (
         evp, evp_ratio, motive, motive_ratio, outlet, outlet_ratio,
         leak_r, leak_r_ratio, leak_c, leak_c_ratio, onward, onward_ratio,
         heat_r, heat_c, lost, ratio_a, volume,
-    ) = _balance(numbers, air, at_s, state, held)  # fmt: skip
+    ) = balance(numbers, air, at_s, state, held)  # fmt: skip
     reservoir_pV = reservoir_wall = cv_energy = cv_wall = cv_air = line_air = 0.0
     vented = motive + outlet + leak_r + leak_c + lost
     drawn = evp
@@ -112,14 +81,15 @@ def rates(numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Hel
     )
 
 
-def _balance(
+def balance(
     numbers: PlantNumbers, air: Air, at_s: float, state: Floats, held: Held
 ) -> tuple[
     float, float, float, float, float, float, float, float, float,
     float, float, float, float, float, float, float, float,
 ]:  # fmt: skip
-    """The first 12 numbers of `Flows`, two heats in kPa·L/s, the leak of the line, the ambient temperature
-    ratio, and the control volume in L."""
+    """Six flows in SL/s, each with the temperature of its gas over 293.15 K: inflation, motive, outlet, the
+    leaks of reservoir and control volume, tubing to control volume. Then two heats in kPa·L/s, the leak of
+    the line, the ambient temperature ratio, and the control volume in L."""
     n_r, e_r, wall_r, n_c, e_c, wall_c, n_l, x_e, x_d, _ = state
     if numbers.evp.lag_per_s == 0.0:
         x_e = held.evp_target

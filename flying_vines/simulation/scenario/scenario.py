@@ -9,7 +9,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from flying_vines.files.toml_text import OneLineError, explained, located, not_finite, parsed, read_text
+from flying_vines.files.toml_text import OneLineError, converted, read_text
 from flying_vines.simulation.scenario.run_kinds import RunKind
 
 _EXAMPLES = resources.files("flying_vines.simulation.scenario") / "examples"
@@ -44,11 +44,5 @@ def load_scenario(source: Path | str) -> Scenario:
 
 def parse_scenario(text: str, source: str) -> Scenario:
     """Check a scenario's text. Errors name the text by `source`."""
-    content = parsed(text, source, ScenarioError)
-    for key in not_finite(content):
-        raise ScenarioError(located(text, source, key, "is not a finite number"))
-    try:
-        return msgspec.convert(content, Scenario)
-    except msgspec.ValidationError as error:
-        key, reason = explained(str(error), Scenario, raw=content)
-        raise ScenarioError(located(text, source, key, reason)) from None
+    scenario: Scenario = converted(text, source, Scenario, ScenarioError)
+    return scenario

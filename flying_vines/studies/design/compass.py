@@ -11,8 +11,9 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
+from flying_vines.config.config import ConfigError
+from flying_vines.files.toml_text import converted
 from flying_vines.studies.design.evaluate import Evaluation
-from flying_vines.studies.design.toml_reader import decode
 
 METRICS = ("cost", "weight", "size", "speed", "range", "air_supply", "renewability")
 """A higher rating is better: a high rating for cost means a low cost."""
@@ -60,7 +61,7 @@ class Compass:
 def solutions() -> dict[str, Solution]:
     """The six solutions that the paper compares, from `compass.toml`."""
     text = resources.files("flying_vines.studies.design").joinpath("compass.toml").read_text(encoding="utf-8")
-    found: Any = decode(text, "compass.toml", dict[str, Solution])
+    found: Any = converted(text, "compass.toml", dict[str, Solution], ConfigError)
     return {name: solution for name, solution in found.items() if isinstance(solution, Solution)}
 
 

@@ -13,10 +13,9 @@ import msgspec
 from msgspec import Meta
 
 from flying_vines.config.config import ConfigError
-from flying_vines.files.toml_text import read_text
+from flying_vines.files.toml_text import converted, read_text
 from flying_vines.physics import paper
 from flying_vines.studies.design.robot import PartNames
-from flying_vines.studies.design.toml_reader import decode
 
 Origin = Literal["printed", "computed", "assumed"]
 
@@ -226,7 +225,7 @@ def catalogue(*folders: Path) -> Catalogue:
 
 def parse(text: str, source: str) -> Part:
     """The part in the text of a file; `source` is its name in errors. Raises `ConfigError`."""
-    part: Any = decode(text, source, Part)
+    part: Any = converted(text, source, Part, ConfigError)
     if not isinstance(part, Part):
         raise ConfigError(f"{source}: not a part")
     return part

@@ -11,10 +11,9 @@ import msgspec
 from msgspec import Meta
 
 from flying_vines.config.config import ConfigError
-from flying_vines.files.toml_text import read_text
+from flying_vines.files.toml_text import converted, read_text
 from flying_vines.physics import paper
 from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
-from flying_vines.studies.design.toml_reader import decode
 
 # The bounds keep every result finite.
 PositiveFloat = Annotated[float, Meta(ge=1e-6, le=1e6)]
@@ -132,7 +131,7 @@ def load(path: Path) -> Robot:
 
 def parse(text: str, source: str) -> Robot:
     """The robot in the text of a robot file; `source` is its name in errors. Raises `ConfigError`."""
-    robot: Any = decode(text, source, Robot)
+    robot: Any = converted(text, source, Robot, ConfigError)
     if not isinstance(robot, Robot):
         raise ConfigError(f"{source}: not a robot file")
     return robot

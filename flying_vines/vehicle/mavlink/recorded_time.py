@@ -8,8 +8,6 @@ the offset changes, too, but the delayed frames bring it back.
 
 from __future__ import annotations
 
-import re
-import struct
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import NamedTuple
@@ -17,6 +15,7 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.mavlink.frames import MARKERS, fits, frame_at
+from flying_vines.vehicle.mavlink.payloads import message_of
 
 Record = tuple[float, bytes]
 """Unix time in s, and the frame."""
@@ -39,13 +38,12 @@ KEPT_SILENCE_S = 60.0
 REORDERED_S = 1.0
 """If the vehicle's clock is further behind than this, the vehicle has rebooted."""
 
-_Sender = tuple[int, int]
-
 
 class _Stamp(NamedTuple):
     """A frame with the vehicle's time. `offset_s`: the computer's time less the vehicle's."""
 
-    sender: _Sender
+    sender: int
+    """The autopilot's system id."""
     boot_s: float
     offset_s: float
 
@@ -83,7 +81,7 @@ class _RecordedTimes:
             begin = end
         times = [0.0]
         step_s = unix_s[0]
-        known: dict[_Sender, _Stamp] = {}
+        known: dict[int, _Stamp] = {}
         """The last stamp of each sender, with the smallest offset, less the steps."""
         for index, (before_s, now_s) in enumerate(pairwise(unix_s), start=1):
             self._note(known, index - 1, step_s)
@@ -134,7 +132,7 @@ class _RecordedTimes:
                 self._stamps[index] = stamp._replace(offset_s=now_s - stamp.boot_s)
             self._unix_s[index] = now_s
 
-    def _note(self, known: dict[_Sender, _Stamp], index: int, step_s: float) -> None:
+    def _note(self, known: dict[int, _Stamp], index: int, step_s: float) -> None:
         if (stamp := self._stamps[index]) is None:
             return
         offset_s = stamp.offset_s - step_s
@@ -144,7 +142,7 @@ class _RecordedTimes:
             offset_s = min(offset_s, before.offset_s + MAX_DRIFT * abs(stamp.boot_s - before.boot_s))
         known[stamp.sender] = stamp._replace(offset_s=offset_s)
 
-    def _error(self, known: dict[_Sender, _Stamp], index: int, step_s: float) -> float | None:
+    def _error(self, known: dict[int, _Stamp], index: int, step_s: float) -> float | None:
         """How far the computer's clock steps before a record; None if no vehicle's clock tells it."""
         passed_s = self._unix_s[index] - self._unix_s[index - 1]
         after = self._after(index) if known else []
@@ -209,30 +207,15 @@ def _readable(seconds: float) -> str:
     return f"{seconds:.0f} s"
 
 
-def _place_of_boot_time(kind: type) -> int | None:
-    """Where a message's payload has `time_boot_ms`."""
-    names: list[str] = kind.ordered_fieldnames  # type: ignore[attr-defined]  # mypy: generated classes
-    if "time_boot_ms" not in names:
-        return None
-    sizes = re.findall(r"\d*[a-zA-Z]", kind.unpacker.format.lstrip("<"))  # type: ignore[attr-defined]
-    return struct.calcsize("<" + "".join(sizes[: names.index("time_boot_ms")]))
+_TIMED = {number for number, kind in mavlink.mavlink_map.items() if "time_boot_ms" in kind.fieldnames}
 
 
-_PLACES = {
-    number: place
-    for number, kind in mavlink.mavlink_map.items()
-    if (place := _place_of_boot_time(kind)) is not None
-}
-
-
-def _boot_time(raw: bytes) -> tuple[_Sender, float] | None:
+def _boot_time(raw: bytes) -> tuple[int, float] | None:
     """The autopilot that sent a frame, and its time in s; None if the frame has no such time."""
     frame = frame_at(raw, 0) if raw and raw[0] in MARKERS else None
     if frame is None or frame.component != mavlink.MAV_COMP_ID_AUTOPILOT1:
         return None
-    place = _PLACES.get(frame.message_id)
-    if place is None or not frame.known or not fits(frame):
+    if frame.message_id not in _TIMED or not frame.known or not fits(frame):
         return None
-    # Version 2 of the protocol leaves out zeros at the end.
-    boot_ms = int.from_bytes(frame.payload[place : place + 4], "little")
-    return ((frame.system, frame.component), boot_ms / 1000.0) if boot_ms else None
+    boot_ms = message_of(frame).time_boot_ms
+    return (frame.system, boot_ms / 1000.0) if boot_ms else None

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import re
-import stat
 import threading
 from pathlib import Path
 
 from flying_vines.config import on_disk
-from flying_vines.files.bounded import decoded, first_line, read_bytes
+from flying_vines.files.bounded import decoded, first_line, read_bytes, read_private
 from flying_vines.vehicle.mavlink.signing import KEY_SIZE, UNITS_PER_S, SigningMemory
 
 MIN_PASSPHRASE_LENGTH = 8
@@ -36,7 +35,7 @@ def read_key(path: Path) -> bytes:
 
     A passphrase becomes a key by SHA-256, as in Mission Planner and MAVProxy. QGroundControl differs.
     """
-    content = _read_private(path)
+    content = read_private(path, "the signing key", SigningKeyError, f"; put it there: {_FORMS}")
     try:
         text = first_line(decoded(content)).encode()
     except UnicodeDecodeError:
@@ -55,20 +54,6 @@ def read_key(path: Path) -> bytes:
     if not any(key):
         raise SigningKeyError(f"{path}: the key is all zeros: write {_FORMS}")
     return key
-
-
-def _read_private(path: Path) -> bytes:
-    try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            raise SigningKeyError(f"{path}: not a file; put the signing key in a file: {_FORMS}")
-        if status.st_mode & 0o077:
-            raise SigningKeyError(f"{path}: others may read or change the signing key: chmod 600 {path}")
-        return read_bytes(path)
-    except FileNotFoundError:
-        raise SigningKeyError(f"{path}: no such file; put the signing key in it: {_FORMS}") from None
-    except OSError as error:
-        raise SigningKeyError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 class TimestampFile:
