@@ -672,7 +672,8 @@ class Core:
     def _report_waiting(self, t: float) -> None:
         """Send a text, once, that says which request would bend the vine.
 
-        No text is sent while RC or the autopilot is lost: the switch may have another position afterwards.
+        No text is sent while RC or the autopilot is lost or late: the switch may have another position
+        afterwards.
         """
         waiting = self._waiting
         if waiting is None:
@@ -680,7 +681,7 @@ class Core:
         may_bend = self._vehicle.state.armed or self._on_bench
         if waiting in (None, self._waiting_reported) or not may_bend:
             return
-        lost = not {"rc", "autopilot"}.isdisjoint(self._safety.reasons)
+        lost = not {"rc", "autopilot", "late"}.isdisjoint(self._safety.reasons)
         unread = self._vehicle.switch.position is None and bool(self._vehicle.pilot.fresh_move)
         if not lost and not unread:
             self._waiting_reported = waiting

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -115,6 +116,13 @@ def test_a_loss_that_vents_a_bent_vine_is_always_told_at_once() -> None:
     conditions.take(back(0.1))
     assert not conditions.take(lost(0.2))
     assert conditions.take(lost(0.3), at_once=True)
+
+
+def test_a_loss_whose_text_changes_is_one_loss_and_its_new_text_is_told_when_it_lasts() -> None:
+    late = replace(lost(1.5), text="Vine: RC late")
+    texts = shown({10: lost(1.0), 15: late, 40: back(4.0)}, 20.0)
+    assert [text for _, text in texts] == ["Vine: RC lost", "Vine: RC late", "Vine: RC is back"]
+    assert shown({10: lost(1.0), 15: late, 20: back(2.0)}, 20.0)[1:] == [(2.0, "Vine: RC is back")]
 
 
 def test_restarts_in_a_row_are_a_series() -> None:
