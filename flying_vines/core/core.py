@@ -434,7 +434,9 @@ class Core:
         moves = isinstance(intent, MOVING) and not self._planner.problem(intent)
         if moves and not overtaken and self._plan(t, intent).only_deflates:
             return ""
-        return f"came {trigger.age_s:.1f} s late" if late else "a newer request came first"
+        # Without the autopilot's clock the age is only how long the autopilot has been silent.
+        why_late = self._safety.reasons.get("autopilot") or f"came {trigger.age_s:.1f} s late"
+        return why_late if late else "a newer request came first"
 
     def _note_trigger(self, t: float) -> None:
         self._triggered_at = t
