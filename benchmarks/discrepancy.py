@@ -33,7 +33,7 @@ import flying_vines.identification
 from flying_vines.identification.case import Case, read_case
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.fit import FitProblem
-from flying_vines.identification.noise import independent_noise
+from flying_vines.identification.noise import SensorNoise
 
 TESTS = Path(__file__).parents[1] / "tests"
 sys.path.insert(0, str(TESTS))
@@ -127,7 +127,7 @@ def _outcome(tier: str, seed: int) -> dict[str, Any]:
 
 def _compile(case: Case) -> None:
     """Run a simulation once: it compiles the plant, or loads it from the cache."""
-    problem = FitProblem(case, independent_noise(1.0, 1.0))
+    problem = FitProblem(case, (SensorNoise(1.0), SensorNoise(1.0)))
     problem.residuals(problem.start())
 
 

@@ -434,7 +434,9 @@ class Core:
         moves = isinstance(intent, MOVING) and not self._planner.problem(intent)
         if moves and not overtaken and self._plan(t, intent).only_deflates:
             return ""
-        return f"came {trigger.age_s:.1f} s late" if late else "a newer request came first"
+        # Without the autopilot's clock the age is only how long the autopilot has been silent.
+        why_late = self._safety.reasons.get("autopilot") or f"came {trigger.age_s:.1f} s late"
+        return why_late if late else "a newer request came first"
 
     def _note_trigger(self, t: float) -> None:
         self._triggered_at = t
@@ -672,7 +674,8 @@ class Core:
     def _report_waiting(self, t: float) -> None:
         """Send a text, once, that says which request would bend the vine.
 
-        No text is sent while RC or the autopilot is lost: the switch may have another position afterwards.
+        No text is sent while RC or the autopilot is lost or late: the switch may have another position
+        afterwards.
         """
         waiting = self._waiting
         if waiting is None:
@@ -680,7 +683,7 @@ class Core:
         may_bend = self._vehicle.state.armed or self._on_bench
         if waiting in (None, self._waiting_reported) or not may_bend:
             return
-        lost = not {"rc", "autopilot"}.isdisjoint(self._safety.reasons)
+        lost = not {"rc", "autopilot", "late"}.isdisjoint(self._safety.reasons)
         unread = self._vehicle.switch.position is None and bool(self._vehicle.pilot.fresh_move)
         if not lost and not unread:
             self._waiting_reported = waiting

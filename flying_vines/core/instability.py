@@ -64,7 +64,9 @@ class Conditions:
             self._conditions[key] = _Condition(notice.t, notice, notice, notice.t)
             return True
         changed = notice.ended is not condition.latest.ended
-        condition.losses += not notice.ended
+        # A loss with another text is the same loss: a silent link that then comes late, for example.
+        is_same = bool(notice.condition) and not changed and notice.text != condition.latest.text
+        condition.losses += not notice.ended and not is_same
         condition.latest = notice
         if at_once or (changed and condition.losses == 1):
             condition.told, condition.told_at = notice, notice.t
@@ -77,19 +79,22 @@ class Conditions:
         shown = []
         for key, condition in list(self._conditions.items()):
             latest = condition.latest
-            ended_too = condition.told.ended is latest.ended
-            if ended_too and condition.losses == condition.told_losses:
+            told = condition.told.ended is latest.ended and (
+                latest.ended or condition.told.text == latest.text
+            )
+            if told and condition.losses == condition.told_losses:
                 if t - latest.t >= STABLE_AFTER_S:
                     del self._conditions[key]
                 continue
             counts = t - condition.told_at >= condition.count_every_s
             settled = t - latest.t >= (BACK_FOR_S if latest.ended else LOST_FOR_S)
-            if not counts and (not settled or ended_too):
+            if not counts and (not settled or told):
                 continue
             if counts:
                 condition.count_every_s = min(LONGEST_COUNT_EVERY_S, 2.0 * condition.count_every_s)
             condition.told, condition.told_at, condition.told_losses = latest, t, condition.losses
-            shown.append(replace(latest, t=t, text=f"{latest.text} ({condition.count})", of_decision=False))
+            text = f"{latest.text} ({condition.count})" if condition.losses > 1 else latest.text
+            shown.append(replace(latest, t=t, text=text, of_decision=False))
         return shown
 
     def unstable(self, t: float) -> dict[str, str]:

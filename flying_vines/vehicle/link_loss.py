@@ -16,6 +16,8 @@ BACK_S = 1.0
 """If RC returns at most this much later than the link, one text reports both."""
 _FOLLOW = ("rc", "altitude", "autopilot")
 """Safety's names for the losses that follow from a dead link."""
+_END_TOGETHER = (*_FOLLOW, "late")
+"""After a dead link, what was queued on the way comes late. The link is back only after that."""
 
 
 class LinkLoss:
@@ -40,7 +42,7 @@ class LinkLoss:
 
     def covers(self, name: str) -> bool:
         """True if the texts about the dead link stand for this loss, too: `back` reports its end."""
-        return bool(self._reported) and name in _FOLLOW
+        return bool(self._reported) and name in _END_TOGETHER
 
     def back(self, t: float, lost: Container[str]) -> str | None:
         """The text when the link is back, once; `lost` are the losses that have not ended."""
@@ -52,8 +54,8 @@ class LinkLoss:
             or received_at <= self._reported_at
         ):
             return None
-        if "autopilot" in lost:
-            return None  # frames arrive, but `armed` is unknown until the next HEARTBEAT
+        if "autopilot" in lost or "late" in lost:
+            return None  # frames arrive, but `armed` is unknown until the next HEARTBEAT, or all are late
         rc_lost = "rc" in lost
         self._back_since = t if self._back_since is None else self._back_since
         if rc_lost and t - self._back_since < BACK_S:

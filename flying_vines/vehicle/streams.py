@@ -24,7 +24,9 @@ MISSING_AFTER_S = 5.0
 OTHERS_HZ = 5.0
 SILENT_S = 2.5
 """After this time without any message the whole link is silent, and no single stream counts as missing."""
-
+STALLED_S = 0.5
+"""If two checks are this far apart, our process did not run, and messages may wait unread. The time until a
+stream counts as missing starts again."""
 
 _REFUSALS = {mavlink.MAV_RESULT_DENIED, mavlink.MAV_RESULT_UNSUPPORTED, mavlink.MAV_RESULT_FAILED}
 
@@ -69,7 +71,7 @@ class Streams:
         self._essential = {name: stream for name, stream in self._streams.items() if stream.essential}
         self._asked_at = -math.inf
         self._asked: _Stream | None = None
-        self._received_at = self._received_since = -math.inf
+        self._received_at = self._received_since = self._checked_at = -math.inf
 
     def handle(self, t: float, message: MavlinkMessage) -> None:
         """Take in a message of our autopilot."""
@@ -125,7 +127,13 @@ class Streams:
         }
 
     def missing(self, t: float) -> list[str]:
-        """The essential messages that were requested and do not arrive, although other messages do."""
+        """The essential messages that were requested and do not arrive, although other messages do.
+
+        Call it at each tick.
+        """
+        if t - self._checked_at > STALLED_S:
+            self._received_since = t
+        self._checked_at = t
         if t - self._received_at > SILENT_S:
             return []
         # Count from the time when all of these had been requested, so that one text names all missing ones.

@@ -205,6 +205,14 @@ def test_a_request_older_than_the_latest_is_not_executed() -> None:
     assert decide(flight, BendTo(20.0), 0.1).safety == "accepted"
 
 
+def test_a_request_while_the_autopilot_is_silent_is_not_called_late() -> None:
+    flight = flying(2.0)
+    flight.autopilot.mute(60.0)
+    run_for(flight, 17.0)
+    decision = decide(flight, BendTo(30.0), 17.0)
+    assert (decision.safety, decision.reason) == ("refused", "autopilot silent for 3 s")
+
+
 def test_a_trigger_without_an_intent_is_refused() -> None:
     flight = flying(2.0)
     t = flight.world.now

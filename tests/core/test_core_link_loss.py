@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 
 import msgspec
@@ -12,7 +13,7 @@ from flying_vines.config.config import Config
 from flying_vines.core.events import Action, Decision, LinkChanged
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
-from flying_vines.vehicle.notice import Notice
+from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.state import HEARTBEAT_FRESH_S
 
 from .prepared import prepared
@@ -77,6 +78,37 @@ def test_a_silent_link_is_reported_once_and_once_when_it_is_back(for_s: float) -
     )
     assert flight.phlosar.cv_kPa < 1.0
     assert texts_of(lives(flight, 10.0)) == ["Vine: vehicle link is back", WAITING]
+
+
+class Stall:
+    """A wire that stops for some time and then delivers its queue, `at_once` frames for each new one."""
+
+    def __init__(self, flight: SimulatedFlight, for_s: float, at_once: int) -> None:
+        self._flight, self._until, self._at_once = flight, flight.world.now + for_s, at_once
+        self._queued: deque[bytes] = deque()
+
+    def __call__(self, frame: bytes) -> bytes:
+        self._queued.append(frame)
+        if self._flight.world.now < self._until:
+            return b""
+        return b"".join(self._queued.popleft() for _ in range(min(len(self._queued), self._at_once)))
+
+
+LATE = "Vine: vehicle link more than 1 s late, vented"
+
+
+@pytest.mark.parametrize(
+    ("for_s", "at_once", "late"),
+    [(1.5, 10, []), (3.0, 10, []), (3.0, 2, [LATE]), pytest.param(10.0, 4, [LATE], marks=pytest.mark.long)],
+)
+def test_a_stall_is_one_loss_and_the_link_is_back_when_it_is_in_time(
+    for_s: float, at_once: int, late: list[str]
+) -> None:
+    flight = bent()
+    flight.from_autopilot = Stall(flight, for_s, at_once)
+    actions = lives(flight, for_s + 15.0)
+    told = [a.text for a in actions if isinstance(a, Notice) and a.severity is not Severity.DEBUG]
+    assert told == ["Vine: vehicle link silent, vented", *late, "Vine: vehicle link is back", WAITING]
 
 
 def test_a_link_is_back_with_the_first_heartbeat() -> None:

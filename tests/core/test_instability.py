@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -135,6 +136,13 @@ def test_many_texts_fill_no_memory() -> None:
     for i in range(10 * MAX_CONDITIONS):
         assert conditions.take(Notice(0.001 * i, Severity.WARNING, f"Vine: {i}"))
     assert len(conditions._conditions) <= MAX_CONDITIONS
+
+
+def test_a_loss_whose_text_changes_is_one_loss_and_its_new_text_is_told_when_it_lasts() -> None:
+    late = replace(lost(1.5), text="Vine: RC late")
+    texts = shown({10: lost(1.0), 15: late, 40: back(4.0)}, 20.0)
+    assert [text for _, text in texts] == ["Vine: RC lost", "Vine: RC late", "Vine: RC is back"]
+    assert shown({10: lost(1.0), 15: late, 20: back(2.0)}, 20.0)[1:] == [(2.0, "Vine: RC is back")]
 
 
 def test_restarts_in_a_row_are_a_series() -> None:

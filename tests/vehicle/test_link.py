@@ -12,7 +12,7 @@ import tracemalloc
 from collections.abc import AsyncIterator, Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 from hypothesis import given, settings
@@ -204,6 +204,25 @@ def frame_of(component: int, system: int = 1) -> bytes:
 
 
 AUTOPILOT = frame_of(1)
+
+
+@pytest.mark.parametrize("kind", ["udpin", "udpout"])
+async def test_a_vent_after_a_second_of_frames_that_nobody_read_is_not_dropped(
+    kind: Literal["udpin", "udpout"],
+) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
+        autopilot.bind((HOST, 0))
+        autopilot.setblocking(False)
+        port = free_port() if kind == "udpin" else autopilot.getsockname()[1]
+        async with running(NetworkAddress(kind, HOST, port)) as watched:
+            await watched.until(lambda: watched.up)
+            assert kind == "udpin" or watched.link.write(b"hello")
+            to = (HOST, port) if kind == "udpin" else autopilot.recvfrom(9)[1]
+            for _ in range(400):  # PX4's frames of a second
+                autopilot.sendto(AUTOPILOT, to)
+            autopilot.sendto(b"vent", to)
+            await watched.until(lambda: len(watched.data) >= 400 * len(AUTOPILOT) + 4)
+            assert watched.data.endswith(b"vent")
 
 
 @contextlib.asynccontextmanager

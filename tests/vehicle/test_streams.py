@@ -31,6 +31,7 @@ class Autopilot:
         self.ignored = ignored or set()
         self.asked: list[tuple[float, int]] = []
         self.granted: set[int] = set()
+        self.missing: list[str] = []
         self.ticks = 0
 
     @property
@@ -46,6 +47,7 @@ class Autopilot:
             for message_id in self.granted:
                 if self.ticks % round(1 / WANTED_HZ[message_id] / TICK_S) == 0:
                     self.streams.handle(self.now_s, MESSAGES[message_id])
+            self.missing = self.streams.missing(self.now_s)
             self.ticks += 1
         return self.asked[before:]
 
@@ -67,7 +69,7 @@ def test_each_stream_is_requested_once_and_not_together_with_others() -> None:
     assert all(b - a >= ASK_SPACING_S - 1e-9 for a, b in itertools.pairwise(times_s))
     assert times_s[-1] < 1.0
     assert asked[0][1] == 65
-    assert autopilot.streams.missing(60.0) == []
+    assert autopilot.missing == []
 
 
 def test_never_more_than_one_request_at_a_time() -> None:
@@ -84,18 +86,18 @@ def test_a_missing_stream_is_requested_again_and_named() -> None:
         assert all(b - a >= ASK_AGAIN_S - 1e-9 for a, b in itertools.pairwise(times_s))
     assert [message_id for _, message_id in asked].count(65) == 1
     # A switch or a mission may be missing; arming, health and height may not.
-    assert autopilot.streams.missing(autopilot.now_s) == ["SYS_STATUS"]
+    assert autopilot.missing == ["SYS_STATUS"]
 
 
 def test_a_missing_stream_is_reported_in_time_and_withdrawn() -> None:
     autopilot = Autopilot(ignored={33})
     autopilot.run(MISSING_AFTER_S - 0.5)
-    assert autopilot.streams.missing(autopilot.now_s) == []
+    assert autopilot.missing == []
     autopilot.run(1.5)
-    assert autopilot.streams.missing(autopilot.now_s) == ["GLOBAL_POSITION_INT"]
+    assert autopilot.missing == ["GLOBAL_POSITION_INT"]
     autopilot.ignored = set()
     autopilot.run(4.0)
-    assert autopilot.streams.missing(autopilot.now_s) == []
+    assert autopilot.missing == []
 
 
 def test_a_stream_that_stops_is_requested_again() -> None:
@@ -121,7 +123,7 @@ def test_after_a_reboot_everything_is_requested_at_once() -> None:
     autopilot.streams.forget()
     asked = autopilot.run(1.0)
     assert sorted(message_id for _, message_id in asked) == sorted(WANTED_HZ)
-    assert autopilot.streams.missing(autopilot.now_s) == []
+    assert autopilot.missing == []
 
 
 def test_no_stream_is_missing_before_it_was_requested() -> None:
@@ -159,6 +161,16 @@ def test_a_late_refusal_belongs_to_no_request() -> None:
     assert asked == set(WANTED_HZ)
 
 
+def test_nothing_is_missing_while_our_process_does_not_run_in_time() -> None:
+    autopilot = Autopilot(ignored={33})
+    for _ in range(20):
+        autopilot.run(2.0)
+        assert autopilot.missing == []
+        autopilot.ticks += round(1.0 / TICK_S)
+    autopilot.run(MISSING_AFTER_S + 1.0)
+    assert autopilot.missing == ["GLOBAL_POSITION_INT"]
+
+
 def test_nothing_is_missing_on_a_link_that_is_silent_and_just_after() -> None:
     """A dead link is reported once, and not as missing streams."""
     autopilot = Autopilot()
@@ -166,10 +178,10 @@ def test_nothing_is_missing_on_a_link_that_is_silent_and_just_after() -> None:
     granted, autopilot.granted = autopilot.granted, set()
     for _ in range(20):
         autopilot.run(1.0)
-        assert autopilot.streams.missing(autopilot.now_s) == []
+        assert autopilot.missing == []
     autopilot.granted = granted - {1}
     autopilot.ignored = {1}
     autopilot.run(MISSING_AFTER_S - 0.5)
-    assert autopilot.streams.missing(autopilot.now_s) == []
+    assert autopilot.missing == []
     autopilot.run(1.0)
-    assert autopilot.streams.missing(autopilot.now_s) == ["SYS_STATUS"]
+    assert autopilot.missing == ["SYS_STATUS"]

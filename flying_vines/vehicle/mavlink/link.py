@@ -41,6 +41,11 @@ MAX_READ_BYTES = 4096
 """Maximum bytes of a read; a longer datagram is cut. Routers send up to 1500. Noise that looks like headers
 takes 3 µs per byte, and the loop must not wait for it until the board's dead-man acts."""
 
+RECEIVE_BUFFER_BYTES = 2 * 1024 * 1024
+"""Receive buffer of a UDP socket: 12 s of PX4's 400 frames per second. Linux grants at most
+`net.core.rmem_max`, which is often 208 KiB: 1.2 s. A full buffer drops the newest datagrams, such as a vent
+that was sent while our process did not run."""
+
 OnBytes = Callable[[bytes], None]
 OnStranger = Callable[[bytes, Callable[[], None]], None]
 """A datagram of a new sender, and the function to call to make it a peer."""
@@ -217,10 +222,14 @@ class UdpLink(_NetworkLink, asyncio.DatagramProtocol):
         if self._is_listening:
             here = (self._address.host, self._address.port)
             transport, _ = await loop.create_datagram_endpoint(lambda: self, local_addr=here)
-            return transport
-        connected = await self._socket(socket.SOCK_DGRAM, self._local_port)
-        self._local_port = connected.getsockname()[1]
-        transport, _ = await loop.create_datagram_endpoint(lambda: self, sock=connected)
+        else:
+            connected = await self._socket(socket.SOCK_DGRAM, self._local_port)
+            self._local_port = connected.getsockname()[1]
+            transport, _ = await loop.create_datagram_endpoint(lambda: self, sock=connected)
+        with contextlib.suppress(OSError):  # macOS refuses more than its limit
+            transport.get_extra_info("socket").setsockopt(
+                socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES
+            )
         return transport
 
     def _send(self, data: bytes) -> bool:
