@@ -97,9 +97,7 @@ def test_a_key_that_others_may_read_or_change_is_refused(tmp_path: Path, mode: i
 
 
 def test_a_missing_file_and_a_folder_are_named(tmp_path: Path) -> None:
-    with pytest.raises(
-        SigningKeyError, match=r"gone\.key: .* cannot be read: No such .*; put it there: 64"
-    ):
+    with pytest.raises(SigningKeyError, match=r"gone\.key: .* cannot be read: No such .*; put it there: 64"):
         read_key(tmp_path / "gone.key")
     with pytest.raises(SigningKeyError, match="Is a directory; put it there"):
         read_key(tmp_path)
