@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from firmware_link.protocol import Message, Refusal, Welcome
+from firmware_link.protocol import DeviceMessage, HostMessage, Message, Refusal, Welcome
 
 ANSWER_WITHIN_S = 3.0
 """The time of six greetings; longer than a board takes to start."""
@@ -17,12 +17,12 @@ class AnswerCheck:
         self._opened_s: float | None = None
         self._answered = False
         self._bytes_came = False
-        self._messages_came = False
+        self._messages_came = self._own_came = False
         self._reported = ""
 
     def opened(self, t: float) -> None:
         self._opened_s = t
-        self._answered = self._bytes_came = self._messages_came = False
+        self._answered = self._bytes_came = self._messages_came = self._own_came = False
         self._reported = ""
 
     def closed(self) -> None:
@@ -31,7 +31,8 @@ class AnswerCheck:
     def received(self, data: bytes, messages: Sequence[Message]) -> None:
         """Note received bytes and the messages in them."""
         self._bytes_came |= bool(data)
-        self._messages_came |= bool(messages)
+        self._messages_came |= any(isinstance(message, DeviceMessage) for message in messages)
+        self._own_came |= any(isinstance(message, HostMessage) for message in messages)
         # Firmware of another version also answers. Then the session reports the problem.
         if not self._answered:
             self._answered = any(isinstance(message, (Welcome, Refusal)) for message in messages)
@@ -52,6 +53,11 @@ class AnswerCheck:
             return (
                 "telemetry arrives, but no answer: the line from us to the board is broken,"
                 " or another program reads this port, too"
+            )
+        if self._own_came:
+            return (
+                "this port returns what we send: no board is on it, its lines RX and TX are connected,"
+                " or it is a terminal"
             )
         if self._bytes_came:
             return (

@@ -13,7 +13,8 @@ from missions.mission import MissionError
 from missions.plan_file import PlanFileError, read_plan
 from missions.waypoints import WaypointsError, read_waypoints
 
-SUFFIXES = (".plan", ".waypoints", ".txt")
+SUFFIXES = (".plan", ".waypoints", ".txt", ".mission")
+"""`.mission` is QGroundControl's of 2015, which nobody reads; its error says what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +35,8 @@ def load_items(path: Path, kind: AutopilotKind | None = None) -> Items:
         if path.suffix.casefold() == ".plan":
             plan = read_plan(path, kind)
             return Items(plan.items, _known(plan.kind, path), plan.home)
-        kind = _known(kind, path)
         items = tuple(read_waypoints(path))
+        kind = _known(kind, path)
     except (PlanFileError, WaypointsError) as error:
         raise MissionError(str(error)) from None
     if not items:

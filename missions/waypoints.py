@@ -38,6 +38,10 @@ def read_waypoints(path: str | Path) -> list[MissionItem]:
     lines = read_text(Path(path), WaypointsError).split("\n")
     found = lines[0].strip()
     if found.split() not in (_HEADER.split(), _WITHOUT_HOME.split()):
+        if found.startswith("{"):
+            raise WaypointsError(
+                f"{path}: this is JSON, not a waypoint file: open it in QGroundControl, and save it as .plan"
+            )
         headers = f"{_HEADER!r} or {_WITHOUT_HOME!r}"
         raise WaypointsError(f"{path}, line 1: the header must be {headers}, not {found[:40]!r}")
     items: list[MissionItem] = []

@@ -16,7 +16,9 @@ def add(commands: Any) -> None:
     actions = config.add_subparsers(required=True, metavar="ACTION")
     init = actions.add_parser("init", help="write a commented configuration file")
     new = Path("flying-vines.toml")
-    init.add_argument("file", type=Path, nargs="?", default=new, metavar="FILE", help=f"the new file ({new})")
+    init.add_argument(
+        "file", type=Path, nargs="?", default=new, metavar="FILE", help=f"the new file ({new}); -: print it"
+    )
     init.add_argument("--force", action="store_true", help="overwrite an existing file")
     init.set_defaults(run=_config_init)
     check = actions.add_parser("check", help="show the errors of a configuration file")
@@ -27,6 +29,9 @@ def add(commands: Any) -> None:
 
 def _config_init(arguments: argparse.Namespace) -> int:
     path: Path = arguments.file
+    if str(path) == "-":
+        print(configuration.default_text(), end="")
+        return 0
     try:
         with path.open("w" if arguments.force else "x", encoding="utf-8") as file:
             file.write(configuration.default_text())

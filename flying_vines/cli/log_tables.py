@@ -71,7 +71,7 @@ def summary_as_json(summary: Summary) -> dict[str, object]:
 def show_events(log: FlightLog, console: Console) -> None:
     """The flight's events in order, and its summary."""
     summary = summarise(log)
-    began = time.strftime("%A %Y-%m-%d %H:%M:%S", time.localtime(summary.began_s))
+    began = time.strftime("%A %Y-%m-%d %H:%M:%S %z", time.localtime(summary.began_s))
     console.print(Text(f"{log.folder.name}: {began}", style="bold"), highlight=False)
     if about := _about(log):
         firmware = about.get("firmware")

@@ -102,7 +102,8 @@ class _Process:
         else:
             import _thread
 
-            _thread.interrupt_main()
+            # An error in this hook is lost, too, so Ctrl-C comes again from outside.
+            _thread.start_new_thread(signal.pthread_kill, (_thread.get_ident(), signal.SIGINT))
 
 
 class _Output(io.FileIO):

@@ -30,15 +30,17 @@ class BoardMode:
         self._commanded: Mode | None = None
         self._noted_at = self._wrong_s = 0.0
 
-    def note(self, made_at: float, telemetry: Telemetry, commanded: Mode) -> None:
-        """The board made this message at `made_at` on our clock.
+    def note(self, t: float, made_at: float, telemetry: Telemetry, commanded: Mode) -> None:
+        """The board made this message at `made_at` on our clock; it is read at `t`.
 
+        After our process was stalled, messages from before the command are read after it.
         A board in FAULT mode vents, so FAULT is also right after a VENT command. A board vents only if it
         also says that its inflation valve is shut and its outlet open.
         """
         if commanded is not self._commanded:
-            self._commanded, self._noted_at, self._wrong_s = commanded, made_at, 0.0
-        passed_s, self._noted_at = made_at - self._noted_at, made_at
+            self._commanded, self._noted_at, self._wrong_s = commanded, t, 0.0
+        passed_s = max(0.0, made_at - self._noted_at)
+        self._noted_at += passed_s
         if commanded is Mode.VENT:
             shut = telemetry.solenoid and telemetry.evp_opening == 0.0
             follows = telemetry.mode is not Mode.REGULATE and shut

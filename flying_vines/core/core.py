@@ -297,7 +297,7 @@ class Core:
                     self._actions.append(Measured(t, telemetry))
                     features = self._supply.read(t, telemetry, self._vehicle.state.armed)
                     made_at = t - self._firmware.telemetry_age(t)
-                    self._board_mode.note(made_at, telemetry, self._commanded_mode)
+                    self._board_mode.note(t, made_at, telemetry, self._commanded_mode)
                     self._note_setpoint(made_at, telemetry)
                     if telemetry.faults or features.cv_lower_kPa > self.config.limits.overpressure_kPa:
                         self._check_safety(t)

@@ -49,3 +49,27 @@ def test_ctrl_c_is_status_130(name: str, after_s: float) -> None:
     # On a busy computer it may come before the first line of ours, and Python shows a traceback of its own.
     before_us = "Traceback" in err and "flying_vines" not in err
     assert before_us or (process.returncode in (130, -signal.SIGINT) and "Traceback" not in err)
+
+
+LOSES_CTRL_C = """
+import signal, time
+from flying_vines.cli import main
+
+class Dropped:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
+
+def works(argv):
+    Dropped()
+    time.sleep(20.0)
+
+main._run = works
+main.main()
+"""
+
+
+def test_ctrl_c_that_python_drops_comes_again() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", LOSES_CTRL_C], capture_output=True, text=True, check=False, timeout=15
+    )
+    assert (done.returncode, done.stderr) == (130, "")

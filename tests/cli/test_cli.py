@@ -69,6 +69,15 @@ def test_check_names_file_line_and_key(tmp_path: Path, capsys: pytest.CaptureFix
     )
 
 
+def test_a_dash_prints_the_configuration_and_writes_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run("config", "init", "-") == 0
+    assert capsys.readouterr().out == config.default_text()
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

@@ -15,6 +15,7 @@ from flying_vines.core.board_mode import (
     SETPOINT_DELAY_S,
     SETPOINT_FOLLOWS_WITHIN_S,
     TOLERATED_KPA,
+    BoardMode,
     BoardSetpoint,
 )
 from flying_vines.core.events import Action
@@ -269,3 +270,14 @@ def test_normal_bends_give_no_warning(
         actions += run_for(flight, 4.0)
     assert [w.text for w in warnings(actions) if "bottle low" not in w.text] == []
     assert [d.safety for d in decisions(actions) if d.safety == "refused"] == []
+
+
+def test_messages_from_before_a_command_say_nothing_about_it() -> None:
+    """A process that was stalled for 0.4 s commands a vent, and then reads what the board said meanwhile."""
+    mode = BoardMode()
+    regulates = Telemetry(1, Mode.REGULATE, protocol.Fault.NONE, 0, 20.0, 20.0, 690.0, 0.1, 0.0, False)
+    for made_at in (9.6 + 0.01 * i for i in range(40)):
+        mode.note(10.0, made_at, regulates, Mode.VENT)
+    assert mode.mismatch_s(Mode.VENT) == 0.0
+    mode.note(10.2, 10.2, regulates, Mode.VENT)
+    assert mode.mismatch_s(Mode.VENT) == pytest.approx(0.2)

@@ -9,16 +9,19 @@ from firmware_link.protocol import (
     PROTOCOL_VERSION,
     Codec,
     Fault,
+    Hello,
     Message,
     Mode,
     Refusal,
     RefusalReason,
     Telemetry,
+    Vent,
     Welcome,
 )
 
 TELEMETRY = Telemetry(1, Mode.VENT, Fault.NONE, 0, 0.0, 1.0, 690.0, 0.0, 0.0, True)
 WELCOME = Welcome(PROTOCOL_VERSION, 1, 1, "test", 1, 30.0, 28.0, 760.0, 200.0, 300, 100)
+HELLO = Hello(PROTOCOL_VERSION, 7)
 GPS = b"$GNGGA,092725.00,4717.11399,N,00833.91590,E,1,08,1.01,499.6,M,48.0,M,,*45\r\n"
 
 
@@ -36,6 +39,8 @@ def check_after(*pieces: bytes) -> AnswerCheck:
         ((), "open but silent"),
         ((GPS, GPS), "this is another device"),
         ((bytes(100),), "this is another device"),
+        ((Codec().encode(HELLO), Codec().encode(Vent(0))), "this port returns what we send"),
+        ((Codec().encode(HELLO), Codec().encode(TELEMETRY)), "no answer"),
         ((Codec().encode(TELEMETRY),), "no answer: the line from us to the board"),
     ],
 )

@@ -143,6 +143,18 @@ def test_bad_input_is_one_line_and_status_2(
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.parametrize("name", ["old.mission", "OLD.MISSION", "plan.waypoints", "plan.txt"])
+@pytest.mark.parametrize("action", [("check",), ("upload", "--link", "udpin:127.0.0.1:26199")])
+def test_json_under_another_name_says_what_to_do(
+    name: str, action: tuple[str, ...], tmp_path: Path, capsys: Captured
+) -> None:
+    path = tmp_path / name
+    path.write_text('{"MAV_AUTOPILOT": 3, "items": [], "version": "1.0"}')
+    status, out, err = run(capsys, "mission", action[0], path, *action[1:])
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert "open it in QGroundControl, and save it as .plan" in err
+
+
 @pytest.mark.parametrize(
     "wrong",
     [("--home", "1,2"), ("--home", "91,0,0"), ("--reservoir-kPa", "-5"), ("--reservoir-kPa", "full")],

@@ -91,6 +91,7 @@ def test_show_prints_the_events(flights: Path, run: Runner) -> None:
         "straight",
     ]
     assert said["about"]["firmware"]["build"] == "1.1 host"
+    assert re.search(r"\d\d:\d\d:\d\d [+-]\d{4}\n", out), "the time zone"
 
 
 @pytest.mark.long

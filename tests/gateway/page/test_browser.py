@@ -259,6 +259,7 @@ async def test_a_request_has_its_time_and_the_shown_state(browser: Browser, tmp_
         # The shown state does not change but gets older. A vent reports that there is nothing newer.
         os.kill(served.pid, signal.SIGSTOP)
         await page.wait_for_selector("body.lost")
+        await until_shown(page, "#vent-said", "Vine pressure not known")
         await page.click("#vent")
         await page.wait_for_timeout(1200)
         os.kill(served.pid, signal.SIGCONT)

@@ -244,7 +244,8 @@ function ventNow() {
 
 function showVent() {
   let style = "", words = "";
-  if (latest) words = latest.cv_kPa === null ? "Vine pressure not known" : `Vine at ${number(latest.cv_kPa)} kPa`;
+  if (latest && page.contains("stale")) words = "Vine pressure not known";
+  else if (latest) words = latest.cv_kPa === null ? "Vine pressure not known" : `Vine at ${number(latest.cv_kPa)} kPa`;
   if (page.contains("watching")) words = "You may only watch";
   else if (vent.wanted) {
     style = "bad";
