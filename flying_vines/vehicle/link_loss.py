@@ -69,5 +69,4 @@ class LinkLoss:
             return "closed"
         # RC is lost after `rc_s` without RC_CHANNELS. No frame for half of this time: the link is silent.
         silent_s = self._vehicle.config.losses.rc_s / 2 if name == "rc" else SILENT_S
-        silence_s = self._vehicle.state.silence_s(t)
-        return "silent" if silence_s is not None and silence_s > silent_s else ""
+        return "silent" if self._vehicle.state.recent_silence_s(t) > silent_s else ""

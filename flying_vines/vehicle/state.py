@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.arm_state import ArmState, Clocks
 from flying_vines.vehicle.autopilots import OTHER, of_heartbeat
-from flying_vines.vehicle.clock import AutopilotClock
+from flying_vines.vehicle.clock import SILENCE_S, AutopilotClock
 from flying_vines.vehicle.mavlink import handled_messages as handled
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 
@@ -26,6 +26,10 @@ LOWEST_M, HIGHEST_M = -1_000.0, 100_000.0
 HEARTBEAT_FRESH_S = 5.0
 """Only HEARTBEAT, at 1 Hz, carries the arm state. Five HEARTBEATs are hardly ever lost in a row. A disarmed
 vehicle must not count as armed for longer than this."""
+
+SILENCE_RECENT_S = 1.0
+"""A loss that is found at most this long after a silence comes from it. After a stall of our process, the
+first queued frames may be read before any loss is found."""
 
 OTHER_ID_AFTER_S = 5.0
 """If our autopilot is silent for this time, and another system id is heard, it may have a new id."""
@@ -104,6 +108,8 @@ class VehicleState:
         self.mode = ""
         self.heartbeat_at: float | None = None
         self.received_at: float | None = None
+        self._silence = (-math.inf, 0.0)
+        """When the latest silence ended, and how long it was."""
         self.delay_s = 0.0
         """How late the latest message with a time stamp came, after a growing delay of the link."""
 
@@ -139,8 +145,16 @@ class VehicleState:
         """Time since the last frame of the autopilot; None before the first one."""
         return None if self.received_at is None else t - self.received_at
 
+    def recent_silence_s(self, t: float) -> float:
+        """The present silence, or a longer one that has just ended: its losses may be found afterwards."""
+        ended_at, lasted_s = self._silence
+        return max(self.silence_s(t) or 0.0, lasted_s if t - ended_at < SILENCE_RECENT_S else 0.0)
+
     def note_frame(self, t: float) -> None:
         """Note a frame of the autopilot, of any type."""
+        silence_s = self.silence_s(t) or 0.0
+        if silence_s > SILENCE_S:
+            self._silence = (t, silence_s)
         self.received_at = t
 
     def altitude_m(self, t: float) -> float | None:

@@ -10,8 +10,9 @@ import pytest
 
 from flying_vines.config import config
 from flying_vines.config.config import Config
-from flying_vines.core.events import Action, Decision, LinkChanged
+from flying_vines.core.events import Action, Decision, LinkChanged, VehicleMessage
 from flying_vines.simulation.autopilot import FakeAutopilot
+from flying_vines.simulation.autopilot.port import COMPANION
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.state import HEARTBEAT_FRESH_S
@@ -109,6 +110,20 @@ def test_a_stall_is_one_loss_and_the_link_is_back_when_it_is_in_time(
     actions = lives(flight, for_s + 15.0)
     told = [a.text for a in actions if isinstance(a, Notice) and a.severity is not Severity.DEBUG]
     assert told == ["Vine: vehicle link silent, vented", *late, "Vine: vehicle link is back", WAITING]
+
+
+def test_a_stall_is_one_loss_also_if_its_first_frames_are_read_before_the_loss_is_found() -> None:
+    flight = bent()
+    t = flight.world.now + 10.0
+    queued = b"".join(frame for link, frame in flight.autopilot.advance(t) if link == COMPANION)
+    first, *later = [VehicleMessage(t, message) for message in flight._codec.decode(queued, t)]
+    actions = flight.feed(first)
+    actions += flight.stall(t)
+    for message in later:
+        actions += flight.feed(message)
+    actions += lives(flight, 10.0)
+    losses = [text for text in texts_of(actions) if "vented" in text and "firmware" not in text]
+    assert losses == ["Vine: vehicle link silent, vented"]
 
 
 def test_a_link_is_back_with_the_first_heartbeat() -> None:
