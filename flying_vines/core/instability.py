@@ -63,7 +63,7 @@ class Conditions:
                 del self._conditions[next(iter(self._conditions))]
             self._conditions[key] = _Condition(notice.t, notice, notice, notice.t)
             return True
-        changed = notice.ended is not condition.latest.ended
+        changed = not _says_the_same(notice, condition.latest)
         condition.losses += not notice.ended
         condition.latest = notice
         if at_once or (changed and condition.losses == 1):
@@ -77,14 +77,14 @@ class Conditions:
         shown = []
         for key, condition in list(self._conditions.items()):
             latest = condition.latest
-            ended_too = condition.told.ended is latest.ended
-            if ended_too and condition.losses == condition.told_losses:
+            is_told = _says_the_same(condition.told, latest)
+            if is_told and condition.losses == condition.told_losses:
                 if t - latest.t >= STABLE_AFTER_S:
                     del self._conditions[key]
                 continue
             counts = t - condition.told_at >= condition.count_every_s
             settled = t - latest.t >= (BACK_FOR_S if latest.ended else LOST_FOR_S)
-            if not counts and (not settled or ended_too):
+            if not counts and (not settled or is_told):
                 continue
             if counts:
                 condition.count_every_s = min(LONGEST_COUNT_EVERY_S, 2.0 * condition.count_every_s)
@@ -99,6 +99,10 @@ class Conditions:
             for name, condition in self._conditions.items()
             if condition.losses > 1 and condition.latest.condition
         }
+
+
+def _says_the_same(one: Notice, other: Notice) -> bool:
+    return one.ended is other.ended and one.text == other.text
 
 
 class Restarts:

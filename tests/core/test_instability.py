@@ -101,6 +101,12 @@ def test_the_same_text_again_and_again_is_counted() -> None:
     assert counted.text == "Vine: cannot write the log (50 times in 1 s)"
 
 
+def test_another_loss_of_the_same_name_is_told_within_a_second() -> None:
+    worse = Notice(2.0, Severity.WARNING, "Vine: RC lost: also without power", condition="RC")
+    texts = shown({10: lost(1.0), 20: worse}, 30.0)
+    assert texts[1] == (pytest.approx(2.0 + LOST_FOR_S), f"{worse.text} (unstable: 2 losses in 1 s)")
+
+
 def test_different_losses_do_not_hide_each_other() -> None:
     conditions = Conditions()
     for tick, notice in flapping(1, 50).items():
