@@ -121,7 +121,6 @@ _CONDITION_NAMES = {
     "serial": "{actuator}",
     "telemetry": "{actuator} telemetry",
     "firmware_reset": "{actuator}",
-    "conflict": "autopilot",
 }
 """By safety's name for a loss: the name in texts. All others have the same name in both."""
 
@@ -456,6 +455,9 @@ class Core:
                 self._actions.append(KeepDisarmed(t, False))
                 return Ruling("accepted")
             case DisarmPneumatics():
+                if self._pneumatics_armed:
+                    by = trigger.what.get("from") or source(trigger.kind, trigger.what)
+                    self._notice(t, Severity.WARNING, f"pneumatics disarmed by {by}", of_decision=True)
                 self._pneumatics_armed = False
                 self._vent(t, trigger)
                 self._actions.append(KeepDisarmed(t, True))
@@ -516,8 +518,11 @@ class Core:
             self._remember_board_settings(t, self._firmware.welcome)
         if now.faults and self._safety.firmware_faults_seen(seen_at):
             self._to_firmware(self._firmware.clear_faults(t, now.faults))
-        if cleared:
-            self._notice(t, Severity.NOTICE, f"cleared: {'; '.join(cleared.values())}")
+        for name, reason in cleared.items():
+            condition = self._condition(name)
+            line = Notice(t, Severity.NOTICE, f"Vine: cleared: {reason}", condition=condition, ended=True)
+            self._notice_conditions.take(line, at_once=True)
+            self._show(line)
         return had_faults
 
     def _record(self, t: float, trigger: Trigger, ruling: Ruling, shown: bool = True) -> Decision:
@@ -666,8 +671,8 @@ class Core:
 
     @property
     def _waiting(self) -> PendingBend | None:
-        """The bend that is requested but not carried out; None while a motion runs."""
-        if self._motion is not None:
+        """The bend that is requested but not carried out; None while a motion runs, or nothing may bend."""
+        if self._motion is not None or not self._pneumatics_armed:
             return None
         return self._pending_bend.waiting(self._vehicle.switch.position, self._vehicle.pilot.fresh_move)
 
@@ -709,7 +714,7 @@ class Core:
             rc_problem=self._vehicle.rc.problem(t) if self._rc_in_use else None,
             autopilot_age_s=self._vehicle.state.silence_s(t),
             heartbeat_missing=self._vehicle.state.heartbeat_missing,
-            link_delay_s=self._vehicle.state.delay_s,
+            link_delay_s=self._vehicle.state.delay_s(t),
             firmware_ready=self._firmware.state is fw.SessionState.READY,
             firmware_was_ready=self._firmware_was_ready,
             firmware_problem=self._firmware_problem,

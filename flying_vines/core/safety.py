@@ -186,7 +186,7 @@ class Safety:
             elif name not in self._causes:
                 self._latched_at[name] = t
         self._causes = set(causes)
-        if int(now.faults) & ~int(self._faults):
+        if has_new_fault := bool(int(now.faults) & ~int(self._faults)):
             self._faults_at = t
         self._faults = now.faults
         if self._held_at is not None:
@@ -194,8 +194,7 @@ class Safety:
             self._held_at = t
         for name, check in _LOSSES.items():
             reason = check(self, now)
-            if reason and name not in self._present:
-                self._present[name] = reason
+            if reason and (name not in self._present or (name == "firmware_fault" and has_new_fault)):
                 response = self._response(name)
                 if response == "hold":
                     self._held_at = t
@@ -205,6 +204,8 @@ class Safety:
                 if name == "rc":
                     self._held_at = None
                 changes.append(LossEnded(name))
+            if reason:
+                self._present[name] = reason
         if self._held_at is not None and self._held_s >= self._losses.hold_at_most_s:
             self._held_at = None
             changes.append(ResponseNeeded("rc", f"{self._present['rc']}, hold time is over", "vent"))

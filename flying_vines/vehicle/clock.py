@@ -44,6 +44,9 @@ CONTINUOUS_S = 2.0
 """If the clock lags, but the stamp is at most this much newer than the one before, the autopilot has not
 rebooted: there was a stall."""
 MAX_MARKS = 64
+ROUND_TRIPS = 3
+"""If all of the latest answers took a second, the link is late. After a stall, one of them took less."""
+ANSWERS_FRESH_S = 10.0
 
 
 @dataclass(slots=True)
@@ -80,6 +83,7 @@ class AutopilotClock:
         self._stamped_at = -math.inf
         self._delay_s = self._silence_s = 0.0
         self._sent_after = -math.inf
+        self._round_trips: deque[tuple[float, float]] = deque(maxlen=ROUND_TRIPS)
         self._lost = False
         self._open: deque[Mark] = deque(maxlen=MAX_MARKS)
 
@@ -99,11 +103,21 @@ class AutopilotClock:
             self._silence_over_at = t
         self._received_at = t
 
-    def answered(self, requested_at: float) -> None:
+    def answered(self, t: float, requested_at: float) -> None:
         """The autopilot answered a request of ours. The link keeps the order, so all later messages were sent
         after `requested_at`.
         """
         self._sent_after = max(self._sent_after, requested_at)
+        self._round_trips.append((t, t - requested_at))
+
+    def delay_s(self, t: float) -> float:
+        """How late the latest message with a time stamp came. A link may be late from its first message on:
+        only slow answers show that.
+        """
+        answers = self._round_trips
+        if len(answers) < ROUND_TRIPS or t - answers[0][0] > ANSWERS_FRESH_S:
+            return self._delay_s
+        return max(self._delay_s, min(round_trip_s for _, round_trip_s in answers))
 
     def stamp(self, t: float, time_boot_ms: int, is_measured: bool = False) -> bool:
         """Take in a message with `time_boot_ms`. Returns True if the autopilot rebooted.

@@ -95,7 +95,9 @@ class VehicleState:
         self.clock = AutopilotClock()
         self._clocks = Clocks()
         self._others: dict[int, float] = {}
-        """When each other autopilot was first heard without ours; infinite once that was reported."""
+        """When each other autopilot was first heard without ours."""
+        self._other_reported = False
+        """One is reported. In a swarm the others would fill the pilot's screen and hide a fault."""
         self._altitudes: deque[tuple[float, float]] = deque()
         """Time and altitude of the latest report, and of each earlier one below all later ones."""
         self._altitudes_since = 0.0
@@ -110,8 +112,6 @@ class VehicleState:
         self.received_at: float | None = None
         self._silence = (-math.inf, 0.0)
         """When the latest silence ended, and how long it was."""
-        self.delay_s = 0.0
-        """How late the latest message with a time stamp came, after a growing delay of the link."""
 
     @property
     def kind(self) -> str:
@@ -132,6 +132,10 @@ class VehicleState:
     def armed(self) -> bool:
         """The arm state in the autopilot's latest HEARTBEAT."""
         return self.arm_state.armed
+
+    def delay_s(self, t: float) -> float:
+        """How late the autopilot's messages come."""
+        return self.clock.delay_s(t)
 
     def conflict(self, t: float) -> str:
         """How two senders with the autopilot's ids contradict each other; empty if they do not."""
@@ -216,9 +220,9 @@ class VehicleState:
             if self.clock.stamp(t, message.time_boot_ms, is_measured):
                 self._altitudes.clear()
                 events += [] if is_other_clock else [Rebooted()]
-            self.delay_s = self.clock.mark(t).suspected_s
         if kind == "HEARTBEAT":
             self._others.clear()
+            self._other_reported = False
             self.heartbeat_at = t
             self.arm_state.handle(t, bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED))
             self.autopilot = of_heartbeat(message.autopilot)
@@ -255,9 +259,9 @@ class VehicleState:
 
     def _other(self, t: float, expected: int, heard: int) -> list[VehicleEvent]:
         first_at = self._others.setdefault(heard, t)
-        if t - first_at < OTHER_ID_AFTER_S:
+        if self._other_reported or t - first_at < OTHER_ID_AFTER_S:
             return []
-        self._others[heard] = math.inf
+        self._other_reported = True
         return [OtherHeard(expected, heard)]
 
 

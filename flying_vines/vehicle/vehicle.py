@@ -111,7 +111,7 @@ class Vehicle:
         elif from_autopilot and kind == "TIMESYNC":
             requested_at = self._timesync.answered(message)
             if requested_at is not None:
-                state.clock.answered(requested_at)
+                state.clock.answered(t, requested_at)
         answers = None
         if kind == "HEARTBEAT" or kind in handled.QUESTIONS:
             answers = self.component.handle(t, message, state, vented)

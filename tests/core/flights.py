@@ -22,7 +22,7 @@ from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
-from flying_vines.vehicle.notice import Notice
+from flying_vines.vehicle.notice import Notice, Severity
 
 from .prepared import prepared
 
@@ -82,6 +82,11 @@ def decisions(actions: Sequence[Action]) -> list[Decision]:
 
 def notices(actions: Sequence[Action]) -> list[str]:
     return [a.text for a in actions if isinstance(a, Notice)]
+
+
+def shown(actions: Sequence[Action]) -> list[str]:
+    """The texts that a pilot sees."""
+    return [a.text for a in actions if isinstance(a, Notice) and a.severity is not Severity.DEBUG]
 
 
 def setpoints(actions: Sequence[Action]) -> list[Setpoint]:

@@ -18,7 +18,7 @@ from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.supply import ReservoirEstimate, TelemetryReader, nominal
 from flying_vines.supply.physics_checks import PhysicsChecks
 
-from .flights import HIGH, LOW, airborne, assert_vented, bent, decisions, notices, run_for
+from .flights import HIGH, LOW, airborne, assert_vented, bent, decisions, notices, run_for, shown
 
 ABSURD = [1e30, 1e20, 1e12, 1e9, 5e3, -1e3, -1e9, -1e30, math.nan, math.inf, -math.inf]
 TEXTS = {
@@ -84,6 +84,21 @@ def test_an_impossible_reading_is_a_fault_that_a_person_clears(field: str, value
     flight.autopilot.set_rc(9, HIGH)
     assert [d.safety for d in decisions(run_for(flight, 2.0))] == ["accepted"]
     assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
+
+
+def test_a_fault_that_comes_again_after_it_was_cleared_is_told_within_a_second() -> None:
+    flight = bent()
+    spoiled, texts = Spoiled(flight), []
+    for _ in range(2):
+        spoiled.spoil_next(10, {"cv_kPa": 1e30})
+        texts += shown(run_for(flight, 0.5))
+        flight.autopilot.set_rc(9, LOW)
+        texts += shown(run_for(flight, 1.5))
+    assert [text for text in texts if "vine sensor" in text] == [
+        "Vine: vine sensor reads 1e+30 kPa, vented",
+        "Vine: cleared: vine sensor reads 1e+30 kPa",
+        "Vine: vine sensor reads 1e+30 kPa, vented (unstable: 2 losses in 2 s)",
+    ]
 
 
 @pytest.mark.parametrize(

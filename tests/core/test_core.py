@@ -27,7 +27,7 @@ from flying_vines.core.events import (
 )
 from flying_vines.core.safety import INTERNAL_ERROR
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.phlosar.mishaps import Hole, StuckAt
+from flying_vines.simulation.phlosar.mishaps import Hole, Open, StuckAt
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight, SimulatedWorld
 from flying_vines.supply import ReservoirEstimate
@@ -49,6 +49,7 @@ from .flights import (
     notices,
     run_for,
     setpoints,
+    shown,
 )
 
 
@@ -237,6 +238,20 @@ def test_after_an_autopilot_reboot_the_streams_are_requested_again() -> None:
     }
     assert asked == {65, 1, 33, 42, 2, 29}
     assert flight.core.snapshot(flight.world.now).rc == "good"
+
+
+def test_a_second_fault_of_the_firmware_is_told_and_named_while_the_first_lasts() -> None:
+    flight = airborne()
+    flight.phlosar.fill(850.0)
+    first = "firmware fault: over-pressure in the bottle"
+    assert f"Vine: {first}, vented" in shown(run_for(flight, 2.0))
+    flight.phlosar.mishaps.cv_sensor = Open()
+    told = shown(run_for(flight, 1.5))
+    assert any(text.startswith(f"Vine: {first}, vine pressure sensor, vented") for text in told), told
+    assert (
+        flight.core.snapshot(flight.world.now).safe_state["firmware_fault"]
+        == f"{first}, vine pressure sensor"
+    )
 
 
 def test_serial_loss_vents_by_the_dead_man_and_latches() -> None:

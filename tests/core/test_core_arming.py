@@ -14,6 +14,7 @@ from flying_vines.core.events import Action, Decision, KeepDisarmed, StoredState
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
+from flying_vines.vehicle.notice import Notice
 
 BEND, STOP, MORE = 31011, 31013, 31014
 VENT, HOLD, DISARM, ARM = 0, 1, 2, 3
@@ -100,3 +101,13 @@ def test_another_companion_cannot_clear_latched_faults() -> None:
     assert bench.command(MORE, 1, sender=(1, 195)).safety == "refused"
     assert bench.command(MORE, 1, sender=SCRIPT).safety == "refused"
     assert bench.command(MORE, 1).safety == "accepted"
+
+
+@pytest.mark.parametrize("sender", [GROUND, SCRIPT, (77, 33)])
+def test_the_pilot_reads_who_disarmed_the_pneumatics_once(sender: tuple[int, int]) -> None:
+    bench = Bench()
+    for _ in range(3):
+        bench.command(STOP, DISARM, sender)
+    told = [a.text for a in bench.actions if isinstance(a, Notice) and "disarmed" in a.text]
+    assert told == [f"Vine: pneumatics disarmed by {sender[0]}/{sender[1]}"]
+    assert bench.flight.core.snapshot(bench.flight.world.now).waiting is None

@@ -168,6 +168,22 @@ def test_a_link_that_delays_more_and_more_vents_the_vine_and_the_switch_bends_no
     assert [d.safety for d in decisions(run_for(flight, 3.0))] == ["accepted"]
 
 
+def test_on_a_link_that_is_late_from_the_start_the_switch_bends_nothing() -> None:
+    autopilot = FakeAutopilot("ardupilot", rc_failsafe_mode=None)
+    flight = SimulatedFlight(config.default(), autopilot)
+    flight.from_autopilot = Queue(flight, 1e9, 3.0)
+    autopilot.set_rc(9, LOW)
+    flight.run(2.0)
+    autopilot.takeoff(10.0)
+    autopilot.flight.height_m = 10.0
+    flight.run(12.0)
+    autopilot.set_rc(9, HIGH)
+    actions = run_for(flight, 6.0)
+    (refused,) = decisions(actions)
+    assert (refused.safety, refused.reason) == ("refused", "vehicle link more than 1 s late")
+    assert_vented(flight)
+
+
 LATE: list[tuple[Intent, str]] = [
     (BendTo(30.0), "refused"),
     (SetPressure(5.0), "refused"),

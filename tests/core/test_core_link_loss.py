@@ -17,7 +17,9 @@ from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.state import HEARTBEAT_FRESH_S
 
+from .flights import shown
 from .prepared import prepared
+from .test_core_late import Queue
 
 LOW, HIGH = 1000, 2000
 WAITING = "Vine: waiting for: switch down, then up"
@@ -220,3 +222,15 @@ def test_the_state_of_the_radio_is_forgotten_when_the_autopilot_is_silent() -> N
     assert flight.core.snapshot(flight.world.now).rc == "no RC_CHANNELS for 1 s"
     lives(flight, 2.0)
     assert flight.core.snapshot(flight.world.now).rc == "no RC_CHANNELS yet"
+
+
+def test_a_link_that_is_late_and_then_dead_is_told_as_both_and_so_are_their_ends() -> None:
+    flight = bent()
+    flight.from_autopilot = Queue(flight, later_s_per_s=0.5, longest_s=3.0)
+    texts = shown(lives(flight, 4.0))
+    flight.from_autopilot = lambda frame: b""
+    texts += shown(lives(flight, 3.0))
+    late, silent = "Vine: vehicle link more than 1 s late, vented", "Vine: vehicle link silent, vented"
+    assert [text for text in texts if "waiting" not in text] == [late, silent]
+    flight.from_autopilot = lambda frame: frame
+    assert "Vine: vehicle link is back" in [text.partition(" (")[0] for text in shown(lives(flight, 6.0))]

@@ -103,6 +103,13 @@ def test_the_same_text_again_and_again_is_counted() -> None:
     assert conditions.unstable(COUNT_EVERY_S) == {}, "it is no link"
 
 
+def test_another_loss_of_the_same_name_is_told_within_a_second() -> None:
+    worse = Notice(2.0, Severity.WARNING, "Vine: RC lost: also without power", condition="RC")
+    texts = shown({10: lost(1.0), 20: worse}, 30.0)
+    t, text = texts[1]
+    assert t == pytest.approx(2.0 + LOST_FOR_S) and text == worse.text
+
+
 def test_different_losses_do_not_hide_each_other() -> None:
     conditions = Conditions()
     for tick, notice in flapping(1, 50).items():

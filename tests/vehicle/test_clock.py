@@ -153,7 +153,7 @@ def test_a_clock_with_a_wrong_rate_makes_nothing_late_and_hides_no_stall(pace: f
     for i in range(6000):
         t = i * 0.1
         if answers and i % 10 == 9:
-            clock.answered(t - 0.1)
+            clock.answered(t, t - 0.1)
         assert not clock.stamp(t, int((UP_S + t * pace) * 1000))
         assert t < BACKLOG_S or clock.age_s(clock.mark(t), t) == 0.0
     clock.stamp(606.0, int((UP_S + 600.1 * pace) * 1000))
@@ -166,7 +166,7 @@ def test_one_stamp_ahead_makes_requests_late_only_until_the_next_answer() -> Non
     line = Line()
     line.stream(100.0)
     line.clock.stamp(100.05, int((UP_S + 115.0) * 1000))
-    line.clock.answered(100.9)
+    line.clock.answered(100.95, 100.9)
     line.stream(103.0, since_t=101.0)
     assert line.age_s(line.item(103.05), 103.05) == 0.0
 
@@ -178,11 +178,31 @@ def test_a_delay_that_grows_is_no_slow_clock() -> None:
         t = i * 0.1
         delay_s = 0.1 * t
         if i % 10 == 9:
-            clock.answered(t - delay_s - 0.05)
+            clock.answered(t, t - delay_s - 0.05)
         assert not clock.stamp(t, int((UP_S + t - delay_s) * 1000))
     mark = clock.mark(60.0)
     clock.stamp(60.1, int((UP_S + 54.1) * 1000))
     assert (clock.age_s(mark, 60.1) or 0.0) > 4.0
+
+
+@pytest.mark.parametrize(("round_trip_s", "late"), [(0.3, False), (0.9, False), (1.1, True), (5.0, True)])
+def test_a_link_that_is_late_from_the_start_is_known_by_slow_answers(round_trip_s: float, late: bool) -> None:
+    line = Line()
+    for t in range(20):
+        if t >= round_trip_s:
+            line.clock.answered(float(t), t - round_trip_s)
+        line.stamp(t - round_trip_s, float(t))
+    assert (line.clock.delay_s(20.0) > LATE_S) is late
+    line.clock.answered(20.5, 20.4)
+    assert line.clock.delay_s(20.5) < LATE_S
+
+
+def test_slow_answers_of_long_ago_count_no_more() -> None:
+    clock = AutopilotClock()
+    for t in (2.0, 3.0, 4.0):
+        clock.answered(t, t - 2.0)
+    assert clock.delay_s(4.0) == 2.0
+    assert clock.delay_s(20.0) == 0.0
 
 
 def test_a_reboot_is_no_stall() -> None:

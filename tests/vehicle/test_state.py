@@ -140,6 +140,18 @@ def test_another_autopilot_is_not_served_but_named_once_if_ours_is_silent(config
         assert state.handle(t, heartbeat(2)) == state.handle(t + 0.5, heartbeat(1)) == []
 
 
+def test_of_a_swarm_one_other_autopilot_is_named() -> None:
+    state = VehicleState(1)
+    state.handle(0.0, heartbeat(1))
+    for again_at in (1.0, 30.0):
+        ids = [i for _ in range(20) for i in range(2, 256)]
+        heard = [
+            event for n, i in enumerate(ids) for event in state.handle(again_at + n // 254, heartbeat(i))
+        ]
+        assert heard == [OtherHeard(1, 2)]
+        state.handle(again_at + 20.0, heartbeat(1))
+
+
 def test_an_autopilot_of_another_id_than_the_configured_one_is_named() -> None:
     state = VehicleState(7)
     heard = [event for t in range(20) for event in state.handle(float(t), heartbeat(2))]
