@@ -107,9 +107,8 @@ class _Process:
 
 
 class _Output(io.FileIO):
-    """An output whose reader may be gone, or its disk full: then the command ends as after Ctrl-C.
-
-    So every command ends in order, and nothing raises in a callback.
+    """An output whose reader may be gone, or its disk full. For standard output, the command then ends as after
+    Ctrl-C: every command ends in order, and nothing raises in a callback.
     """
 
     def __init__(self, number: int, process: _Process) -> None:
@@ -121,7 +120,8 @@ class _Output(io.FileIO):
             return super().write(data)
         except OSError as error:
             os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
-            if self._process.output_error is None:
+            # Without the stream of errors a flight goes on.
+            if self.fileno() == 1 and self._process.output_error is None:
                 self._process.output_error = error
                 if not self._process.ended:
                     signal.raise_signal(signal.SIGINT)
