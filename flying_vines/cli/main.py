@@ -107,8 +107,9 @@ class _Process:
 
 
 class _Output(io.FileIO):
-    """An output whose reader may be gone, or its disk full. For standard output, the command then ends as after
-    Ctrl-C: every command ends in order, and nothing raises in a callback.
+    """An output whose reader may be gone, or its disk full.
+
+    For standard output, the command then ends as after Ctrl-C: in order, and nothing raises in a callback.
     """
 
     def __init__(self, number: int, process: _Process) -> None:
