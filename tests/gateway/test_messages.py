@@ -89,7 +89,7 @@ def test_an_ask_that_cannot_be_is_refused_wherever_it_comes_from(
     good = (value is not None) == (command in ("bend", "pressure")) and (name is not None) == (
         command == "profile"
     )
-    good = good and (value is None or abs(value) < float("inf"))
+    good = good and (value is None or abs(value) < float("inf")) and (name is None or name.isprintable())
     said = {"kind": "ask", "number": 1, "by": "page", "command": command, "value": value, "name": name}
     try:
         if as_bytes:
