@@ -54,7 +54,7 @@ class Policy:
     """The problem if connections never last; None: the problem of the last one."""
 
 
-class State(Enum):
+class LinkState(Enum):
     CLOSED = "closed"
     OPENING = "opening"
     OPEN = "open"
@@ -77,7 +77,7 @@ class Reconnect:
     """
 
     def __init__(self, policy: Policy, t: float) -> None:
-        self.state = State.CLOSED
+        self.state = LinkState.CLOSED
         self._policy = policy
         self._since = self._heard_at = t
         self._worked_at = t
@@ -88,7 +88,7 @@ class Reconnect:
 
     @property
     def is_open(self) -> bool:
-        return self.state is State.OPEN
+        return self.state is LinkState.OPEN
 
     @property
     def is_silent(self) -> bool:
@@ -97,10 +97,10 @@ class Reconnect:
 
     def opening(self, t: float) -> None:
         """A try begins."""
-        self.state, self._since = State.OPENING, t
+        self.state, self._since = LinkState.OPENING, t
 
     def opened(self, t: float, text: str = "") -> Change | None:
-        self.state, self._since, self._heard_at, self._up_text = State.OPEN, t, t, text
+        self.state, self._since, self._heard_at, self._up_text = LinkState.OPEN, t, t, text
         return self.lasts(t)
 
     def heard(self, t: float) -> None:
@@ -118,7 +118,7 @@ class Reconnect:
 
     def overdue(self, t: float) -> bool:
         """True if the try takes too long, or the connection is silent: end it."""
-        if self.state is State.OPENING:
+        if self.state is LinkState.OPENING:
             return t - self._since >= self._policy.opens_within_s
         longest_s = max(self._policy.quiet_s, LONGEST_QUIET_S)
         quiet_s = min(self._policy.quiet_s * 2.0 ** min(self._silences, 10), longest_s)
@@ -134,13 +134,13 @@ class Reconnect:
             else:
                 self._short_lived += 1
             if problem is None:
-                self.state = State.QUIET
+                self.state = LinkState.QUIET
                 return None
         elif problem is None:
             problem = Problem("no answer")
         if was_open and self._short_lived >= SHORT_LIVED and not problem.needs_person:
             problem = self._policy.short_lived or problem
-        self.state, self._problem = State.CLOSED, problem
+        self.state, self._problem = LinkState.CLOSED, problem
         self._failures += 1
         lasting = problem.needs_person or t - self._worked_at >= self._policy.report_after_s
         change = Change(False, problem.text)
@@ -148,7 +148,7 @@ class Reconnect:
 
     def wait_s(self, luck: float) -> float:
         """Wait before the next try. `luck` (0 … 1) is random."""
-        if self.state is State.QUIET:
+        if self.state is LinkState.QUIET:
             return 0.0
         waits_s = (self._policy.first_wait_s, self._policy.longest_wait_s)
         if self._problem.needs_person and self._policy.refused_waits_s:

@@ -42,7 +42,7 @@ from flying_vines.core.events import (
     ToVehicle,
     VehicleMessage,
 )
-from flying_vines.core.instability import Conditions, Lateness, Restarts
+from flying_vines.core.instability import Lateness, OwnLines, Restarts
 from flying_vines.core.isolated_parts import IsolatedParts
 from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.pending_bend import PendingBend, PendingBendTracker, source
@@ -176,7 +176,7 @@ class Core:
         self._motion_before: Motion | None = None
         """The motion before the latest request."""
         self._restarts = Restarts(self._actuator)
-        self._notice_conditions = Conditions()
+        self._own_lines = OwnLines()
         self._lateness = Lateness()
         self._busy = False
         """The pilot was told that this computer is too busy."""
@@ -521,7 +521,7 @@ class Core:
         for name, reason in cleared.items():
             condition = self._condition(name)
             line = Notice(t, Severity.NOTICE, f"Vine: cleared: {reason}", condition=condition, ended=True)
-            self._notice_conditions.take(line, at_once=True)
+            self._own_lines.take(line, at_once=True)
             self._show(line)
         return had_faults
 
@@ -662,7 +662,7 @@ class Core:
         if bool(busy := self._lateness.problem(t)) is not self._busy:
             self._busy = not self._busy
             self._say_condition(t, COMPUTER, busy or f"{COMPUTER} keeps up again", ended=not busy)
-        for counted in (*self._request_lines.due(t), *self._notice_conditions.due(t)):
+        for counted in (*self._request_lines.due(t), *self._own_lines.due(t)):
             self._show(counted)
         self._report_waiting(t)
         self._watch_supply(t)
@@ -714,7 +714,7 @@ class Core:
             rc_problem=self._vehicle.rc.problem(t) if self._rc_in_use else None,
             autopilot_age_s=self._vehicle.state.silence_s(t),
             heartbeat_missing=self._vehicle.state.heartbeat_missing,
-            link_delay_s=self._vehicle.state.delay_s(t),
+            link_delay_s=self._vehicle.state.clock.delay_s(t),
             firmware_ready=self._firmware.state is fw.SessionState.READY,
             firmware_was_ready=self._firmware_was_ready,
             firmware_problem=self._firmware_problem,
@@ -764,7 +764,7 @@ class Core:
         response = "holding" if hold else _RESPONSE_TEXTS.get(change.name, "vented")
         is_restart = change.name == "serial" and self._restart_noted  # the restart has a text of its own
         line = None if is_restart else self._loss_line(t, change, response)
-        shown = not is_restart and (line is None or self._notice_conditions.take(line, at_once=moved))
+        shown = not is_restart and (line is None or self._own_lines.take(line, at_once=moved))
         decides = moved or self._vehicle.state.armed
         self._vehicle.pilot.drop_waiting()
         if hold:
@@ -936,7 +936,7 @@ class Core:
 
     def _unstable(self, t: float) -> dict[str, str]:
         busy = self._lateness.problem(t)
-        return {**self._notice_conditions.unstable(t), **({COMPUTER: busy} if busy else {})}
+        return {**self._own_lines.unstable(), **({COMPUTER: busy} if busy else {})}
 
     # Sending.
 
@@ -955,7 +955,7 @@ class Core:
         self._publish(Notice(t, severity, f"Vine: {text}", of_decision))
 
     def _publish(self, notice: Notice) -> None:
-        lines = self._request_lines if notice.source else self._notice_conditions
+        lines = self._request_lines if notice.source else self._own_lines
         if notice.severity is Severity.DEBUG or lines.take(notice):
             self._show(notice)
         elif not notice.source:

@@ -48,7 +48,7 @@ class _Condition:
         return f"{what} in {lasts_s} s"
 
 
-class Conditions:
+class OwnLines:
     """Decides when a notice without a source is shown. Call `take` for each, and `due` at each tick."""
 
     def __init__(self) -> None:
@@ -97,7 +97,7 @@ class Conditions:
             shown.append(replace(latest, t=t, text=text, of_decision=False))
         return shown
 
-    def unstable(self, t: float) -> dict[str, str]:
+    def unstable(self) -> dict[str, str]:
         """A sentence for each condition that is unstable now, by its name."""
         return {
             name: f"{name} {condition.count}"

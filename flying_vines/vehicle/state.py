@@ -133,10 +133,6 @@ class VehicleState:
         """The arm state in the autopilot's latest HEARTBEAT."""
         return self.arm_state.armed
 
-    def delay_s(self, t: float) -> float:
-        """How late the autopilot's messages come."""
-        return self.clock.delay_s(t)
-
     def conflict(self, t: float) -> str:
         """How two senders with the autopilot's ids contradict each other; empty if they do not."""
         if self._clocks.in_conflict(t):

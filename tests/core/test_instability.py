@@ -17,8 +17,8 @@ from flying_vines.core.instability import (
     MAX_CONDITIONS,
     RESTARTS_END_AFTER_S,
     STABLE_AFTER_S,
-    Conditions,
     Lateness,
+    OwnLines,
     Restarts,
 )
 from flying_vines.vehicle.notice import Notice, Severity
@@ -36,14 +36,14 @@ def back(t: float, condition: str = "RC") -> Notice:
 
 def shown(changes: dict[int, Notice], until_s: float) -> list[tuple[float, str]]:
     """The texts with their times. `changes`: the notices by tick."""
-    conditions = Conditions()
+    lines = OwnLines()
     texts = []
     for tick in range(round(until_s / TICK_S)):
         t = tick * TICK_S
         notice = changes.get(tick)
-        if notice is not None and conditions.take(notice):
+        if notice is not None and lines.take(notice):
             texts.append((t, notice.text))
-        texts += [(t, due.text) for due in conditions.due(t)]
+        texts += [(t, due.text) for due in lines.due(t)]
     return texts
 
 
@@ -95,12 +95,12 @@ def test_no_link_fills_the_screen(pauses: list[int]) -> None:
 
 
 def test_the_same_text_again_and_again_is_counted() -> None:
-    conditions = Conditions()
+    lines = OwnLines()
     notices = [Notice(0.02 * i, Severity.WARNING, "Vine: cannot write the log") for i in range(50)]
-    assert [conditions.take(notice) for notice in notices] == [True] + 49 * [False]
-    (counted,) = conditions.due(COUNT_EVERY_S)
+    assert [lines.take(notice) for notice in notices] == [True] + 49 * [False]
+    (counted,) = lines.due(COUNT_EVERY_S)
     assert counted.text == "Vine: cannot write the log (50 times in 1 s)"
-    assert conditions.unstable(COUNT_EVERY_S) == {}, "it is no link"
+    assert lines.unstable() == {}, "it is no link"
 
 
 def test_another_loss_of_the_same_name_is_told_within_a_second() -> None:
@@ -111,20 +111,20 @@ def test_another_loss_of_the_same_name_is_told_within_a_second() -> None:
 
 
 def test_different_losses_do_not_hide_each_other() -> None:
-    conditions = Conditions()
+    lines = OwnLines()
     for tick, notice in flapping(1, 50).items():
-        conditions.take(notice)
+        lines.take(notice)
         if tick == 25:
-            assert conditions.take(lost(2.5, "phloSAR telemetry"))
-    assert conditions.unstable(5.0) == {"RC": "RC unstable: 25 losses in 5 s"}
+            assert lines.take(lost(2.5, "phloSAR telemetry"))
+    assert lines.unstable() == {"RC": "RC unstable: 25 losses in 5 s"}
 
 
 def test_a_loss_that_vents_a_bent_vine_is_always_told_at_once() -> None:
-    conditions = Conditions()
-    conditions.take(lost(0.0))
-    conditions.take(back(0.1))
-    assert not conditions.take(lost(0.2))
-    assert conditions.take(lost(0.3), at_once=True)
+    lines = OwnLines()
+    lines.take(lost(0.0))
+    lines.take(back(0.1))
+    assert not lines.take(lost(0.2))
+    assert lines.take(lost(0.3), at_once=True)
 
 
 def test_a_loss_of_which_a_count_has_told_is_not_told_again_before_the_next_count() -> None:
@@ -133,16 +133,16 @@ def test_a_loss_of_which_a_count_has_told_is_not_told_again_before_the_next_coun
 
 
 def test_the_same_end_is_told_once() -> None:
-    conditions = Conditions()
-    assert [conditions.take(notice) for notice in (lost(0.0), back(0.1), back(0.2))] == [True, True, False]
-    assert conditions.due(COUNT_EVERY_S) == []
+    lines = OwnLines()
+    assert [lines.take(notice) for notice in (lost(0.0), back(0.1), back(0.2))] == [True, True, False]
+    assert lines.due(COUNT_EVERY_S) == []
 
 
 def test_many_texts_fill_no_memory() -> None:
-    conditions = Conditions()
+    lines = OwnLines()
     for i in range(10 * MAX_CONDITIONS):
-        assert conditions.take(Notice(0.001 * i, Severity.WARNING, f"Vine: {i}"))
-    assert len(conditions._conditions) <= MAX_CONDITIONS
+        assert lines.take(Notice(0.001 * i, Severity.WARNING, f"Vine: {i}"))
+    assert len(lines._conditions) <= MAX_CONDITIONS
 
 
 def test_a_loss_whose_text_changes_is_one_loss_and_its_new_text_is_told_when_it_lasts() -> None:

@@ -17,10 +17,10 @@ from firmware_link.reconnect import (
     STABLE_S,
     Change,
     KeptOpen,
+    LinkState,
     Policy,
     Problem,
     Reconnect,
-    State,
 )
 from flying_vines.gateway.mqtt import connection
 from flying_vines.gateway.mqtt.problems import THROWN_OUT
@@ -77,7 +77,7 @@ def test_a_silent_connection_is_opened_again_without_a_word_and_ever_more_rarely
         waits.append(next(wait for wait in range(1, 60) if one.overdue(t + wait)))
         t += waits[-1]
         assert one.ended(t, None) is None
-        assert (one.state, one.wait_s(1.0), one.is_silent) == (State.QUIET, 0.0, True)
+        assert (one.state, one.wait_s(1.0), one.is_silent) == (LinkState.QUIET, 0.0, True)
         one.opening(t)
         assert one.opened(t) is None
     assert waits == [5, 10, 20, LONGEST_QUIET_S, LONGEST_QUIET_S, LONGEST_QUIET_S]
@@ -190,7 +190,7 @@ def test_whatever_happens(policy: Policy, steps: list[tuple[str, float]], luck: 
         said += [change] if change else []
         assert one.wait_s(0.0) <= one.wait_s(luck) <= one.wait_s(1.0) <= longest_s
         assert one.wait_s(0.0) >= (1.0 - policy.spread) * one.wait_s(1.0)
-        assert one.state in (State.QUIET, State.OPEN) or one.wait_s(1.0) >= policy.first_wait_s
+        assert one.state in (LinkState.QUIET, LinkState.OPEN) or one.wait_s(1.0) >= policy.first_wait_s
     assert all(before != after for before, after in pairwise(said))
     assert not any(before.up and after.up for before, after in pairwise(said))
 
