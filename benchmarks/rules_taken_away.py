@@ -3,26 +3,34 @@
     python benchmarks/rules_taken_away.py [--only PART] [--list] [--jobs N]
 
 A rule is an `if` of the functions below (also of a `case`), one side of an `and` or `or`, or an entry of
-safety's tables. Each rule is removed in turn, in a copy of the sources, and the tests of its module run
-there: one of them must fail. A rule without such a test is printed and makes the exit status 1. So does a
-rule for which the tests did not end in time.
+safety's tables. Each rule is removed in turn, in a copy of the sources, and those tests of its module run
+there that execute its lines, the shortest first: one of them must fail. A rule without such a test is
+printed and makes the exit status 1. So does a rule for which the tests did not end in time.
+
+This file is also the pytest plugin that records which lines a test executes, and that selects tests.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import json
 import os
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
+from collections import defaultdict
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Queue
+from types import FrameType
+from typing import Any
+
+import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 COPIED = ("flying_vines", "firmware_link", "missions")
@@ -30,7 +38,9 @@ LINKED = ("tests", "benchmarks", "pyproject.toml", "docs", "README.md")
 LONGEST_S = 1200.0
 """Maximum time for the tests of one rule. A timeout proves nothing, because the machine may be busy."""
 
-# Fast tests first: a run ends at the first failure.
+RECORD_TO, RUN_ONLY = "RULES_RECORD_TO", "RULES_RUN_ONLY"
+"""Environment variables of the plugin: the file to write, and the file with the tests to run."""
+
 CORE_TESTS = (
     "tests/core/test_safety.py",
     "tests/core/test_core_board.py",
@@ -218,25 +228,120 @@ def _conditions(function: ast.FunctionDef) -> Iterator[tuple[ast.expr, str]]:
                     yield value, neutral
 
 
-def is_caught(rule: Rule, room: Path) -> bool | None:
+@dataclass(frozen=True)
+class Executed:
+    """What a test executes: of each module with rules, the lines."""
+
+    test: str
+    duration_s: float
+    lines: dict[str, frozenset[int]]
+
+
+class _Recorder:
+    """Writes a line of JSON a test to a file: its name, its duration and the lines that it executed."""
+
+    def __init__(self, to: Path) -> None:
+        self._to = to
+        self._lines: dict[str, set[int]] = defaultdict(set)
+        paths = {module.path for module in MODULES}
+        self._recorded = {str(Path(entry, path)): path for entry in sys.path for path in paths}
+
+    def _call(self, frame: FrameType, _event: str, _arg: object) -> Any:
+        path = self._recorded.get(frame.f_code.co_filename)
+        if path is None:
+            return None
+        lines = self._lines[path]
+
+        def line(frame: FrameType, _event: str, _arg: object) -> Any:
+            lines.add(frame.f_lineno)
+            return line
+
+        return line
+
+    @pytest.hookimpl(hookwrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        self._lines.clear()
+        began_s = time.perf_counter()
+        sys.settrace(self._call)
+        yield
+        sys.settrace(None)
+        lines = {path: sorted(lines) for path, lines in self._lines.items()}
+        with self._to.open("a", encoding="utf-8") as out:
+            out.write(json.dumps([item.nodeid, time.perf_counter() - began_s, lines]) + "\n")
+
+
+class _Selection:
+    """Runs only the tests of a list, in its order."""
+
+    def __init__(self, tests: list[str]) -> None:
+        self._place = {test: place for place, test in enumerate(tests)}
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        items[:] = sorted(
+            (item for item in items if item.nodeid in self._place),
+            key=lambda item: self._place[item.nodeid],
+        )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if to := os.environ.get(RECORD_TO):
+        config.pluginmanager.register(_Recorder(Path(to)))
+    if tests := os.environ.get(RUN_ONLY):
+        config.pluginmanager.register(_Selection(json.loads(Path(tests).read_text(encoding="utf-8"))))
+
+
+def _run_tests(room: Path, files: list[str], variable: str, value: Path) -> int | None:
+    """The exit status of pytest in `room`, with the plugin; None if the tests did not end."""
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-p", "rules_taken_away"]
+    python_path = os.pathsep.join((str(room), str(room / "benchmarks")))
+    env = {**os.environ, "PYTHONPATH": python_path, "PYTHONDONTWRITEBYTECODE": "1", variable: str(value)}
+    try:
+        done = subprocess.run([*command, *files], cwd=room, env=env, capture_output=True, timeout=LONGEST_S)
+    except subprocess.TimeoutExpired:
+        return None
+    if done.returncode not in (0, 1, 2):
+        raise SystemExit(f"the tests did not run:\n{done.stdout.decode()[-2000:]}")
+    return done.returncode
+
+
+def executed_by_tests(file: str, room: Path) -> list[Executed]:
+    """What each test of a file executes. Raises `SystemExit` if one fails: then no rule can be judged."""
+    record = room / f"{file.replace('/', '-')}.jsonl"
+    if _run_tests(room, [file], RECORD_TO, record) != 0:
+        raise SystemExit(f"{file} fails although no rule is removed")
+    found = []
+    for text in record.read_text(encoding="utf-8").splitlines():
+        test, duration_s, lines = json.loads(text)
+        found.append(Executed(test, duration_s, {path: frozenset(of) for path, of in lines.items()}))
+    return found
+
+
+def tests_of(rule: Rule, executed: dict[str, list[Executed]]) -> list[str]:
+    """The tests that execute a rule, the shortest first; all tests of its module for an entry of a table."""
+    of_module = [test for file in rule.module.tests for test in executed[file]]
+    if rule.function not in rule.module.tables:
+        lines = frozenset(range(rule.line, rule.line + rule.text.count("\n") + 1))
+        of_module = [test for test in of_module if test.lines.get(rule.module.path, lines - lines) & lines]
+    return [test.test for test in sorted(of_module, key=lambda test: test.duration_s)]
+
+
+def is_caught(rule: Rule, tests: list[str], room: Path) -> bool | None:
     """True if a test fails without the rule; None if the tests did not end.
 
     `room` holds a copy of the sources that no other run uses now.
     """
+    if not tests:
+        return False
     place = room / rule.module.path
     source = place.read_text(encoding="utf-8")
+    selection = room / "selection.json"
+    selection.write_text(json.dumps(tests), encoding="utf-8")
     place.write_text(rule.taken_away(source), encoding="utf-8")
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *rule.module.tests]
     try:
-        env = {**os.environ, "PYTHONPATH": str(room), "PYTHONDONTWRITEBYTECODE": "1"}
-        done = subprocess.run(command, cwd=room, env=env, capture_output=True, timeout=LONGEST_S)
-    except subprocess.TimeoutExpired:
-        return None
+        status = _run_tests(room, sorted({test.partition("::")[0] for test in tests}), RUN_ONLY, selection)
     finally:
         place.write_text(source, encoding="utf-8")
-    if done.returncode not in (0, 1, 2):
-        raise SystemExit(f"the tests did not run:\n{done.stdout.decode()[-2000:]}")
-    return done.returncode != 0
+    return None if status is None else status != 0
 
 
 def make_room(parent: Path, number: int) -> Path:
@@ -267,10 +372,17 @@ def main() -> int:
         for number in range(args.jobs):
             rooms.put(make_room(Path(parent), number))
 
+        def record(file: str) -> list[Executed]:
+            room = rooms.get()
+            try:
+                return executed_by_tests(file, room)
+            finally:
+                rooms.put(room)
+
         def take_away(rule: Rule) -> None:
             room = rooms.get()
             try:
-                caught = is_caught(rule, room)
+                caught = is_caught(rule, tests_of(rule, executed), room)
             finally:
                 rooms.put(room)
             verdict = "NO END" if caught is None else "caught" if caught else "NOT CAUGHT"
@@ -279,6 +391,8 @@ def main() -> int:
                 survivors.append(rule)
 
         with ThreadPoolExecutor(args.jobs) as pool:
+            files = sorted({file for rule in rules for file in rule.module.tests})
+            executed = dict(zip(files, pool.map(record, files), strict=True))
             list(pool.map(take_away, rules))
     minutes = (time.monotonic() - began_s) / 60.0
     print(f"{len(rules)} rules taken away, {len(rules) - len(survivors)} caught, in {minutes:.0f} min")
