@@ -20,9 +20,9 @@ from flying_vines.vehicle.mission.item import (
     WAYPOINT,
     MissionItem,
 )
-from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import MISSION_FRAME, AutopilotKind
 from flying_vines.vine.intent import BendTo, Intent, StartProfile
+from missions.home import Home
 from missions.item_for_intent import item_for_intent, suggestion
 from missions.mission import Mission, MissionError, VineAction, Waypoint
 

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import AutopilotKind
-from missions.home import home_of
+from missions.home import Home, home_of
 from missions.mission import MissionError
 from missions.plan_file import PlanFileError, read_plan
 from missions.waypoints import WaypointsError, read_waypoints

@@ -1,14 +1,59 @@
-"""Home of a mission: ArduPilot stores it as item 0, and PX4 does not store it."""
+"""Home of a mission, and the speeds of the vehicle that planning assumes and that the stand-ins fly.
+
+ArduPilot stores home as item 0, and PX4 does not store it.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
 
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import GLOBAL_FRAMES, TAKEOFF, WAYPOINT, MissionItem, has_place
-from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import AutopilotKind
+
+CRUISE_M_S = 5.0
+VERTICAL_M_S = 2.5
+TOUCHDOWN_M_S = 0.5
+FLARE_HEIGHT_M = 2.0
+
+_METRES_PER_DEGREE = 111_318.84
+
+
+@dataclass(frozen=True, slots=True)
+class Home:
+    """The place where the vehicle was switched on: the origin of its local coordinates."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_amsl_m: float
+
+    def local_m(self, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
+        """North and east of home, on a plane."""
+        shrink = math.cos(math.radians(self.latitude_deg))
+        return (
+            (latitude_deg - self.latitude_deg) * _METRES_PER_DEGREE,
+            (longitude_deg - self.longitude_deg) * _METRES_PER_DEGREE * shrink,
+        )
+
+    def global_deg(self, north_m: float, east_m: float) -> tuple[float, float]:
+        """Latitude and longitude of a point of the plane."""
+        shrink = math.cos(math.radians(self.latitude_deg))
+        return (
+            self.latitude_deg + north_m / _METRES_PER_DEGREE,
+            self.longitude_deg + east_m / (_METRES_PER_DEGREE * shrink),
+        )
+
+
+SIMULATOR_HOME: Mapping[AutopilotKind, Home] = MappingProxyType(
+    {
+        "ardupilot": Home(-35.363262, 149.165237, 584.09),
+        "px4": Home(47.3977431, 8.5455944, 489.443),
+    }
+)
+"""Home of each autopilot's own simulator (SITL)."""
 
 
 def is_home(item: MissionItem) -> bool:

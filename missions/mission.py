@@ -9,9 +9,8 @@ import msgspec
 from msgspec import Meta
 
 from flying_vines.files.toml_text import converted, one_line, read_text
-from flying_vines.vehicle.autopilots import AUTOPILOTS
-from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import AutopilotKind
+from missions.home import SIMULATOR_HOME, Home
 
 Height = Annotated[float, Meta(gt=0, le=1000)]
 Latitude = Annotated[float, Meta(ge=-90, le=90)]
@@ -108,5 +107,5 @@ def planned_home(mission: Mission, kind: AutopilotKind, source: str) -> Home:
             'home = "simulator" for the home of the autopilot\'s own simulator'
         )
     if mission.home == "simulator":
-        return AUTOPILOTS[kind].simulator_home
+        return SIMULATOR_HOME[kind]
     return Home(*mission.home.at, mission.home.altitude_m)

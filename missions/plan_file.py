@@ -22,9 +22,8 @@ from flying_vines.files.toml_text import OneLineError, dotted, explained, read_t
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import GLOBAL_FRAME, MAX_NUMBER, WAYPOINT, MissionItem, has_place
 from flying_vines.vehicle.mission.jumps import JUMP
-from flying_vines.vehicle.mission.reference_vehicle import CRUISE_M_S, Home
 from flying_vines.vehicle.mission.storage import MISSION_FRAME, AutopilotKind
-from missions.home import home_of
+from missions.home import CRUISE_M_S, Home, home_of
 
 PLAN_BYTES = 8 * MB
 """QGroundControl writes about 500 bytes an item; a survey also stores its whole path."""

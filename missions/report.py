@@ -1,4 +1,4 @@
-"""Shows a checked mission as a table, or as JSON."""
+"""Reviews a mission: timeline, air budget and checks; shows them as a table, or as JSON."""
 
 from __future__ import annotations
 
@@ -10,15 +10,17 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from flying_vines.config.config import Config
+from flying_vines.core.events import Decision
+from flying_vines.supply import RigPrior
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import DELAY, SPEED, WAYPOINT, MissionItem
-from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import AutopilotKind
-from missions.budget import AirBudget, PlannedBend, Range
-from missions.checks import MissionFinding, name_of
-from missions.flight_result import FlightResult
+from missions.budget import AirBudget, PlannedBend, Range, budget
+from missions.checks import CheckedMission, MissionFinding, check, name_of
+from missions.home import Home
 from missions.item_for_intent import described
-from missions.timeline import Timeline, TimelineStep
+from missions.timeline import Timeline, TimelineStep, timeline
 
 WIDE = 100
 """From this terminal width on, the table has wider column gaps."""
@@ -33,6 +35,30 @@ _HEADINGS = (
     "90 %\nkPa",
     "cycles\nleft",
 )
+
+
+@dataclass(frozen=True, slots=True)
+class FlightResult:
+    """The result of one flight; pressures are gauge."""
+
+    ran: tuple[MissionItem, ...]
+    """The vine items that the autopilot ran, in order."""
+    decisions: tuple[Decision, ...]
+    """The service's decisions about them."""
+    begins_kPa: float
+    ends_kPa: float
+    length_s: float
+    """Simulated time from the start of the mission to the landing, or until the flight was stopped."""
+    landed: bool
+    flown_s: float
+    """`length_s` and the time on the ground before it."""
+    took_s: float
+    """Real time on this computer."""
+
+    @property
+    def speed(self) -> float:
+        """Simulated time divided by real time."""
+        return self.flown_s / max(1e-9, self.took_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +84,22 @@ class Report:
         if self.flight_result is None:
             return []
         return list(_differences(self.budget, self.flight_result))
+
+
+def review(
+    name: str,
+    items: Sequence[MissionItem],
+    kind: AutopilotKind,
+    home: Home,
+    config: Config,
+    prior: RigPrior,
+    reservoir_kPa: float,
+) -> Report:
+    """Timeline, air budget and checks of the items, with the reservoir at `reservoir_kPa` (gauge)."""
+    plan = timeline(items, kind, home)
+    air = budget(plan, config, prior, reservoir_kPa)
+    findings = check(CheckedMission(items, kind, config, plan, air))
+    return Report(name, items, kind, home, plan, air, findings)
 
 
 class _Row(NamedTuple):

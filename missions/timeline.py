@@ -32,14 +32,8 @@ from flying_vines.vehicle.mission.item import (
     has_place,
 )
 from flying_vines.vehicle.mission.jumps import FOR_EVER, JUMP, Jumps
-from flying_vines.vehicle.mission.reference_vehicle import (
-    CRUISE_M_S,
-    FLARE_HEIGHT_M,
-    TOUCHDOWN_M_S,
-    VERTICAL_M_S,
-    Home,
-)
 from flying_vines.vehicle.mission.storage import AutopilotKind
+from missions.home import CRUISE_M_S, FLARE_HEIGHT_M, TOUCHDOWN_M_S, VERTICAL_M_S, Home
 
 MAX_STEPS = 1000
 MAX_LENGTH_S = 6 * 3600.0

@@ -9,22 +9,29 @@ from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
 from flying_vines.supply import nominal
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.reference_vehicle import ARDUPILOT_HOME, PX4_HOME, Home
 from flying_vines.vehicle.mission.storage import AutopilotKind
 from missions.build import build
-from missions.home import home_of
+from missions.home import SIMULATOR_HOME, Home, home_of
 from missions.mission import parse, planned_home
-from missions.report import Report
-from missions.review import review
+from missions.report import Report, review
 
 EXAMPLES = Path(__file__).parents[1] / "missions" / "examples"
-HOMES: dict[AutopilotKind, Home] = {"ardupilot": ARDUPILOT_HOME, "px4": PX4_HOME}
+PX4_HOME = SIMULATOR_HOME["px4"]
 KINDS: tuple[AutopilotKind, ...] = ("ardupilot", "px4")
 
 HEAD = 'home = "simulator"\n[takeoff]\naltitude_m = 10\n'
 WP, TAKEOFF, LAND, DELAY = 16, 22, 21, 93
 SCRIPT, ACTUATOR, GRIPPER, WINCH, RELAY = 217, 187, 211, 42600, 181
-HOME = (WP, 0, 0, 0, 0, PX4_HOME.latitude_deg, PX4_HOME.longitude_deg, PX4_HOME.altitude_amsl_m)
+HOME = (
+    WP,
+    0,
+    0,
+    0,
+    0,
+    PX4_HOME.latitude_deg,
+    PX4_HOME.longitude_deg,
+    PX4_HOME.altitude_amsl_m,
+)
 
 
 def built(text: str, kind: AutopilotKind, config: Config | None = None) -> list[MissionItem]:
@@ -47,7 +54,11 @@ def items(*entries: tuple[float, ...], frame: int = 2) -> list[MissionItem]:
         flown = int(command) in (WP, TAKEOFF, LAND)
         params = (*numbers, 0.0, 0.0, 0.0, 0.0)[:4] if len(numbers) <= 4 else tuple(numbers)
         if len(params) < 7:
-            place = (PX4_HOME.latitude_deg, PX4_HOME.longitude_deg + 1e-4 * seq, 10.0)
+            place = (
+                PX4_HOME.latitude_deg,
+                PX4_HOME.longitude_deg + 1e-4 * seq,
+                10.0,
+            )
             params = (*params, *(place if flown else (0.0, 0.0, 0.0)))
         p1, p2, p3, p4, x, y, z = params
         above = 0 if entry is HOME else 3

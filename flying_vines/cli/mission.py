@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     from flying_vines.config.config import Config
     from flying_vines.vehicle.mission.item import MissionItem
-    from flying_vines.vehicle.mission.reference_vehicle import Home
     from flying_vines.vehicle.mission.storage import AutopilotKind
+    from missions.home import Home
     from missions.report import Report
 
 NOT_AS_PLANNED = 1
@@ -104,7 +104,7 @@ def _vehicle(parser: argparse.ArgumentParser, run: Callable[[argparse.Namespace]
 
 
 def _upload(arguments: argparse.Namespace) -> int:
-    from missions.upload import upload
+    from missions.transfer import upload
 
     return _on_vehicle(upload(arguments.mission, arguments.link, _console()))
 
@@ -119,7 +119,7 @@ def _watch(arguments: argparse.Namespace) -> int:
 
 
 def _download(arguments: argparse.Namespace) -> int:
-    from missions.download import download
+    from missions.transfer import download
 
     return _on_vehicle(download(arguments.mission, arguments.link, _console()))
 
@@ -171,7 +171,7 @@ def _console() -> Console:
 
 
 def _home(text: str) -> Home:
-    from flying_vines.vehicle.mission.reference_vehicle import Home
+    from missions.home import Home
 
     try:
         latitude, longitude, altitude_m = map(float, text.split(","))
@@ -240,7 +240,7 @@ def _check(arguments: argparse.Namespace) -> int:
 def _report(arguments: argparse.Namespace, flies: bool = False) -> Report:
     from flying_vines.config import config as configuration
     from flying_vines.supply import nominal
-    from missions.review import review
+    from missions.report import review
 
     config = configuration.load_or_default(arguments.config)
     name, items, kind, home = _items(arguments, config)

@@ -13,7 +13,7 @@ from pathlib import Path
 from flying_vines.core.events import Action, Event
 from flying_vines.core.snapshot import Snapshot
 from flying_vines.core.watcher import Watcher
-from flying_vines.record.background_writer import BackgroundWriter
+from flying_vines.files.background_writer import BackgroundWriter
 from flying_vines.record.folders import FlightStart, Folders
 from flying_vines.record.topics import RawEntry, entry_of_action, entry_of_event, entry_of_state
 

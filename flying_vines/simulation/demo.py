@@ -37,8 +37,8 @@ from flying_vines.terminal import vine_sketch as sketch
 from flying_vines.terminal.screen import LiveView, event_line
 from flying_vines.vehicle.component.telemetry import VALUE_NAMES
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.reference_vehicle import ARDUPILOT_HOME
 from flying_vines.vehicle.notice import Notice, Severity
+from missions.home import SIMULATOR_HOME
 
 POLL_S = 0.05
 SWITCH_CHANNEL = 9
@@ -141,7 +141,7 @@ def demo_mission() -> list[MissionItem]:
 
 
 def _position(seq: int, command: int, north_m: float, altitude_m: float, frame: int = 3) -> MissionItem:
-    latitude, longitude = ARDUPILOT_HOME.global_deg(north_m, 0.0)
+    latitude, longitude = SIMULATOR_HOME["ardupilot"].global_deg(north_m, 0.0)
     return MissionItem(seq, command, (0.0, 0.0, 0.0, 0.0, latitude, longitude, altitude_m), frame=frame)
 
 

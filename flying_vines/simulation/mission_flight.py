@@ -16,10 +16,9 @@ from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.supply import nominal_rig
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.triggers import Rules
-from missions.flight_result import FlightResult
-from missions.report import Report
+from missions.home import Home
+from missions.report import FlightResult, Report
 
 GROUND_S = 8.0
 """Time before take-off, in which the core finds the autopilot and reads the mission."""

@@ -20,7 +20,7 @@ from rich.text import Text
 
 from flying_vines.core.events import Action, Decision, InternalError, carried_out_unrequested
 from flying_vines.core.snapshot import Snapshot
-from flying_vines.record.background_writer import BackgroundWriter
+from flying_vines.files.background_writer import BackgroundWriter
 from flying_vines.supply import CyclesLeft
 from flying_vines.supply.cycles_left import MAX_MINUTES
 from flying_vines.vehicle.notice import Notice, Severity

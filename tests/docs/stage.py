@@ -86,7 +86,7 @@ FORKS.set_forkserver_preload(
         "flying_vines.simulation.scenario.picture",
         "flying_vines.record.picture",
         "flying_vines.terminal.remote_view",
-        "missions.review",
+        "missions.report",
         "matplotlib.backends.backend_agg",
         "rich.progress",
     ]

@@ -10,7 +10,6 @@ from mission_building import (
     DELAY,
     HEAD,
     HOME,
-    HOMES,
     LAND,
     SCRIPT,
     TAKEOFF,
@@ -28,11 +27,10 @@ from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.rig import Rig
 from flying_vines.simulation.mission_flight import fly, with_flight
 from flying_vines.supply import nominal
-from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import AutopilotKind
 from missions.budget import PlannedBend, budget
-from missions.report import as_json
-from missions.review import review
+from missions.home import SIMULATOR_HOME, Home
+from missions.report import as_json, review
 from missions.timeline import timeline
 
 CONFIG = configuration.default()
@@ -48,7 +46,7 @@ def test_a_leg_takes_its_distance_and_climb() -> None:
     given = built(
         HEAD + waypoint("", "north_m = 40\nstay_s = 3") + waypoint("", "north_m = 40\naltitude_m = 30"), "px4"
     )
-    steps = timeline(given, "px4", HOMES["px4"]).steps
+    steps = timeline(given, "px4", SIMULATOR_HOME["px4"]).steps
     assert [round(step.takes_s, 2) for step in steps[:3]] == [4.0, 8.0 + 3.0, 8.0]
     assert steps[1].distance_m == pytest.approx(40.0, abs=0.02)
     # 28 m at 2.5 m/s, and the last 2 m at 0.5 m/s.
@@ -58,7 +56,9 @@ def test_a_leg_takes_its_distance_and_climb() -> None:
 def test_a_slower_vehicle_takes_longer() -> None:
     text = HEAD + waypoint("", "north_m = 40")
     slow = built("speed_m_s = 2\n" + text, "ardupilot")
-    step = next(step for step in timeline(slow, "ardupilot", HOMES["ardupilot"]).steps if step.waypoint == 1)
+    step = next(
+        step for step in timeline(slow, "ardupilot", SIMULATOR_HOME["ardupilot"]).steps if step.waypoint == 1
+    )
     assert step.takes_s == pytest.approx(20.0, abs=0.01)
 
 
@@ -107,7 +107,7 @@ def test_a_vine_with_hysteresis_is_let_down_further() -> None:
     vine = msgspec.structs.replace(CONFIG.vine, hysteresis_kPa=3.0)
     config = msgspec.structs.replace(CONFIG, vine=vine)
     given = built(HEAD + waypoint("{ bend_deg = 50 }, { bend_deg = 30 }"), "px4", config)
-    plan = timeline(given, "px4", HOMES["px4"])
+    plan = timeline(given, "px4", SIMULATOR_HOME["px4"])
     bends = budget(plan, config, nominal(config.pneumatics), 690.0).bends
     final = [bend.motion.final_kPa for bend in bends if bend.motion]
     up = vine.bend_curve().pressure_kPa(30.0)
@@ -119,7 +119,7 @@ def test_a_vine_with_hysteresis_is_let_down_further() -> None:
 def test_the_service_flies_as_the_budget_predicts(kind: AutopilotKind) -> None:
     given = built(SHORT, kind)
     prior = nominal(CONFIG.pneumatics)
-    report = review("short", given, kind, HOMES[kind], CONFIG, prior, 690.0)
+    report = review("short", given, kind, SIMULATOR_HOME[kind], CONFIG, prior, 690.0)
     report = with_flight(report, CONFIG, 690.0)
     assert report.flight_result is not None and report.flight_result.landed
     assert report.differences == []
@@ -142,7 +142,7 @@ def test_the_service_flies_as_the_budget_predicts(kind: AutopilotKind) -> None:
 def test_a_low_bottle_is_judged_as_the_service_judges_it(reservoir_kPa: float, verdict: str) -> None:
     given = built(SHORT, "px4")
     report = reviewed(given, "px4", reservoir_kPa=reservoir_kPa)
-    flown = fly(given, CONFIG, "px4", HOMES["px4"], reservoir_kPa, report.timeline.length_s, IDEAL)
+    flown = fly(given, CONFIG, "px4", SIMULATOR_HOME["px4"], reservoir_kPa, report.timeline.length_s, IDEAL)
     assert report.budget.bends[0].ruling.verdict == verdict
     assert flown.decisions[0].safety == verdict
     words = report.budget.bends[0].ruling.reason.split(" kPa")[0].rstrip("0123456789")
@@ -151,7 +151,7 @@ def test_a_low_bottle_is_judged_as_the_service_judges_it(reservoir_kPa: float, v
 
 def test_a_mission_with_errors_is_not_flown() -> None:
     given = built(SHORT.replace("= 5\n", "= 1\n"), "px4")
-    home: Home = HOMES["px4"]
+    home: Home = SIMULATOR_HOME["px4"]
     report = review("low", given, "px4", home, CONFIG, nominal(CONFIG.pneumatics), 690.0)
     report = with_flight(report, CONFIG, 690.0)
     assert finding_texts(report) and report.flight_result is None

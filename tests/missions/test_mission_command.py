@@ -177,7 +177,7 @@ def test_a_built_mission_is_checked_and_not_built_again(mission: Path, capsys: C
 
 
 def test_the_service_does_not_import_it() -> None:
-    code = "import sys, flying_vines.cli.main; sys.exit('missions.review' in sys.modules)"
+    code = "import sys, flying_vines.cli.main; sys.exit('missions.report' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -10,10 +10,11 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mission_building import HEAD, HOMES, KINDS, built, items, waypoint
+from mission_building import HEAD, KINDS, built, items, waypoint
 
 from flying_vines.vehicle.mission.storage import AutopilotKind
 from missions.files import load_items
+from missions.home import SIMULATOR_HOME
 from missions.mission import MissionError
 from missions.plan_file import PlanFileError, plan_text, read_plan, write_plan
 
@@ -21,7 +22,7 @@ TEXT = "speed_m_s = 4\n" + HEAD + waypoint("{ profile = 'reach' }, { bend_deg = 
 
 
 def content(kind: AutopilotKind) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(plan_text(built(TEXT, kind), kind, HOMES[kind]))
+    found: dict[str, Any] = json.loads(plan_text(built(TEXT, kind), kind, SIMULATOR_HOME[kind]))
     return found
 
 
@@ -34,7 +35,7 @@ def test_a_plan_has_what_qgroundcontrol_requires(kind: AutopilotKind) -> None:
     mission = plan["mission"]
     assert mission["version"] == 2 and mission["vehicleType"] == 2
     assert mission["firmwareType"] == {"ardupilot": 3, "px4": 12}[kind]
-    home = HOMES[kind]
+    home = SIMULATOR_HOME[kind]
     assert mission["plannedHomePosition"] == [home.latitude_deg, home.longitude_deg, home.altitude_amsl_m]
     for key in ("cruiseSpeed", "hoverSpeed", "globalPlanAltitudeMode"):
         assert mission[key] > 0
@@ -63,9 +64,9 @@ def test_its_items_are_simple_ones_numbered_from_1(kind: AutopilotKind) -> None:
 def test_written_items_are_read_back_equal(kind: AutopilotKind, tmp_path: Path) -> None:
     made = built(TEXT, kind)
     path = tmp_path / "m.plan"
-    write_plan(path, made, kind, HOMES[kind])
+    write_plan(path, made, kind, SIMULATOR_HOME[kind])
     plan = read_plan(path)
-    assert plan.kind == kind and plan.home == HOMES[kind]
+    assert plan.kind == kind and plan.home == SIMULATOR_HOME[kind]
     # As texts, because NaN is not equal to itself.
     assert [repr(item) for item in plan.items] == [repr(item) for item in made]
     assert load_items(path).items == plan.items or kind == "px4"
@@ -85,10 +86,10 @@ def test_a_jump_keeps_its_target(kind: AutopilotKind, tmp_path: Path) -> None:
 
 def test_another_autopilot_may_be_asked_for(tmp_path: Path) -> None:
     path = tmp_path / "m.plan"
-    write_plan(path, built(TEXT, "px4"), "px4", HOMES["px4"])
+    write_plan(path, built(TEXT, "px4"), "px4", SIMULATOR_HOME["px4"])
     plan = read_plan(path, "ardupilot")
     assert plan.items[0].command == 16 and plan.items[1].command == 22
-    assert plan.items[0].params[4] == HOMES["px4"].latitude_deg
+    assert plan.items[0].params[4] == SIMULATOR_HOME["px4"].latitude_deg
 
 
 def test_a_survey_is_flown_by_the_items_that_it_holds(tmp_path: Path) -> None:
@@ -162,8 +163,8 @@ def test_any_text_is_a_plan_or_an_error(text: str) -> None:
 def test_without_a_home_the_first_place_is_used() -> None:
     plan = json.loads(plan_text(built(TEXT, "px4"), "px4"))
     assert plan["mission"]["plannedHomePosition"] == [
-        HOMES["px4"].latitude_deg,
-        HOMES["px4"].longitude_deg,
+        SIMULATOR_HOME["px4"].latitude_deg,
+        SIMULATOR_HOME["px4"].longitude_deg,
         0,
     ]
     anywhere = items((22, 0, 0, 0, 0, math.nan, math.nan, 10.0), (16,))  # a take-off where the vehicle stands
@@ -182,10 +183,12 @@ def test_waypoints_files_need_an_autopilot_and_know_home(tmp_path: Path) -> None
     write_waypoints(path, built(TEXT, "ardupilot"))
     with pytest.raises(MissionError, match="--autopilot"):
         load_items(path)
-    assert load_items(path, "ardupilot").home == HOMES["ardupilot"]
+    assert load_items(path, "ardupilot").home == SIMULATOR_HOME["ardupilot"]
     write_waypoints(path, built(TEXT, "px4"))
     found = load_items(path, "px4")
-    assert found.home.latitude_deg == HOMES["px4"].latitude_deg and math.isnan(found.items[0].params[3])
+    assert found.home.latitude_deg == SIMULATOR_HOME["px4"].latitude_deg and math.isnan(
+        found.items[0].params[3]
+    )
     path.write_text("QGC WPL 110\n")
     with pytest.raises(MissionError, match="no item"):
         load_items(path, "px4")

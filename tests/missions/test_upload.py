@@ -13,7 +13,7 @@ from flying_vines.vehicle.mission.storage import AutopilotKind, Params
 from missions.files import load_items
 from missions.item_for_intent import over_the_wire
 from missions.mission import MissionError
-from missions.upload import compare, refuse_wrong_home
+from missions.transfer import compare, refuse_wrong_home
 
 EXAMPLES = Path(__file__).parents[2] / "missions" / "examples"
 

@@ -89,7 +89,7 @@ def test_a_mission_without_a_place_cannot_be_a_plan(
     async def vehicle(link: str) -> AsyncIterator[Peer]:
         yield Peer()
 
-    monkeypatch.setattr("missions.download.vehicle", vehicle)
+    monkeypatch.setattr("missions.transfer.vehicle", vehicle)
     path = tmp_path / "m.plan"
     assert error_line(capsys, "download", str(path)) == (
         f"{path}: cannot be written: the mission has no place that could be home; use a .waypoints file"

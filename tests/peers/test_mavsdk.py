@@ -27,10 +27,9 @@ from flying_vines.service.service import Service
 from flying_vines.simulation.autopilot import AutopilotKind, FakeAutopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
-from missions.download import download
 from missions.files import load_items
 from missions.link import MessageQueue, ReceivedMessage, VehicleLinkError, vehicle
-from missions.upload import upload
+from missions.transfer import download, upload
 from missions.watch import watch
 
 pytestmark = [real_time, pytest.mark.long]

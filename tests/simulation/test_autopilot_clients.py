@@ -10,7 +10,7 @@ from autopilot_world import LAND, TAKEOFF, World, changes, parameter_bytes, plan
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.simulation.autopilot import AutopilotKind, FakeAutopilot
-from flying_vines.vehicle.mission.reference_vehicle import PX4_HOME
+from missions.home import SIMULATOR_HOME
 
 KEY = bytes(range(32))
 
@@ -307,7 +307,7 @@ def test_the_first_requests_of_clients_are_answered(kind: AutopilotKind) -> None
     assert len(world.gcs.of("AUTOPILOT_VERSION")) == 2
     assert world.gcs.of("MESSAGE_INTERVAL")[0].interval_us == 200_000
     if kind == "px4":
-        assert world.gcs.of("HOME_POSITION")[0].latitude == round(PX4_HOME.latitude_deg * 1e7)
+        assert world.gcs.of("HOME_POSITION")[0].latitude == round(SIMULATOR_HOME["px4"].latitude_deg * 1e7)
 
 
 def test_px4_streams_to_a_ground_station_without_a_request() -> None:

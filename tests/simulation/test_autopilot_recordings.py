@@ -31,7 +31,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.simulation.autopilot import AutopilotKind, FakeAutopilot
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.reference_vehicle import PX4_HOME
+from missions.home import SIMULATOR_HOME
 from missions.waypoints import read_waypoints
 
 GPS_HZ = {24: 1}
@@ -164,7 +164,15 @@ def test_px4_mission_as_recorded() -> None:
 
 
 def north(metres: float) -> tuple[float, ...]:
-    return 0.0, 0.0, 0.0, 0.0, PX4_HOME.latitude_deg + metres * 9e-6, PX4_HOME.longitude_deg, 15.0
+    return (
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        SIMULATOR_HOME["px4"].latitude_deg + metres * 9e-6,
+        SIMULATOR_HOME["px4"].longitude_deg,
+        15.0,
+    )
 
 
 def px4_mission() -> list[MissionItem]:

@@ -28,8 +28,8 @@ from flying_vines.simulation.autopilot.streams import StreamSender
 from flying_vines.simulation.autopilot.transit import Transit
 from flying_vines.vehicle.mission import item as mission_item
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.reference_vehicle import ARDUPILOT_HOME, PX4_HOME, Home
 from flying_vines.vehicle.mission.storage import AutopilotKind
+from missions.home import SIMULATOR_HOME, Home
 
 _TICK_S = 0.02
 _UPTIME_S = 30.0
@@ -111,7 +111,7 @@ class FakeAutopilot:
         self.kind: AutopilotKind = kind
         self.system_id = system_id
         self.scheduler = Scheduler()
-        self.flight = CopterMotion(home or (ARDUPILOT_HOME if kind == "ardupilot" else PX4_HOME))
+        self.flight = CopterMotion(home or SIMULATOR_HOME[kind])
         self._rc: RcInput = rc_input(
             kind,
             rc_present,

@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import math
 
-from flying_vines.vehicle.mission.reference_vehicle import (
-    CRUISE_M_S,
-    FLARE_HEIGHT_M,
-    TOUCHDOWN_M_S,
-    VERTICAL_M_S,
-    Home,
-)
+from missions.home import CRUISE_M_S, FLARE_HEIGHT_M, TOUCHDOWN_M_S, VERTICAL_M_S, Home
 
 
 class CopterMotion:

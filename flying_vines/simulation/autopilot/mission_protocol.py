@@ -16,7 +16,6 @@ from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.autopilots.ardupilot import whole_centimetres
 from flying_vines.vehicle.mission.item import MissionItem, has_place
 from flying_vines.vehicle.mission.mission_cache import item_of
-from flying_vines.vehicle.mission.reference_vehicle import Home
 from flying_vines.vehicle.mission.storage import (
     ACCEPTED,
     CANCELLED,
@@ -28,6 +27,7 @@ from flying_vines.vehicle.mission.storage import (
     AutopilotKind,
     MissionRefused,
 )
+from missions.home import Home
 
 _REQUEST_AGAIN_S = 1.0
 _GIVE_UP_S = 8.0

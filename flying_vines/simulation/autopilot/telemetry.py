@@ -11,8 +11,8 @@ from flying_vines.simulation.autopilot import sensors
 from flying_vines.simulation.autopilot.modes import ARMED_FLAG
 from flying_vines.simulation.autopilot.runner import MissionStatus
 from flying_vines.simulation.autopilot.snapshot import AutopilotSnapshot
-from flying_vines.vehicle.mission.reference_vehicle import CRUISE_M_S
 from flying_vines.vehicle.mission.storage import AutopilotKind
+from missions.home import CRUISE_M_S
 
 HEARTBEAT, SYS_STATUS, SYSTEM_TIME, ATTITUDE, GLOBAL_POSITION_INT = 0, 1, 2, 30, 33
 MISSION_CURRENT, RC_CHANNELS, VFR_HUD, TIMESYNC, AUTOPILOT_VERSION = 42, 65, 74, 111, 148

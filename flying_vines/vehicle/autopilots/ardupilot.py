@@ -12,7 +12,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.vehicle.autopilots.ardupilot_mission import ArduPilotWatch
 from flying_vines.vehicle.autopilots.autopilot import LOSS_SHOWN_WITHIN_S, Autopilot
 from flying_vines.vehicle.mission.item import NAV_SCRIPT_TIME, MissionItem
-from flying_vines.vehicle.mission.reference_vehicle import ARDUPILOT_HOME
 from flying_vines.vehicle.mission.storage import (
     INVALID_PARAM1,
     UNSUPPORTED,
@@ -46,7 +45,6 @@ class ArduPilot(Autopilot):
     kind = "ardupilot"
     title = "ArduPilot"
     mav_autopilot = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
-    simulator_home = ARDUPILOT_HOME
     rc_parameters = ("FS_THR_ENABLE", "RC_FS_TIMEOUT", "RC_OPTIONS", "RC_OVERRIDE_TIME")
     mode_channel_parameter = "FLTMODE_CH"
     mission_watch = ArduPilotWatch

@@ -16,7 +16,6 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.execution import Execution
 from flying_vines.vehicle.mission.item import MissionItem, is_nav
 from flying_vines.vehicle.mission.mission_cache import MissionCache
-from flying_vines.vehicle.mission.reference_vehicle import Home
 
 LOSS_SHOWN_WITHIN_S = 2.0
 """If a loss of RC is reported later than this, a false move of the switch may count as the pilot's."""
@@ -73,8 +72,6 @@ class Autopilot:
     """Its name in configurations, missions and on the command line."""
     title = "the autopilot"
     mav_autopilot: int = mavlink.MAV_AUTOPILOT_GENERIC
-    simulator_home: Home
-    """Home position of its simulator."""
 
     rc_parameters: tuple[str, ...] = ()
     """Its parameters that affect whether a loss of RC can be detected."""

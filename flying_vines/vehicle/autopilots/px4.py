@@ -13,7 +13,6 @@ from flying_vines.vehicle.autopilots.autopilot import Autopilot
 from flying_vines.vehicle.autopilots.px4_mission import Px4Watch
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.item import CONDITION_DELAY, MissionItem
-from flying_vines.vehicle.mission.reference_vehicle import PX4_HOME
 from flying_vines.vehicle.mission.storage import (
     MISSION_FRAME,
     UNSUPPORTED,
@@ -44,7 +43,6 @@ class Px4(Autopilot):
     kind = "px4"
     title = "PX4"
     mav_autopilot = mavlink.MAV_AUTOPILOT_PX4
-    simulator_home = PX4_HOME
     rc_parameters = ("COM_RC_LOSS_T", "COM_RC_IN_MODE")
     mode_channel_parameter = "RC_MAP_FLTMODE"
     needs_rc_status = True

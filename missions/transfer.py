@@ -1,4 +1,4 @@
-"""Uploads a mission, reads it back, and reports the differences."""
+"""Uploads a mission, reads it back and reports the differences; downloads a mission to a file."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ from missions.home import home_fits
 from missions.item_for_intent import described, over_the_wire
 from missions.link import MissionVehicle, UploadRefused, VehicleLinkError, vehicle
 from missions.mission import MissionError
+from missions.plan_file import write_plan
+from missions.waypoints import write_waypoints
 
 DONE, DIFFERS, REFUSED = 0, 1, 2
 
@@ -73,6 +75,32 @@ async def upload(path: Path, link: str, console: Console) -> int:
         f"Uploaded and read back: {name} stores the mission as expected.", style="green", soft_wrap=True
     )
     return DONE
+
+
+async def download(path: Path, link: str, console: Console) -> int:
+    """Write the vehicle's mission to `path`, a .plan or .waypoints file.
+
+    Raises:
+        MissionError: there is no mission, or the file cannot be written.
+        VehicleLinkError: no vehicle, or it does not answer.
+    """
+    if path.suffix.casefold() not in (".plan", ".waypoints"):
+        raise MissionError(f"{path}: the file must be a .plan or .waypoints")
+    async with vehicle(link) as peer:
+        items = await peer.download()
+    if not items:
+        raise MissionError(f"{AUTOPILOTS[peer.kind].title} has no mission")
+    try:
+        if path.suffix.casefold() == ".plan":
+            write_plan(path, items, peer.kind)
+        else:
+            write_waypoints(path, items)
+    except OSError as error:
+        raise MissionError(f"{path}: cannot be written: {error.strerror}") from None
+    except ValueError as error:
+        raise MissionError(f"{path}: cannot be written: {error}; use a .waypoints file") from None
+    console.print(f"Written  {path}: {len(items)} items of {AUTOPILOTS[peer.kind].title}", soft_wrap=True)
+    return 0
 
 
 def refuse_wrong_home(path: Path, items: Sequence[MissionItem], kind: AutopilotKind) -> None:
