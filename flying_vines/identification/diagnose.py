@@ -35,8 +35,9 @@ from flying_vines.identification.verdict import (
     Verdict,
 )
 from flying_vines.physics.arrays import Array
-from flying_vines.physics.cause import Cause, Sensor
+from flying_vines.physics.cause import Cause
 from flying_vines.physics.effects import causes_of
+from flying_vines.physics.rig import Vessel
 
 INDISTINGUISHABLE = 9.2
 """Maximum score difference (an evidence ratio of 100) of candidates that the data cannot tell apart."""
@@ -95,7 +96,7 @@ def possible_causes(case: Case) -> list[Cause]:
     return [cause for cause in causes_of(case.rig) if not (recorded and cause.name == "ambient_drop")]
 
 
-def _largest_kPa(case: Case) -> dict[Sensor, float]:
+def _largest_kPa(case: Case) -> dict[Vessel, float]:
     """The largest reading of each sensor, positive or negative, as a size in kPa; 0 if there is none."""
     cv_kPa = np.concatenate([run.cv_kPa for run in case.runs])
     reservoir_kPa = np.concatenate([run.reservoir_kPa for run in case.runs])

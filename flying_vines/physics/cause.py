@@ -1,8 +1,8 @@
 """A cause is a named effect that the baseline lacks. It has parameters, and a function that changes a rig.
 
 This function is `apply`. It takes a setup (a plant with its sensors) and the parameters by name, and returns
-the setup with the effect. The simulation and the fit both run this setup. To add a cause, add a file to
-`effects` with one `CAUSE` in it.
+the setup with the effect. The simulation and the fit both run this setup. To add a cause, define it in a
+file of `effects`.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import exp, inf, log
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from flying_vines.physics.plant.setup import Setup
-from flying_vines.physics.rig import RigError
+from flying_vines.physics.rig import RigError, Vessel
 
 if TYPE_CHECKING:
     import numpy as np
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 OFF_NEUTRAL = 0.03
 """Step from a parameter's neutral value to a value with an effect, as a share of the parameter's range."""
 Values = tuple[float, ...]
-Sensor = Literal["cv", "reservoir"]
 
 
 class CauseError(RigError):
@@ -60,8 +59,8 @@ class Parameter:
     """True if the search scale is the logarithm."""
     typical: tuple[float, float] | None = None
     """Prior: mean and standard deviation over rigs, on the search scale."""
-    of_largest: tuple[Sensor, float] | None = None
-    """A sensor and a share: the bounds are also within ± this share of the sensor's largest reading.
+    of_largest: tuple[Vessel, float] | None = None
+    """A vessel and a share: the bounds are also within ± this share of its sensor's largest reading.
 
     A vessel at low pressure has a sensor with a small span, and so with small errors.
     """
@@ -74,7 +73,7 @@ class Parameter:
         if not self.seeds or not within:
             raise ValueError(f"{self.name}: needs seeds between low and high")
 
-    def within_readings(self, largest_kPa: Mapping[Sensor, float]) -> Parameter:
+    def within_readings(self, largest_kPa: Mapping[Vessel, float]) -> Parameter:
         """This parameter with bounds limited by the largest readings (kPa; 0: sensor not recorded)."""
         if self.of_largest is None or not largest_kPa[self.of_largest[0]]:
             return self
@@ -157,7 +156,7 @@ class Cause:
         if not self.name.isidentifier():
             raise ValueError(f"{self.name!r} is not a name of a cause: use letters, digits and _")
 
-    def within_readings(self, largest_kPa: Mapping[Sensor, float]) -> Cause:
+    def within_readings(self, largest_kPa: Mapping[Vessel, float]) -> Cause:
         """This cause with bounds limited by the largest readings (kPa; 0: sensor not recorded)."""
         return replace(self, parameters=tuple(p.within_readings(largest_kPa) for p in self.parameters))
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_type_hints
 
 import msgspec
 
@@ -20,9 +20,11 @@ ReservoirVolume = Annotated[float, msgspec.Meta(ge=0.001, le=1000)]
 VineVolume = Annotated[float, msgspec.Meta(ge=1e-4, le=50)]
 FlowResistance = Annotated[float, msgspec.Meta(ge=0.01, le=1e8)]
 SupplyPressure = Annotated[float, msgspec.Meta(ge=1, le=10_000)]
-R = TypeVar("R")
 Noise = Annotated[float, msgspec.Meta(ge=0, le=1000)]
 Percent = Annotated[float, msgspec.Meta(ge=0, le=10_000)]
+Vessel = Literal["cv", "reservoir"]
+"""The control volume, or the reservoir."""
+R = TypeVar("R")
 _AIR = Gas()
 
 

@@ -1,8 +1,8 @@
-"""The effects that a rig may have and a diagnosis may name: one file each, with one `CAUSE`.
+"""The effects that a rig may have and a diagnosis may name.
 
-A file has the effect on a plant and its sensors, the parameters with bounds and sources, and the experiment
-that shows the effect. The simulation, the fit and the rig file use these files. Names and definitions are
-those of the rig-data format.
+A file has one effect on a plant and its sensors: its law, the parameters with bounds and sources, and the
+experiment that shows the effect. The simulation, the fit and the rig file use these files. Names and
+definitions are those of the rig-data format.
 """
 
 from __future__ import annotations
@@ -22,14 +22,11 @@ _added: list[Cause] = []
 
 @cache
 def catalogue() -> tuple[Cause, ...]:
-    """Every cause in this folder, by name; then those of installed packages, and those that were added."""
-    modules = sorted(module.name for module in iter_modules(__path__))
+    """Every cause of this folder, by name; then those of installed packages, and those that were added."""
+    modules = (import_module(f"{__name__}.{module.name}") for module in iter_modules(__path__))
+    own = (value for module in modules for value in vars(module).values() if isinstance(value, Cause))
     every: dict[str, Cause] = {}
-    for cause in (
-        *(import_module(f"{__name__}.{name}").CAUSE for name in modules),
-        *installed_causes(),
-        *_added,
-    ):
+    for cause in (*sorted(own, key=lambda cause: cause.name), *installed_causes(), *_added):
         if cause.name in every or cause.name in (NONE.name, "unexplained"):
             raise CauseError(f"{cause.defined_in}: the name {cause.name} is taken; choose another")
         every[cause.name] = cause

@@ -9,7 +9,7 @@ from typing import Any
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.plant import Plant
 from flying_vines.physics.plant.sensors import Sensor
-from flying_vines.physics.rig import Rig
+from flying_vines.physics.rig import Rig, Vessel
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,11 @@ class Setup:
     def with_rig(self, **tables: Any) -> Setup:
         """This setup with other tables of the rig, such as `cv`."""
         return replace(self, plant=replace(self.plant, rig=replace(self.plant.rig, **tables)))
+
+    def with_sensor(self, vessel: Vessel, **errors: float) -> Setup:
+        """This setup with these errors of the sensor of `vessel`."""
+        name = f"{vessel}_sensor"
+        return replace(self, **{name: replace(getattr(self, name), **errors)})
 
     def with_effects(self, **parts: Any) -> Setup:
         """This setup with these fields of `Effects`. An effect replaces the existing one.
