@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.plant.ambient import Steady
-from flying_vines.physics.plant.effects import Effects
+from flying_vines.physics.plant.effects import DVP, EVP, SOLENOID, Effects, likely_effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
-from flying_vines.physics.plant.likely_effects import DVP, EVP, SOLENOID, likely_effects
 from flying_vines.physics.plant.plant import Plant
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, Sensor
 from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion

@@ -35,8 +35,7 @@ from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.compiler import compiled, record
 from flying_vines.physics.plant.ambient import Air, air_at
 from flying_vines.physics.plant.compiled import batch, floats_of
-from flying_vines.physics.plant.effects import Effects
-from flying_vines.physics.plant.likely_effects import likely_effects
+from flying_vines.physics.plant.effects import Effects, likely_effects
 from flying_vines.physics.plant.numbers import PlantNumbers
 from flying_vines.physics.plant.plant import Conditions, Held, Plant
 from flying_vines.physics.plant.rates import conditions, rates

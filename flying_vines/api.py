@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from flying_vines.physics.cause import Cause, Parameter
     from flying_vines.physics.effects import add_causes, causes_of
     from flying_vines.physics.own_causes import read_causes
-    from flying_vines.physics.plant.curve import curve_of
+    from flying_vines.physics.plant.leak import curve_of
     from flying_vines.physics.plant.true_rig import load_true_rig as load_rig
     from flying_vines.physics.plant.true_rig import true_rig_text as rig_text
     from flying_vines.record.arrays import read_flight, read_tlog

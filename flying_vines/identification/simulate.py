@@ -23,8 +23,8 @@ from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Opening
 from flying_vines.physics.plant.leak import Leak
 from flying_vines.physics.plant.numbers import PlantNumbers, heat_per_s, numbers_of
+from flying_vines.physics.plant.plant import Setup, perfect
 from flying_vines.physics.plant.sensors import Sensor, Transfer
-from flying_vines.physics.plant.setup import Setup, perfect
 from flying_vines.physics.plant.simulator import TICK_S
 from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
 from flying_vines.physics.rig import ControlVolume, Rig, with_numbers

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from math import exp, inf, log
 from typing import TYPE_CHECKING, NamedTuple
 
-from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.plant import Setup
 from flying_vines.physics.rig import RigError, Vessel
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from types import ModuleType
 
 from flying_vines.files.bounded import read_bytes
 from flying_vines.physics.cause import Cause, CauseError
-from flying_vines.physics.plant.setup import perfect
+from flying_vines.physics.plant.plant import perfect
 from flying_vines.physics.rig import Pump, Rig
 
 ENTRY_POINTS = "flying_vines.causes"

@@ -18,11 +18,9 @@ import msgspec
 
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.constants import ALPHA_KPA, GAMMA
-from flying_vines.physics.plant.curve import Curve
 from flying_vines.physics.plant.flow import FlowLaw, Ohm, flow_SL_per_s
-from flying_vines.physics.plant.leak import LeakLaw, leak_of, leak_SL_per_s
-from flying_vines.physics.plant.plant import Plant
-from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.leak import Curve, LeakLaw, leak_of, leak_SL_per_s
+from flying_vines.physics.plant.plant import Plant, Setup
 from flying_vines.physics.plant.true_rig import TrueRig, true_rig_from
 from flying_vines.physics.plant.valve_response import ValveMotion
 from flying_vines.physics.plant.volume import Pouch

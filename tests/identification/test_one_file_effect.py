@@ -24,7 +24,7 @@ FILE = '''
 
 from flying_vines.physics.cause import Cause, Parameter
 from flying_vines.physics.plant.flow import iso6358_matching
-from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.plant import Setup
 
 
 def apply(base: Setup, critical_pressure_ratio: float) -> Setup:

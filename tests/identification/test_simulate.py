@@ -19,9 +19,8 @@ from flying_vines.physics.cause import Cause
 from flying_vines.physics.effects import catalogue, cause_named
 from flying_vines.physics.gas import Gas
 from flying_vines.physics.plant.compiled import replay as plant_replay
-from flying_vines.physics.plant.plant import at_rest
+from flying_vines.physics.plant.plant import at_rest, perfect
 from flying_vines.physics.plant.sensors import Sensor
-from flying_vines.physics.plant.setup import perfect
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
 
 RIG = Rig(cv=ControlVolume(0.25))

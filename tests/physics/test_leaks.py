@@ -8,10 +8,9 @@ import pytest
 
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.plant.compiled import replay
-from flying_vines.physics.plant.curve import Curve, curve_of, curve_SL_per_s
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
-from flying_vines.physics.plant.leak import Viscous, leak_of, leak_SL_per_s
+from flying_vines.physics.plant.leak import Curve, Viscous, curve_of, curve_SL_per_s, leak_of, leak_SL_per_s
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.simulator import Simulator
 from flying_vines.physics.plant.true_rig import true_rig_from, true_rig_text

@@ -10,13 +10,12 @@ import pytest
 
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.plant.ambient import Climb, air_at
-from flying_vines.physics.plant.coil import Coil
-from flying_vines.physics.plant.effects import Effects
-from flying_vines.physics.plant.likely_effects import likely_effects
+from flying_vines.physics.plant.effects import Effects, likely_effects
 from flying_vines.physics.plant.plant import Conditions, Held, Plant
 from flying_vines.physics.plant.rates import conditions, rates
 from flying_vines.physics.plant.simulator import Simulator
 from flying_vines.physics.plant.tick import _MAX_STEP
+from flying_vines.physics.plant.valve_response import Coil
 from flying_vines.physics.plant.venturi import Ejector
 from flying_vines.physics.plant.volume import Compliant
 from flying_vines.physics.rig import ControlVolume, Rig

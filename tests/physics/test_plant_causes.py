@@ -11,9 +11,8 @@ import pytest
 
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.effects import catalogue, setup
-from flying_vines.physics.plant.plant import at_rest
+from flying_vines.physics.plant.plant import Setup, at_rest
 from flying_vines.physics.plant.sensors import read, rested
-from flying_vines.physics.plant.setup import Setup
 from flying_vines.physics.plant.simulator import Simulator
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
 

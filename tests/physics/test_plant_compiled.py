@@ -15,9 +15,8 @@ from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.effects import catalogue, setup
 from flying_vines.physics.gas import Gas
 from flying_vines.physics.plant.ambient import Climb, Recorded, Steady
-from flying_vines.physics.plant.effects import Effects
+from flying_vines.physics.plant.effects import Effects, likely_effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
-from flying_vines.physics.plant.likely_effects import likely_effects
 from flying_vines.physics.plant.numbers import PlantNumbers, numbers_of
 from flying_vines.physics.plant.plant import Conditions, Plant, State, at_rest
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, read, rested

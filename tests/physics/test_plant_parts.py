@@ -18,8 +18,7 @@ from flying_vines.physics.plant.ambient import (
     Steady,
     air_at,
 )
-from flying_vines.physics.plant.coil import Coil, current_A, resistance_ohm, temperature_after_K
-from flying_vines.physics.plant.effects import Effects
+from flying_vines.physics.plant.effects import DVP, Effects
 from flying_vines.physics.plant.flow import (
     Iso6358,
     Ohm,
@@ -27,15 +26,18 @@ from flying_vines.physics.plant.flow import (
     flow_SL_per_s,
     iso6358_matching,
 )
-from flying_vines.physics.plant.likely_effects import DVP
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.simulator import Simulator
 from flying_vines.physics.plant.valve_response import (
+    Coil,
     SolenoidTiming,
     ValveMotion,
     backlash,
+    current_A,
     dead_zone,
+    resistance_ohm,
     solenoid_after,
+    temperature_after_K,
 )
 from flying_vines.physics.plant.venturi import Ejector, nozzle_supply, outlet_SL_per_s
 from flying_vines.physics.plant.volume import Compliant, Pouch, pressure_and_volume, volume_and_work

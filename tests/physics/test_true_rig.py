@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 
 from flying_vines.physics.effects import catalogue, cause_named, setup
-from flying_vines.physics.plant.effects import Effects
+from flying_vines.physics.plant.effects import Effects, likely_effects
 from flying_vines.physics.plant.flow import Iso6358, Ohm
-from flying_vines.physics.plant.likely_effects import likely_effects
 from flying_vines.physics.plant.true_rig import (
     TrueRig,
     likely_sensors,

@@ -11,8 +11,7 @@ from firmware_link.protocol import PROTOCOL_VERSION, Codec, Hello
 from firmware_link.protocol import Setpoint as SetpointMessage
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.plant.ambient import Climb
-from flying_vines.physics.plant.effects import Effects
-from flying_vines.physics.plant.likely_effects import likely_effects
+from flying_vines.physics.plant.effects import Effects, likely_effects
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, read, rested
 from flying_vines.physics.plant.simulator import Simulator

@@ -12,8 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from flying_vines.physics.baseline import Inputs
-from flying_vines.physics.plant.effects import Effects
-from flying_vines.physics.plant.likely_effects import likely_effects
+from flying_vines.physics.plant.effects import Effects, likely_effects
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.sensors import read, rested
 from flying_vines.physics.plant.simulator import TICK_S, Simulator

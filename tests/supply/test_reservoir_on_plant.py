@@ -16,9 +16,8 @@ from plant_telemetry import telemetry_of
 from firmware_link.protocol import Telemetry
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics import paper
-from flying_vines.physics.plant.effects import Effects
+from flying_vines.physics.plant.effects import Effects, likely_effects
 from flying_vines.physics.plant.flow import Ohm
-from flying_vines.physics.plant.likely_effects import likely_effects
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc
 from flying_vines.physics.plant.volume import Compliant, Pouch

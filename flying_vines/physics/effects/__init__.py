@@ -14,7 +14,7 @@ from pkgutil import iter_modules
 
 from flying_vines.physics.cause import Cause, CauseError
 from flying_vines.physics.own_causes import installed_causes
-from flying_vines.physics.plant.setup import Setup, perfect
+from flying_vines.physics.plant.plant import Setup, perfect
 from flying_vines.physics.rig import Rig
 
 _added: list[Cause] = []

@@ -6,7 +6,7 @@ from functools import partial
 
 from flying_vines.physics.cause import Cause, Parameter
 from flying_vines.physics.plant.ambient import Climb
-from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.plant import Setup
 
 
 def apply(base: Setup, rate_kPa_per_s: float) -> Setup:

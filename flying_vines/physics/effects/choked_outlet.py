@@ -12,7 +12,7 @@ from __future__ import annotations
 from flying_vines.physics.cause import Cause
 from flying_vines.physics.effects.compressible_flow import CRITICAL_PRESSURE_RATIO
 from flying_vines.physics.plant.flow import choked_law
-from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.plant import Setup
 
 _MATCHED_KPA = 100.0
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from flying_vines.physics.cause import Cause, Parameter
 from flying_vines.physics.plant.flow import Iso6358, choked_law
-from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.plant import Setup
 
 _MATCHED_KPA = 690.0
 

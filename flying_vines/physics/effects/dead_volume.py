@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from flying_vines.physics.cause import Cause, Parameter
-from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.plant import Setup
 from flying_vines.physics.rig import ControlVolume
 
 

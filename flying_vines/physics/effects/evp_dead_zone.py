@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from flying_vines.physics.cause import Cause, Parameter
-from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.plant import Setup
 from flying_vines.physics.plant.valve_response import ValveMotion
 
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from flying_vines.physics.cause import Cause
 from flying_vines.physics.effects.compressible_flow import CRITICAL_PRESSURE_RATIO
-from flying_vines.physics.plant.pump_curve import ChokedPump
-from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.flow import ChokedPump
+from flying_vines.physics.plant.plant import Setup
 
 
 def apply(base: Setup, critical_pressure_ratio: float) -> Setup:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import partial
 
 from flying_vines.physics.cause import Cause, Parameter
-from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.plant import Setup
 
 
 def _apply(number: str, base: Setup, scale: float) -> Setup:

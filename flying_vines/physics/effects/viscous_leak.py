@@ -6,7 +6,7 @@ from functools import partial
 
 from flying_vines.physics.cause import Cause, Parameter
 from flying_vines.physics.plant.leak import Viscous
-from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.plant import Setup
 from flying_vines.physics.rig import Vessel
 
 

@@ -1,4 +1,4 @@
-"""The flow laws of a valve: Ohm's law and ISO 6358.
+"""The flow laws of a valve and of a pump: Ohm's law and ISO 6358.
 
 `numbers()` converts both to an `Opening`, for `flow_SL_per_s`.
 """
@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
 from flying_vines.physics.gas import AIR, GasProperties, sonic_conductance_ratio
+from flying_vines.physics.rig import Pump
 
 
 class Opening(NamedTuple):
@@ -196,3 +197,23 @@ def choked_law(
         one_way=one_way,
         gas=gas,
     )
+
+
+@dataclass(frozen=True)
+class ChokedPump:
+    """The flow of ISO 6358 from a constant supply at the stall pressure P_max:
+
+        Q = u Q_max φ(r) / φ(r₀),   r = (P_cv + p_a)/(P_max + p_a),   r₀ = p_a/(P_max + p_a)
+
+    Q_max is the free flow, into 0 kPa gauge, p_a = 101.325 kPa. φ: see `Iso6358`.
+    """
+
+    critical_pressure_ratio: float = 0.3
+
+
+def pump_law(pump: Pump, curve: ChokedPump | None, gas: GasProperties) -> FlowLaw:
+    """The law of the flow from P_max to the chamber. Without a curve it falls linearly to 0 at P_max."""
+    if curve is None:
+        return Ohm(pump.flow_resistance_kPa_s_per_SL)
+    stall_kPa, ratio = pump.stall_pressure_kPa, curve.critical_pressure_ratio
+    return choked_law(pump.flow_resistance_kPa_s_per_SL, stall_kPa, ratio, gas)

@@ -12,16 +12,17 @@ from typing import NamedTuple
 
 from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air
-from flying_vines.physics.plant.coil import current_A, temperature_after_K
 from flying_vines.physics.plant.numbers import PlantNumbers, ValveNumbers
 from flying_vines.physics.plant.plant import Held
 from flying_vines.physics.plant.rates import Floats, edges, quickest_per_s, rates
 from flying_vines.physics.plant.valve_response import (
     backlash,
+    current_A,
     dead_zone,
     opening_after,
     opening_midway,
     solenoid_after,
+    temperature_after_K,
     warmth_after,
 )
 

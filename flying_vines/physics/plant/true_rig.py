@@ -30,10 +30,9 @@ import msgspec
 
 from flying_vines.physics.cause import Parameter
 from flying_vines.physics.effects import NONE, catalogue, cause_named
-from flying_vines.physics.plant.effects import Effects
-from flying_vines.physics.plant.likely_effects import likely_effects
+from flying_vines.physics.plant.effects import Effects, likely_effects
+from flying_vines.physics.plant.plant import Setup, perfect
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, Sensor
-from flying_vines.physics.plant.setup import Setup, perfect
 from flying_vines.physics.rig import WITHOUT_PUMP, Rig, RigError, Sensors, number_error, read_rig, rig_from
 
 _EFFECTS: dict[str, dict[str, type]] = {

@@ -16,9 +16,8 @@ import numpy as np
 
 from flying_vines.physics.arrays import Array, BoolArray
 from flying_vines.physics.baseline import Inputs
-from flying_vines.physics.plant.plant import Conditions, at_rest
+from flying_vines.physics.plant.plant import Conditions, Setup, at_rest
 from flying_vines.physics.plant.sensors import read, rested
-from flying_vines.physics.plant.setup import Setup
 from flying_vines.physics.plant.simulator import TICK_S, Simulator
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.rig import ControlVolume, Rig

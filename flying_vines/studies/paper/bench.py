@@ -14,8 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from flying_vines.physics.arrays import Array
-from flying_vines.physics.plant.effects import Effects
-from flying_vines.physics.plant.likely_effects import likely_effects
+from flying_vines.physics.plant.effects import Effects, likely_effects
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.sensors import Sensor
 from flying_vines.physics.plant.simulator import TICK_S

@@ -23,8 +23,7 @@ from flying_vines.identification.search import Progress, silent
 from flying_vines.identification.verdict import NONE
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.effects import setup
-from flying_vines.physics.plant.plant import Plant, at_rest
-from flying_vines.physics.plant.setup import Setup
+from flying_vines.physics.plant.plant import Plant, Setup, at_rest
 from flying_vines.physics.plant.simulator import TICK_S
 from flying_vines.physics.rig import ControlVolume, Hose, Rig, Solenoid
 from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
