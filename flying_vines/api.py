@@ -43,7 +43,7 @@ _MODULES = {
     "causes_of": "physics.effects:causes_of",
     "Cause": "physics.cause:Cause",
     "Parameter": "physics.cause:Parameter",
-    "curve_of": "physics.plant.curve:curve_of",
+    "curve_of": "physics.plant.leak:curve_of",
     "read_causes": "physics.own_causes:read_causes",
     "extended_rig": "identification.extended:extended_rig",
     "write_report": "identification.report:write_report",

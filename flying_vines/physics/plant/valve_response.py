@@ -117,7 +117,7 @@ COPPER_PER_K = 0.0039
 
 @dataclass(frozen=True)
 class Coil:
-    """A valve's coil on one channel of an L298N: its current at a duty cycle u, and the warming of its copper.
+    """A valve's coil on one channel of an L298N: its current at a duty cycle u, and how its copper warms.
 
         i = u (V_s − V_d) / (R (1 + a (T − 293.15 K)) + R_d)        share of full command = i / i_full
         C dT/dt = i² R(T) − (T − T_a) / R_th
