@@ -43,8 +43,7 @@ from soak_day import LOOK_S, World, flights
 from flying_vines.config import config
 from flying_vines.core.events import Decision
 from flying_vines.physics.plant.effects import Effects
-from flying_vines.record.reader import FlightLog, flights_in
-from flying_vines.record.restore import restored
+from flying_vines.record.reader import FlightLog, flights_in, restored
 from flying_vines.record.topics import DECISION
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer

@@ -69,8 +69,7 @@ def _add_action(
 
 def _reading(run: Callable[[FlightLog, argparse.Namespace], int], arguments: argparse.Namespace) -> int:
     """Find the flight and run the action; a file error becomes one line."""
-    from flying_vines.record.reader import LogError, refuses_foreign
-    from flying_vines.record.summary import find_flight
+    from flying_vines.record.reader import LogError, find_flight, refuses_foreign
 
     with needs_analysis(), file_errors(arguments.folder, LogError):
         log = find_flight(arguments.flight, arguments.folder)
@@ -85,8 +84,7 @@ def _list(arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
     from flying_vines.cli.log_tables import summary_as_json, summary_table
-    from flying_vines.record.reader import FlightLog, LogError, flights_in, refuses_foreign
-    from flying_vines.record.summary import summarise
+    from flying_vines.record.reader import FlightLog, LogError, flights_in, refuses_foreign, summarise
 
     if not arguments.folder.is_dir():
         return bad_input(f"{arguments.folder}: is not a folder; `run` and `demo` write flights there")
@@ -153,7 +151,7 @@ def _bundle(log: FlightLog, arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
     from flying_vines.cli.log_tables import show_events
-    from flying_vines.record.bundle import bundle
+    from flying_vines.record.export import bundle
 
     path: Path = arguments.out or Path(f"{log.folder.resolve().name}.zip")
     text = io.StringIO()

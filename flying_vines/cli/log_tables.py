@@ -23,9 +23,7 @@ from flying_vines.core.events import (
 )
 from flying_vines.files.bounded import read_bytes
 from flying_vines.record.flight_metadata import ABOUT
-from flying_vines.record.reader import FlightLog, LogEntry
-from flying_vines.record.restore import restored
-from flying_vines.record.summary import Summary, summarise
+from flying_vines.record.reader import FlightLog, LogEntry, Summary, restored, summarise
 from flying_vines.record.topics import topic_of
 from flying_vines.simulation.replay import FlightReplay, as_json
 from flying_vines.terminal.screen import decision_table, event_line

@@ -1,26 +1,63 @@
-"""Reads flight logs. In a damaged log it reads all intact parts, and reports the losses."""
+"""Reads flight logs: entries, the core's events with exactly the recorded numbers, a summary.
+
+In a damaged log it reads all intact parts, and reports the losses. A log leaves out NaN and infinities. They
+are restored as NaN.
+"""
 
 from __future__ import annotations
 
+import binascii
+import math
 import mmap
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, fields
 from datetime import datetime
+from enum import IntEnum, IntFlag
+from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar, get_args, get_type_hints
 
 import msgspec
 from mcap.records import Channel, Message
 
+from firmware_link import protocol
+from flying_vines.core.events import (
+    Asked,
+    Decision,
+    Event,
+    Failed,
+    FirmwareMessage,
+    LinkChanged,
+    Said,
+    Stop,
+    Tick,
+    VehicleMessage,
+)
 from flying_vines.files.bounded import opened
 from flying_vines.files.toml_text import one_line
 from flying_vines.record.flight_metadata import number_of
 from flying_vines.record.folders import MCAP
 from flying_vines.record.mcap_file import MAGIC, TooLargeError, read_chunks, read_summary
+from flying_vines.record.topics import DECISION, MAVLINK_IN, SNAPSHOT, START, Start, message_in, topic_of
+from flying_vines.vehicle.notice import Notice
+from flying_vines.vine.intent import Intent, name_of
 
 LAST = "last"
 """The name of the latest flight, if no file or folder has this name."""
 _decode = msgspec.json.Decoder(dict[str, Any]).decode
+T = TypeVar("T")
+_KINDS: dict[str, type] = {
+    topic_of(kind): kind
+    for kind in (
+        *get_args(protocol.DeviceMessage),
+        *(Tick, LinkChanged, Said, Stop, Failed),
+        *(Decision, Notice, Start),
+    )
+}
+_INTENTS: dict[str, type] = {name_of(kind): kind for kind in get_args(Intent)}
+_NO_MOTIONS = {str(kind()) for kind in get_args(Intent) if not fields(kind)}
+"""Intents without a target, such as a hold. They do not bend the vine, but a motion may run after them."""
 
 
 class LogError(Exception):
@@ -147,3 +184,117 @@ class FlightLog:
         if not names:
             raise LogError(f"{self.path}: is not a flight log, or no part of it can be read")
         self.lost += max(0, count - expected)
+
+
+def start_of(log: FlightLog) -> Start:
+    """The state with which the service started. Raises `LogError` if this part is damaged."""
+    for entry in log.entries((START,)):
+        return restored(Start, entry.fields)
+    raise LogError(f"{log.path}: its beginning is damaged")
+
+
+def event_of(entry: LogEntry) -> Event:
+    """The event of an entry from one of the `EVENT_TOPICS`."""
+    message = entry.fields
+    if entry.topic == MAVLINK_IN:
+        return VehicleMessage(message["t"], message_in(binascii.a2b_base64(message["frame"])))
+    if entry.topic == topic_of(Asked):
+        kind = _INTENTS.get(message["intent"]["kind"])
+        if kind is None:
+            raise LogError(f"the log has a request of an earlier version, {message['intent']['kind']}")
+        intent: Intent = restored(kind, message["intent"])
+        return Asked(message["t"], message["by"], intent, message.get("made_at"), message.get("seen_at"))
+    event: Any = restored(_KINDS[entry.topic], message)
+    if isinstance(event, Tick | LinkChanged | Said | Stop | Failed):
+        return event
+    return FirmwareMessage(message["t"], event)
+
+
+def restored(kind: type[T], values: Mapping[str, Any]) -> T:
+    """A dataclass from its fields; a missing field becomes NaN (float) or None."""
+    return kind(**{
+        name: hint(values[name]) if name in values and _is_enum(hint) else values.get(name, unknown)
+        for name, (hint, unknown) in _hints(kind).items()  # type: ignore[arg-type]  # mypy: a type is hashable
+    })  # fmt: skip
+
+
+@cache
+def _hints(kind: type) -> dict[str, tuple[Any, float | None]]:
+    """The type of each field, and the value that it gets if the log has none."""
+    hints = get_type_hints(kind)
+    names = [field.name for field in fields(kind)]
+    return {name: (hints[name], math.nan if hints[name] is float else None) for name in names}
+
+
+def _is_enum(hint: Any) -> bool:
+    return isinstance(hint, type) and issubclass(hint, IntEnum | IntFlag)
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The data of a flight for `log list`."""
+
+    folder: Path
+    began_s: float
+    """Unix time."""
+    length_s: float
+    armed_s: float
+    bends: int
+    """The number of triggers that bent the vine."""
+    refused: int
+    lowest_reservoir_kPa: float
+    """Gauge; NaN if no phloSAR answered."""
+    findings: dict[str, int]
+    """The number of findings of each physics check."""
+    size_MB: float
+    """Total size of the files in the folder."""
+    lost: int
+    """The number of missing messages."""
+    damage: str
+    """A sentence; empty for a complete log. A log that is still being written is incomplete."""
+
+
+def summarise(log: FlightLog) -> Summary:
+    """Raises `LogError` if there is nothing to read."""
+    began_ns = ended_ns = 0
+    armed_s = 0.0
+    before_t: float | None = None
+    lowest_kPa = math.inf
+    findings: dict[str, int] = {}
+    bends = refused = 0
+    for entry in log.entries((SNAPSHOT, DECISION)):
+        began_ns, ended_ns = began_ns or entry.unix_ns, entry.unix_ns
+        f = entry.fields
+        if entry.topic == DECISION:
+            refused += f["safety"] == "refused"
+            moves = f["safety"] != "refused" and f.get("intent") not in _NO_MOTIONS
+            bends += moves and f["setpoint_kPa"] > 0.0
+            continue
+        if f["armed"] and before_t is not None:
+            armed_s += f["t"] - before_t
+        before_t = f["t"]
+        lowest_kPa = min(lowest_kPa, f.get("reservoir_kPa", math.inf))
+        findings = f["findings"]
+    return Summary(
+        folder=log.folder,
+        began_s=began_ns / 1e9,
+        length_s=(ended_ns - began_ns) / 1e9,
+        armed_s=armed_s,
+        bends=bends,
+        refused=refused,
+        lowest_reservoir_kPa=lowest_kPa if math.isfinite(lowest_kPa) else math.nan,
+        findings={name: count for name, count in findings.items() if count},
+        size_MB=sum(path.stat().st_size for path in log.folder.iterdir() if path.is_file()) / 1e6,
+        lost=log.lost,
+        damage=log.damage,
+    )
+
+
+def find_flight(name: str, parent: Path) -> FlightLog:
+    """`name` is "last", a folder's name in `parent`, or the path of a folder or file. Raises `LogError`."""
+    if name == LAST:
+        return FlightLog(parent / LAST)
+    for path in (Path(name), parent / name):
+        if path.is_file() or (path / MCAP).is_file() or path.name == LAST:
+            return FlightLog(path)
+    raise LogError(f"{name}: is not a flight: give a flight's folder, its {MCAP}, or last")

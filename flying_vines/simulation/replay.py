@@ -23,8 +23,7 @@ from flying_vines.config.config import Config
 from flying_vines.core.core import Core
 from flying_vines.core.crash_safe_core import CrashSafeCore
 from flying_vines.core.events import Action, Decision, StoredState, ToVehicle, VehicleMessage
-from flying_vines.record.reader import FlightLog, LogEntry, LogError
-from flying_vines.record.restore import event_of, restored, start_of
+from flying_vines.record.reader import FlightLog, LogEntry, LogError, event_of, restored, start_of
 from flying_vines.record.topics import (
     ANSWER_TOPICS,
     EVENT_TOPICS,

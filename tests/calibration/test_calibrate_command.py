@@ -23,8 +23,7 @@ from waiting import MAX_WAIT_S
 
 from flying_vines.config import config as configuration
 from flying_vines.files.extras import install_command
-from flying_vines.record.reader import FlightLog
-from flying_vines.record.restore import start_of
+from flying_vines.record.reader import FlightLog, start_of
 from flying_vines.record.topics import DECISION, TELEMETRY
 from flying_vines.simulation.replay import replay_flight
 

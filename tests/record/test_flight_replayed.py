@@ -20,9 +20,8 @@ from flying_vines.physics.plant.true_rig import TrueRig, true_rig_text
 from flying_vines.physics.rig import Rig
 from flying_vines.record.folders import MCAP
 from flying_vines.record.mcap_file import McapFile
-from flying_vines.record.reader import FlightLog, LogEntry, LogError
+from flying_vines.record.reader import FlightLog, LogEntry, LogError, start_of
 from flying_vines.record.recorder import Recorder
-from flying_vines.record.restore import start_of
 from flying_vines.record.topics import NUMBERS, TOPICS, topic_of
 from flying_vines.simulation.replay import replay_flight
 from flying_vines.simulation.simulated_world import SimulatedFlight

@@ -16,9 +16,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from recorded_flight import BEGAN, HIGH, LOW, fly, new_flight, one_bend
 
 from flying_vines.core.events import Asked, VehicleMessage
-from flying_vines.record.reader import FlightLog
+from flying_vines.record.reader import FlightLog, summarise
 from flying_vines.record.recorder import Recorder
-from flying_vines.record.summary import summarise
 from flying_vines.vine.intent import ArmPneumatics, BendTo, ClearLatchedFaults, Hold, StartBench, VentVine
 
 

@@ -44,9 +44,8 @@ from flying_vines.core.events import (
 from flying_vines.gateway.page.flights import listed
 from flying_vines.record import folders as folders_module
 from flying_vines.record import recorder as recorder_module
-from flying_vines.record.reader import FlightLog, LogEntry, LogError, flights_in
+from flying_vines.record.reader import FlightLog, LogEntry, LogError, event_of, flights_in, start_of
 from flying_vines.record.recorder import Recorder
-from flying_vines.record.restore import event_of, start_of
 from flying_vines.record.schema import Schema
 from flying_vines.record.topics import TOPICS, encoded, entry_of_event
 from flying_vines.simulation.replay import replay_flight
