@@ -25,6 +25,11 @@ LEVELS = (
     ("cli", "api"),
 )
 """The rooms, the lowest first. A room may import those of lower levels."""
+FLY = {
+    *("vehicle", "supply", "core", "record", "gateway", "terminal", "service", "install", "doctor"),
+    "missions",
+}
+LAB = {"simulation", "identification", "calibration", "studies"}
 LEVEL = {room: level for level, rooms in enumerate(LEVELS) for room in rooms}
 
 
@@ -82,6 +87,25 @@ def test_each_room_has_a_level() -> None:
 
 def test_imports_between_rooms_go_downward() -> None:
     assert upward(graph()) == []
+
+
+def from_lab_to_fly(imports: dict[str, set[str]]) -> list[str]:
+    return [
+        f"{module} imports {other}"
+        for module, others in imports.items()
+        for other in sorted(others)
+        if room_of(module) in FLY and room_of(other) in LAB
+    ]
+
+
+def test_fly_imports_nothing_from_lab() -> None:
+    assert from_lab_to_fly(graph()) == []
+
+
+def test_an_import_from_lab_to_fly_is_found() -> None:
+    assert from_lab_to_fly({"flying_vines.core.core": {"flying_vines.studies.design"}}) == [
+        "flying_vines.core.core imports flying_vines.studies.design"
+    ]
 
 
 def test_an_upward_import_is_found() -> None:
