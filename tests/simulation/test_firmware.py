@@ -44,11 +44,11 @@ RELIEF = Inputs(0.0, 1.0, True)
 class Bench:
     """A firmware whose sensors the test sets, and a host's codec."""
 
-    def __init__(self, firmware: Firmware) -> None:
+    def __init__(self, firmware: Firmware, cv_kPa: float = 0.0) -> None:
         self.firmware = firmware
         self.codec = Codec()
         self.now_ms = 0
-        self.cv_kPa = 0.0
+        self.cv_kPa = cv_kPa
         self.reservoir_kPa = 690.0
         self.drive = SAFE
         self._told: list[Message] = []
@@ -410,6 +410,13 @@ def test_single_wrong_readings_while_the_venturi_runs_are_no_fault(bench: Bench,
         bench.cv_kPa = max(5.0, right_kPa - 0.03)
     assert ran > 500
     assert bench.firmware.faults == Fault.NONE
+
+
+def test_a_board_that_starts_with_a_bent_vine_above_the_limit_relieves_it() -> None:
+    bench = Bench(Firmware(directly=True), cv_kPa=90.0)
+    bench.run(2)
+    assert {bench.run(1) for _ in range(900)} == {RELIEF}
+    assert bench.firmware.faults == Fault.CV_OVERPRESSURE
 
 
 def test_clearing_the_fault_gives_the_venturi_no_further_second(bench: Bench) -> None:

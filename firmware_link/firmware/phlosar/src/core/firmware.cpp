@@ -49,8 +49,10 @@ Outputs Firmware::step(uint32_t now_us, const Readings& readings) {
 }
 
 Drive Firmware::control(uint32_t now_us, const Pressures& pressures) {
+    const bool first = !stepped_;
     follow_clock(now_us);
     look(pressures);
+    if (first) steady_cv_kPa_ = cv_kPa_;
     if (regulating_ && now_us - commanded_us_ >= holds_us_) latch(kDeadMan);
     Drive told = kSafe;
     told.dvp = relief();
