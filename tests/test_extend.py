@@ -157,6 +157,20 @@ def test_a_broken_wire_to_the_air_pump_is_found_by_what_the_pump_reports(our_lab
     assert "Vine: air_pump gets no commands, vented" in told
 
 
+def test_an_air_pump_that_does_not_straighten_the_vine_is_vented_and_the_pilot_reads_it(
+    our_lab: None,
+) -> None:
+    flight, bridge, _ = bent()
+    received, advance = bridge.board.receive, bridge.board.advance
+    bridge.board.receive = lambda data: received(data.replace(b"D", b"H"))
+    bridge.board.advance = lambda t: advance(t) and b"\n20.70 A\n"
+    flight.autopilot.set_rc(9, 1000)
+    told = notices(run_for(flight, 12.0))
+    assert bridge.board.pressure_kPa == 0.0
+    assert "Vine: still at 20.7 kPa, vent commanded" in told
+    assert "Vine: air_pump does not vent, vent commanded" in told
+
+
 def test_the_example_meets_the_requirements_of_an_actuator(our_lab: None) -> None:
     from model_of_board import Board
     from our_lab.air_pump import AirPump

@@ -88,6 +88,9 @@ BENCH_S = 300.0
 AT_ONCE_S = 0.05
 """Requests within this time of each other count as simultaneous."""
 
+STRAIGHTENS_WITHIN_S = 10.0
+"""A vine of 2 L needs 5 s without the Venturi. Later the device is told to vent."""
+
 VENTING = (VentVine, DisarmPneumatics, StopBench)
 MOVING = (StartProfile, BendTo, SetPressure)
 _BY_PILOT_OR_SAFETY = {"switch", *UNREQUESTED}
@@ -587,9 +590,14 @@ class Core:
     def _drive(self, t: float) -> None:
         """Send the firmware the command for the time until the next tick."""
         motion = self._motion
-        if motion is not None and motion.is_over(t) and motion.final_kPa <= 0.0 and self._near_zero():
-            self._pending_bend.ended(motion.name, self._vehicle.switch.position)
-            self._motion = None
+        if motion is not None and motion.is_over(t) and motion.final_kPa <= 0.0:
+            is_late = motion.is_over(t - STRAIGHTENS_WITHIN_S)
+            if is_late or self._near_zero():
+                self._pending_bend.ended(motion.name, self._vehicle.switch.position)
+                self._motion = None
+                if not self._near_zero():
+                    cv_kPa = self._setpoint_kPa(t)
+                    self._notice(t, Severity.WARNING, f"still at {cv_kPa:.1f} kPa, vent commanded")
         command: fw.HostCommand = fw.VENTING
         if self._motion is not None:
             command = fw.Regulate(self._motion.setpoint_kPa(t + TICK_S), self._motion.rate_kPa_per_s)

@@ -5,6 +5,7 @@ CV: control volume, the vine. Pouch: the bending pouch of the actuator.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -96,6 +97,7 @@ class AirUse:
         self.was_cut_off = False
         """True if a movement was cut off at the latest message."""
         self._begun = False
+        self._setpoints: deque[float] = deque(maxlen=3)
         self._setpoint = 0.0
         self._calm_s = 0.0
         self._cv = self._cv_low = self._cv_top = 0.0
@@ -125,9 +127,10 @@ class AirUse:
         if dt > MAX_BRIDGED_S:
             self._unseen_s += dt
             seen_s = 0.0
-        rise, flat = self._follow_cv(dt, telemetry)
-        self._judge_calm(seen_s, telemetry)
-        self._follow_setpoint(features, seen_s, supply_kPa)
+        setpoint = self._without_spikes(telemetry.setpoint_kPa, features.regulating)
+        rise, flat = self._follow_cv(dt, telemetry, setpoint)
+        self._judge_calm(seen_s, telemetry, setpoint)
+        self._follow_setpoint(features, setpoint, seen_s, supply_kPa)
         venturi_s, held = telemetry.dvp_opening * seen_s, max(0.0, self._cv) * dt
         for sums in (self._block, self._cycle):
             sums[0] += dt
@@ -166,12 +169,18 @@ class AirUse:
         self._count = 0
         self._all_calm = True
 
-    def _judge_calm(self, dt: float, telemetry: Telemetry) -> None:
+    def _without_spikes(self, setpoint: float, regulating: bool) -> float:
+        """The median of three: one wrong message is no other bend. A regulation starts anew."""
+        if regulating != self._regulating:
+            self._setpoints.clear()
+        self._setpoints.append(setpoint)
+        return sorted(self._setpoints)[(len(self._setpoints) - 1) // 2]
+
+    def _judge_calm(self, dt: float, telemetry: Telemetry, setpoint: float) -> None:
         """Calm: Venturi off, inflation valve open by at most `WORKING_OPENING`, and no rise commanded.
 
         Then the reservoir's reading and the counted air agree.
         """
-        setpoint = telemetry.setpoint_kPa
         busy = (
             telemetry.dvp_opening > 0.0
             or telemetry.evp_opening > WORKING_OPENING
@@ -183,10 +192,10 @@ class AirUse:
         if self._calm_s < CALM_S:
             self._all_calm = False
 
-    def _follow_cv(self, dt: float, telemetry: Telemetry) -> tuple[float, float]:
+    def _follow_cv(self, dt: float, telemetry: Telemetry, setpoint: float) -> tuple[float, float]:
         """The rise of the control volume's pressure, and 1 if the rise began from flat (else 0)."""
         cv = self._cv
-        if telemetry.setpoint_kPa <= 0.0 and telemetry.solenoid and telemetry.dvp_opening == 0.0:
+        if setpoint <= 0.0 and telemetry.solenoid and telemetry.dvp_opening == 0.0:
             self._rested_s += dt
             if self._rested_s > RESTED_S:
                 self._zero += (cv - self._zero) * min(1.0, dt / RESTED_S)
@@ -206,9 +215,8 @@ class AirUse:
         self._cv_top = cv
         return cv - self._cv_low, 1.0 if self._cv_low < max(0.0, self._zero) + FLAT_KPA else 0.0
 
-    def _follow_setpoint(self, features: Features, dt: float, supply_kPa: float) -> None:
+    def _follow_setpoint(self, features: Features, setpoint: float, dt: float, supply_kPa: float) -> None:
         t, telemetry, regulating = features.t, features.telemetry, features.regulating
-        setpoint = telemetry.setpoint_kPa
         if regulating and not self._regulating and not self._rising:
             # Regulation starts at the measured pressure, so the rise is counted from there.
             self._low, self._low_at = setpoint, t

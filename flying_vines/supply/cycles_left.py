@@ -384,12 +384,12 @@ class ReservoirEstimate:
 
     def _minutes(self, mean: Sequence[float], leak_per_s: float, floor_kPa: float) -> float:
         """Time until the floor, at this leak and the present pressure of the vine."""
-        above_kPa = mean[X] - floor_kPa
-        if above_kPa <= 0.0:
+        floor_kPa = max(0.0, floor_kPa)
+        if mean[X] <= floor_kPa:
             return 0.0
         leak_per_s = max(leak_per_s, 1e-9)
         held = mean[CV_LEAK] * max(0.0, self._use.cv_kPa) / leak_per_s
-        seconds = math.log((mean[X] + held) / (max(0.0, floor_kPa) + held + 1e-6)) / leak_per_s
+        seconds = math.log((mean[X] + held) / (floor_kPa + held + 1e-6)) / leak_per_s
         return min(MAX_MINUTES, seconds / 60.0)
 
     def _floor(self, mean: Sequence[float]) -> _Floor:

@@ -67,6 +67,26 @@ def test_one_absurd_frame_changes_nothing(bends: bool) -> None:
     assert (flight.phlosar.cv_kPa > 15.0) is bends
 
 
+@pytest.mark.parametrize("setpoint_kPa", [0.0, 5.0, 100.0, 400.0])
+def test_one_wrong_setpoint_in_a_bend_is_no_other_kind_of_bend(setpoint_kPa: float) -> None:
+    cycles = []
+    for values in ({}, {"setpoint_kPa": setpoint_kPa}):
+        flight = airborne()
+        wire = Spoiled(flight)
+        texts: list[str] = []
+        for _ in range(4):
+            flight.autopilot.set_rc(9, HIGH)
+            texts += shown(run_for(flight, 2.0))
+            wire.spoil_next(1, values)
+            texts += shown(run_for(flight, 0.5))
+            flight.autopilot.set_rc(9, LOW)
+            texts += shown(run_for(flight, 2.0))
+        assert texts == []
+        cycles.append(flight.core.snapshot(flight.world.now).cycles)
+    assert cycles[0] is not None and cycles[1] is not None
+    assert cycles[1].expected == pytest.approx(cycles[0].expected, rel=0.02)
+
+
 @pytest.mark.parametrize("field", PLAUSIBLE_KPA)
 @pytest.mark.parametrize("value", [1e30, -1e30, math.nan])
 def test_an_impossible_reading_is_a_fault_that_a_person_clears(field: str, value: float) -> None:

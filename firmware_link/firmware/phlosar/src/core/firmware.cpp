@@ -49,14 +49,17 @@ Outputs Firmware::step(uint32_t now_us, const Readings& readings) {
 }
 
 Drive Firmware::control(uint32_t now_us, const Pressures& pressures) {
+    const bool first = !stepped_;
     follow_clock(now_us);
     look(pressures);
+    if (first) steady_cv_kPa_ = cv_kPa_;
     if (regulating_ && now_us - commanded_us_ >= holds_us_) latch(kDeadMan);
     Drive told = kSafe;
     told.dvp = relief();
     if (regulating_) {
         const Drive wanted = regulator_.step(target_kPa_, most_per_step_kPa_, cv_kPa_, reservoir_kPa_);
         told = over_dead_bands(settings_, wanted);
+        if (low_supply_steps_ > 0) told.dvp = 0;
     }
     if (blows_back(told.dvp > Real(0))) {
         latch(kVenturi);
@@ -74,8 +77,7 @@ Real Firmware::relief() {
             regained_steps_ = 0;
             if (relief_steps_ > 0) --relief_steps_;
         }
-    } else if ((latched_ & kVenturi) == 0 && above_limit_ && relief_steps_ < kMostRelief &&
-               reservoir_kPa_ >= kVenturiLeastSupply_kPa) {
+    } else if ((latched_ & kVenturi) == 0 && above_limit_ && relief_steps_ < kMostRelief && low_supply_steps_ == 0) {
         ++relief_steps_;
         return Real(1);
     }
@@ -83,15 +85,17 @@ Real Firmware::relief() {
 }
 
 bool Firmware::blows_back(bool venturi_runs) {
+    const Real away_kPa = cv_kPa_ - steady_cv_kPa_;
+    steady_cv_kPa_ += smaller(kSteadyMost_kPa, larger(-kSteadyMost_kPa, away_kPa)) * kSteadyFilter;
     if (!venturi_runs) {
         venturi_steps_ = 0;
         venturi_raises_ = Frequent();
         return false;
     }
     const bool settling = !regulating_ && venturi_steps_ < kReliefSettles;
-    if (venturi_steps_ == 0 || settling || cv_kPa_ < venturi_lowest_kPa_) venturi_lowest_kPa_ = cv_kPa_;
+    if (venturi_steps_ == 0 || settling || steady_cv_kPa_ < venturi_lowest_kPa_) venturi_lowest_kPa_ = steady_cv_kPa_;
     if (venturi_steps_ < kReliefSettles) ++venturi_steps_;
-    venturi_raises_.see(cv_kPa_ > venturi_lowest_kPa_ + kBlowsBack_kPa);
+    venturi_raises_.see(!settling && cv_kPa_ > venturi_lowest_kPa_ + kBlowsBack_kPa);
     return venturi_raises_.there();
 }
 
@@ -113,6 +117,11 @@ void Firmware::look(const Pressures& seen) {
     const bool reservoir_good = reservoir_sensor_.can_say(seen.reservoir_kPa);
     if (cv_good) cv_kPa_ = seen.cv_kPa;
     if (reservoir_good) reservoir_kPa_ = seen.reservoir_kPa;
+    if (reservoir_kPa_ < kVenturiLeastSupply_kPa) {
+        low_supply_steps_ = kLowSupply;
+    } else if (low_supply_steps_ > 0) {
+        --low_supply_steps_;
+    }
     bad_cv_.see(!cv_good);
     bad_reservoir_.see(!reservoir_good);
     bad_supply_.see(!seen.supply_good);
@@ -213,6 +222,7 @@ void Firmware::on_setpoint(const Setpoint& setpoint) {
     if (!regulating_) {
         regulating_ = true;
         regulator_.begin(cv_kPa_);
+        steady_cv_kPa_ = cv_kPa_;
     }
     target_kPa_ = Real(setpoint.target_kPa);
     most_per_step_kPa_ =

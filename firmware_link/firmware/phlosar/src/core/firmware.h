@@ -75,6 +75,12 @@ private:
     static constexpr Real kBlowsBack_kPa = Real(3.0);
     // So many steps after an over-pressure the valves have followed: air that still flows in is not the Venturi's.
     static constexpr uint16_t kReliefSettles = 60;
+    // The rise counts from a pressure that a single wrong reading moves by 1 kPa only.
+    static constexpr Real kSteadyMost_kPa = Real(8.0);
+    static constexpr Real kSteadyFilter = Real(0.125);
+    // For so many steps after a supply below the least one the Venturi stays off. Switched on and off by the noise
+    // of a supply near it, the Venturi would raise the vine a little each time.
+    static constexpr uint16_t kLowSupply = 100;
 
     // A condition that counts if three of the last sixteen readings show it. One wrong reading does not end a
     // flight, and a contact that flickers does not hide its fault behind good readings.
@@ -170,6 +176,8 @@ private:
     uint16_t regained_steps_ = 0;
     // Since the Venturi was last off: its steps, the vine's lowest pressure, and whether it has risen from there.
     uint16_t venturi_steps_ = 0;
+    uint16_t low_supply_steps_ = 0;
+    Real steady_cv_kPa_ = 0;
     Real venturi_lowest_kPa_ = 0;
     Frequent venturi_raises_;
 
