@@ -172,6 +172,7 @@ class Vehicle:
         out.extend(self.pilot.tick(t))
         if not self.state.found:
             return out
+        out.extend(self.pilot.dead_switch(t, self.state.armed))
         out.extend(self._command_triggers(t))
         out.extend(self._items(t))
         out.extend(self._timesync.due(t, self.state.system_id))
