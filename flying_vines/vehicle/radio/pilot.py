@@ -166,7 +166,7 @@ class Pilot:
         return [self._refused(t, waiting.move, "the autopilot does not confirm RC, move it again")]
 
     def dead_switch(self, t: float, armed: bool) -> list[PilotOutput]:
-        """Say once after arming why the switch does nothing. If it was usable before, this is a loss of RC."""
+        """Say once after arming why the switch does nothing. If it was usable before, RC was lost."""
         problem = self.radio.problem(t)
         if not armed or not any(self._config.switch.positions):
             self._dead_at = None
