@@ -52,8 +52,8 @@ def read(path: Path, base: Config) -> dict[str, float]:
     if not path.exists():
         return {}
     text = read_text(path, ParameterFileError)
-    # A file of an earlier version, or of a person, has no end. Without this check, limits from the field would
-    # end unseen.
+    # A file of an earlier version, or of a person, has no end. Without this check, limits from the field
+    # would end unseen.
     has_end = MARK.startswith(text.strip()) or text.startswith(MARK)
     if has_end and text.rstrip().rpartition("\n")[2] != END:
         raise ParameterFileError(f"{path}: is empty or cut off: parameters are lost; {_REMEDY}")
