@@ -140,6 +140,8 @@ class Pilot:
         kind = message.get_type()
         if kind == "PARAM_VALUE":
             return self._report_parameters(t) if self.parameters.handle(autopilot, message) else []
+        if kind == "RC_CHANNELS" and self.radio.is_outdated(message):
+            return []
         self.radio.handle(t, message)
         if kind == "RC_CHANNELS":
             return self._sample(t, vented)
