@@ -104,7 +104,8 @@ class RadioLink:
 
     def is_outdated(self, message: MavlinkMessage) -> bool:
         """True for RC_CHANNELS that left the autopilot before the latest one: they took a slower path."""
-        return 0.0 < self.stamp_s - message.time_boot_ms / 1000.0 < OUT_OF_ORDER_S
+        stamp_s: float = message.time_boot_ms / 1000.0
+        return 0.0 < self.stamp_s - stamp_s < OUT_OF_ORDER_S
 
     def health_changed_since(self, stamp_s: float) -> bool:
         """True if SYS_STATUS has changed for any sensor since `stamp_s` of the autopilot's clock."""
