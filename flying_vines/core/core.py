@@ -59,7 +59,7 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.radio.pilot import Straightened
-from flying_vines.vehicle.triggers import Trigger
+from flying_vines.vehicle.triggers import Trigger, only_deflates
 from flying_vines.vehicle.vehicle import Vehicle, VehicleOutput
 from flying_vines.vine.intent import (
     ArmPneumatics,
@@ -394,7 +394,7 @@ class Core:
             self._bench_until = t + BENCH_S
         if intent is None or trigger.problem:
             return self._record(t, trigger, Ruling("refused", trigger.problem))
-        if self._stopped:
+        if self._stopped and not only_deflates(self.config, intent):
             return self._record(t, trigger, Ruling("refused", "the service is stopping"))
         if problem := self._outdated(t, trigger, intent):
             return self._record(t, trigger, Ruling("refused", problem))

@@ -23,7 +23,8 @@ STATUS_S = 1.0
 def service_manager(environment: MutableMapping[str, str] = os.environ) -> tuple[Watcher, ...]:
     """The service manager that started us, if any. Hides its address from our child processes."""
     address = environment.pop("NOTIFY_SOCKET", "")
-    watchdog_us = float(environment.pop("WATCHDOG_USEC", "inf"))
+    told = environment.pop("WATCHDOG_USEC", "")
+    watchdog_us = float(told) if told.isdecimal() else math.inf
     if environment.pop("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
         watchdog_us = math.inf
     return (ServiceManager(address, watchdog_us / 1e6),) if address else ()

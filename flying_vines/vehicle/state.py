@@ -78,7 +78,15 @@ class OtherHeard:
     heard: int
 
 
-VehicleEvent = Rebooted | AutopilotFound | Ambiguous | OtherHeard
+@dataclass(frozen=True, slots=True)
+class OtherComponent:
+    """No autopilot is found, and an autopilot with a component id other than 1 is heard: not served."""
+
+    system_id: int
+    component_id: int
+
+
+VehicleEvent = Rebooted | AutopilotFound | Ambiguous | OtherHeard | OtherComponent
 
 
 class VehicleState:
@@ -205,7 +213,7 @@ class VehicleState:
         events: list[VehicleEvent] = []
         if kind == "HEARTBEAT":
             if not is_autopilot(message):
-                return events
+                return self._other_component(t, message)
             events.extend(self._choose(t, message))
         if not self.is_ours(message):
             return events
@@ -254,16 +262,25 @@ class VehicleState:
         return [AutopilotFound(system)]
 
     def _other(self, t: float, expected: int, heard: int) -> list[VehicleEvent]:
-        first_at = self._others.setdefault(heard, t)
-        if self._other_reported or t - first_at < OTHER_ID_AFTER_S:
+        return [OtherHeard(expected, heard)] if self._reports_other(t, heard) else []
+
+    def _other_component(self, t: float, message: MavlinkMessage) -> list[VehicleEvent]:
+        ids = (message.get_srcSystem(), message.get_srcComponent())
+        if self.found or ids[1] == _AUTOPILOT or not _claims_to_be_autopilot(message):
             return []
+        return [OtherComponent(*ids)] if self._reports_other(t, ids[0]) else []
+
+    def _reports_other(self, t: float, system_id: int) -> bool:
+        first_at = self._others.setdefault(system_id, t)
+        if self._other_reported or t - first_at < OTHER_ID_AFTER_S:
+            return False
         self._other_reported = True
-        return [OtherHeard(expected, heard)]
+        return True
 
 
 def is_autopilot(message: MavlinkMessage) -> bool:
-    return (
-        message.autopilot != mavlink.MAV_AUTOPILOT_INVALID
-        and message.type not in NO_VEHICLE
-        and message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1
-    )
+    return _claims_to_be_autopilot(message) and message.get_srcComponent() == _AUTOPILOT
+
+
+def _claims_to_be_autopilot(message: MavlinkMessage) -> bool:
+    return message.autopilot != mavlink.MAV_AUTOPILOT_INVALID and message.type not in NO_VEHICLE

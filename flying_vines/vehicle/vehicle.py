@@ -21,7 +21,7 @@ from flying_vines.vehicle.own_triggers import messages_of, own_triggers
 from flying_vines.vehicle.radio.pilot import Pilot, Straightened
 from flying_vines.vehicle.radio.rc import RadioLink
 from flying_vines.vehicle.radio.switch import SwitchReader
-from flying_vines.vehicle.state import Ambiguous, AutopilotFound, OtherHeard, VehicleState
+from flying_vines.vehicle.state import Ambiguous, AutopilotFound, OtherComponent, OtherHeard, VehicleState
 from flying_vines.vehicle.streams import Streams
 from flying_vines.vehicle.triggers import Rules, Trigger
 from flying_vines.vine.intent import VentVine
@@ -159,6 +159,9 @@ class Vehicle:
                 case OtherHeard(expected, heard):
                     text = f"Vine: autopilot {expected} expected, {heard} heard: set vehicle.system_id"
                     out.append(Notice(t, Severity.WARNING, text))
+                case OtherComponent(system_id, component_id):
+                    text = f"Vine: autopilot {system_id} has component id {component_id}: set it to 1"
+                    out.append(Notice(t, Severity.WARNING, text))
         if self.state.autopilot is not self._autopilot:
             self._take_autopilot(t)
         if self.state.armed and (self.state.armed, self.state.mode) != before:
@@ -172,6 +175,7 @@ class Vehicle:
         out.extend(self.pilot.tick(t))
         if not self.state.found:
             return out
+        out.extend(self.pilot.dead_switch(t, self.state.armed))
         out.extend(self._command_triggers(t))
         out.extend(self._items(t))
         out.extend(self._timesync.due(t, self.state.system_id))

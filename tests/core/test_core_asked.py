@@ -8,7 +8,7 @@ import pytest
 
 from flying_vines.config import config
 from flying_vines.config.config import Config
-from flying_vines.core.events import Asked, Decision
+from flying_vines.core.events import Asked, Decision, KeepDisarmed, Stop
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vine.intent import (
@@ -111,6 +111,26 @@ def test_letting_air_out_is_never_late(by: Asker, intent: Intent) -> None:
     assert ask(flight, by, intent, age_s=60.0).safety == "accepted"
     run_for(flight, 1.0)
     assert_vented(flight)
+
+
+@pytest.mark.parametrize("intent", LETS_OUT, ids=lambda intent: str(intent))
+def test_letting_air_out_is_accepted_while_the_service_is_stopping(intent: Intent) -> None:
+    flight = on_the_bench()
+    ask(flight, "page", BendTo(30.0))
+    run_for(flight, 1.0)
+    flight.feed(Stop(flight.world.now))
+    refused = ask(flight, "page", BendTo(30.0))
+    assert (refused.safety, refused.reason) == ("refused", "the service is stopping")
+    assert ask(flight, "page", intent).safety == "accepted"
+    run_for(flight, 1.0)
+    assert_vented(flight)
+
+
+def test_a_disarm_while_the_service_is_stopping_is_stored() -> None:
+    flight = bent()
+    flight.feed(Stop(flight.world.now))
+    now = flight.world.now
+    assert KeepDisarmed(now, True) in flight.feed(Asked(now, "page", DisarmPneumatics(), now, now))
 
 
 def test_late_requests_after_a_pause_of_the_process_are_not_executed() -> None:

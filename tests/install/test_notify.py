@@ -87,7 +87,9 @@ def test_only_a_tick_shows_that_the_loop_runs(listener: Listener) -> None:
     assert listener.received() == []
 
 
-@pytest.mark.parametrize("of_another", [{}, {"WATCHDOG_USEC": "400000", "WATCHDOG_PID": "1"}])
+@pytest.mark.parametrize(
+    "of_another", [{}, {"WATCHDOG_USEC": "400000", "WATCHDOG_PID": "1"}, {"WATCHDOG_USEC": "x"}]
+)
 def test_without_a_watchdog_of_ours_it_notifies_ready_and_no_more(
     listener: Listener, of_another: dict[str, str]
 ) -> None:

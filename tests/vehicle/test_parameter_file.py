@@ -19,6 +19,7 @@ from flying_vines.vehicle.component.parameters import Parameters
 CONFIG = config.default()
 VALUES = {"VINE_MAX_KPA": 18.1, "VINE_RC_ACTION": 1.0}
 TEXT = """\
+# Without "# end" as its last line this file is cut off.
 # Vine parameters set from a ground station. They override the configuration.
 # To use the configuration's value again, delete the line and restart the service.
 
@@ -27,6 +28,8 @@ VINE_RC_ACTION = 1.0
 
 # maximum setpoint, gauge kPa (configuration: 20.7)
 VINE_MAX_KPA = 18.1
+
+# end
 """
 
 
@@ -61,6 +64,27 @@ def test_any_set_of_allowed_values_is_read_again(
     assert read(path, CONFIG) == values
 
 
+@pytest.mark.parametrize("values", [VALUES, {}], ids=["two values", "none"])
+def test_a_file_that_was_cut_off_anywhere_is_refused(tmp_path: Path, values: dict[str, float]) -> None:
+    path = tmp_path / "parameters.toml"
+    write(path, values, CONFIG)
+    text = path.read_text().rstrip()
+    for length in range(len(text)):
+        path.write_text(text[:length])
+        with pytest.raises(ParameterFileError):
+            read(path, CONFIG)
+
+
+def test_a_file_of_an_earlier_version_or_a_person_needs_no_end(tmp_path: Path) -> None:
+    path = tmp_path / "parameters.toml"
+    for text in (
+        TEXT.partition("\n")[2].removesuffix("\n# end\n"),
+        "VINE_RC_ACTION = 1\nVINE_MAX_KPA = 18.1",
+    ):
+        path.write_text(text)
+        assert read(path, CONFIG) == VALUES
+
+
 def test_without_a_file_there_are_no_values(tmp_path: Path) -> None:
     assert read(tmp_path / "none.toml", CONFIG) == {}
 
@@ -93,8 +117,8 @@ def test_the_last_write_counts(tmp_path: Path) -> None:
         ("VINE_MAX_KPA = 18\nVINE_MAX_KPA = 17\n", ":2: not TOML: "),
         ("\x00\x00\x00", ":1: not TOML: "),
         # A power cut may leave an empty file. It must not end a limit from the field unseen.
-        ("", ": is empty: its parameters are lost; set them again after deleting the file"),
-        (" \n\n", ": is empty: its parameters are lost; set them again after deleting the file"),
+        ("", ": is empty or cut off: parameters are lost; set them again after deleting the file"),
+        (" \n\n", ": is empty or cut off: parameters are lost; set them again after deleting the file"),
     ],
 )
 def test_a_file_that_cannot_be_used_is_named_with_the_line(tmp_path: Path, text: str, error: str) -> None:

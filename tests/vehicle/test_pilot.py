@@ -126,6 +126,17 @@ class Radio:
         outputs = self.pilot.handle(self.now_s, message, AUTOPILOTS[self.autopilot], self.vented)
         self.outputs.extend((self.now_s, output) for output in outputs)
 
+    def run_on_two_paths(self, seconds: float, slower_s: float) -> None:
+        """The channels also arrive on a slower path, with the switch in bending position 2."""
+        for _ in range(round(seconds / PERIOD_S)):
+            self.run(PERIOD_S)
+            self.receive_old(slower_s)
+
+    def receive_old(self, slower_s: float) -> None:
+        stamp_ms = round(1000 * (self.now_s - slower_s)) + 60_000
+        before = [*self.sticks[: self.channel - 1], PULSES_US[2], *self.sticks[self.channel :]]
+        self.receive(mavlink.MAVLink_rc_channels_message(stamp_ms, 18, *before, NO_RSSI))
+
     @property
     def asked(self) -> list[tuple[float, str, bool]]:
         return [
@@ -811,3 +822,22 @@ def test_a_vent_before_the_switch_is_accepted_blocks_no_fresh_move() -> None:
     radio.move(0, 1.0)
     radio.move(2, 1.0)
     assert len(radio.bends) == 1
+
+
+@pytest.mark.parametrize("slower_s", [0.1, 0.8, 1.5])
+def test_channels_on_a_slower_path_delay_no_straightening_and_bend_nothing(slower_s: float) -> None:
+    radio = Radio("ardupilot")
+    radio.move(2, 1.0)
+    radio.outputs.clear()
+    moved_at = radio.now_s
+    radio.move(0)
+    radio.run_on_two_paths(0.5, slower_s)
+    ((straight_at, profile, _),) = radio.asked
+    assert (profile, straight_at - moved_at < 0.3) == ("straight", True)
+    # The faster path dies, and the slower one still has the old position.
+    begin = radio.steps
+    for step in range(round(slower_s / PERIOD_S) - 1):
+        radio.steps = begin + step + 1
+        radio.receive_old(slower_s)
+        radio.outputs.extend((radio.now_s, output) for output in radio.pilot.tick(radio.now_s))
+    assert len(radio.asked) == 1

@@ -15,6 +15,7 @@ from flying_vines.vehicle.state import (
     LOWEST_OF_S,
     Ambiguous,
     AutopilotFound,
+    OtherComponent,
     OtherHeard,
     Rebooted,
     VehicleEvent,
@@ -150,6 +151,17 @@ def test_of_a_swarm_one_other_autopilot_is_named() -> None:
         ]
         assert heard == [OtherHeard(1, 2)]
         state.handle(again_at + 20.0, heartbeat(1))
+
+
+def test_an_autopilot_of_another_component_id_is_named_once_while_none_is_found() -> None:
+    state = VehicleState()
+    for t in range(20):
+        state.handle(float(t), heartbeat(1, 154, 26, 8))  # a gimbal
+    heard = [state.handle(t, heartbeat(1, 5, 2, 12)) for t in (20.0, 24.9, 25.0, 26.0)]
+    assert heard == [[], [], [OtherComponent(1, 5)], []]
+    state.handle(27.0, heartbeat(1))
+    assert [state.handle(t, heartbeat(1, 5, 2, 12)) for t in (28.0, 40.0)] == [[], []]
+    assert state.system_id == 1
 
 
 def test_an_autopilot_of_another_id_than_the_configured_one_is_named() -> None:

@@ -200,6 +200,33 @@ def test_missing_streams_are_named_once() -> None:
     assert texts == ["Vine: the autopilot does not send SYS_STATUS, GLOBAL_POSITION_INT"]
 
 
+@pytest.mark.parametrize(
+    ("channels", "switch_us", "why"),
+    [
+        (None, 1000, "no RC_CHANNELS yet"),
+        (8, 0, "channel 9 has no valid pulse (0)"),
+        (16, 1000, None),
+    ],
+    ids=["the autopilot sends RC_CHANNELS_RAW only", "an autopilot of eight channels", "a good receiver"],
+)
+def test_a_switch_that_does_nothing_is_told_once_after_arming(
+    channels: int | None, switch_us: int, why: str | None
+) -> None:
+    link = Link()
+    for step in range(120):
+        armed = mavlink.MAV_MODE_FLAG_SAFETY_ARMED if step >= 40 else 0
+        if step % 5 == 0:
+            link.receive(mavlink.MAVLink_heartbeat_message(2, 3, armed, 0, 4, 3))
+        if channels:
+            pulses = [1500] * 8 + [switch_us] + [0] * 9
+            link.receive(mavlink.MAVLink_rc_channels_message(step * 200, channels, *pulses, 255))
+        link.wait(0.2)
+        if step == 40:
+            assert not [notice for notice in link.notices if "switch" in notice.text]
+    told = [notice.text for notice in link.notices if "switch" in notice.text]
+    assert told == ([f"Vine: switch ch9 does nothing: {why}"] if why else [])
+
+
 def test_one_execution_of_an_ardupilot_item_is_one_trigger() -> None:
     settings = config.default()
     camera = config.ItemConfig(command=203, bend="param1", scale=1.0)

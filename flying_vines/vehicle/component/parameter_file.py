@@ -22,8 +22,10 @@ from flying_vines.vehicle.component.parameter_table import (
     value_of,
 )
 
-HEADING = """\
-# Vine parameters set from a ground station. They override the configuration.
+END = "# end"
+MARK = f'# Without "{END}" as its last line this file is cut off.\n'
+HEADING = f"""\
+{MARK}# Vine parameters set from a ground station. They override the configuration.
 # To use the configuration's value again, delete the line and restart the service.
 """
 
@@ -50,9 +52,11 @@ def read(path: Path, base: Config) -> dict[str, float]:
     if not path.exists():
         return {}
     text = read_text(path, ParameterFileError)
-    if not text.strip():
-        # `write` always writes a heading. Without this check, limits from the field would end unseen.
-        raise ParameterFileError(f"{path}: is empty: its parameters are lost; {_REMEDY}")
+    # A file of an earlier version, or of a person, has no end. Without this check, limits from the field
+    # would end unseen.
+    has_end = MARK.startswith(text.strip()) or text.startswith(MARK)
+    if has_end and text.rstrip().rpartition("\n")[2] != END:
+        raise ParameterFileError(f"{path}: is empty or cut off: parameters are lost; {_REMEDY}")
     values = _parsed(text, path)
     config = base
     for name, value in values.items():
@@ -84,7 +88,7 @@ def _text(values: Mapping[str, float], base: Config) -> str:
         if setting.name in values:
             rows.append(f"\n# {setting.doc} (configuration: {value_of(setting, base):g})\n")
             rows.append(f"{setting.name} = {values[setting.name]!r}\n")
-    return "".join(rows)
+    return "".join([*rows, f"\n{END}\n"])
 
 
 def _parsed(text: str, path: Path) -> dict[str, float]:

@@ -27,6 +27,8 @@ OVERRIDE_SLACK_S = 0.7
 MIN_FLICK_S = 1.0
 """A pilot needs up to this time to move the switch down and up. An override that expires so soon looks the
 same."""
+DEAD_AFTER_S = 5.0
+"""A switch that cannot be used for this time after arming is told to the pilot."""
 RELEASED_US = 65534
 IGNORED_US = (0, 65535)
 
@@ -76,6 +78,8 @@ class Pilot:
         """Who vented the vine, if it was not the switch and nothing has bent it since."""
         self._seen_bent_s = -math.inf
         """When the switch was last seen in a bending position, by the autopilot's clock."""
+        self._dead_at: float | None = None
+        """When to say that the switch does nothing; infinite if it was usable in this flight, or was said."""
         self._left_bend_s: float | None = None
         """The same, before the switch last went to a straight position since that vent. A stalled link or a
         loss of RC delays what we see, so an override may have begun soon after this time."""
@@ -136,6 +140,8 @@ class Pilot:
         kind = message.get_type()
         if kind == "PARAM_VALUE":
             return self._report_parameters(t) if self.parameters.handle(autopilot, message) else []
+        if kind == "RC_CHANNELS" and self.radio.is_outdated(message):
+            return []
         self.radio.handle(t, message)
         if kind == "RC_CHANNELS":
             return self._sample(t, vented)
@@ -160,6 +166,20 @@ class Pilot:
         if not self._waits_to_bend(waiting):
             return []
         return [self._refused(t, waiting.move, "the autopilot does not confirm RC, move it again")]
+
+    def dead_switch(self, t: float, armed: bool) -> list[PilotOutput]:
+        """Say once after arming why the switch does nothing. If it was usable before, RC was lost."""
+        problem = self.radio.problem(t)
+        if not armed or not any(self._config.switch.positions):
+            self._dead_at = None
+        elif self._dead_at is None:
+            self._dead_at = t + DEAD_AFTER_S
+        elif problem is None:
+            self._dead_at = math.inf
+        elif t >= self._dead_at:
+            self._dead_at = math.inf
+            return [Notice(t, Severity.WARNING, f"Vine: switch ch{self.channel} does nothing: {problem}")]
+        return []
 
     @property
     def fresh_move(self) -> str:

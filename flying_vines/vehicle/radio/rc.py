@@ -27,6 +27,9 @@ JUMP_US = 150
 MIN_JUMPED = 2
 """This many other channels must jump with the switch."""
 
+OUT_OF_ORDER_S = 2.0
+"""Two paths of a link differ by less than this. A clock that goes back by more has started again."""
+
 OVERRIDE_RSSI = 100
 """PX4's rssi while RC comes from a ground station's RC_CHANNELS_OVERRIDE."""
 NO_SIGNAL, NO_RSSI = 0, 255
@@ -98,6 +101,11 @@ class RadioLink:
             self._take_health(message)
         elif kind == "STATUSTEXT" and message.text.startswith("Radio Failsafe"):
             self._failsafe_text_at = None if "Cleared" in message.text else t
+
+    def is_outdated(self, message: MavlinkMessage) -> bool:
+        """True for RC_CHANNELS that left the autopilot before the latest one: they took a slower path."""
+        stamp_s: float = message.time_boot_ms / 1000.0
+        return 0.0 < self.stamp_s - stamp_s < OUT_OF_ORDER_S
 
     def health_changed_since(self, stamp_s: float) -> bool:
         """True if SYS_STATUS has changed for any sensor since `stamp_s` of the autopilot's clock."""
