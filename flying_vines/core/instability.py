@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from flying_vines.vehicle.notice import Notice
+from flying_vines.vehicle.notice import Notice, Severity
 
 STABLE_AFTER_S = 5.0
 RESTARTS_END_AFTER_S = 10.0
@@ -66,6 +66,8 @@ class OwnLines:
         changed = notice.ended is not condition.latest.ended
         # A loss with another text is the same loss: a silent link that then comes late, for example.
         is_same = bool(notice.condition) and not changed and notice.text != condition.latest.text
+        # How often a text came matters only if it reports a problem.
+        is_same |= not notice.condition and notice.severity > Severity.WARNING
         condition.losses += not notice.ended and not is_same
         condition.latest = notice
         if at_once or (changed and condition.losses == 1):
@@ -82,11 +84,12 @@ class OwnLines:
             told = condition.told.ended is latest.ended and (
                 latest.ended or condition.told.text == latest.text
             )
+            over = t - latest.t >= STABLE_AFTER_S
             if told and condition.losses == condition.told_losses:
-                if t - latest.t >= STABLE_AFTER_S:
+                if over:
                     del self._conditions[key]
                 continue
-            counts = t - condition.told_at >= condition.count_every_s
+            counts = over or t - condition.told_at >= condition.count_every_s
             settled = t - latest.t >= (BACK_FOR_S if latest.ended else LOST_FOR_S)
             if not counts and (not settled or told):
                 continue
@@ -129,16 +132,26 @@ class Restarts:
 
 
 class Lateness:
-    """How late our own ticks are. If they are late, a loss may be this computer's fault."""
+    """How late our own ticks are. If they are late, a loss may be this computer's fault.
 
-    def __init__(self) -> None:
+    After a stall, messages that have waited come before the tick. So each event is checked.
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._due = math.inf
         self._late_at = -math.inf
         self._worst_s = 0.0
 
-    def tick(self, t: float, late_s: float) -> None:
+    def note(self, t: float) -> None:
+        """An event comes at `t`."""
+        late_s = t - self._due
         if late_s >= LATE_S:
             self._worst_s = max(late_s, self._worst_s if self.problem(t) else 0.0)
             self._late_at = t
+
+    def tick(self, t: float) -> None:
+        self._due = t + self._period_s
 
     def problem(self, t: float) -> str:
         """The text "this computer is too busy: late by 340 ms"; empty if it is not."""

@@ -260,8 +260,7 @@ class Service:
             with self._contained("signing clock"):
                 if self._signing is not None:
                     self._signing.advance(time.time(), self.now, self._synchronised)
-            now = self.now
-            self._feed(Tick(now, late_s=round(max(0.0, now - due), 3)))
+            self._feed(Tick(self.now))
             with self._contained("link monitor"):
                 self._report_silence(self.now)
                 self._report_unread()

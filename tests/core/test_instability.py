@@ -98,7 +98,7 @@ def test_the_same_text_again_and_again_is_counted() -> None:
     lines = OwnLines()
     notices = [Notice(0.02 * i, Severity.WARNING, "Vine: cannot write the log") for i in range(50)]
     assert [lines.take(notice) for notice in notices] == [True] + 49 * [False]
-    (counted,) = lines.due(COUNT_EVERY_S)
+    (counted,) = lines.due(1.0 + STABLE_AFTER_S)
     assert counted.text == "Vine: cannot write the log (50 times in 1 s)"
     assert lines.unstable() == {}, "it is no link"
 
@@ -129,7 +129,18 @@ def test_a_loss_that_vents_a_bent_vine_is_always_told_at_once() -> None:
 
 def test_a_loss_of_which_a_count_has_told_is_not_told_again_before_the_next_count() -> None:
     every = {tick: lost(tick * TICK_S) for tick in range(0, 40, 13)}
-    assert [text for _, text in shown(every, 9.0)] == ["Vine: RC lost"]
+    assert [text for _, text in shown(every, 3.9 + STABLE_AFTER_S)] == ["Vine: RC lost"]
+
+
+def test_the_last_count_comes_when_the_condition_is_stable_again() -> None:
+    texts = shown(flapping(2, 250), 120.0)
+    t, text = texts[-1]
+    assert t <= 25.0 + STABLE_AFTER_S and "unstable: 63 losses in 25 s" in text, texts
+
+
+def test_only_problems_are_counted() -> None:
+    waiting = {tick: Notice(tick * TICK_S, Severity.NOTICE, "Vine: waiting for: a move") for tick in range(9)}
+    assert shown(waiting, 90.0) == [(0.0, "Vine: waiting for: a move")]
 
 
 def test_the_same_end_is_told_once() -> None:
@@ -161,13 +172,17 @@ def test_restarts_in_a_row_are_a_series() -> None:
     assert restarts.looping(4.0 + RESTARTS_END_AFTER_S) == ""
 
 
-def test_a_late_tick_is_the_computers_problem_for_some_time() -> None:
-    lateness = Lateness()
-    lateness.tick(1.0, 0.05)
-    assert lateness.problem(1.0) == ""
-    lateness.tick(2.0, 0.34)
-    lateness.tick(2.1, 0.25)
-    assert lateness.problem(2.2) == "this computer is too busy: late by 340 ms"
-    assert lateness.problem(2.1 + LATE_FOR_S + 0.01) == ""
-    lateness.tick(9.0, 3.0)
-    assert lateness.problem(9.0) == "this computer is too busy: late by 3.0 s"
+def test_a_late_event_is_the_computers_problem_for_some_time() -> None:
+    lateness = Lateness(0.02)
+    lateness.note(1.0)
+    lateness.tick(1.0)
+    lateness.note(1.2)
+    assert lateness.problem(1.2) == ""
+    lateness.note(1.36)
+    lateness.tick(1.36)
+    lateness.note(1.6)
+    assert lateness.problem(1.7) == "this computer is too busy: late by 340 ms"
+    assert lateness.problem(1.6 + LATE_FOR_S + 0.01) == ""
+    lateness.tick(9.0)
+    lateness.note(12.02)
+    assert lateness.problem(12.02) == "this computer is too busy: late by 3.0 s"
