@@ -76,6 +76,10 @@ class VehicleFacts:
     bytes: int = 0
     unread_from: str = ""
     """The IP address of an ignored sender: the link names another peer."""
+    echoes: int = 0
+    """Our own frames that came back."""
+    buffered: int | None = None
+    """The number of frames that the system keeps while we do not read; None if the link is not UDP."""
     messages: int = 0
     """Accepted messages of any sender."""
     refused: RefusedFrames = field(default_factory=RefusedFrames)

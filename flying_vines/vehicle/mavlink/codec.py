@@ -40,8 +40,9 @@ class MavlinkCodec:
     """Decodes a byte stream, and encodes messages as one component of one system.
 
     A frame that arrives twice (the same sequence number and checksum from the same sender, due to routers and
-    retries) is decoded once; only unsigned requests for an answer are decoded each time. Our own frames that a
-    router sends back are dropped. With `signing`, only frames signed with its key are accepted, and ours are signed.
+    retries) is decoded once; only unsigned requests that get an answer are decoded each time. Our own frames
+    that a router sends back are dropped. With `signing`, only frames signed with its key are accepted, and
+    ours are signed.
     Decoding raises no exception.
 
     With `read`, only messages with these ids get their fields; the others are `HeaderOnly`, which costs less.
