@@ -771,16 +771,18 @@ class Core:
         moved = self._motion is not None
         response = "holding" if hold else _RESPONSE_TEXTS.get(change.name, "vented")
         is_restart = change.name == "serial" and self._restart_noted  # the restart has a text of its own
-        may_be_ours = change.name in _BUSY_CAUSES or bool(self._link_loss.dead(t, change.name))
+        dead = self._link_loss.dead(t, change.name)
+        may_be_ours = change.name in _BUSY_CAUSES or bool(dead)
         busy = self._lateness.problem(t)
         line, reason = None, change.reason
         if busy and may_be_ours and not self._link_loss.covers(change.name):
             self._excused[change.name] = (t, change, response)
-            reason = f"{busy} ({reason})"
+            reason = f"{busy}; {reason}"
             line = Notice(t, Severity.WARNING, f"Vine: {busy}, {response}", condition=COMPUTER)
             shown = (not self._busy or moved) and self._own_lines.take(line, at_once=moved)
             self._busy = True
         else:
+            reason = f"{VEHICLE_LINK} {dead}; {reason}" if dead else reason
             line = None if is_restart else self._loss_line(t, change, response)
             shown = not is_restart and (line is None or self._own_lines.take(line, at_once=moved))
         decides = moved or self._vehicle.state.armed

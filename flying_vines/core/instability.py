@@ -41,11 +41,11 @@ class _Condition:
     count_every_s: float = COUNT_EVERY_S
     losses: int = 1
 
-    @property
-    def count(self) -> str:
+    def count(self, over: bool = False) -> str:
         lasts_s = max(1, round(self.latest.t - self.began_at))
-        what = f"unstable: {self.losses} losses" if self.latest.condition else f"{self.losses} times"
-        return f"{what} in {lasts_s} s"
+        what = f"{self.losses} losses" if self.latest.condition else f"{self.losses} times"
+        unstable = "unstable: " if self.latest.condition and not over else ""
+        return f"{unstable}{what} in {lasts_s} s"
 
 
 class OwnLines:
@@ -96,14 +96,14 @@ class OwnLines:
             if counts:
                 condition.count_every_s = min(LONGEST_COUNT_EVERY_S, 2.0 * condition.count_every_s)
             condition.told, condition.told_at, condition.told_losses = latest, t, condition.losses
-            text = f"{latest.text} ({condition.count})" if condition.losses > 1 else latest.text
+            text = f"{latest.text} ({condition.count(over)})" if condition.losses > 1 else latest.text
             shown.append(replace(latest, t=t, text=text, of_decision=False))
         return shown
 
     def unstable(self) -> dict[str, str]:
         """A sentence for each condition that is unstable now, by its name."""
         return {
-            name: f"{name} {condition.count}"
+            name: f"{name} {condition.count()}"
             for name, condition in self._conditions.items()
             if condition.losses > 1 and condition.latest.condition
         }
