@@ -63,6 +63,8 @@ class SwitchFacts:
     """All positions in which the switch came to rest."""
     hides_loss: str = ""
     """The parameter that lets the autopilot hide RC loss; empty if none does."""
+    other_use: str = ""
+    """The autopilot's parameter that gives the channel another use; empty if there is none."""
     bends_late: bool = False
     """True on PX4 with an unknown receiver failsafe: each bend waits for the RC status."""
 
@@ -145,7 +147,7 @@ class VehicleProbe:
         self._state = VehicleState(config.vehicle.system_id)
         self._streams = Streams(config.vehicle.rc_rate_Hz, messages_of(own_triggers(config.triggers)))
         self._radio = RadioLink(config.switch, config.losses.rc_s)
-        self._parameters = RadioParameters()
+        self._parameters = RadioParameters(config.switch.channel)
         self._switch = SwitchReader.of(config.switch)
         self._mission_cache = MissionCache()
         self._heartbeat = Heartbeat()
@@ -269,6 +271,7 @@ class VehicleProbe:
             self._switch.position,
             frozenset(self._seen),
             autopilot.hides_rc_loss(self._parameters.values) if watched else "",
+            autopilot.other_use(self._config.switch.channel, self._parameters.values),
             autopilot.needs_rc_status and watched and self._config.switch.receiver_failsafe == "unknown",
         )
 

@@ -357,6 +357,7 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (radio.NO_AUTOPILOT, [radio.check(None, CONFIG, False)]),
     (radio.NOT_TRUSTED, of_switch(problem="radio failsafe")),
     (radio.HIDES_LOSS, of_switch(hides_loss="FS_THR_ENABLE 0")),
+    (radio.TWO_USES, of_switch(other_use="RC9_OPTION is 31")),
     (radio.BENDS_LATE, of_switch(bends_late=True)),
     (radio.UNSETTLED, of_switch(position=None)),
     (radio.NOT_MOVED, of_switch()),
