@@ -954,7 +954,7 @@ class Core:
 
     def _unstable(self, t: float) -> dict[str, str]:
         busy = self._lateness.problem(t)
-        return {**self._own_lines.unstable(), **({COMPUTER: busy} if busy else {})}
+        return {**self._own_lines.unstable(t), **({COMPUTER: busy} if busy else {})}
 
     # Sending.
 

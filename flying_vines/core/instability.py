@@ -1,7 +1,8 @@
 """What comes and goes: links that flap, a board that restarts again and again, a computer that is too busy.
 
 The first loss and its end are texts at once. A condition that changes again before it has been stable for
-`STABLE_AFTER_S` is unstable: then one text with the number of losses stands for all of them.
+`STABLE_AFTER_S` is unstable: then one text with the number of losses stands for all of them. If it comes and goes
+slowly, the same holds from the third loss on.
 """
 
 from __future__ import annotations
@@ -18,6 +19,10 @@ LOST_FOR_S = 1.0
 """While a condition is unstable, a loss is told when it has lasted for this time."""
 BACK_FOR_S = 3.0
 """While a condition is unstable, its end is told when it has lasted for this time."""
+FORGOTTEN_AFTER_S = 30.0
+"""A condition without a change is remembered for this time: if it comes again, it is the next in a series."""
+MAX_IN_SERIES = 3
+"""From this one of a series on, it is stable only after `FORGOTTEN_AFTER_S`: it comes and goes slowly."""
 COUNT_EVERY_S = 10.0
 LONGEST_COUNT_EVERY_S = 60.0
 """While a condition stays unstable, the time between two counts doubles up to this."""
@@ -40,6 +45,18 @@ class _Condition:
     told_losses: int = 1
     count_every_s: float = COUNT_EVERY_S
     losses: int = 1
+    in_series: int = 1
+
+    @property
+    def _is_slow(self) -> bool:
+        return self.in_series >= MAX_IN_SERIES
+
+    @property
+    def back_for_s(self) -> float:
+        return FORGOTTEN_AFTER_S if self._is_slow else BACK_FOR_S
+
+    def is_stable(self, t: float) -> bool:
+        return t - self.latest.t >= (FORGOTTEN_AFTER_S if self._is_slow else STABLE_AFTER_S)
 
     def count(self, over: bool = False) -> str:
         lasts_s = max(1, round(self.latest.t - self.began_at))
@@ -58,10 +75,13 @@ class OwnLines:
         """True if the notice is shown now; otherwise `due` may return it later. `at_once`: show it now."""
         key = notice.condition or notice.text
         condition = self._conditions.get(key)
-        if condition is None:
+        if condition is None or condition.is_stable(notice.t):
+            before = self._conditions.pop(key, None)
             if len(self._conditions) >= MAX_CONDITIONS:
                 del self._conditions[next(iter(self._conditions))]
-            self._conditions[key] = _Condition(notice.t, notice, notice, notice.t)
+            self._conditions[key] = new = _Condition(notice.t, notice, notice, notice.t)
+            if before is not None and notice.condition:
+                new.in_series = before.in_series + (not notice.ended)
             return True
         changed = notice.ended is not condition.latest.ended
         # A loss with another text is the same loss: a silent link that then comes late, for example.
@@ -84,13 +104,13 @@ class OwnLines:
             told = condition.told.ended is latest.ended and (
                 latest.ended or condition.told.text == latest.text
             )
-            over = t - latest.t >= STABLE_AFTER_S
+            over = condition.is_stable(t)
             if told and condition.losses == condition.told_losses:
-                if over:
+                if t - latest.t >= FORGOTTEN_AFTER_S:
                     del self._conditions[key]
                 continue
             counts = over or t - condition.told_at >= condition.count_every_s
-            settled = t - latest.t >= (BACK_FOR_S if latest.ended else LOST_FOR_S)
+            settled = t - latest.t >= (condition.back_for_s if latest.ended else LOST_FOR_S)
             if not counts and (not settled or told):
                 continue
             if counts:
@@ -100,12 +120,12 @@ class OwnLines:
             shown.append(replace(latest, t=t, text=text, of_decision=False))
         return shown
 
-    def unstable(self) -> dict[str, str]:
+    def unstable(self, t: float) -> dict[str, str]:
         """A sentence for each condition that is unstable now, by its name."""
         return {
             name: f"{name} {condition.count()}"
             for name, condition in self._conditions.items()
-            if condition.losses > 1 and condition.latest.condition
+            if condition.losses > 1 and condition.latest.condition and not condition.is_stable(t)
         }
 
 

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flying_vines.core.instability import (
-    BACK_FOR_S,
     COUNT_EVERY_S,
+    FORGOTTEN_AFTER_S,
     LATE_FOR_S,
     LOST_FOR_S,
     MAX_CONDITIONS,
@@ -80,7 +80,7 @@ def test_a_loss_that_lasts_is_told_within_a_second_and_the_last_text_is_true(pau
         changes[tick] = (back if number % 2 else lost)(tick * TICK_S)
     if changes:
         last = changes[tick]
-        within_s = BACK_FOR_S if last.ended else LOST_FOR_S
+        within_s = FORGOTTEN_AFTER_S if last.ended else LOST_FOR_S
         assert shown(changes, (tick + 2) * TICK_S + within_s)[-1][1].startswith(last.text)
 
 
@@ -100,7 +100,7 @@ def test_the_same_text_again_and_again_is_counted() -> None:
     assert [lines.take(notice) for notice in notices] == [True] + 49 * [False]
     (counted,) = lines.due(1.0 + STABLE_AFTER_S)
     assert counted.text == "Vine: cannot write the log (50 times in 1 s)"
-    assert lines.unstable() == {}, "it is no link"
+    assert lines.unstable(1.0) == {}, "it is no link"
 
 
 def test_another_loss_of_the_same_name_is_told_within_a_second() -> None:
@@ -116,7 +116,7 @@ def test_different_losses_do_not_hide_each_other() -> None:
         lines.take(notice)
         if tick == 25:
             assert lines.take(lost(2.5, "phloSAR telemetry"))
-    assert lines.unstable() == {"RC": "RC unstable: 25 losses in 5 s"}
+    assert lines.unstable(5.0) == {"RC": "RC unstable: 25 losses in 5 s"}
 
 
 def test_a_loss_that_vents_a_bent_vine_is_always_told_at_once() -> None:
@@ -136,6 +136,13 @@ def test_the_last_count_comes_when_the_condition_is_stable_again() -> None:
     texts = shown(flapping(2, 248), 120.0)
     t, text = texts[-1]
     assert t <= 25.0 + STABLE_AFTER_S and text.endswith("back (62 losses in 25 s)"), texts
+
+
+@pytest.mark.parametrize("every", [50, 70, 90])
+def test_a_link_that_comes_and_goes_slowly_is_counted_too(every: int) -> None:
+    texts = shown(flapping(every, 6000), 700.0)
+    assert len(texts) <= 26, texts
+    assert re.search(r"RC is back \(\d+ losses in \d+ s\)$", texts[-1][1]) or 6000 // every % 2 == 0, texts
 
 
 def test_only_problems_are_counted() -> None:

@@ -7,6 +7,7 @@ from param_value import param_value
 
 from flying_vines.vehicle.autopilots import AUTOPILOTS, OTHER
 from flying_vines.vehicle.autopilots.autopilot import Autopilot
+from flying_vines.vehicle.mission.storage import AutopilotKind
 from flying_vines.vehicle.radio.radio_parameters import MAX_ATTEMPTS, RadioParameters
 
 ARDUPILOT = AUTOPILOTS["ardupilot"]
@@ -53,7 +54,9 @@ def test_parameters_are_requested_again_after_a_reboot_and_before_a_flight() -> 
         ("px4", {"RC_MAP_KILL_SW": 8.0, "RC_MAP_RETURN_SW": 0.0}, ""),
     ],
 )
-def test_another_use_of_the_switchs_channel_is_found(kind: str, values: dict[str, float], use: str) -> None:
+def test_another_use_of_the_switchs_channel_is_found(
+    kind: AutopilotKind, values: dict[str, float], use: str
+) -> None:
     autopilot = AUTOPILOTS[kind]
     assert autopilot.other_use(9, read(autopilot, **values).values) == use
 
