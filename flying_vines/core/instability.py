@@ -1,8 +1,8 @@
 """What comes and goes: links that flap, a board that restarts again and again, a computer that is too busy.
 
 The first loss and its end are texts at once. A condition that changes again before it has been stable for
-`STABLE_AFTER_S` is unstable: then one text with the number of losses stands for all of them. If it comes and goes
-slowly, the same holds from the third loss on.
+`STABLE_AFTER_S` is unstable: then one text with the number of losses stands for all of them. If it comes and
+goes slowly, the same holds from the third loss on.
 """
 
 from __future__ import annotations
