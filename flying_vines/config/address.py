@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import ipaddress
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeVar
 from urllib.parse import urlsplit
 
 from firmware_link.find import FORM as USB_FORM
@@ -15,6 +16,7 @@ from firmware_link.find import UsbBoard
 FORMS = (
     f"serial:/dev/NAME[:BAUD], {USB_FORM}, udpin:HOST:PORT[?peer=ADDRESS], udpout:HOST:PORT or tcp:HOST:PORT"
 )
+T = TypeVar("T")
 DEFAULT_BAUD = 115200
 BROKER_FORMS = "mqtt://HOST[:PORT], or mqtts://HOST[:PORT] for TLS; an IPv6 address in brackets"
 _HOST_NAME = re.compile(r"[^\s:\[\]]+")
@@ -22,7 +24,7 @@ _BAUD = re.compile(r"[1-9][0-9]{1,7}")
 _BAUDS = range(1200, 12_000_001)
 _WITH_COLONS = ("/dev/serial/by-path/", "/dev/serial/by-id/")
 """Folders of devices whose names have colons of their own."""
-_NO_DEVICE = re.compile(r"~.*|.*[,$].*|(tty|serial\d).*")
+_NO_DEVICE = re.compile(r"\s.*|.*\s|~.*|.*[,$].*|(tty|serial\d).*")
 _PORT = re.compile(r"[0-9]{1,5}")
 
 
@@ -114,6 +116,22 @@ def who_can_command(address: Address, signed: bool) -> str:
 
 def parse_address(text: str) -> Address:
     """Raises `ValueError` with a sentence if `text` has none of the valid forms."""
+    return _parsed(text, _address)
+
+
+def _parsed(text: str, parse: Callable[[str], T]) -> T:
+    """A text that is valid without its spaces gets the error that says so."""
+    try:
+        return parse(text)
+    except ValueError:
+        bare = ":".join(part.strip() for part in text.split(":"))
+        if bare == text:
+            raise
+        parse(bare)
+        raise ValueError(f"'{text}' has spaces: write {bare}") from None
+
+
+def _address(text: str) -> Address:
     kind, _, rest = text.partition(":")
     if kind == "serial" and rest:
         return _serial(text, rest)
@@ -167,6 +185,10 @@ def _peer(query: str) -> str:
 
 def parse_broker(text: str) -> BrokerAddress:
     """Raises `ValueError` with a sentence if `text` has none of the valid forms."""
+    return _parsed(text, _broker)
+
+
+def _broker(text: str) -> BrokerAddress:
     if "@" in text:
         raise ValueError("remove user and password from the address: set username and password_file")
     with contextlib.suppress(ValueError):

@@ -42,7 +42,7 @@ from flying_vines.core.events import (
     ToVehicle,
     VehicleMessage,
 )
-from flying_vines.core.instability import Lateness, OwnLines, Restarts
+from flying_vines.core.instability import STABLE_AFTER_S, Lateness, OwnLines, Restarts
 from flying_vines.core.isolated_parts import IsolatedParts
 from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.pending_bend import PendingBend, PendingBendTracker, source
@@ -115,7 +115,7 @@ _RESPONSE_TEXTS = {
 """For these faults the core cannot see whether the vine is vented. So the text says what is done."""
 
 _BUSY_CAUSES = ("serial", "telemetry", "rc", "autopilot", "late")
-"""A computer that is too busy may cause these losses itself."""
+"""A computer that is too busy may cause these losses itself. Then its text stands for them."""
 VEHICLE_LINK = "vehicle link"
 COMPUTER = "this computer"
 _CONDITION_NAMES = {
@@ -180,9 +180,11 @@ class Core:
         """The motion before the latest request."""
         self._restarts = Restarts(self._actuator)
         self._own_lines = OwnLines()
-        self._lateness = Lateness()
+        self._lateness = Lateness(TICK_S)
         self._busy = False
         """The pilot was told that this computer is too busy."""
+        self._excused: dict[str, tuple[float, ResponseNeeded, str]] = {}
+        """The losses that the text about the computer stands for: since when, and the vine's response."""
         self._restart_noted = False
         """True from a board restart until the board is ready again."""
         self._stopped = False
@@ -202,6 +204,7 @@ class Core:
     def handle(self, event: Event) -> list[Action]:
         """The actions that follow from `event`."""
         self._actions = []
+        self._lateness.note(event.t)
         match event:
             case VehicleMessage():  # the most frequent event; a pattern with fields takes twice as long
                 self._handle_outputs(event.t, self._vehicle.handle(event.t, event.message, self._vented))
@@ -213,8 +216,8 @@ class Core:
                 self._vehicle.link_changed(up)
             case LinkChanged(t, "firmware", up):
                 self._on_firmware_link(t, up)
-            case Tick(t, late_s):
-                self._on_tick(t, late_s)
+            case Tick(t):
+                self._on_tick(t)
             case Asked():
                 trigger = trigger_of(event, self.config, self._vehicle.state.armed, self._on_bench)
                 self._decide(event.t, trigger)
@@ -654,8 +657,8 @@ class Core:
 
     # Ticks and safety.
 
-    def _on_tick(self, t: float, late_s: float) -> None:
-        self._lateness.tick(t, late_s)
+    def _on_tick(self, t: float) -> None:
+        self._lateness.tick(t)
         self._handle_outputs(t, self._vehicle.tick(t))
         if self._vehicle.state.armed:
             self._leave_bench(t, "the vehicle is armed")
@@ -670,6 +673,11 @@ class Core:
         if bool(busy := self._lateness.problem(t)) is not self._busy:
             self._busy = not self._busy
             self._say_condition(t, COMPUTER, busy or f"{COMPUTER} keeps up again", ended=not busy)
+        for name, (since, change, response) in list(self._excused.items()):
+            if not busy or t - since >= STABLE_AFTER_S:
+                del self._excused[name]
+                if name in self._safety.reasons and (line := self._loss_line(t, change, response)):
+                    self._publish(line)
         for counted in (*self._request_lines.due(t), *self._own_lines.due(t)):
             self._show(counted)
         self._report_waiting(t)
@@ -771,8 +779,20 @@ class Core:
         moved = self._motion is not None
         response = "holding" if hold else _RESPONSE_TEXTS.get(change.name, "vented")
         is_restart = change.name == "serial" and self._restart_noted  # the restart has a text of its own
-        line = None if is_restart else self._loss_line(t, change, response)
-        shown = not is_restart and (line is None or self._own_lines.take(line, at_once=moved))
+        dead = self._link_loss.dead(t, change.name)
+        may_be_ours = change.name in _BUSY_CAUSES or bool(dead)
+        busy = self._lateness.problem(t)
+        line, reason = None, change.reason
+        if busy and may_be_ours and not self._link_loss.covers(change.name):
+            self._excused[change.name] = (t, change, response)
+            reason = f"{busy}; {reason}"
+            line = Notice(t, Severity.WARNING, f"Vine: {busy}, {response}", condition=COMPUTER)
+            shown = (not self._busy or moved) and self._own_lines.take(line, at_once=moved)
+            self._busy = True
+        else:
+            reason = f"{VEHICLE_LINK} {dead}; {reason}" if dead else reason
+            line = None if is_restart else self._loss_line(t, change, response)
+            shown = not is_restart and (line is None or self._own_lines.take(line, at_once=moved))
         decides = moved or self._vehicle.state.armed
         self._vehicle.pilot.drop_waiting()
         if hold:
@@ -784,7 +804,7 @@ class Core:
             self._vehicle.forget_radio()
         if decides:
             trigger = Trigger(t, "failsafe", {"loss": change.name}, Hold() if hold else VentVine())
-            self._record(t, trigger, Ruling("accepted", change.reason, has_effect=moved), shown)
+            self._record(t, trigger, Ruling("accepted", reason, has_effect=moved), shown)
         if line is not None:
             severity = line.severity if shown else Severity.DEBUG
             self._show(replace(line, severity=severity, of_decision=decides and shown))
@@ -795,15 +815,13 @@ class Core:
         if text is None:
             return None
         name = VEHICLE_LINK if self._link_loss.covers(change.name) else self._condition(change.name)
-        if change.name in _BUSY_CAUSES and (busy := self._lateness.problem(t)):
-            text = f"{text} ({busy})"
         return Notice(t, Severity.WARNING, f"Vine: {text}", condition=name)
 
     def _condition(self, name: str) -> str:
         return _CONDITION_NAMES.get(name, name.replace("_", " ")).format(actuator=self._actuator)
 
     def _leave(self, t: float, change: LossEnded) -> None:
-        if self._link_loss.covers(change.name):
+        if self._excused.pop(change.name, None) or self._link_loss.covers(change.name):
             return
         name = self._condition(change.name)
         texts = {
@@ -944,7 +962,7 @@ class Core:
 
     def _unstable(self, t: float) -> dict[str, str]:
         busy = self._lateness.problem(t)
-        return {**self._own_lines.unstable(), **({COMPUTER: busy} if busy else {})}
+        return {**self._own_lines.unstable(t), **({COMPUTER: busy} if busy else {})}
 
     # Sending.
 

@@ -48,8 +48,6 @@ class Tick:
     """Time passed."""
 
     t: float
-    late_s: float = 0.0
-    """How much later than planned the tick came, because this computer was busy."""
 
 
 @dataclass(frozen=True, slots=True)

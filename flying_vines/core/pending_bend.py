@@ -46,13 +46,13 @@ class PendingBendTracker:
 
     def stopped(self, why: str) -> None:
         """A running motion was vented without a request. Its bend stays requested."""
-        self._stopped_by = why
+        self._stopped_by = f"stopped earlier: {why}"  # the cause may be over
 
     def withdrawn(self, why: str, moved: bool) -> None:
         """A request vented the vine. Now only the switch requests a bend. `moved`: a motion was running."""
         self._asker = ""
         if moved:
-            self._stopped_by = why
+            self.stopped(why)
 
     def refused(self, kind: str, why: str) -> None:
         """A request was refused while nothing moved. Only a bend of the switch stays requested."""

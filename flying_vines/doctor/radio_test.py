@@ -173,7 +173,7 @@ class RadioTest:
     def __init__(self, config: Config) -> None:
         self._switch = config.switch
         self._silent_after_s = config.losses.rc_s
-        self._parameters = RadioParameters()
+        self._parameters = RadioParameters(config.switch.channel)
         self._radio = RadioLink(config.switch, config.losses.rc_s)
         self.step: RadioStep = "ready"
         self.round = 0

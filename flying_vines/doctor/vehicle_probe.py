@@ -63,6 +63,8 @@ class SwitchFacts:
     """All positions in which the switch came to rest."""
     hides_loss: str = ""
     """The parameter that lets the autopilot hide RC loss; empty if none does."""
+    other_use: str = ""
+    """The autopilot's parameter that gives the channel another use; empty if there is none."""
     bends_late: bool = False
     """True on PX4 with an unknown receiver failsafe: each bend waits for the RC status."""
 
@@ -76,6 +78,10 @@ class VehicleFacts:
     bytes: int = 0
     unread_from: str = ""
     """The IP address of an ignored sender: the link names another peer."""
+    echoes: int = 0
+    """Our own frames that came back."""
+    buffered: int | None = None
+    """The number of frames that the system keeps while we do not read; None if the link is not UDP."""
     messages: int = 0
     """Accepted messages of any sender."""
     refused: RefusedFrames = field(default_factory=RefusedFrames)
@@ -141,7 +147,7 @@ class VehicleProbe:
         self._state = VehicleState(config.vehicle.system_id)
         self._streams = Streams(config.vehicle.rc_rate_Hz, messages_of(own_triggers(config.triggers)))
         self._radio = RadioLink(config.switch, config.losses.rc_s)
-        self._parameters = RadioParameters()
+        self._parameters = RadioParameters(config.switch.channel)
         self._switch = SwitchReader.of(config.switch)
         self._mission_cache = MissionCache()
         self._heartbeat = Heartbeat()
@@ -265,6 +271,7 @@ class VehicleProbe:
             self._switch.position,
             frozenset(self._seen),
             autopilot.hides_rc_loss(self._parameters.values) if watched else "",
+            autopilot.other_use(self._config.switch.channel, self._parameters.values),
             autopilot.needs_rc_status and watched and self._config.switch.receiver_failsafe == "unknown",
         )
 

@@ -12,7 +12,7 @@ from flying_vines.config.config import Config
 from flying_vines.doctor.vehicle_probe import VehicleFacts, VehicleProbe
 from flying_vines.service.host_clock import synchronised
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
-from flying_vines.vehicle.mavlink.link import open_link, unread_from
+from flying_vines.vehicle.mavlink.link import buffered_frames, open_link, unread_from
 from flying_vines.vehicle.mavlink.signing import RefusedFrames, Signing
 
 TICK_S = 0.02
@@ -49,6 +49,8 @@ class VehicleWatch:
             bytes=self._received,
             refused=refused,
             unread_from=unread_from(self._link),
+            echoes=self._codec.echoes,
+            buffered=buffered_frames(self._link),
         )
 
     async def run(self, over: Callable[[], bool]) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 from firmware_link.actuator import ActuatorLine, Line, PhlosarLine
 from firmware_link.answer_check import AnswerCheck
-from flying_vines.config.address import parse_address
+from flying_vines.config.address import NetworkAddress, parse_address
 from flying_vines.config.config import Config, FirmwareConfig
 from flying_vines.config.plugins import PluginError, find
 from flying_vines.core.core import TICK_S, Core
@@ -57,6 +57,8 @@ FLUSH_S = 0.3
 """Time after a stop to send the vent and the queued status texts."""
 REFUSALS_EVERY_S = 60.0
 SNAPSHOT_S = 0.1
+ECHOES = 5
+"""So many of our frames that come back show a fault of the line."""
 WRITE_AGAIN_S = 10.0
 """After this time, a state that could not be written is tried again."""
 RESTART_S = 1.0
@@ -104,12 +106,15 @@ class Service:
         self._mavlink = MavlinkCodec(config.vehicle.system_id, config.vehicle.component_id, signing, read)
         self._serial = line_to(config.firmware)
         self._answer_check = AnswerCheck()
-        self._unread_reported = False
+        self._link_reported: set[str] = set()
+        """The kinds of texts about the vehicle link that were said."""
         self._stopping = asyncio.Event()
         self._ending = False
         """Only the changed states must still be written."""
+        address = parse_address(config.vehicle.link)
+        self._vehicle_is_serial = not isinstance(address, NetworkAddress)
         self._vehicle = open_link(
-            parse_address(config.vehicle.link),
+            address,
             self._vehicle_bytes,
             self._vehicle_state,
             self._vehicle_stranger,
@@ -260,11 +265,10 @@ class Service:
             with self._contained("signing clock"):
                 if self._signing is not None:
                     self._signing.advance(time.time(), self.now, self._synchronised)
-            now = self.now
-            self._feed(Tick(now, late_s=round(max(0.0, now - due), 3)))
+            self._feed(Tick(self.now))
             with self._contained("link monitor"):
                 self._report_silence(self.now)
-                self._report_unread()
+                self._report_vehicle_link()
             self.notify_watchers()
             due = max(due + TICK_S, self.now - TICK_S)
             await asyncio.sleep(max(0.0, due - self.now))
@@ -320,12 +324,17 @@ class Service:
             self._answer_check.closed()
         self._feed(LinkChanged(self.now, "firmware", up, why))
 
-    def _report_unread(self) -> None:
-        """Report an ignored sender once: it may be the autopilot, but strangers must not fill the log."""
-        sender = unread_from(self._vehicle)
-        if sender and not self._unread_reported:
-            self._unread_reported = True
-            self.say(Severity.WARNING, f"ignored {sender}: it is not vehicle.link's peer")
+    def _report_vehicle_link(self) -> None:
+        """Report once an ignored sender, which may be the autopilot, and a line that returns our frames."""
+        if sender := unread_from(self._vehicle):
+            self._say_once("unread", f"ignored {sender}: it is not vehicle.link's peer")
+        if self._mavlink.echoes >= ECHOES and self._vehicle_is_serial:
+            self._say_once("echo", "our own frames come back on vehicle.link: check its TX and RX")
+
+    def _say_once(self, kind: str, text: str) -> None:
+        if kind not in self._link_reported:
+            self._link_reported.add(kind)
+            self.say(Severity.WARNING, text)
 
     def _report_silence(self, t: float) -> None:
         """Report an open port without answer: it may belong to another device, or the board does not run."""

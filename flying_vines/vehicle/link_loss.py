@@ -32,7 +32,7 @@ class LinkLoss:
 
     def entered(self, t: float, name: str, reason: str, response: str) -> str | None:
         """The text for a new loss; None if it was reported already. `response`: what the vine does."""
-        state = self._state(t, name) if name in _FOLLOW else ""
+        state = self.dead(t, name)
         if not state:
             return f"{reason}, {response}"
         if self._reported == response:
@@ -64,7 +64,10 @@ class LinkLoss:
         rc_problem = self._vehicle.rc.problem(t) if rc_lost else None
         return "vehicle link is back" + (f", RC lost: {rc_problem}" if rc_problem else "")
 
-    def _state(self, t: float, name: str) -> str:
+    def dead(self, t: float, name: str) -> str:
+        """The state of the link if it is dead and this may have caused the loss `name`; otherwise empty."""
+        if name not in _FOLLOW:
+            return ""
         if self._vehicle.link_closed:
             return "closed"
         # RC is lost after `rc_s` without RC_CHANNELS. No frame for half of this time: the link is silent.

@@ -212,8 +212,10 @@ class Vehicle:
         self.pilot.restarted()
         self._watch.restarted()
         self._mission_cache.mark_outdated(t)
+        # If two autopilots send, each return to the other one's clock looks like a reboot.
+        severity = Severity.DEBUG if self.state.conflict(t) else Severity.WARNING
         return [
-            Notice(t, Severity.WARNING, "Vine: autopilot rebooted, vented"),
+            Notice(t, severity, "Vine: autopilot rebooted, vented"),
             Trigger(t, "link", {"event": "autopilot rebooted"}, VentVine()),
         ]
 

@@ -54,7 +54,7 @@ def test_every_form(text: str, address: Address | None) -> None:
     "text",
     [
         "", ":", "serial", "serial:", "/dev/ttyACM0", "tcp", "tcp:", "tcp:host", "tcp:host:", "tcp::5760",
-        "tcp:host:0", "tcp:host:65536", "tcp:host:-1", "tcp:host:+5", "tcp:host:5760 ", "tcp:host:5_760",
+        "tcp:host:0", "tcp:host:65536", "tcp:host:-1", "tcp:host:+5", "tcp:host:5_760",
         "udpout:10.0.0.1:1?peer=10.0.0.1", "tcp:host:1?peer=10.0.0.1", "udpin:0.0.0.0?peer=1.2.3.4:1",
         "tcp:host:²", "tcp:host:" + "9" * 5000, "udpin:5760", "TCP:host:5760", "tcpin:host:5760", "http:a:80",
         "tcp:[::1]", "tcp:::1", "tcp:2001:db8::1", "tcp:[::1:5760", "tcp:[host]:5760", "tcp:[127.0.0.1]:5760",
@@ -132,6 +132,20 @@ def test_an_invalid_board_gives_a_sentence(text: str) -> None:
         parse_address(text)
 
 
+@pytest.mark.parametrize(
+    ("text", "bare"),
+    [
+        ("serial:/dev/ttyAMA0:921600 ", "serial:/dev/ttyAMA0:921600"),
+        ("serial:/dev/ttyAMA0 ", "serial:/dev/ttyAMA0"),
+        (" udpin: 127.0.0.1:14550", "udpin:127.0.0.1:14550"),
+        ("tcp:host:5760 ", "tcp:host:5760"),
+    ],
+)
+def test_spaces_are_named_with_what_to_write(text: str, bare: str) -> None:
+    with pytest.raises(ValueError, match=f"has spaces: write {bare}$"):
+        parse_address(text)
+
+
 texts = st.one_of(
     st.text(),
     st.from_regex(r"(serial|udpin|udpout|tcp):[^:]*(:[^:]*)?", fullmatch=True),
@@ -145,8 +159,15 @@ def test_any_text_is_a_link_or_is_refused_with_a_sentence(text: str) -> None:
         address = parse_address(text)
     except ValueError as error:
         assert any(
-            f"is {what}" in str(error)
-            for what in ("not a link", "not a USB board", "not a peer", "no baud", "no device")
+            what in str(error)
+            for what in (
+                "is not a link",
+                "is not a USB board",
+                "is not a peer",
+                "is no baud",
+                "is no device",
+                "has spaces",
+            )
         )
         return
     if isinstance(address, SerialAddress):

@@ -111,3 +111,27 @@ def test_saved_parameters_are_active_from_the_start() -> None:
     core = Core(config.default(), stored=StoredState({"VINE_MAX_KPA": 10.0, "VINE_RC_ACTION": 1.0}))
     assert core.config.limits.max_kPa == 10.0
     assert core.config.losses.on_rc_loss == "hold"
+
+
+@pytest.mark.parametrize(
+    ("pause_s", "values", "answers"),
+    [
+        (0.5, (5.0, 5.0), [5.0, 5.0]),
+        (0.5, (5.0, 7.0, 5.0), [5.0, 7.0, 7.0]),  # it may be a router's copy of the first request
+        (2.5, (5.0, 7.0, 5.0), [5.0, 7.0, 5.0]),
+    ],
+)
+def test_each_request_with_one_sequence_number_is_answered_and_a_copy_changes_nothing(
+    pause_s: float, values: tuple[float, ...], answers: list[float]
+) -> None:
+    field, ours = Field(), MavlinkCodec(1, 191)
+    got = []
+    for value in values:
+        message = mavlink.MAVLink_param_set_message(1, 191, b"VINE_MAX_RATE", value, REAL32)
+        now = field.flight.world.now
+        actions: list[Action] = []
+        for received in ours.decode(MavlinkCodec(255, 190).encode(message, 255), now):
+            actions += field.flight.feed(VehicleMessage(now, received))
+        actions += field.flight.run(now + pause_s)
+        got += [m.param_value for m in sent(actions) if m.get_type() == "PARAM_VALUE"]
+    assert got == answers

@@ -113,9 +113,9 @@ class HasNoLimits(Core):
 class ClearsFaultsItself(Core):
     """Clears latched faults as soon as possible."""
 
-    def _on_tick(self, t: float, late_s: float) -> None:
+    def _on_tick(self, t: float) -> None:
         self._clear_faults(t)
-        super()._on_tick(t, late_s)
+        super()._on_tick(t)
 
 
 class NeverStraightens(Core):

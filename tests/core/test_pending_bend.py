@@ -31,7 +31,7 @@ def test_a_vent_by_another_person_waits_for_the_switch_and_is_reported_once() ->
     flight = bent()
     vent_on_page(flight)
     texts = notices(run_for(flight, 5.0))
-    assert waiting(flight) == PendingBend("vent by the page", f"{UP_AGAIN} within 2 s")
+    assert waiting(flight) == PendingBend("stopped earlier: vent by the page", f"{UP_AGAIN} within 2 s")
     assert texts == [f"Vine: waiting for: {UP_AGAIN} within 2 s"]
     flight.autopilot.set_rc(9, LOW)
     run_for(flight, 1.0)
@@ -96,7 +96,9 @@ def test_the_end_of_bench_mode_is_reported() -> None:
     run_for(flight, 1.0)
     flight.autopilot.takeoff(10.0)
     run_for(flight, 2.0)
-    assert waiting(flight) == PendingBend("bench mode is over: the vehicle is armed", "a new request")
+    assert waiting(flight) == PendingBend(
+        "stopped earlier: bench mode is over: the vehicle is armed", "a new request"
+    )
 
 
 class Oracle:

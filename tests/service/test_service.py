@@ -8,9 +8,11 @@ import signal
 import sys
 import tty
 from collections.abc import AsyncIterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from pseudo_terminal import Terminal
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from real_time import real_time
 from service_bench import Bench, on_bench
@@ -71,6 +73,22 @@ async def test_messages_to_the_board_are_sent_before_the_watchers_get_a_text(
     assert done == ["written", "written"]
     service.notify_watchers()
     assert done[2:] == ["Notice", "ToFirmware", "Notice", "ToFirmware"]
+
+
+async def test_a_serial_line_that_returns_our_frames_is_told_once(bench: Bench, tmp_path: Path) -> None:
+    seen: list[Action] = []
+    line = Terminal(tmp_path / "uart")
+    link = config.parse(bench.configuration, "test").vehicle.link
+    text = bench.configuration.replace(link, f"serial:{tmp_path / 'uart'}:57600")
+    service = Service(config.parse(text, "test"), (EachAction(seen.append),))
+    serving = asyncio.create_task(service.run())
+    for _ in range(80):
+        with suppress(BlockingIOError):
+            os.write(line.device, os.read(line.device, 4096))
+        await asyncio.sleep(0.1)
+    serving.cancel()
+    told = [action.text for action in seen if isinstance(action, Notice) and "come back" in action.text]
+    assert told == ["Vine: our own frames come back on vehicle.link: check its TX and RX"]
 
 
 async def test_an_unknown_sender_on_the_network_bends_nothing(bench: Bench) -> None:

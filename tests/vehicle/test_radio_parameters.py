@@ -7,13 +7,14 @@ from param_value import param_value
 
 from flying_vines.vehicle.autopilots import AUTOPILOTS, OTHER
 from flying_vines.vehicle.autopilots.autopilot import Autopilot
+from flying_vines.vehicle.mission.storage import AutopilotKind
 from flying_vines.vehicle.radio.radio_parameters import MAX_ATTEMPTS, RadioParameters
 
 ARDUPILOT = AUTOPILOTS["ardupilot"]
 
 
 def read(autopilot: Autopilot, **values: float) -> RadioParameters:
-    parameters = RadioParameters()
+    parameters = RadioParameters(9)
     for name, number in values.items():
         assert parameters.handle(autopilot, param_value(name, number))
     return parameters
@@ -21,7 +22,7 @@ def read(autopilot: Autopilot, **values: float) -> RadioParameters:
 
 @pytest.mark.parametrize("autopilot", AUTOPILOTS.values())
 def test_each_parameter_is_requested_until_it_is_answered(autopilot: Autopilot) -> None:
-    parameters = RadioParameters()
+    parameters = RadioParameters(9)
     names = autopilot.rc_parameters
     silent, asked = names[-1], []
     for tick in range(5000):
@@ -44,8 +45,24 @@ def test_parameters_are_requested_again_after_a_reboot_and_before_a_flight() -> 
     assert parameters.values == {}
 
 
+@pytest.mark.parametrize(
+    ("kind", "values", "use"),
+    [
+        ("ardupilot", {"RC9_OPTION": 31.0}, "RC9_OPTION is 31"),
+        ("ardupilot", {"RC9_OPTION": 0.0}, ""),
+        ("px4", {"RC_MAP_KILL_SW": 9.0}, "RC_MAP_KILL_SW is 9"),
+        ("px4", {"RC_MAP_KILL_SW": 8.0, "RC_MAP_RETURN_SW": 0.0}, ""),
+    ],
+)
+def test_another_use_of_the_switchs_channel_is_found(
+    kind: AutopilotKind, values: dict[str, float], use: str
+) -> None:
+    autopilot = AUTOPILOTS[kind]
+    assert autopilot.other_use(9, read(autopilot, **values).values) == use
+
+
 def test_other_autopilots_and_parameters_have_no_effect() -> None:
-    parameters = RadioParameters()
+    parameters = RadioParameters(9)
     assert not parameters.requests(0.0, 1, OTHER)
     assert not parameters.handle(OTHER, param_value("FS_THR_ENABLE", 0.0))
     assert not parameters.handle(ARDUPILOT, param_value("STAT_RUNTIME", 0.0))

@@ -142,6 +142,16 @@ def test_trims_at_their_ends_are_accepted(pulse_us: int) -> None:
     assert link.problem(0.1) is None
 
 
+@pytest.mark.parametrize("none", [0, 0xFFFF])
+def test_a_throttle_whose_pulses_stop_alone_is_a_loss(none: int) -> None:
+    link = radio()
+    link.handle(0.0, channels(1500, throttle_us=none))
+    assert link.problem(0.0) is None, "this vehicle has no throttle"
+    link.handle(0.1, channels(1500))
+    link.handle(0.2, channels(1500, throttle_us=none))
+    assert link.problem(0.2) == "the throttle has no pulse: receiver in failsafe"
+
+
 def test_throttle_below_its_range_alone() -> None:
     link = good()
     link.handle(0.1, channels(1500, throttle_us=950))

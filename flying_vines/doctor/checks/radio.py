@@ -21,6 +21,12 @@ HIDES_LOSS = FindingText(
     "{why} hides RC loss from the service, so the switch does not bend the vine",
     "ArduPilot: FS_THR_ENABLE 1, RC_FS_TIMEOUT 1, RC_OPTIONS without 1 and 4; PX4: COM_RC_IN_MODE 0",
 )
+TWO_USES = FindingText(
+    "RC switch",
+    "warning",
+    "channel {channel} has another use in the autopilot, too: {use}",
+    "set it to 0, or give the vine another channel (switch.channel)",
+)
 BENDS_LATE = FindingText(
     "RC switch",
     "warning",
@@ -69,6 +75,8 @@ def check(radio: SwitchFacts | None, config: Config, asked: bool) -> DoctorFindi
         return NOT_TRUSTED(channel=channel, why=radio.problem)
     if radio.hides_loss:
         return HIDES_LOSS(why=radio.hides_loss)
+    if radio.other_use:
+        return TWO_USES(channel=channel, use=radio.other_use)
     if radio.position is None:
         return UNSETTLED(channel=channel, pulse=radio.pulse_us)
     if len(radio.seen) == count and radio.bends_late:

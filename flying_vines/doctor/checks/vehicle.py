@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+from flying_vines.config.address import NetworkAddress, parse_address
 from flying_vines.config.config import Config
 from flying_vines.doctor.checks.machine import excused
 from flying_vines.doctor.checks.service import Process, named, stop
@@ -13,10 +14,13 @@ from flying_vines.doctor.finding import DoctorFinding, FindingText
 from flying_vines.doctor.vehicle_probe import StreamFacts, VehicleFacts
 from flying_vines.vehicle.autopilots import OTHER, of_name
 from flying_vines.vehicle.autopilots.autopilot import Autopilot
+from flying_vines.vehicle.mavlink.link import BUFFERED_FRAME_BYTES, RECEIVE_BUFFER_BYTES
 from flying_vines.vehicle.state import ALTITUDE_FRESH_S, HEARTBEAT_FRESH_S
 
 MIN_RATE_SHARE = 0.7
 """A stream below this share of its requested rate is slow."""
+STALL_S = 3.0
+"""A receive buffer should keep the frames of a stall of this computer of so much time."""
 SAMPLES_WITHIN_LOSS = 3.0
 """Minimum number of RC_CHANNELS within losses.rc_s: with fewer, one lost message looks like RC loss."""
 
@@ -58,6 +62,25 @@ NOISE = FindingText(
     "bad",
     "{bytes} bytes arrived, but no MAVLink message",
     "set the autopilot's baud rate in vehicle.link, and check that no other device uses the line",
+)
+ECHO = FindingText(
+    "vehicle link",
+    "bad",
+    "only our own {echoes} frames come back",
+    "set the autopilot's port, and check the wires: TX and RX touch, or the adapter returns what we send",
+)
+SERIAL_ECHO = FindingText(
+    "vehicle link",
+    "warning",
+    "our own frames come back on the serial line",
+    "check the wires: TX and RX touch, or the adapter returns what we send (half-duplex, local echo)",
+)
+BUFFER = FindingText("receive buffer", "good", "keeps {seconds:.0f} s of frames while this computer stalls")
+SMALL_BUFFER = FindingText(
+    "receive buffer",
+    "warning",
+    "keeps {seconds:.1f} s of frames: a vent that is sent in a longer stall of this computer is lost",
+    "sudo sysctl -w net.core.rmem_max={wanted} (and the same in /etc/sysctl.d/60-vine.conf)",
 )
 NO_AUTOPILOT = FindingText(
     "vehicle link",
@@ -183,6 +206,8 @@ def check(
             return [NO_LINK(why=facts.down)]
         if facts.unread_from and not facts.bytes:
             return [NOT_THE_PEER(other=facts.unread_from)]
+        if facts.echoes:
+            return [ECHO(echoes=facts.echoes)]
         return [NOISE(bytes=facts.bytes)] if facts.bytes else [SILENT(seconds=seconds)]
     if facts.rivals:
         return [TWO_AUTOPILOTS(one=facts.rivals[0], other=facts.rivals[1])]
@@ -200,7 +225,18 @@ def check(
         ),
         _component(facts, config, running),
         _signing(facts, bool(config.vehicle.signing_key)),
+        *_line(facts, config, seconds),
     ]
+
+
+def _line(facts: VehicleFacts, config: Config, seconds: float) -> list[DoctorFinding]:
+    if facts.echoes and not isinstance(parse_address(config.vehicle.link), NetworkAddress):
+        return [SERIAL_ECHO()]
+    if facts.buffered is None:
+        return []
+    kept_s = facts.buffered * seconds / facts.messages
+    too_small = kept_s < STALL_S and facts.buffered * BUFFERED_FRAME_BYTES < RECEIVE_BUFFER_BYTES
+    return [(SMALL_BUFFER if too_small else BUFFER)(seconds=kept_s, wanted=RECEIVE_BUFFER_BYTES)]
 
 
 def _autopilot(facts: VehicleFacts, autopilot: Autopilot) -> list[DoctorFinding]:

@@ -47,6 +47,7 @@ class ArduPilot(Autopilot):
     mav_autopilot = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
     rc_parameters = ("FS_THR_ENABLE", "RC_FS_TIMEOUT", "RC_OPTIONS", "RC_OVERRIDE_TIME")
     mode_channel_parameter = "FLTMODE_CH"
+    other_uses = ("RC{}_OPTION",)
     mission_watch = ArduPilotWatch
     begins_with_home = True
     item_commands = ("script_message", "winch", "gripper")

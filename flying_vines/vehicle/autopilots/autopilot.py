@@ -77,6 +77,9 @@ class Autopilot:
     """Its parameters that affect whether a loss of RC can be detected."""
     mode_channel_parameter = ""
     """Its parameter for the RC channel of the flight mode."""
+    other_uses: tuple[str, ...] = ()
+    """Its parameters that give an RC channel another use. The value of one with {} is the use of the channel
+    of this number; the value of the others is the number of the channel."""
     needs_rc_status = False
     """RC counts only after SYS_STATUS has shown a good receiver, or if rssi shows that it comes from a ground
     station. RC_CHANNELS alone may hold the receiver's failsafe values."""
@@ -110,6 +113,14 @@ class Autopilot:
     def parameter_value(self, message: MavlinkMessage) -> float:
         """The number in a PARAM_VALUE."""
         return float(message.param_value)
+
+    def other_use(self, channel: int, values: Mapping[str, float]) -> str:
+        """The parameter, with its value, that gives this RC channel another use; empty if there is none."""
+        for pattern in self.other_uses:
+            name, value = pattern.format(channel), values.get(pattern.format(channel), 0.0)
+            if value and ("{" in pattern or value == channel):
+                return f"{name} is {value:g}"
+        return ""
 
     def hides_rc_loss(self, values: Mapping[str, float]) -> str:
         """The parameter, with its value, that makes a loss of RC undetectable; empty if there is none."""

@@ -45,6 +45,9 @@ class Px4(Autopilot):
     mav_autopilot = mavlink.MAV_AUTOPILOT_PX4
     rc_parameters = ("COM_RC_LOSS_T", "COM_RC_IN_MODE")
     mode_channel_parameter = "RC_MAP_FLTMODE"
+    other_uses = tuple(
+        f"RC_MAP_{use}_SW" for use in ("KILL", "ARM", "RETURN", "LOITER", "OFFB", "GEAR", "TRANS")
+    )
     needs_rc_status = True
     mission_watch = Px4Watch
     item_commands = ("actuator", "winch", "gripper")

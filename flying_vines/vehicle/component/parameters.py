@@ -25,6 +25,7 @@ from flying_vines.vehicle.component.parameter_table import (
 from flying_vines.vehicle.component.senders import Sender
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
+from flying_vines.vehicle.repeats import Repeats
 
 LIST_SPACING_S = 0.1
 _BY_NAME = -1
@@ -67,6 +68,7 @@ class Parameters:
         """The RC channel of the autopilot's flight mode, which the switch cannot have; 0 if not known."""
         self._next: int | None = None
         self._listed_at = -math.inf
+        self._repeats = Repeats()
         for name, value in (values or {}).items():
             self._keep(name, value)
 
@@ -134,7 +136,9 @@ class Parameters:
         name, index = setting.name, SETTINGS.index(setting)
         before = value_of(setting, self.config)
         unchanged = same(message.param_value, before)
-        if unchanged and sender.refusal:
+        key = (message.get_srcSystem(), message.get_srcComponent(), name, message.param_value)
+        is_copy = self._repeats.is_repeat(t, key, 0, message.get_seq(), 0.0)
+        if is_copy or (unchanged and sender.refusal):
             return [self._value(index)]
         try:
             if sender.refusal:

@@ -20,7 +20,10 @@ COPIES_WITHIN_S = 2.0
 """A frame with the same sequence number and content within this time is a copy. A program that was started
 again counts from 0 again, so its frames may equal those of its last run."""
 
-_COMMANDS = (mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT)
+_ANSWERED = (
+    *(mavlink.MAVLINK_MSG_ID_COMMAND_LONG, mavlink.MAVLINK_MSG_ID_COMMAND_INT),
+    *(mavlink.MAVLINK_MSG_ID_PARAM_REQUEST_READ, mavlink.MAVLINK_MSG_ID_PARAM_SET),
+)
 """`vehicle/repeats.py` recognises copies of these: each is answered, and a vent acts each time."""
 
 REMEMBERED_SENT = 128
@@ -37,8 +40,9 @@ class MavlinkCodec:
     """Decodes a byte stream, and encodes messages as one component of one system.
 
     A frame that arrives twice (the same sequence number and checksum from the same sender, due to routers and
-    retries) is decoded once; only unsigned commands are decoded each time. Our own frames that a router sends
-    back are dropped. With `signing`, only frames signed with its key are accepted, and ours are signed.
+    retries) is decoded once; only unsigned requests that get an answer are decoded each time. Our own frames
+    that a router sends back are dropped. With `signing`, only frames signed with its key are accepted, and
+    ours are signed.
     Decoding raises no exception.
 
     With `read`, only messages with these ids get their fields; the others are `HeaderOnly`, which costs less.
@@ -95,7 +99,7 @@ class MavlinkCodec:
                 self.echoes += 1
                 continue
             sender = self._senders.get((frame.system, frame.component))
-            answered = frame.message_id in _COMMANDS and self._signing is None
+            answered = frame.message_id in _ANSWERED and self._signing is None
             if sender is not None and not answered and sender.is_copy(frame, t):
                 self.repeated_frames += 1
                 continue

@@ -67,11 +67,11 @@ class Pilot:
         self._config = config
         self.radio = RadioLink(config.switch, config.losses.rc_s)
         self.switch = SwitchReader.of(config.switch)
-        self.parameters = RadioParameters()
+        self.parameters = RadioParameters(config.switch.channel)
         self._waiting: _Waiting | None = None
         self._positions: set[int] = set()
         """Positions since the last confirmed move. A return to one of them does not bend the vine."""
-        self._hides_loss = ""
+        self._hides_loss = self._other_use = ""
         self._by_station = False
         self._override_ends_at = -math.inf
         self._vented_by: Literal["", "safety", "other"] = ""
@@ -94,6 +94,7 @@ class Pilot:
         if config.switch != self._config.switch:
             self.switch = SwitchReader.of(config.switch)
             self._waiting = None
+        self.parameters.channel = config.switch.channel
         self._config = config
 
     def forget(self) -> None:
@@ -212,6 +213,11 @@ class Pilot:
         return self.radio.autopilot.hides_rc_loss(self.parameters.values)
 
     @property
+    def other_use(self) -> str:
+        """The autopilot's parameter that gives the switch's channel another use; empty if there is none."""
+        return self.radio.autopilot.other_use(self.channel, self.parameters.values)
+
+    @property
     def mode_channel(self) -> int:
         """The RC channel of the autopilot's flight mode; 0 if it is not known."""
         return int(self.parameters.values.get(self.radio.autopilot.mode_channel_parameter, 0.0))
@@ -251,13 +257,18 @@ class Pilot:
         self._waiting = None
 
     def _report_parameters(self, t: float) -> list[PilotOutput]:
+        out: list[PilotOutput] = []
+        use, before = self.other_use, self._other_use
+        self._other_use = use
+        if use and use != before:
+            out.append(Notice(t, Severity.WARNING, f"Vine: switch ch{self.channel} has two uses: {use}"))
         hides, before = self.hides_loss, self._hides_loss
         self._hides_loss = hides
-        if hides == before:
-            return []
-        if hides:
-            return [Notice(t, Severity.WARNING, f"Vine: {hides} hides RC loss: switch cannot bend")]
-        return [Notice(t, Severity.NOTICE, "Vine: RC loss is detectable again: switch can bend")]
+        if hides and hides != before:
+            out.append(Notice(t, Severity.WARNING, f"Vine: {hides} hides RC loss: switch cannot bend"))
+        elif before and not hides:
+            out.append(Notice(t, Severity.NOTICE, "Vine: RC loss is detectable again: switch can bend"))
+        return out
 
     def _report_source(self, t: float) -> list[PilotOutput]:
         by_station, before = self.radio.by_station, self._by_station

@@ -16,10 +16,11 @@ MAX_ATTEMPTS = 5
 
 
 class RadioParameters:
-    """The values of the autopilot's `rc_parameters`, which `Autopilot.hides_rc_loss` interprets, and of its
-    `mode_channel_parameter`."""
+    """The values of the autopilot's `rc_parameters`, which `Autopilot.hides_rc_loss` interprets, of its
+    `mode_channel_parameter`, and of those about other uses of the switch's `channel`."""
 
-    def __init__(self) -> None:
+    def __init__(self, channel: int) -> None:
+        self.channel = channel
         self.values: dict[str, float] = {}
         self._attempts: dict[str, int] = {}
         self._asked_at = -math.inf
@@ -38,7 +39,7 @@ class RadioParameters:
     def handle(self, autopilot: Autopilot, message: MavlinkMessage) -> bool:
         """Take in a PARAM_VALUE of our autopilot. Returns True if it changed a value."""
         name = message.param_id
-        if name not in _names(autopilot):
+        if name not in self._names(autopilot):
             return False
         value = autopilot.parameter_value(message)
         if not math.isfinite(value):
@@ -52,7 +53,7 @@ class RadioParameters:
         """At most one request per call."""
         if t - self._asked_at < ASK_SPACING_S:
             return []
-        due = [name for name in _names(autopilot) if self._attempts.get(name, 0) < MAX_ATTEMPTS]
+        due = [name for name in self._names(autopilot) if self._attempts.get(name, 0) < MAX_ATTEMPTS]
         if not due:
             return []
         name = min(due, key=lambda name: self._attempts.get(name, 0))
@@ -64,6 +65,6 @@ class RadioParameters:
         self._asked_at = t
         return [mavlink.MAVLink_param_request_read_message(system_id, 1, name.encode(), -1)]
 
-
-def _names(autopilot: Autopilot) -> list[str]:
-    return [name for name in (*autopilot.rc_parameters, autopilot.mode_channel_parameter) if name]
+    def _names(self, autopilot: Autopilot) -> list[str]:
+        uses = (name.format(self.channel) for name in autopilot.other_uses)
+        return [name for name in (*autopilot.rc_parameters, autopilot.mode_channel_parameter, *uses) if name]

@@ -17,6 +17,7 @@ from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 
 RC_BIT = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 MIN_US, MAX_US = 800, 2200
+_NO_PULSE = (0, 0xFFFF)
 CHANNELS = 18
 _PULSES_US = attrgetter(*(f"chan{number}_raw" for number in range(1, CHANNELS + 1)))
 HEALTH_CLEARS_FAILSAFE_S = 1.5
@@ -69,6 +70,8 @@ class RadioLink:
         self._received_at: float | None = None
         self._interrupted = False
         self._channels_us: tuple[int, ...] = ()
+        self._throttle_seen = False
+        """The throttle had a pulse. A receiver may give none for it in a failsafe, and hold the switch."""
         self._chancount = 0
         self._rssi = NO_RSSI
         self._rssi_known = False
@@ -137,6 +140,8 @@ class RadioLink:
         throttle_us = self._channels_us[self._throttle_channel - 1] if self._throttle_channel else 0
         if 0 < throttle_us < self._throttle_failsafe_us:
             return f"throttle at {throttle_us}: receiver in failsafe"
+        if self._throttle_seen and throttle_us in _NO_PULSE:
+            return "the throttle has no pulse: receiver in failsafe"
         return None
 
     def _take_channels(self, t: float, message: MavlinkMessage) -> None:
@@ -147,6 +152,8 @@ class RadioLink:
         self.jumped = self._jumped_with_switch(channels_us)
         self._received_at, self._channels_us = t, channels_us
         self._chancount = message.chancount
+        throttle_us = channels_us[self._throttle_channel - 1] if self._throttle_channel else 0
+        self._throttle_seen |= throttle_us not in _NO_PULSE
         self.switch_us = channels_us[self._channel_number - 1]
         self.stamp_s = message.time_boot_ms / 1000.0
         if self.autopilot.needs_rc_status:

@@ -58,7 +58,7 @@ export function rcWords(s) {
 export function firmwareWords(s) {
   if (s.firmware !== "ready") return s.firmware;
   const trip = s.round_trip_s === null ? "" : `, round trip ${number(1000 * s.round_trip_s)} ms`;
-  const gaps = s.telemetry_gaps ? `, ${s.telemetry_gaps} gaps in telemetry` : "";
+  const gaps = s.telemetry_gaps ? `, gaps in telemetry: ${s.telemetry_gaps}` : "";
   return `ready${trip}${gaps}`;
 }
 
