@@ -11,8 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from flying_vines.cli.bad_input import BAD_INPUT, bad_input
-from flying_vines.cli.common import add_cause_option, rig_file_prior
+from flying_vines.cli.common import BAD_INPUT, add_option, bad_input, rig_file_prior
 from flying_vines.config.address import FORMS
 
 if TYPE_CHECKING:
@@ -39,9 +38,7 @@ def add(commands: Any) -> None:
 
     build = actions.add_parser("build", help="make a .plan and a .waypoints for one autopilot from a text")
     build.add_argument("mission", type=Path, metavar="MISSION.toml", help="the mission as text")
-    build.add_argument(
-        "--out", type=Path, metavar="PATH", help="a folder, or one file (default: the mission's folder)"
-    )
+    add_option(build, "--out", metavar="PATH", help="a folder, or one file (default: the mission's folder)")
     _common(build)
     build.set_defaults(run=_build)
 
@@ -55,28 +52,24 @@ def add(commands: Any) -> None:
     upload.add_argument("mission", type=Path, metavar="FILE", help="a .plan or .waypoints")
     _vehicle(upload, _upload)
     watch = actions.add_parser("watch", help="follow the flown mission to its end")
-    watch.add_argument("--plain", action="store_true", help="print lines instead of the live view")
+    add_option(watch, "--plain")
     _vehicle(watch, _watch)
     download = actions.add_parser("download", help="read the mission from the vehicle")
     download.add_argument("mission", type=Path, metavar="FILE", help="a .plan or .waypoints to write")
     _vehicle(download, _download)
     example = actions.add_parser("example", help="write an example mission as text")
     example.add_argument("name", choices=EXAMPLES, metavar="NAME", help=" or ".join(EXAMPLES))
-    example.add_argument("--out", type=Path, metavar="FILE.toml", help="the file (NAME.toml)")
+    add_option(example, "--out", metavar="FILE.toml", help="the file (NAME.toml)")
     example.set_defaults(run=_example)
     script = actions.add_parser("script", help="write the Lua script that sends vine items on ArduPilot")
-    script.add_argument(
-        "--out", type=Path, default=Path(SCRIPT), metavar="FILE.lua", help=f"the file ({SCRIPT})"
-    )
+    add_option(script, "--out", default=Path(SCRIPT), metavar="FILE.lua", help=f"the file ({SCRIPT})")
     script.set_defaults(run=_script)
 
 
 def _common(parser: argparse.ArgumentParser) -> None:
     # Before Python 3.14, argparse takes a place in the south or west ("-35.36,149.16,584") for an option.
     parser._negative_number_matcher = _NEGATIVE
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="the configuration (default: the built-in one)"
-    )
+    add_option(parser, "--config")
     parser.add_argument("--autopilot", choices=("ardupilot", "px4"), help="(default: the mission's own)")
     parser.add_argument(
         "--home",
@@ -84,16 +77,15 @@ def _common(parser: argparse.ArgumentParser) -> None:
         metavar="LAT,LON,ALT",
         help="degrees, and metres above sea level; replaces the file's home",
     )
-    parser.add_argument(
+    add_option(
+        parser,
         "--reservoir-kPa",
         type=_pressure,
-        dest="reservoir_kPa",
-        metavar="P",
-        help="bottle pressure at the start, gauge (default: full)",
+        help="reservoir pressure at the start, gauge (default: full)",
     )
-    parser.add_argument("--rig", type=Path, metavar="RIG.toml", help="the rig (default: the configuration's)")
-    add_cause_option(parser)
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead")
+    add_option(parser, "--rig")
+    add_option(parser, "--cause")
+    add_option(parser, "--json")
 
 
 def _vehicle(parser: argparse.ArgumentParser, run: Callable[[argparse.Namespace], int]) -> None:

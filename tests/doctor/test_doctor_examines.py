@@ -24,13 +24,12 @@ from doctor.worlds import (
     silent,
 )
 from firmware_link.protocol import GetSetting, Hello, Ping
+from flying_vines.cli.doctor_fakes import linked
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
+from flying_vines.doctor.configuration import ServiceConfiguration, given, read
 from flying_vines.doctor.examine import RadioQuestion
-from flying_vines.doctor.fakes import linked
 from flying_vines.doctor.finding import may_fly
-from flying_vines.doctor.look import configuration as look
-from flying_vines.doctor.look.configuration import ServiceConfiguration
 from flying_vines.doctor.vehicle_probe import SwitchFacts
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.vehicle.mavlink.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S
@@ -66,11 +65,11 @@ def moved_through_all(vehicle: Vehicle) -> RadioQuestion:
 
 
 def no_port(config: Config, folder: Path) -> ServiceConfiguration:
-    return look.given(linked(config, config.vehicle.link, "serial:/dev/there-is-none"), "test")
+    return given(linked(config, config.vehicle.link, "serial:/dev/there-is-none"), "test")
 
 
 def no_vehicle(config: Config, folder: Path) -> ServiceConfiguration:
-    return look.given(linked(config, "tcp:127.0.0.1:9", config.firmware.link), "test")
+    return given(linked(config, "tcp:127.0.0.1:9", config.firmware.link), "test")
 
 
 def with_a_key(config: Config, folder: Path) -> ServiceConfiguration:
@@ -82,7 +81,7 @@ def with_a_key(config: Config, folder: Path) -> ServiceConfiguration:
     file.write_text(text.replace(default.firmware.link, config.firmware.link))
     (folder / KEY_FILE).write_text(KEY.hex())
     (folder / KEY_FILE).chmod(0o600)
-    return look.read(file)
+    return read(file)
 
 
 WORLDS: dict[str, World] = {
@@ -103,7 +102,7 @@ WORLDS: dict[str, World] = {
     "a GPS": World(firmware=gps),
     "silence": World(firmware=silent),
     "next version": World(firmware=of_next_version),
-    "bottle empty": World(phlosar=lambda: phlosar(reservoir_kPa=61.8)),
+    "reservoir empty": World(phlosar=lambda: phlosar(reservoir_kPa=61.8)),
     "latched fault": World(phlosar=after_a_watchdog),
 }
 
@@ -126,7 +125,7 @@ def seen(folder: Path) -> dict[str, Examined]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("flying_vines.doctor.examine.MOVING_S", 2.0)
         # Other services on this machine, as of another test, do not belong to these worlds.
-        patch.setattr("flying_vines.doctor.look.processes.services", list)
+        patch.setattr("flying_vines.doctor.processes.services", list)
         return dict(zip(WORLDS, asyncio.run(look()), strict=True))
 
 
@@ -156,7 +155,7 @@ def test_of_a_healthy_pair_one_may_fly(seen: dict[str, Examined], world: str) ->
         ("a GPS", "phloSAR", "this is another device"),
         ("silence", "phloSAR", "the port is open but silent"),
         ("next version", "phloSAR", "update the host"),
-        ("bottle empty", "bottle", "62 kPa; a bend to 20.7 kPa needs 63"),
+        ("reservoir empty", "reservoir", "62 kPa; a bend to 20.7 kPa needs 63"),
         ("latched fault", "phloSAR", "latched: watchdog reset"),
     ],
 )

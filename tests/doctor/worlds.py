@@ -18,13 +18,12 @@ from wrapped_board import WrappedBoard
 
 from firmware_link import protocol
 from firmware_link.protocol import PROTOCOL_VERSION, Fault, Mode, SettingsMemory, Telemetry, Units, Welcome
+from flying_vines.cli.doctor_fakes import between, linked
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
+from flying_vines.doctor.configuration import ServiceConfiguration, given
 from flying_vines.doctor.examine import RadioQuestion, examine
-from flying_vines.doctor.fakes import between, linked
 from flying_vines.doctor.finding import DoctorFinding
-from flying_vines.doctor.look import configuration as look
-from flying_vines.doctor.look.configuration import ServiceConfiguration
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot.port import COMPANION
@@ -163,7 +162,7 @@ class World:
     phlosar: Callable[[], SimulatedPhlosar] | None = None
     firmware: Callable[[], Callable[[bytes], bytes]] = quick_board
     """Answers if there is no simulated phloSAR: received bytes to sent bytes."""
-    start: Callable[[Config, Path], ServiceConfiguration] = lambda config, folder: look.given(config, "test")
+    start: Callable[[Config, Path], ServiceConfiguration] = lambda config, folder: given(config, "test")
     """Makes the configuration of the service from one with the right links, and from a folder for files."""
     stranger: Callable[[int], bytes] | None = None
     """Makes a frame of another program from a count; ten times a second one comes over the vehicle's link."""

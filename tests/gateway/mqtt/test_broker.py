@@ -19,9 +19,9 @@ from waiting import until
 
 from firmware_link import reconnect
 from flying_vines.config.config import MqttConfig
-from flying_vines.doctor.look.broker import facts
-from flying_vines.gateway.mqtt import connection
-from flying_vines.gateway.mqtt.problems import THROWN_OUT
+from flying_vines.doctor.network import broker_facts
+from flying_vines.gateway.mqtt import connection, publisher
+from flying_vines.gateway.mqtt.broker import THROWN_OUT
 from flying_vines.gateway.mqtt.publisher import Publication
 
 from .brokers import MOSQUITTO_HOW, Broker, Line, Onlooker, make_certificates, onlooker, run_quietly, running
@@ -61,8 +61,11 @@ async def test_a_later_subscriber_gets_the_present_vehicles(broker: Broker, peop
         assert not latecomer.on(f"{BASE}/state"), "states are not kept"
 
 
-async def test_events_while_the_broker_is_away_are_sent_once_and_in_order(broker: Broker) -> None:
-    async with Line(broker).laid() as line, flying(broker=line.url, name="heron", kept_events=20) as vehicle:
+async def test_events_while_the_broker_is_away_are_sent_once_and_in_order(
+    broker: Broker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(publisher, "MAX_STORED_EVENTS", 20)
+    async with Line(broker).laid() as line, flying(broker=line.url, name="heron") as vehicle:
         async with onlooker(broker) as people:
             vehicle.say("before")
             await people.until(f"{BASE}/event", text="before")
@@ -318,7 +321,7 @@ async def test_an_authority_without_key_usage_is_refused_as_python_3_13_does(
         )
         async with flying(broker=mqtt.broker, name="heron", ca_file=mqtt.ca_file) as vehicle:
             await vehicle.in_trouble(why)
-        assert (await facts(mqtt)).problem.endswith(why)
+        assert (await broker_facts(mqtt)).problem.endswith(why)
     gc.collect()
 
 

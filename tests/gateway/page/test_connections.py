@@ -13,15 +13,21 @@ from page_bench import snapshot
 from flying_vines.config import config
 from flying_vines.gateway.feed import Feed
 from flying_vines.gateway.messages import GatewayStart, SnapshotMessage, raw
-from flying_vines.gateway.page.connections import (
+from flying_vines.gateway.page.access import (
     MAX_NEW,
     MAX_PILOTS,
     MAX_VIEWERS,
     Connections,
 )
-from flying_vines.gateway.page.history import HISTORY_S, History
-from flying_vines.gateway.page.request import MAX_AT_ONCE, MAX_PER_S, PageRequest, read_request
-from flying_vines.gateway.page.viewer_session import ViewerSession
+from flying_vines.gateway.page.viewer_session import (
+    HISTORY_S,
+    MAX_AT_ONCE,
+    MAX_PER_S,
+    History,
+    PageRequest,
+    ViewerSession,
+    read_request,
+)
 from flying_vines.vehicle.token_bucket import TokenBucket
 
 

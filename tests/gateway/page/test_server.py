@@ -22,7 +22,7 @@ from flying_vines.config.config import PageConfig
 from flying_vines.core.events import Decision
 from flying_vines.gateway import page, page_token
 from flying_vines.gateway.page import server, viewer_session
-from flying_vines.gateway.page.connections import MAX_NEW, MAX_PILOTS, MAX_VIEWERS
+from flying_vines.gateway.page.access import MAX_NEW, MAX_PILOTS, MAX_VIEWERS
 from flying_vines.vehicle.notice import Notice, Severity
 
 pytestmark = real_time

@@ -1,13 +1,17 @@
-"""Other processes on this computer and their open files, from /proc as far as this user may read it."""
+"""Other processes on this computer and their open files, and whether the service already runs.
+
+All from /proc, as far as this user may read it. A running service holds the ports.
+"""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
-from flying_vines.doctor.checks.service import Process
+from flying_vines.doctor.finding import DoctorFinding, Subject
 
 PROC = Path("/proc")
 _OUR_UNITS = re.compile(r"/(flying-vines[^/]*\.service)$", re.MULTILINE)
@@ -16,6 +20,50 @@ _PSEUDO = "/dev/pts/"
 _PTY_MASTERS = ("/dev/ptmx", "/dev/pts/ptmx")
 """The device side of pseudo-terminals. A simulated device has this side open and may also keep the host side
 open. It does not count as a user of the port."""
+
+
+class Process(NamedTuple):
+    """Another program on this computer."""
+
+    pid: int
+    name: str
+    unit: str = ""
+    """The systemd unit, if the process is our service; else empty."""
+
+    def __str__(self) -> str:
+        return f"{self.name} (process {self.pid}{', ' if self.unit else ''}{self.unit})"
+
+    @property
+    def stop(self) -> str:
+        """The command that stops the process. Our service vents the vine before it ends."""
+        return f"sudo systemctl stop {self.unit}" if self.unit else f"kill {self.pid}"
+
+
+_SERVICE = Subject("service")
+NO_SERVICE = _SERVICE.good("no other service runs here")
+ELSEWHERE = _SERVICE.warning(
+    "{who} already runs, on other ports of this computer",
+    "stop it ({stop}). If it serves another vehicle, give both services different component ids",
+)
+RUNS = _SERVICE.bad(
+    "{who} already runs and uses the links, so they cannot be checked",
+    "use flying-vines watch; or stop the service ({stop}) and repeat this check",
+)
+
+
+def all_named(processes: Sequence[Process]) -> str:
+    return ", ".join(map(str, processes))
+
+
+def stop(processes: Sequence[Process]) -> str:
+    return "; ".join(process.stop for process in processes)
+
+
+def check_service(running: Sequence[Process], holding: Sequence[Process]) -> DoctorFinding:
+    """`holding`: the running services that use our links, or may use them."""
+    if holding:
+        return RUNS(who=all_named(holding), stop=stop(holding))
+    return ELSEWHERE(who=all_named(running), stop=stop(running)) if running else NO_SERVICE()
 
 
 def _processes(proc: Path) -> Iterator[tuple[int, Path]]:
@@ -74,7 +122,7 @@ def _serves(arguments: list[str]) -> bool:
     return False
 
 
-def named(name: str, proc: Path = PROC) -> bool:
+def runs(name: str, proc: Path = PROC) -> bool:
     """True if a program of this name runs."""
     return any(_name(folder) == name for _, folder in _processes(proc))
 
