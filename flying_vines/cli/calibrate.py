@@ -8,14 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from flying_vines.cli.common import (
-    FLIGHTS,
-    add_option,
-    bad_input,
-    file_errors,
-    needs_analysis,
-    phlosar_only,
-)
+from flying_vines.cli.common import FLIGHTS, add_option, bad_input, file_errors, needs_analysis, phlosar_only
 from flying_vines.config import config as configuration
 
 NOT_DONE = 1
@@ -46,10 +39,7 @@ def add(commands: Any) -> None:
         help="the reservoir is empty and open: first measure its sensor's zero",
     )
     parser.add_argument(
-        "--reservoir-volume-L",
-        type=float,
-        metavar="L",
-        help="volume of the reservoir, as weighed with water",
+        "--reservoir-volume-L", type=float, metavar="L", help="volume of the reservoir, as weighed with water"
     )
     parser.add_argument(
         "--vessel-L",

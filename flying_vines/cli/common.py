@@ -24,11 +24,7 @@ BAD_INPUT = 2
 FLIGHTS = Path("flights")
 
 _OPTIONS: dict[str, dict[str, Any]] = {
-    "--config": {
-        "type": Path,
-        "metavar": "FILE",
-        "help": "the configuration (default: the built-in one)",
-    },
+    "--config": {"type": Path, "metavar": "FILE", "help": "the configuration (default: the built-in one)"},
     "--rig": {"type": Path, "metavar": "RIG.toml", "help": "the rig (default: the configuration's)"},
     "--cause": {
         "type": Path,
@@ -55,15 +51,16 @@ def add_option(parser: argparse.ArgumentParser, *names: str, **own: Any) -> None
     parser.add_argument(*names, **{**_OPTIONS[names[-1]], **own})
 
 
-def bad_input(sentence: str) -> int:
-    """Print one line on standard error; returns the exit status."""
+def bad_input(sentences: str) -> int:
+    """Print each sentence as a line on standard error; returns the exit status."""
     sys.stdout.flush()
-    print(f"flying-vines: {sentence}", file=sys.stderr)
+    for sentence in sentences.splitlines():
+        print(f"flying-vines: {sentence}", file=sys.stderr)
     return BAD_INPUT
 
 
-def fail(sentence: str) -> NoReturn:
-    sys.exit(bad_input(sentence))
+def fail(sentences: str) -> NoReturn:
+    sys.exit(bad_input(sentences))
 
 
 def add_own_causes(paths: Sequence[Path]) -> None:

@@ -21,11 +21,7 @@ def add(commands: Any) -> None:
     doctor = commands.add_parser("doctor", help="check whether you may fly; show problems and remedies")
     add_option(doctor, "--config")
     add_option(
-        doctor,
-        "--seconds",
-        type=number_of_seconds,
-        default=SECONDS,
-        help=f"listening time ({SECONDS:g})",
+        doctor, "--seconds", type=number_of_seconds, default=SECONDS, help=f"listening time ({SECONDS:g})"
     )
     add_option(doctor, "--out", **FLIGHT_LOGS)
     doctor.add_argument(

@@ -317,10 +317,7 @@ class LinkView:
         grid.add_row("counts", statistics_line(now))
         return Panel(
             Group(
-                grid,
-                Text(""),
-                Rule("frames except pings and steady telemetry", style="dim"),
-                *self._lines,
+                grid, Text(""), Rule("frames except pings and steady telemetry", style="dim"), *self._lines
             ),
             title=f"phloSAR link   {self._title}   {watch.t:.1f} s",
         )

@@ -13,13 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from flying_vines.core.events import (
-    Decision,
-    InternalError,
-    KeepDisarmed,
-    KeepParameters,
-    LinkChanged,
-)
+from flying_vines.core.events import Decision, InternalError, KeepDisarmed, KeepParameters, LinkChanged
 from flying_vines.files.bounded import read_bytes
 from flying_vines.record.flight_metadata import ABOUT
 from flying_vines.record.reader import FlightLog, LogEntry

@@ -11,7 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from flying_vines.cli.common import BAD_INPUT, add_option, bad_input, rig_file_prior
+from flying_vines.cli.common import BAD_INPUT, add_option, bad_input, fail, file_errors, rig_file_prior
 from flying_vines.config.address import FORMS
 
 if TYPE_CHECKING:
@@ -119,31 +119,24 @@ def _download(arguments: argparse.Namespace) -> int:
 def _example(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out or Path(f"{arguments.name}.toml")
     # A pilot edits the file: a second call must not overwrite it.
-    if not _write_shipped("examples", f"{arguments.name}.toml", out, "xb"):
-        return BAD_INPUT
+    _write_shipped("examples", f"{arguments.name}.toml", out, "xb")
     print(f"{out}: build it with `flying-vines mission build {out}`")
     return 0
 
 
 def _script(arguments: argparse.Namespace) -> int:
-    if not _write_shipped("ardupilot", SCRIPT, arguments.out):
-        return BAD_INPUT
+    _write_shipped("ardupilot", SCRIPT, arguments.out)
     print(
         f"{arguments.out}: copy it to APM/scripts on the autopilot's SD card; set SCR_ENABLE 1, then reboot"
     )
     return 0
 
 
-def _write_shipped(folder: str, name: str, out: Path, mode: Literal["wb", "xb"] = "wb") -> bool:
-    """Write a file that comes with the program; "xb" keeps an existing file. True if it was written."""
+def _write_shipped(folder: str, name: str, out: Path, mode: Literal["wb", "xb"] = "wb") -> None:
+    """Write a file that comes with the program; "xb" keeps an existing file, and fails."""
     shipped = resources.files("missions").joinpath(folder, name)
-    try:
-        with out.open(mode) as file:
-            file.write(shipped.read_bytes())
-    except OSError as error:
-        _fail(f"{out}: {error.strerror}")
-        return False
-    return True
+    with file_errors(out), out.open(mode) as file:
+        file.write(shipped.read_bytes())
 
 
 def _on_vehicle(work: Coroutine[None, None, int]) -> int:
@@ -153,7 +146,7 @@ def _on_vehicle(work: Coroutine[None, None, int]) -> int:
     try:
         return asyncio.run(work)
     except (VehicleLinkError, MissionError) as error:
-        return _fail(str(error))
+        return bad_input(str(error))
 
 
 def _console() -> Console:
@@ -191,15 +184,12 @@ def _build(arguments: argparse.Namespace) -> int:
 
     path: Path = arguments.mission
     if path.suffix.casefold() in (".plan", ".waypoints"):
-        return _fail(f"{path}: is already a built mission; check it with `flying-vines mission check`")
-    try:
+        fail(f"{path}: is already a built mission; check it with `flying-vines mission check`")
+    with file_errors(arguments.out, MissionError):
         report = _report(arguments)
-    except MissionError as error:
-        return _fail(str(error))
-    if report.errors:
-        return _tell(report, arguments.json, [])
-    written: list[Path] = []
-    try:
+        if report.errors:
+            return _tell(report, arguments.json, [])
+        written: list[Path] = []
         for target in _targets(arguments.out or path.parent, path.stem, report.kind):
             target.parent.mkdir(parents=True, exist_ok=True)
             if target.suffix.casefold() == ".plan":
@@ -207,8 +197,6 @@ def _build(arguments: argparse.Namespace) -> int:
             else:
                 write_waypoints(target, report.items)
             written.append(target)
-    except OSError as error:
-        return _fail(f"{error.filename or arguments.out}: {error.strerror}")
     return _tell(report, arguments.json, written)
 
 
@@ -221,10 +209,8 @@ def _targets(out: Path, stem: str, kind: AutopilotKind) -> list[Path]:
 def _check(arguments: argparse.Namespace) -> int:
     from missions.mission import MissionError
 
-    try:
+    with file_errors(arguments.mission, MissionError):
         report = _report(arguments, flies=arguments.fly)
-    except MissionError as error:
-        return _fail(str(error))
     status = _tell(report, arguments.json, [])
     return status or (NOT_AS_PLANNED if report.differences else 0)
 
@@ -287,10 +273,4 @@ def _tell(report: Report, as_json_wanted: bool, written: list[Path]) -> int:
     show(report, console)
     for path in written:
         console.print(f"Written  {path}", soft_wrap=True)
-    return _fail("\n".join(finding.text for finding in report.errors)) if report.errors else 0
-
-
-def _fail(sentences: str) -> int:
-    for sentence in sentences.splitlines():
-        bad_input(sentence)
-    return BAD_INPUT
+    return bad_input("\n".join(finding.text for finding in report.errors)) if report.errors else 0

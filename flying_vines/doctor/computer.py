@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -19,6 +20,7 @@ from tempfile import TemporaryFile
 from typing import Literal
 
 from flying_vines.doctor.finding import DoctorFinding, Subject
+from flying_vines.doctor.processes import text_of
 from flying_vines.record.flight_metadata import version_of
 from flying_vines.service.host_clock import synchronised
 from flying_vines.vehicle.mavlink.signing import CLOCK_SET_UNIX_S, NEW_STREAM_MAY_LAG, UNITS_PER_S
@@ -87,19 +89,14 @@ def machine_facts() -> MachineFacts:
 
 
 def _free_MB() -> float | None:
-    try:
-        rows = MEMORY_TABLE.read_text().splitlines()
-    except OSError:
-        return None
+    rows = text_of(MEMORY_TABLE).splitlines()
     return next((int(row.split()[1]) / 1024 for row in rows if row.startswith("MemAvailable:")), None)
 
 
 def _throttled() -> int | None:
     """From the kernel if it provides the value, else from the firmware's program vcgencmd."""
-    try:
+    with suppress(OSError, ValueError):
         return int(THROTTLED.read_text(), 16)
-    except (OSError, ValueError):
-        pass
     program = shutil.which("vcgencmd")
     if program is None:
         return None

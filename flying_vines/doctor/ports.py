@@ -17,7 +17,7 @@ from firmware_link.find import BoardNotFoundError, Ports, UsbBoard, description,
 from flying_vines.config.address import NetworkAddress, SerialAddress
 from flying_vines.doctor import processes
 from flying_vines.doctor.finding import DoctorFinding, FindingText, Subject
-from flying_vines.doctor.processes import Process, all_named
+from flying_vines.doctor.processes import Process, all_named, text_of
 
 Which = Literal["phloSAR", "vehicle"]
 
@@ -223,18 +223,11 @@ def _group(path: str) -> tuple[str, bool]:
 
 def _consoles() -> set[str]:
     """The devices to which the kernel writes messages."""
-    try:
-        arguments = KERNEL_ARGUMENTS.read_text()
-    except OSError:
-        return set()
-    return {os.path.realpath(f"/dev/{name}") for name in _CONSOLE.findall(arguments)}
+    return {os.path.realpath(f"/dev/{name}") for name in _CONSOLE.findall(text_of(KERNEL_ARGUMENTS))}
 
 
 def _kept_off(device: str) -> bool:
     """True if udev excludes the device from ModemManager."""
     number = Path(device).stat().st_rdev
-    try:
-        properties = (UDEV_DATA / f"c{os.major(number)}:{os.minor(number)}").read_text(errors="replace")
-    except OSError:
-        return False
+    properties = text_of(UDEV_DATA / f"c{os.major(number)}:{os.minor(number)}")
     return _KEPT_OFF.search(properties) is not None

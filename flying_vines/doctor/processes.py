@@ -77,18 +77,16 @@ def _processes(proc: Path) -> Iterator[tuple[int, Path]]:
             yield int(folder.name), folder
 
 
-def _arguments(folder: Path) -> list[str]:
+def text_of(path: Path) -> str:
+    """The text of a file of the system; empty if it is missing, or this user may not read it."""
     try:
-        return (folder / "cmdline").read_bytes().decode(errors="replace").rstrip("\0").split("\0")
+        return path.read_text(errors="replace")
     except OSError:
-        return []
+        return ""
 
 
 def _name(folder: Path) -> str:
-    try:
-        return (folder / "comm").read_text(errors="replace").strip()
-    except OSError:
-        return "?"
+    return text_of(folder / "comm").strip() or "?"
 
 
 def services(proc: Path = PROC) -> list[Process]:
@@ -96,15 +94,12 @@ def services(proc: Path = PROC) -> list[Process]:
     return [
         Process(pid, "flying-vines run", _unit(folder))
         for pid, folder in _processes(proc)
-        if _serves(_arguments(folder))
+        if _serves(text_of(folder / "cmdline").rstrip("\0").split("\0"))
     ]
 
 
 def _unit(folder: Path) -> str:
-    try:
-        found = _OUR_UNITS.search((folder / "cgroup").read_text(errors="replace"))
-    except OSError:
-        return ""
+    found = _OUR_UNITS.search(text_of(folder / "cgroup"))
     return found[1] if found else ""
 
 
@@ -142,11 +137,7 @@ def port_holders(kind: str, port: int, proc: Path = PROC) -> tuple[Process, ...]
 
 def _inodes(kind: str, port: int, proc: Path) -> Iterator[str]:
     for table in (kind, f"{kind}6"):
-        try:
-            rows = (proc / "net" / table).read_text().splitlines()[1:]
-        except OSError:
-            continue
-        for row in rows:
+        for row in text_of(proc / "net" / table).splitlines()[1:]:
             columns = row.split()
             if int(columns[1].rpartition(":")[2], 16) == port and (
                 kind == "udp" or columns[3] == _TCP_LISTENS

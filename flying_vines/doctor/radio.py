@@ -174,10 +174,7 @@ UNCLEAR = _RECEIVER.warning(
     "check the receiver's failsafe and repeat the test; until then each bend on PX4 waits",
 )
 
-LOST = {
-    "hold": "the vine holds (losses.on_rc_loss)",
-    "vent": "the vine is vented (losses.on_rc_loss)",
-}
+LOST = {"hold": "the vine holds (losses.on_rc_loss)", "vent": "the vine is vented (losses.on_rc_loss)"}
 
 
 def check_radio_test(learned: RadioLearned, config: Config) -> list[DoctorFinding]:

@@ -48,10 +48,6 @@ class RadioProbe(VehicleProbe):
         if self._state.is_ours(message):
             self.test.take(t, message)
 
-    def due(self, t: float) -> list[MavlinkMessage]:
-        asked = self.test.requests(t, self._state.system_id) if self._state.found else []
-        return [*super().due(t), *asked]
-
 
 class Guide:
     """Prints prompts and the observed signs."""

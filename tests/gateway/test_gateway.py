@@ -151,20 +151,6 @@ async def test_a_gateway_that_hangs_is_replaced_and_delays_nothing(
         assert service.latest_turn_s < 0.5
 
 
-@pytest.mark.long
-async def test_a_stopped_gateway_is_replaced(
-    monkeypatch: pytest.MonkeyPatch, broker: Broker, people: Onlooker
-) -> None:
-    monkeypatch.setattr(gateway, "HANGS_S", 2.0)
-    async with Service(broker=broker.url, name="heron").living() as service:
-        await until(lambda: service.gateway._alive, "it has started")
-        await people.until(f"{BASE}/status", status="online")
-        os.kill(gateway_of(os.getpid()), signal.SIGSTOP)
-        await people.until(f"{BASE}/status", status="offline")
-        await people.until(f"{BASE}/status", status="online", count=2)
-        assert service.reports == ["page and broker stopped (it hung), starting again"]
-
-
 async def test_a_gateway_is_not_to_blame_where_the_service_stopped(
     monkeypatch: pytest.MonkeyPatch, played: Callable[[str], None]
 ) -> None:
