@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from flying_vines.config.address import Address, NetworkAddress, parse_address
+from flying_vines.config.config import PageConfig
 from flying_vines.doctor import computer, configuration, firmware, network, ports, processes, radio, vehicle
 from flying_vines.doctor.configuration import ServiceConfiguration
 from flying_vines.doctor.finding import DoctorFinding
@@ -58,7 +59,7 @@ async def examine(
     holding = {process.pid for process in holders}
     uses = [each for each in running if each.pid in holding or processes.hides_files(each)]
     add([processes.check_service(running, uses)])
-    add([network.check_page(await asyncio.to_thread(network.page_facts, config), bool(running))])
+    add([await asyncio.to_thread(_page, config.page, bool(running))])
     add([network.check_broker(await network.broker_facts(config.mqtt))])
 
     own = config.firmware.is_phlosar  # a device that is no phloSAR gets no bytes from us
@@ -91,6 +92,13 @@ async def examine(
         add([computer.check_clock_against_vehicle(times)])
     keep_signing(examined)
     return found
+
+
+def _page(page: PageConfig, service_runs: bool) -> DoctorFinding:
+    if not page.port:
+        return network.check_page("")
+    problem, held_by = ports.tcp_port(page.host, page.port)
+    return network.check_page(f"{page.host}:{page.port}", problem, held_by, service_runs)
 
 
 def link_to(

@@ -3,23 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from flying_vines.config.config import Config, MqttConfig
-from flying_vines.doctor import ports
+from flying_vines.config.config import MqttConfig
 from flying_vines.doctor.finding import DoctorFinding, Subject
 from flying_vines.doctor.processes import Process, all_named
 
 TIMEOUT_S = 5.0
-
-
-@dataclass(frozen=True, slots=True)
-class PageFacts:
-    address: str
-    """Host and port; empty if the configuration has no page."""
-    problem: str = ""
-    """Why the port cannot be opened; else empty."""
-    held_by: tuple[Process, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,20 +38,25 @@ AWAY = _BROKER.warning("{broker}: {why}", "check the network, and that the broke
 REFUSES = _BROKER.warning("{broker}: {why}", "correct [mqtt], or the broker (docs/mqtt.md)")
 
 
-def page_facts(config: Config) -> PageFacts:
-    host, number = config.page.host, config.page.port
-    return PageFacts(f"{host}:{number}", *ports.tcp_port(host, number)) if number else PageFacts("")
+def check_page(
+    address: str, problem: str = "", held_by: Sequence[Process] = (), service_runs: bool = False
+) -> DoctorFinding:
+    """The finding about the page's port.
 
-
-def check_page(facts: PageFacts, service_runs: bool) -> DoctorFinding:
-    if not facts.address:
+    Args:
+        address: host and port; empty if the configuration has no page.
+        problem: why the port cannot be opened; empty if it can.
+        held_by: the processes that use it.
+        service_runs: our own service runs.
+    """
+    if not address:
         return NO_PAGE()
-    if not facts.problem:
-        return PAGE(address=facts.address)
+    if not problem:
+        return PAGE(address=address)
     if service_runs:
-        return PAGE_SERVED(address=facts.address)
-    held = f", held by {all_named(facts.held_by)}" if facts.held_by else ""
-    return PAGE_TAKEN(address=facts.address, why=facts.problem + held)
+        return PAGE_SERVED(address=address)
+    held = f", held by {all_named(held_by)}" if held_by else ""
+    return PAGE_TAKEN(address=address, why=problem + held)
 
 
 async def broker_facts(mqtt: MqttConfig) -> BrokerFacts:

@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import msgspec
 import pytest
@@ -20,7 +21,7 @@ from flying_vines.doctor import configuration as configuration_check
 from flying_vines.doctor.computer import ClockFacts, DiskFacts, MachineFacts, lateness_s
 from flying_vines.doctor.finding import DoctorFinding, FindingText, may_fly, summary
 from flying_vines.doctor.firmware import FirmwareFacts
-from flying_vines.doctor.network import BrokerFacts, PageFacts
+from flying_vines.doctor.network import BrokerFacts
 from flying_vines.doctor.ports import PortFacts
 from flying_vines.doctor.processes import Process
 from flying_vines.doctor.radio_test import RadioLearned, Sign, TransmitterLoss
@@ -167,9 +168,8 @@ def of_broker(**facts: object) -> list[DoctorFinding]:
     return [network.check_broker(replace(BrokerFacts("broker:1883"), **facts))]  # type: ignore[arg-type]
 
 
-def of_page(service_runs: bool = False, **facts: object) -> list[DoctorFinding]:
-    looked = replace(PageFacts("127.0.0.1:8017"), **facts)  # type: ignore[arg-type]
-    return [network.check_page(looked, service_runs)]
+def of_page(address: str = "127.0.0.1:8017", **facts: Any) -> list[DoctorFinding]:
+    return [network.check_page(address, **facts)]
 
 
 SIGNED = changed("vehicle", signing_key="key")

@@ -7,13 +7,13 @@ import contextlib
 from collections.abc import AsyncIterator
 from typing import Any
 
+from waiting import until
+
 from flying_vines.gateway import mqtt
 from flying_vines.gateway.feed import Feed
 from flying_vines.gateway.messages import Answered, FromGateway, Request, Trouble
 
 from ..gateway_inputs import happened, notice, seen, start
-
-MAX_WAIT_S = 10.0
 
 
 class Vehicle:
@@ -48,10 +48,7 @@ class Vehicle:
             await asyncio.sleep(0.1)
 
     async def in_trouble(self, text: str) -> None:
-        deadline = self.t + MAX_WAIT_S
-        while not any(text in trouble for trouble in self.troubles):
-            assert self.t < deadline, f"'{text}' is not in {self.troubles}"
-            await asyncio.sleep(0.01)
+        await until(lambda: any(text in trouble for trouble in self.troubles), text)
 
 
 @contextlib.asynccontextmanager
