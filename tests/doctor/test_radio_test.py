@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 import msgspec
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from doctor.radio_worlds import run_on
 from flying_vines.config import config
+from flying_vines.config.config import Config
 from flying_vines.doctor import radio
 from flying_vines.doctor.finding import may_fly
 from flying_vines.doctor.radio_test import (
@@ -22,9 +23,12 @@ from flying_vines.doctor.radio_test import (
     TransmitterLoss,
     failsafe_of,
 )
-from flying_vines.vehicle.mavlink.codec import MavlinkMessage
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
+from flying_vines.vehicle.mavlink.tlog import TlogReader
 from flying_vines.vehicle.radio.rc import RC_BIT
 
+RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
+TICK_S = 0.05
 CONFIG = config.default()
 TWO = msgspec.structs.replace(
     CONFIG, switch=msgspec.structs.replace(CONFIG.switch, positions=("straight", "bend-full"))
@@ -34,11 +38,46 @@ PX4_LATEST_S = 1.4
 """Measured on real autopilots: longest time until the RC status shows a loss."""
 
 
+def recorded(name: str, from_s: float, until_s: float) -> Iterator[tuple[float, MavlinkMessage]]:
+    """The autopilot's messages between two times, with a disarmed vehicle."""
+    codec, began = MavlinkCodec(99, 191), None
+    for unix_s, frame in TlogReader(RECORDINGS / f"{name}.tlog").frames():
+        began = unix_s if began is None else began
+        t = unix_s - began
+        for message in codec.decode(frame):
+            if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1 or not from_s <= t <= until_s:
+                continue
+            if message.get_type() == "HEARTBEAT":
+                message.base_mode &= ~mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+            yield t, message
+
+
+def run_on(
+    name: str,
+    from_s: float,
+    until_s: float,
+    presses: Sequence[float] = (),
+    target: int = 0,
+    conf: Config = CONFIG,
+) -> RadioTest:
+    """Run the test on a part of a recording. It begins with the switch in position `target`."""
+    test, waiting, now = RadioTest(conf), sorted(presses), from_s
+    test.target = target
+    for t, message in recorded(name, from_s, until_s):
+        while now + TICK_S < t:
+            now += TICK_S
+            while waiting and waiting[0] <= now:
+                test.press(waiting.pop(0))
+            test.advance(now)
+        test.take(t, message)
+    return test
+
+
 def kinds(loss: TransmitterLoss) -> list[str]:
     return [sign.kind for sign in loss.signs if sign.kind != "mode"]
 
 
-# Real recordings.
+# Real recordings. A person presses Enter at given times.
 
 
 def test_px4_with_a_crsf_receiver_that_holds() -> None:
