@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from flying_vines.cli.common import add_option, bad_input, fail, file_errors, read_mission, rig_file_prior
+from flying_vines.cli.common import add_option, fail, file_errors, read_mission, rig_file_prior
 from flying_vines.config import config as configuration
 
 if TYPE_CHECKING:
@@ -141,12 +141,8 @@ def _replay_flight(recording: Path, config: Path | None, as_json: bool) -> int:
     from flying_vines.simulation.replay import replay_flight
 
     instead = configuration.load(config) if config else None
-    try:
-        log = FlightLog(recording)
-        with refuses_foreign(log):
-            replay = replay_flight(log, instead)
-    except LogError as error:
-        return bad_input(str(error))
+    with file_errors(recording, LogError), refuses_foreign(log := FlightLog(recording)):
+        replay = replay_flight(log, instead)
     _show_replay(replay, as_json)
     if replay.damage:
         print(f"flying-vines: {replay.damage}", file=sys.stderr)

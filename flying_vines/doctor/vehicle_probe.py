@@ -159,7 +159,6 @@ class VehicleProbe:
         self._found_at: float | None = None
         self._longest_silence_s = 0.0
         self._rates: dict[str, _Rate] = {}
-        self._messages = 0
         self._senders: Counter[tuple[int, int]] = Counter()
         self._signs = self._answers = False
         self._seen: set[int] = set()
@@ -169,7 +168,6 @@ class VehicleProbe:
 
     def take(self, t: float, unix_s: float, message: MavlinkMessage) -> None:
         """Take in a message of any sender; `unix_s` is the time of this computer's clock."""
-        self._messages += 1
         sender = message.get_srcSystem(), message.get_srcComponent()
         self._senders[sender] += 1
         if self._state.is_ours(message):
@@ -280,7 +278,7 @@ class VehicleProbe:
         autopilot = state.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1
         heartbeat = self._rates.get("HEARTBEAT")
         return VehicleFacts(
-            messages=self._messages,
+            messages=self._senders.total(),
             others=tuple(sorted(sender for sender in self._senders if sender != autopilot)),
             rivals=self._rivals,
             system_id=state.system_id,
