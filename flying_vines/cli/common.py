@@ -152,7 +152,5 @@ def read_mission(path: Path | None) -> Sequence[MissionItem]:
         return ()
     from missions.waypoints import WaypointsError, read_waypoints
 
-    try:
+    with file_errors(path, WaypointsError):
         return read_waypoints(path)
-    except WaypointsError as error:
-        fail(str(error))
