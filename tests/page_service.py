@@ -21,14 +21,12 @@ from flying_vines.simulation.autopilot import FakeAutopilot
 class Served:
     """The service as a process, with a page."""
 
-    def __init__(self, bench: Bench, folder: Path, host: str, bench_mode: bool) -> None:
+    def __init__(self, bench: Bench, folder: Path, host: str) -> None:
         self.bench = bench
         self.port = free_port()
         self.url = f"http://127.0.0.1:{self.port}/"
         self.config_file = folder / "vine.toml"
-        text = bench.configuration
-        if not bench_mode:
-            text = text.replace("bench_mode = true", "bench_mode = false")
+        text = bench.configuration.replace("bench_mode = true", "bench_mode = false")
         text = text.replace('host = "127.0.0.1"', f'host = "{host}"')
         self.config_file.write_text(re.sub(r"^port = 0", f"port = {self.port}", text, flags=re.MULTILINE))
         self.output = folder / "output.txt"
@@ -72,9 +70,9 @@ class Served:
 
 
 @contextlib.asynccontextmanager
-async def serving(folder: Path, host: str = "127.0.0.1", bench_mode: bool = False) -> AsyncIterator[Served]:
+async def serving(folder: Path, host: str = "127.0.0.1") -> AsyncIterator[Served]:
     async with on_bench(FakeAutopilot("ardupilot")) as bench:
-        served = Served(bench, folder, host, bench_mode)
+        served = Served(bench, folder, host)
         await served.start()
         try:
             yield served

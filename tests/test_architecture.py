@@ -19,9 +19,9 @@ LEVELS = (
     ("record", "gateway", "missions"),
     ("terminal",),
     ("service", "install"),
-    ("simulation",),
+    ("simulation", "doctor"),
     ("identification",),
-    ("calibration", "doctor", "studies"),
+    ("calibration", "studies"),
     ("cli", "api"),
 )
 """The rooms, the lowest first. A room may import those of lower levels."""

@@ -29,7 +29,7 @@ from flying_vines.config.config import Config, ConfigError, TriggerConfig
 from flying_vines.config.plugins import PluginError
 from flying_vines.core.core import Core
 from flying_vines.core.events import Action, InternalError, VehicleMessage
-from flying_vines.doctor.checks import vehicle
+from flying_vines.doctor import vehicle
 from flying_vines.doctor.vehicle_probe import VehicleProbe
 from flying_vines.service.service import Service, line_to
 from flying_vines.simulation.autopilot import AutopilotKind, FakeAutopilot

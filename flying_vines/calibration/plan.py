@@ -209,7 +209,7 @@ def _check(request: CalibrationRequest) -> None:
     if "vessel" in request.only and request.vessel_L is None:
         raise ValueError("the stage 'vessel' needs the vessel's volume (--vessel-L)")
     if "empty" in request.only and not request.bottle_empty:
-        raise ValueError("the stage 'empty' needs an empty, open bottle (--bottle-empty)")
+        raise ValueError("the stage 'empty' needs an empty, open bottle (--reservoir-empty)")
     if "angle" in request.only and request.angles is None and not request.asks_angles:
         raise ValueError("the stage 'angle' needs a person who answers, or earlier pairs (--angles)")
 

@@ -8,8 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from flying_vines.cli.bad_input import bad_input
-from flying_vines.cli.common import FLIGHTS, add_cause_option, file_errors, needs_analysis, phlosar_only
+from flying_vines.cli.common import FLIGHTS, add_option, bad_input, file_errors, needs_analysis, phlosar_only
 from flying_vines.config import config as configuration
 
 NOT_DONE = 1
@@ -21,7 +20,7 @@ LIKELY = Path()
 def add(commands: Any) -> None:
     """Add `calibrate` to the parsers of the command line."""
     parser = commands.add_parser("calibrate", help="measure a rig's volumes, valves, leaks and bend curve")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="the configuration of the rig")
+    add_option(parser, "--config", help="the configuration of the rig")
     parser.add_argument(
         "--fake",
         type=Path,
@@ -30,30 +29,23 @@ def add(commands: Any) -> None:
         metavar="RIG.toml",
         help="a simulated rig instead, in simulated time (default: a likely vine)",
     )
-    add_cause_option(parser)
-    parser.add_argument(
-        "--out", type=Path, default=FLIGHTS, metavar="DIR", help=f"folder for the log ({FLIGHTS})"
-    )
+    add_option(parser, "--cause")
+    add_option(parser, "--out", default=FLIGHTS, help=f"folder for the log ({FLIGHTS})")
     parser.add_argument("--only", type=_names, default=(), metavar="STAGE,…", help="only these stages")
-    parser.add_argument("--yes", action="store_true", help="ask nothing; then no angles are measured")
+    add_option(parser, "--yes", help="ask nothing; then no angles are measured")
     parser.add_argument(
-        "--bottle-empty",
+        "--reservoir-empty",
         action="store_true",
-        help="the bottle is empty and open: first measure its sensor's zero",
+        help="the reservoir is empty and open: first measure its sensor's zero",
     )
     parser.add_argument(
-        "--bottle-volume-L",
-        type=float,
-        dest="bottle_volume_L",
-        metavar="L",
-        help="volume of the bottle, as weighed with water",
+        "--reservoir-volume-L", type=float, metavar="L", help="volume of the reservoir, as weighed with water"
     )
     parser.add_argument(
         "--vessel-L",
         type=float,
-        dest="vessel_L",
         metavar="L",
-        help="volume of a rigid vessel that first takes the vine's place, to measure the bottle",
+        help="volume of a rigid vessel that first takes the vine's place, to measure the reservoir",
     )
     parser.add_argument(
         "--angles", type=Path, metavar="PAIRS.csv", help="angles measured before, in the format of `vine fit`"
@@ -116,8 +108,8 @@ def _run(arguments: argparse.Namespace) -> int:
         raise CalibrateError("no terminal to ask whether the vine may bend: give --yes")
     request = CalibrationRequest(
         only=arguments.only,
-        bottle_empty=arguments.bottle_empty,
-        bottle_volume_L=arguments.bottle_volume_L,
+        bottle_empty=arguments.reservoir_empty,
+        bottle_volume_L=arguments.reservoir_volume_L,
         vessel_L=arguments.vessel_L,
         angles=_pairs(arguments.angles) if arguments.angles else None,
         asks_angles=interactive or fake,

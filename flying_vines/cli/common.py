@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from flying_vines.cli.bad_input import bad_input
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
 from flying_vines.files.extras import lacks
@@ -21,24 +20,47 @@ if TYPE_CHECKING:
 
     from flying_vines.supply.rig_file_prior import RigFilePrior
 
+BAD_INPUT = 2
 FLIGHTS = Path("flights")
 
+_OPTIONS: dict[str, dict[str, Any]] = {
+    "--config": {"type": Path, "metavar": "FILE", "help": "the configuration (default: the built-in one)"},
+    "--rig": {"type": Path, "metavar": "RIG.toml", "help": "the rig (default: the configuration's)"},
+    "--cause": {
+        "type": Path,
+        "action": "append",
+        "default": [],
+        "metavar": "FILE.py",
+        "help": "a file with your own causes; may be repeated",
+    },
+    "--mission": {"type": Path, "metavar": "FILE.waypoints"},
+    "--reservoir-kPa": {"type": float, "metavar": "P"},
+    "--seconds": {"type": float, "metavar": "N"},
+    "--out": {"type": Path, "metavar": "DIR"},
+    "--plain": {"action": "store_true", "help": "print lines instead of the live view"},
+    "--yes": {"action": "store_true"},
+    "--json": {"action": "store_true", "help": "print one JSON object instead"},
+}
+"""Options of several commands."""
+FLIGHT_LOGS: dict[str, Any] = {"default": FLIGHTS, "help": f"the folder for flight logs ({FLIGHTS})"}
+"""For `--out`."""
 
-def fail(sentence: str) -> NoReturn:
-    sys.exit(bad_input(sentence))
+
+def add_option(parser: argparse.ArgumentParser, *names: str, **own: Any) -> None:
+    """Add an option that several commands have. `own`: what is different in this command."""
+    parser.add_argument(*names, **{**_OPTIONS[names[-1]], **own})
 
 
-def add_cause_option(parser: argparse.ArgumentParser) -> None:
-    """Add `--cause` to a command that reads rig files."""
-    parser.add_argument(
-        "--cause",
-        type=Path,
-        action="append",
-        default=[],
-        dest="causes",
-        metavar="FILE.py",
-        help="a file with your own causes; may be repeated",
-    )
+def bad_input(sentences: str) -> int:
+    """Print each sentence as a line on standard error; returns the exit status."""
+    sys.stdout.flush()
+    for sentence in sentences.splitlines():
+        print(f"flying-vines: {sentence}", file=sys.stderr)
+    return BAD_INPUT
+
+
+def fail(sentences: str) -> NoReturn:
+    sys.exit(bad_input(sentences))
 
 
 def add_own_causes(paths: Sequence[Path]) -> None:
@@ -130,7 +152,5 @@ def read_mission(path: Path | None) -> Sequence[MissionItem]:
         return ()
     from missions.waypoints import WaypointsError, read_waypoints
 
-    try:
+    with file_errors(path, WaypointsError):
         return read_waypoints(path)
-    except WaypointsError as error:
-        fail(str(error))

@@ -1,4 +1,4 @@
-"""`flying-vines config`: writes or checks a configuration."""
+"""`flying-vines config`: writes or checks a configuration. `buttons`: QGroundControl's buttons from it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from flying_vines.cli.common import add_cause_option, fail
+from flying_vines.cli.common import add_option, fail, file_errors
 from flying_vines.config import config as configuration
 
 
@@ -23,7 +23,7 @@ def add(commands: Any) -> None:
     init.set_defaults(run=_config_init)
     check = actions.add_parser("check", help="show the errors of a configuration file")
     check.add_argument("file", type=Path, metavar="FILE", help="the configuration file")
-    add_cause_option(check)
+    add_option(check, "--cause")
     check.set_defaults(run=_config_check)
 
 
@@ -57,4 +57,23 @@ def _config_check(arguments: argparse.Namespace) -> int:
         print(f"{known.path}: good. {known.summary[0].upper()}{known.summary[1:]}.")
     for note in read.notes:
         print(note)
+    return 0
+
+
+def add_buttons(commands: Any) -> None:
+    """Add `buttons` to the parsers of the command line."""
+    buttons = commands.add_parser("buttons", help="write QGroundControl's buttons for the vine")
+    add_option(buttons, "--config")
+    file = Path("FlyingVines.json")
+    add_option(buttons, "--out", default=file, metavar="FILE.json", help=f"the new file ({file})")
+    buttons.set_defaults(run=_buttons)
+
+
+def _buttons(arguments: argparse.Namespace) -> int:
+    from missions.buttons import write_buttons
+
+    config = configuration.load_or_default(arguments.config)
+    with file_errors(arguments.out):
+        write_buttons(config, arguments.out)
+    print(f"{arguments.out}: put it in QGroundControl's MavlinkActions; choose it in the Fly View settings")
     return 0

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flying_vines.cli.bad_input import BAD_INPUT
 from flying_vines.cli.common import (
-    add_cause_option,
+    BAD_INPUT,
+    add_option,
     fail,
     file_errors,
     needs_analysis,
@@ -21,7 +22,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
-_PLAN_OPTIONS = ("minutes", "air_SL", "most_kPa")
+_PLAN_OPTIONS = ("minutes", "air_SL")
+_SINGLE_OPTIONS = ("from_log", "write_rig", "out", "cause")
+_NOT_FOR_PLANS = ("from_log", "rig", "scheduler", "write_rig")
 
 
 def add(commands: Any) -> None:
@@ -37,9 +40,7 @@ def add(commands: Any) -> None:
     diagnose.add_argument(
         "--from-log", type=Path, metavar="LOG", help="a flight log, its folder, or flights/last"
     )
-    diagnose.add_argument(
-        "--rig", type=Path, metavar="RIG.toml", help="the nominal rig (default: the case's own)"
-    )
+    add_option(diagnose, "--rig", help="the nominal rig (default: the case's own)")
     diagnose.add_argument(
         "--scheduler", metavar="ADDRESS", help="a Dask scheduler: its workers do the diagnosis"
     )
@@ -47,31 +48,18 @@ def add(commands: Any) -> None:
     diagnose.add_argument("--plan", action="store_true", help="CASE is a rig.toml: plan which runs to record")
     diagnose.add_argument("--minutes", type=float, metavar="M", help="with --plan: recording time (3)")
     diagnose.add_argument(
-        "--air-SL",
-        type=float,
-        metavar="N",
-        dest="air_SL",
-        help="with --plan: air, standard litres (one full bottle)",
+        "--air-SL", type=float, metavar="N", help="with --plan: air, standard litres (one full reservoir)"
     )
-    diagnose.add_argument(
-        "--most-kPa",
-        type=float,
-        metavar="P",
-        dest="most_kPa",
-        help="with --plan: peak pressure, gauge (20.7)",
-    )
-    diagnose.add_argument("--out", type=Path, metavar="DIR", help="write the report or the plan there")
-    diagnose.add_argument("--json", action="store_true", help="print one JSON object instead")
-    add_cause_option(diagnose)
+    add_option(diagnose, "--out", help="write the report or the plan there")
+    add_option(diagnose, "--json")
+    add_option(diagnose, "--cause")
     diagnose.set_defaults(run=_diagnose)
 
 
 def _diagnose(arguments: argparse.Namespace) -> int:
     if arguments.plan:
         return _plan(arguments)
-    for option in _PLAN_OPTIONS:
-        if getattr(arguments, option) is not None:
-            fail(f"--{option.replace('_', '-')} needs --plan")
+    _refuse(arguments, _PLAN_OPTIONS, "needs --plan")
     if len(arguments.case) + (arguments.from_log is not None) != 1 or arguments.scheduler:
         return _diagnose_all(arguments)
     with needs_analysis():
@@ -111,10 +99,15 @@ def _diagnose(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _refuse(arguments: argparse.Namespace, options: Sequence[str], why: str) -> None:
+    """Fail if one of these options is given."""
+    for option in options:
+        if getattr(arguments, option) not in (None, []):
+            fail(f"--{option.replace('_', '-')} {why}")
+
+
 def _plan(arguments: argparse.Namespace) -> int:
-    for option in ("from_log", "rig", "scheduler", "write_rig"):
-        if getattr(arguments, option) is not None:
-            fail(f"--{option.replace('_', '-')} cannot be used with --plan")
+    _refuse(arguments, _NOT_FOR_PLANS, "cannot be used with --plan")
     if len(arguments.case) != 1:
         fail("--plan needs one CASE: the rig.toml of the assumed rig")
     with needs_analysis():
@@ -144,11 +137,7 @@ def _plan(arguments: argparse.Namespace) -> int:
 
 
 def _diagnose_all(arguments: argparse.Namespace) -> int:
-    for option in ("from_log", "write_rig", "out"):
-        if getattr(arguments, option) is not None:
-            fail(f"--{option.replace('_', '-')} needs exactly one case and no --scheduler")
-    if arguments.causes:
-        fail("--cause needs exactly one case and no --scheduler")
+    _refuse(arguments, _SINGLE_OPTIONS, "needs exactly one case and no --scheduler")
     if not arguments.case:
         fail("diagnose needs a CASE, or a flight log: --from-log LOG")
     with needs_analysis():

@@ -6,10 +6,9 @@ import argparse
 import asyncio
 import json
 from contextlib import AsyncExitStack
-from pathlib import Path
 from typing import Any
 
-from flying_vines.cli.common import FLIGHTS
+from flying_vines.cli.common import FLIGHT_LOGS, add_option
 
 MAY_NOT_FLY = 1
 SECONDS = 6.0
@@ -20,29 +19,21 @@ MIN_SECONDS = 5.0
 def add(commands: Any) -> None:
     """Add `doctor` to the parsers of the command line."""
     doctor = commands.add_parser("doctor", help="check whether you may fly; show problems and remedies")
-    doctor.add_argument(
-        "--config", type=Path, metavar="FILE", help="the configuration (default: the built-in one)"
+    add_option(doctor, "--config")
+    add_option(
+        doctor, "--seconds", type=number_of_seconds, default=SECONDS, help=f"listening time ({SECONDS:g})"
     )
-    doctor.add_argument(
-        "--seconds",
-        type=number_of_seconds,
-        default=SECONDS,
-        metavar="N",
-        help=f"listening time ({SECONDS:g})",
-    )
-    doctor.add_argument(
-        "--out", type=Path, default=FLIGHTS, metavar="DIR", help=f"the folder for flight logs ({FLIGHTS})"
-    )
+    add_option(doctor, "--out", **FLIGHT_LOGS)
     doctor.add_argument(
         "--radio", action="store_true", help="guided test instead: is a lost transmitter detected?"
     )
-    doctor.add_argument(
+    add_option(
+        doctor,
         "--yes",
-        action="store_true",
         help="no questions: do not ask to move the RC switch; with --radio, write the configuration",
     )
     doctor.add_argument("--fakes", action="store_true", help="check a simulated vehicle and phloSAR instead")
-    doctor.add_argument("--json", action="store_true", help="print one JSON object instead")
+    add_option(doctor, "--json")
     doctor.set_defaults(run=run)
 
 
@@ -66,24 +57,24 @@ async def _run(arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
     from flying_vines.config import config as configuration
+    from flying_vines.doctor.configuration import given, read
     from flying_vines.doctor.examine import examine
-    from flying_vines.doctor.finding import may_fly
-    from flying_vines.doctor.look import configuration as look
-    from flying_vines.doctor.show import as_json, asking, last_line, show
+    from flying_vines.doctor.finding import as_json, last_line, may_fly, show, summary
+    from flying_vines.doctor.radio import asking
     from flying_vines.doctor.vehicle_probe import SwitchFacts
     from flying_vines.service.starting import check_plugins
 
     async with AsyncExitStack() as stack:
         if arguments.fakes:
-            from flying_vines.doctor.fakes import healthy
+            from flying_vines.cli.doctor_fakes import healthy
 
             base = configuration.load_or_default(arguments.config)
             config = await stack.enter_async_context(healthy(base))
-            examined = look.given(config, "the configuration with simulated links")
+            examined = given(config, "the configuration with simulated links")
         elif arguments.config:
-            examined = look.read(arguments.config)
+            examined = read(arguments.config)
         else:
-            examined = look.given(configuration.default(), "the built-in configuration")
+            examined = given(configuration.default(), "the built-in configuration")
         check_plugins(examined.config, arguments.config)
         if arguments.json:
             found = await examine(examined, arguments.out, arguments.seconds, lambda findings: None)
@@ -103,5 +94,5 @@ async def _run(arguments: argparse.Namespace) -> int:
                 lambda findings: show(findings, console),
                 ask if console.is_terminal and not (arguments.yes or arguments.fakes) else None,
             )
-    console.print(last_line(found))
+    console.print(last_line(found, summary(found)))
     return 0 if may_fly(found) else MAY_NOT_FLY

@@ -16,24 +16,22 @@ import msgspec
 from rich.console import Console
 from rich.text import Text
 
-from flying_vines.cli.bad_input import bad_input
+from flying_vines.cli.common import bad_input
+from flying_vines.cli.doctor_fakes import FakeHand, between
 from flying_vines.config import config as configuration
 from flying_vines.config import on_disk
 from flying_vines.config.address import parse_address
 from flying_vines.config.config import ConfigError, ReceiverFailsafe
 from flying_vines.config.toml_edit import value_text, with_value
-from flying_vines.doctor.checks import receiver
+from flying_vines.doctor import processes, radio
+from flying_vines.doctor.configuration import ServiceConfiguration, given, read
 from flying_vines.doctor.examine import keep_signing, link_to
-from flying_vines.doctor.fakes import between
-from flying_vines.doctor.finding import DoctorFinding, may_fly
-from flying_vines.doctor.look import configuration as look
-from flying_vines.doctor.look import processes
-from flying_vines.doctor.look.configuration import ServiceConfiguration
+from flying_vines.doctor.finding import DoctorFinding, last_line, may_fly, show
 from flying_vines.doctor.radio_guide import NobodyThereError, guided
 from flying_vines.doctor.radio_test import RadioLearned
-from flying_vines.doctor.show import show
 from flying_vines.simulation.autopilot import FakeAutopilot
 
+FAKE = "The simulated vehicle moves its own transmitter, to show the test."
 NOT_SAFE = 1
 SAFE = "The vine is safe with this receiver."
 UNSAFE = "The vine is not safe with this receiver."
@@ -44,7 +42,7 @@ KEY = "receiver_failsafe"
 def test_radio(arguments: argparse.Namespace) -> int:
     """Returns 0 if the vine is safe with this receiver, 1 if not or unknown, 2 for bad input."""
     path: Path | None = arguments.config
-    examined = look.read(path) if path else look.given(configuration.default(), "the built-in configuration")
+    examined = read(path) if path else given(configuration.default(), "the built-in configuration")
     # With --json, standard output has only the JSON object.
     console = Console(markup=False, highlight=False, stderr=arguments.json)
     ports: list[DoctorFinding] = []
@@ -59,12 +57,12 @@ def test_radio(arguments: argparse.Namespace) -> int:
         findings = [finding for finding in ports if finding.verdict == "bad"]
         learned = RadioLearned(problem="no autopilot")
     else:
-        findings = receiver.check(learned, examined.config)
+        findings = radio.check_radio_test(learned, examined.config)
     console.print(Text())
     show(findings, console)
-    console.print(_last_line(findings, learned))
+    console.print(last_line(findings, _summary(findings, learned)))
     try:
-        learned_failsafe = receiver.to_write(learned, examined.config)
+        learned_failsafe = radio.to_write(learned, examined.config)
         written = _keep(learned_failsafe, arguments, console)
     except OSError as error:
         return bad_input(f"{path}: {error.strerror}")
@@ -81,7 +79,8 @@ async def _test(
     if fakes:
         autopilot = FakeAutopilot("ardupilot", unix_s=time.time())
         async with between(config, autopilot, None) as linked:
-            return await guided(parse_address(linked.vehicle.link), linked, None, console, autopilot)
+            link, hand = parse_address(linked.vehicle.link), FakeHand(autopilot, linked)
+            return await guided(link, linked, None, console, FAKE, hand.act)
     address = link_to("vehicle", config.vehicle.link, ports.extend, processes.services(), [])
     if address is None:
         return None
@@ -133,11 +132,6 @@ def _summary(findings: Sequence[DoctorFinding], learned: RadioLearned) -> str:
     if learned.problem:
         return "" if learned.problem == "ground station" else NOT_KNOWN
     return SAFE if may_fly(findings) else UNSAFE
-
-
-def _last_line(findings: Sequence[DoctorFinding], learned: RadioLearned) -> Text:
-    style = "bold green" if may_fly(findings) else "bold red"
-    return Text(f"\n{_summary(findings, learned)}" if _summary(findings, learned) else "", style=style)
 
 
 def _keep(failsafe: ReceiverFailsafe | None, arguments: argparse.Namespace, console: Console) -> Path | None:

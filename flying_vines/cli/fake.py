@@ -10,7 +10,7 @@ from pathlib import Path
 from time import time
 from typing import Any
 
-from flying_vines.cli.common import add_cause_option, fail, read_mission
+from flying_vines.cli.common import add_option, fail, read_mission
 
 
 def add(commands: Any) -> None:
@@ -29,7 +29,7 @@ def add(commands: Any) -> None:
         "--to", default=companion, metavar="HOST:PORT", help=f"the companion's address ({companion})"
     )
     autopilot.add_argument("--gcs", metavar="HOST:PORT", help="also send to a ground station")
-    autopilot.add_argument("--mission", type=Path, metavar="FILE.waypoints", help="the stored mission")
+    add_option(autopilot, "--mission", help="the stored mission")
     autopilot.add_argument(
         "--fly", action="store_true", help="after 3 s, fly the mission, or take off if there is none"
     )
@@ -43,26 +43,16 @@ def add(commands: Any) -> None:
     autopilot.set_defaults(run=_fake_autopilot)
     phlosar = fakes.add_parser("phlosar", help="simulate a phloSAR on a pseudo-terminal; prints its path")
     phlosar.add_argument("--link", type=Path, metavar="PATH", help="make this symbolic link to the port")
-    phlosar.add_argument(
-        "--reservoir-kPa",
-        type=float,
-        default=690.0,
-        dest="reservoir_kPa",
-        metavar="P",
-        help="bottle pressure, gauge (690)",
-    )
-    phlosar.add_argument(
-        "--rig", type=Path, metavar="RIG.toml", help="the simulated rig (default: a typical vine)"
-    )
+    add_option(phlosar, "--reservoir-kPa", default=690.0, help="reservoir pressure, gauge (690)")
+    add_option(phlosar, "--rig", help="the simulated rig (default: a typical vine)")
     phlosar.add_argument(
         "--telemetry-Hz",
         type=int,
         default=100,
-        dest="telemetry_Hz",
         metavar="N",
         help="telemetry rate; use 1000 for a diagnosis (100)",
     )
-    add_cause_option(phlosar)
+    add_option(phlosar, "--cause")
     phlosar.set_defaults(run=_fake_phlosar)
 
 

@@ -24,7 +24,7 @@ def add(commands: Any) -> None:
     what = "meaning of column N, e.g. 3=cv_pressure:psi; may be repeated"
     command.add_argument("--column", metavar="N=MEANING[:UNIT]", help=what, **again)
     what = "litres of the measured vessel, or of a named one (cv=, reservoir=); may be repeated"
-    command.add_argument("--volume-L", dest="volume_L", metavar="[VESSEL=]L", help=what, **again)
+    command.add_argument("--volume-L", metavar="[VESSEL=]L", help=what, **again)
     command.set_defaults(run=_import)
 
 

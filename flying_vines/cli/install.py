@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from firmware_link.find import UsbBoard
-from flying_vines.cli.bad_input import bad_input
+from flying_vines.cli.common import add_option, file_errors
 from flying_vines.config import config as configuration
 from flying_vines.install import files
 from flying_vines.install.changes import (
@@ -60,13 +60,8 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--remove", action="store_true", help="uninstall; flights and a changed configuration stay"
     )
-    parser.add_argument("--yes", action="store_true", help="do not ask")
-    parser.add_argument(
-        "--config",
-        type=Path,
-        metavar="FILE",
-        help=f"the configuration, used in place (default: {files.CONFIGURATION})",
-    )
+    add_option(parser, "--yes", help="do not ask")
+    add_option(parser, "--config", help=f"the configuration, used in place (default: {files.CONFIGURATION})")
     parser.add_argument(
         "--user",
         default=files.USER,
@@ -88,16 +83,12 @@ def add(commands: Any) -> None:
 
 def _run(arguments: argparse.Namespace) -> int:
     root: Path = arguments.root
-    try:
+    with file_errors(root, InstallError, ValueError):
         if root == THIS_MACHINE and os.geteuid() != 0:
             again = shlex.join(("sudo", *InstalledProgram.here().command, "install-service"))
             raise InstallError(f"only root may install a service: {again}")
         plan = _removal(root) if arguments.remove else _installation(arguments)
         return _carry_out(plan, root, arguments.yes)
-    except (InstallError, ValueError) as error:
-        return bad_input(str(error))
-    except OSError as error:
-        return bad_input(f"{error.filename or root}: {error.strerror}")
 
 
 def _installation(arguments: argparse.Namespace) -> InstallPlan:

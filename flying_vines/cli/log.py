@@ -9,8 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flying_vines.cli.bad_input import bad_input
-from flying_vines.cli.common import FLIGHTS, file_errors, needs_analysis
+from flying_vines.cli.common import FLIGHTS, add_option, bad_input, file_errors, needs_analysis
 
 if TYPE_CHECKING:
     from flying_vines.record.reader import FlightLog
@@ -27,27 +26,19 @@ def add(commands: Any) -> None:
     listing.add_argument(
         "folder", type=Path, nargs="?", default=FLIGHTS, metavar="DIR", help="folder of the flights (flights)"
     )
-    listing.add_argument("--json", action="store_true", help="print a JSON array instead")
+    add_option(listing, "--json", help="print a JSON array instead")
     listing.set_defaults(run=_list)
 
     show = _add_action(actions, "show", _show, "print decisions, notices and a summary")
-    show.add_argument("--json", action="store_true", help="print one JSON object instead")
+    add_option(show, "--json")
     plot = _add_action(actions, "plot", _plot, "draw the flight: .png, .pdf or .svg")
-    plot.add_argument(
-        "-o", "--out", type=Path, metavar="FILE", help="the picture (flight.png in the flight's folder)"
-    )
+    add_option(plot, "-o", "--out", metavar="FILE", help="the picture (flight.png in the flight's folder)")
     plot.add_argument("--title", metavar="TEXT", help="the picture's title (date and time of the flight)")
     export = _add_action(actions, "export", _export, "write tables for other programs")
-    kinds = export.add_mutually_exclusive_group()
-    kinds.add_argument("--csv", action="store_true", help="one CSV file per topic (the default)")
-    kinds.add_argument("--viewers", action="store_true", help="for Foxglove and PlotJuggler, with layouts")
-    export.add_argument(
-        "-o", "--out", type=Path, metavar="DIR", help="new folder (csv or viewers in the flight's folder)"
-    )
+    export.add_argument("--csv", action="store_true", help="one CSV file per topic (the default)")
+    add_option(export, "-o", "--out", help="new folder (csv in the flight's folder)")
     bundle = _add_action(actions, "bundle", _bundle, "pack the flight into a zip file for a bug report")
-    bundle.add_argument(
-        "-o", "--out", type=Path, metavar="FILE.zip", help="the new file (here, named after the flight)"
-    )
+    add_option(bundle, "-o", "--out", metavar="FILE.zip", help="the new file (here, named after the flight)")
 
 
 def _add_action(
@@ -132,14 +123,9 @@ def _plot(log: FlightLog, arguments: argparse.Namespace) -> int:
 
 def _export(log: FlightLog, arguments: argparse.Namespace) -> int:
     from flying_vines.record.export import export_csv
-    from flying_vines.record.viewers import export_for_viewers
 
-    folder: Path = arguments.out or log.folder / ("viewers" if arguments.viewers else "csv")
+    folder: Path = arguments.out or log.folder / "csv"
     folder.mkdir(parents=True, exist_ok=True)
-    if arguments.viewers:
-        names = [path.name for path in export_for_viewers(log, folder)]
-        print(f"Wrote {', '.join(names)} into {folder}")
-        return 0
     paths = export_csv(log, folder)
     print(f"Wrote {len(paths)} tables into {folder}")
     return 0

@@ -1,12 +1,11 @@
-"""Flights on the terminal: the table of flights, one flight's events, and a replay's comparison."""
+"""Flights on the terminal: the table of flights, and one flight's events."""
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any
 
 import msgspec
@@ -14,22 +13,14 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from flying_vines.core.events import (
-    Decision,
-    InternalError,
-    KeepDisarmed,
-    KeepParameters,
-    LinkChanged,
-)
+from flying_vines.core.events import Decision, InternalError, KeepDisarmed, KeepParameters, LinkChanged
 from flying_vines.files.bounded import read_bytes
 from flying_vines.record.flight_metadata import ABOUT
 from flying_vines.record.reader import FlightLog, LogEntry, Summary, restored, summarise
 from flying_vines.record.topics import topic_of
-from flying_vines.simulation.replay import FlightReplay, as_json
-from flying_vines.terminal.screen import decision_table, event_line
+from flying_vines.terminal.screen import event_line
 from flying_vines.vehicle.notice import Notice
 
-MAX_DIFFERENCES = 10
 _DECISION, _NOTICE, _LINK = topic_of(Decision), topic_of(Notice), topic_of(LinkChanged)
 _PARAMETERS, _DISARMED = topic_of(KeepParameters), topic_of(KeepDisarmed)
 _ERROR = topic_of(InternalError)
@@ -91,24 +82,6 @@ def show_events(log: FlightLog, console: Console) -> None:
 def events_as_json(log: FlightLog) -> dict[str, object]:
     events = [{"topic": entry.topic, **entry.fields} for entry in log.entries(SHOWN_TOPICS)]
     return {**summary_as_json(summarise(log)), "about": _about(log), "story": events}
-
-
-def show_replay(replay: FlightReplay, json_wanted: bool, console: Console) -> None:
-    """The replay's decisions, and its differences from the flight."""
-    if json_wanted:
-        decisions = [as_json(decision) for decision in replay.decisions]
-        print(
-            json.dumps({"decisions": decisions, "same": replay.compared, "differences": replay.differences})
-        )
-        return
-    console.print(decision_table([replace(d, t=d.t - replay.began) for d in replay.decisions]))
-    for difference in replay.differences[:MAX_DIFFERENCES]:
-        console.print(difference, style="red", highlight=False, soft_wrap=True)
-    same = ", ".join(f"{count} {topic}" for topic, count in sorted(replay.compared.items()))
-    if replay.differences:
-        console.print(f"{len(replay.differences)} answers differ from the flight's; identical: {same}")
-    else:
-        console.print(f"Identical to the flight: {same}", highlight=False)
 
 
 def _lines(entry: LogEntry, began: float) -> Iterator[Text]:

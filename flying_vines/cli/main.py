@@ -133,13 +133,13 @@ def _run(argv: Sequence[str] | None) -> int:
     arguments = _parser().parse_args(argv)
 
     from flying_vines.cli.common import add_own_causes, fail
-    from flying_vines.cli.watch import WatchError
+    from flying_vines.cli.run import WatchError
     from flying_vines.config.config import ConfigError
     from flying_vines.config.plugins import PluginError
     from flying_vines.simulation.phlosar import FirmwareBuildError
 
     try:
-        add_own_causes(getattr(arguments, "causes", ()))
+        add_own_causes(getattr(arguments, "cause", ()))
         status: int = arguments.run(arguments)
     except (ConfigError, PluginError, FirmwareBuildError, WatchError) as error:
         fail(str(error))
@@ -147,7 +147,7 @@ def _run(argv: Sequence[str] | None) -> int:
 
 
 def _file_error(error: OSError) -> int:
-    from flying_vines.cli.bad_input import bad_input
+    from flying_vines.cli.common import bad_input
 
     where = "" if error.filename is None else f"{os.fsdecode(error.filename)}: "
     return bad_input(f"{where}{error.strerror or error}")
@@ -158,25 +158,19 @@ def _parser() -> argparse.ArgumentParser:
     import re
 
     from flying_vines.cli import (
-        buttons,
         calibrate,
         config,
-        demo,
-        design,
         diagnose,
         doctor,
         fake,
         import_,
         install,
+        lab,
         link,
         log,
         mission,
-        paper,
         replay,
         run,
-        simulate,
-        vine,
-        watch,
     )
     from flying_vines.files.toml_text import one_line
 
@@ -202,9 +196,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     # In the order of the help page.
-    for command in (
-        *(demo, run, replay, buttons, config, paper, simulate, import_, diagnose, design, vine),
-        *(doctor, calibrate, mission, log, watch, install, link, fake),
+    for add in (
+        *(run.add_demo, run.add, replay.add, config.add_buttons, config.add, lab.add_paper, lab.add_simulate),
+        *(import_.add, diagnose.add, lab.add_design, lab.add_vine, doctor.add, calibrate.add, mission.add),
+        *(log.add, run.add_watch, install.add, link.add, fake.add),
     ):
-        command.add(commands)
+        add(commands)
     return parser

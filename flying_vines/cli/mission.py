@@ -11,8 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from flying_vines.cli.bad_input import BAD_INPUT, bad_input
-from flying_vines.cli.common import add_cause_option, rig_file_prior
+from flying_vines.cli.common import BAD_INPUT, add_option, bad_input, fail, file_errors, rig_file_prior
 from flying_vines.config.address import FORMS
 
 if TYPE_CHECKING:
@@ -39,9 +38,7 @@ def add(commands: Any) -> None:
 
     build = actions.add_parser("build", help="make a .plan and a .waypoints for one autopilot from a text")
     build.add_argument("mission", type=Path, metavar="MISSION.toml", help="the mission as text")
-    build.add_argument(
-        "--out", type=Path, metavar="PATH", help="a folder, or one file (default: the mission's folder)"
-    )
+    add_option(build, "--out", metavar="PATH", help="a folder, or one file (default: the mission's folder)")
     _common(build)
     build.set_defaults(run=_build)
 
@@ -55,28 +52,24 @@ def add(commands: Any) -> None:
     upload.add_argument("mission", type=Path, metavar="FILE", help="a .plan or .waypoints")
     _vehicle(upload, _upload)
     watch = actions.add_parser("watch", help="follow the flown mission to its end")
-    watch.add_argument("--plain", action="store_true", help="print lines instead of the live view")
+    add_option(watch, "--plain")
     _vehicle(watch, _watch)
     download = actions.add_parser("download", help="read the mission from the vehicle")
     download.add_argument("mission", type=Path, metavar="FILE", help="a .plan or .waypoints to write")
     _vehicle(download, _download)
     example = actions.add_parser("example", help="write an example mission as text")
     example.add_argument("name", choices=EXAMPLES, metavar="NAME", help=" or ".join(EXAMPLES))
-    example.add_argument("--out", type=Path, metavar="FILE.toml", help="the file (NAME.toml)")
+    add_option(example, "--out", metavar="FILE.toml", help="the file (NAME.toml)")
     example.set_defaults(run=_example)
     script = actions.add_parser("script", help="write the Lua script that sends vine items on ArduPilot")
-    script.add_argument(
-        "--out", type=Path, default=Path(SCRIPT), metavar="FILE.lua", help=f"the file ({SCRIPT})"
-    )
+    add_option(script, "--out", default=Path(SCRIPT), metavar="FILE.lua", help=f"the file ({SCRIPT})")
     script.set_defaults(run=_script)
 
 
 def _common(parser: argparse.ArgumentParser) -> None:
     # Before Python 3.14, argparse takes a place in the south or west ("-35.36,149.16,584") for an option.
     parser._negative_number_matcher = _NEGATIVE
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="the configuration (default: the built-in one)"
-    )
+    add_option(parser, "--config")
     parser.add_argument("--autopilot", choices=("ardupilot", "px4"), help="(default: the mission's own)")
     parser.add_argument(
         "--home",
@@ -84,16 +77,15 @@ def _common(parser: argparse.ArgumentParser) -> None:
         metavar="LAT,LON,ALT",
         help="degrees, and metres above sea level; replaces the file's home",
     )
-    parser.add_argument(
+    add_option(
+        parser,
         "--reservoir-kPa",
         type=_pressure,
-        dest="reservoir_kPa",
-        metavar="P",
-        help="bottle pressure at the start, gauge (default: full)",
+        help="reservoir pressure at the start, gauge (default: full)",
     )
-    parser.add_argument("--rig", type=Path, metavar="RIG.toml", help="the rig (default: the configuration's)")
-    add_cause_option(parser)
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead")
+    add_option(parser, "--rig")
+    add_option(parser, "--cause")
+    add_option(parser, "--json")
 
 
 def _vehicle(parser: argparse.ArgumentParser, run: Callable[[argparse.Namespace], int]) -> None:
@@ -127,31 +119,24 @@ def _download(arguments: argparse.Namespace) -> int:
 def _example(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out or Path(f"{arguments.name}.toml")
     # A pilot edits the file: a second call must not overwrite it.
-    if not _write_shipped("examples", f"{arguments.name}.toml", out, "xb"):
-        return BAD_INPUT
+    _write_shipped("examples", f"{arguments.name}.toml", out, "xb")
     print(f"{out}: build it with `flying-vines mission build {out}`")
     return 0
 
 
 def _script(arguments: argparse.Namespace) -> int:
-    if not _write_shipped("ardupilot", SCRIPT, arguments.out):
-        return BAD_INPUT
+    _write_shipped("ardupilot", SCRIPT, arguments.out)
     print(
         f"{arguments.out}: copy it to APM/scripts on the autopilot's SD card; set SCR_ENABLE 1, then reboot"
     )
     return 0
 
 
-def _write_shipped(folder: str, name: str, out: Path, mode: Literal["wb", "xb"] = "wb") -> bool:
-    """Write a file that comes with the program; "xb" keeps an existing file. True if it was written."""
+def _write_shipped(folder: str, name: str, out: Path, mode: Literal["wb", "xb"] = "wb") -> None:
+    """Write a file that comes with the program; "xb" keeps an existing file, and fails."""
     shipped = resources.files("missions").joinpath(folder, name)
-    try:
-        with out.open(mode) as file:
-            file.write(shipped.read_bytes())
-    except OSError as error:
-        _fail(f"{out}: {error.strerror}")
-        return False
-    return True
+    with file_errors(out), out.open(mode) as file:
+        file.write(shipped.read_bytes())
 
 
 def _on_vehicle(work: Coroutine[None, None, int]) -> int:
@@ -161,7 +146,7 @@ def _on_vehicle(work: Coroutine[None, None, int]) -> int:
     try:
         return asyncio.run(work)
     except (VehicleLinkError, MissionError) as error:
-        return _fail(str(error))
+        return bad_input(str(error))
 
 
 def _console() -> Console:
@@ -199,15 +184,12 @@ def _build(arguments: argparse.Namespace) -> int:
 
     path: Path = arguments.mission
     if path.suffix.casefold() in (".plan", ".waypoints"):
-        return _fail(f"{path}: is already a built mission; check it with `flying-vines mission check`")
-    try:
+        fail(f"{path}: is already a built mission; check it with `flying-vines mission check`")
+    with file_errors(arguments.out, MissionError):
         report = _report(arguments)
-    except MissionError as error:
-        return _fail(str(error))
-    if report.errors:
-        return _tell(report, arguments.json, [])
-    written: list[Path] = []
-    try:
+        if report.errors:
+            return _tell(report, arguments.json, [])
+        written: list[Path] = []
         for target in _targets(arguments.out or path.parent, path.stem, report.kind):
             target.parent.mkdir(parents=True, exist_ok=True)
             if target.suffix.casefold() == ".plan":
@@ -215,8 +197,6 @@ def _build(arguments: argparse.Namespace) -> int:
             else:
                 write_waypoints(target, report.items)
             written.append(target)
-    except OSError as error:
-        return _fail(f"{error.filename or arguments.out}: {error.strerror}")
     return _tell(report, arguments.json, written)
 
 
@@ -229,10 +209,8 @@ def _targets(out: Path, stem: str, kind: AutopilotKind) -> list[Path]:
 def _check(arguments: argparse.Namespace) -> int:
     from missions.mission import MissionError
 
-    try:
+    with file_errors(arguments.mission, MissionError):
         report = _report(arguments, flies=arguments.fly)
-    except MissionError as error:
-        return _fail(str(error))
     status = _tell(report, arguments.json, [])
     return status or (NOT_AS_PLANNED if report.differences else 0)
 
@@ -295,10 +273,4 @@ def _tell(report: Report, as_json_wanted: bool, written: list[Path]) -> int:
     show(report, console)
     for path in written:
         console.print(f"Written  {path}", soft_wrap=True)
-    return _fail("\n".join(finding.text for finding in report.errors)) if report.errors else 0
-
-
-def _fail(sentences: str) -> int:
-    for sentence in sentences.splitlines():
-        bad_input(sentence)
-    return BAD_INPUT
+    return bad_input("\n".join(finding.text for finding in report.errors)) if report.errors else 0

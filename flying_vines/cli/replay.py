@@ -6,20 +6,22 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from flying_vines.cli.bad_input import bad_input
-from flying_vines.cli.common import add_cause_option, fail, file_errors, read_mission, rig_file_prior
+from flying_vines.cli.common import add_option, fail, file_errors, read_mission, rig_file_prior
 from flying_vines.config import config as configuration
 
 if TYPE_CHECKING:
     from flying_vines.config.config import Config
     from flying_vines.core.events import Action
+    from flying_vines.simulation.replay import FlightReplay
 
 DIFFERENT = 1
+MAX_DIFFERENCES = 10
 
 
 def add(commands: Any) -> None:
@@ -31,12 +33,8 @@ def add(commands: Any) -> None:
         metavar="FILE",
         help="a .tlog; or a flight: its folder, its .mcap, or DIR/last",
     )
-    replay.add_argument(
-        "--config", type=Path, metavar="FILE", help="the configuration (default: the built-in one)"
-    )
-    replay.add_argument(
-        "--mission", type=Path, metavar="FILE.waypoints", help="the mission, if the recording has none"
-    )
+    add_option(replay, "--config")
+    add_option(replay, "--mission", help="the mission, if the recording has none")
     replay.add_argument(
         "--parameters", type=Path, metavar="FILE.toml", help="the parameters that a pilot had set"
     )
@@ -49,8 +47,8 @@ def add(commands: Any) -> None:
     replay.add_argument(
         "--pace", type=float, default=0.0, metavar="N", help="1: as recorded; 0: as fast as possible (0)"
     )
-    add_cause_option(replay)
-    replay.add_argument("--json", action="store_true", help="print a JSON array instead")
+    add_option(replay, "--cause")
+    add_option(replay, "--json", help="print a JSON array instead")
     replay.set_defaults(run=_replay)
 
 
@@ -139,23 +137,40 @@ def _for_vehicle(
 
 def _replay_flight(recording: Path, config: Path | None, as_json: bool) -> int:
     """Replay a flight log. Exit status 1 if the core's answers differ from the flight's."""
-    from rich.console import Console
-
-    from flying_vines.cli.log_tables import show_replay
     from flying_vines.record.reader import FlightLog, LogError, refuses_foreign
     from flying_vines.simulation.replay import replay_flight
 
     instead = configuration.load(config) if config else None
-    try:
-        log = FlightLog(recording)
-        with refuses_foreign(log):
-            replay = replay_flight(log, instead)
-    except LogError as error:
-        return bad_input(str(error))
-    show_replay(replay, as_json, Console(markup=False))
+    with file_errors(recording, LogError), refuses_foreign(log := FlightLog(recording)):
+        replay = replay_flight(log, instead)
+    _show_replay(replay, as_json)
     if replay.damage:
         print(f"flying-vines: {replay.damage}", file=sys.stderr)
     return DIFFERENT if replay.differences else 0
+
+
+def _show_replay(replay: FlightReplay, json_wanted: bool) -> None:
+    """The replay's decisions, and its differences from the flight."""
+    from rich.console import Console
+
+    from flying_vines.simulation.replay import as_json
+    from flying_vines.terminal.screen import decision_table
+
+    if json_wanted:
+        decisions = [as_json(decision) for decision in replay.decisions]
+        print(
+            json.dumps({"decisions": decisions, "same": replay.compared, "differences": replay.differences})
+        )
+        return
+    console = Console(markup=False)
+    console.print(decision_table([replace(d, t=d.t - replay.began) for d in replay.decisions]))
+    for difference in replay.differences[:MAX_DIFFERENCES]:
+        console.print(difference, style="red", highlight=False, soft_wrap=True)
+    same = ", ".join(f"{count} {topic}" for topic, count in sorted(replay.compared.items()))
+    if replay.differences:
+        console.print(f"{len(replay.differences)} answers differ from the flight's; identical: {same}")
+    else:
+        console.print(f"Identical to the flight: {same}", highlight=False)
 
 
 def _action_printer(live: bool) -> Callable[[Action], None]:

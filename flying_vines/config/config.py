@@ -313,11 +313,7 @@ class MqttConfig(_Table, frozen=True):
     ca_file: str = ""
     certificate_file: str = ""
     key_file: str = ""
-    client_id: str = ""
-    keepalive_s: Annotated[int, Meta(ge=5, le=3600)] = 30
-    kept_events: Annotated[int, Meta(ge=1, le=100_000)] = 1000
     commands: tuple[CommandName, ...] = ()
-    asked_within_s: Annotated[float, Meta(ge=0.5, le=60)] = 5.0
     discovery_prefix: str = ""
 
 
@@ -432,6 +428,10 @@ OLD_SETTINGS: dict[Key, str] = {
         "losses",
         "on_autopilot_loss",
     ): "the loss of the autopilot always vents the vine, because the altitude is lost, too",
+    ("mqtt", "client_id"): "it is PREFIX-NAME, of mqtt.prefix and mqtt.name",
+    ("mqtt", "keepalive_s"): "it is always 30 s",
+    ("mqtt", "kept_events"): "1000 events are always stored",
+    ("mqtt", "asked_within_s"): "it is always 5 s",
 }
 """Settings of earlier versions, which are ignored, and why."""
 
@@ -581,7 +581,7 @@ def _broker_contradictions(mqtt: MqttConfig) -> list[tuple[str, str]]:
             tls = parse_broker(mqtt.broker).tls
         except ValueError as error:
             found.append(("broker", str(error)))
-    for key in ("prefix", "discovery_prefix", "name", "client_id"):
+    for key in ("prefix", "discovery_prefix", "name"):
         value = getattr(mqtt, key)
         levels = value.split("/") if "prefix" in key else [value]
         if value and not all(_TOPIC_LEVEL.fullmatch(level) for level in levels):

@@ -8,32 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from flying_vines.config.address import Address, NetworkAddress, parse_address
-from flying_vines.config.config import Config
-from flying_vines.doctor.checks import clock as clocks
-from flying_vines.doctor.checks import (
-    configuration,
-    disk,
-    firmware,
-    machine,
-    mission,
-    network,
-    port,
-    radio,
-    service,
-)
-from flying_vines.doctor.checks import vehicle as vehicles
-from flying_vines.doctor.checks.network import PageFacts
-from flying_vines.doctor.checks.port import Which
-from flying_vines.doctor.checks.service import Process
+from flying_vines.config.config import PageConfig
+from flying_vines.doctor import computer, configuration, firmware, network, ports, processes, radio, vehicle
+from flying_vines.doctor.configuration import ServiceConfiguration
 from flying_vines.doctor.finding import DoctorFinding
-from flying_vines.doctor.firmware_probe import FirmwareProbe
-from flying_vines.doctor.look import broker, ports, processes
-from flying_vines.doctor.look import disk as folders
-from flying_vines.doctor.look import machine as computer
-from flying_vines.doctor.look.clock import Clock, lateness_s, when
-from flying_vines.doctor.look.configuration import ServiceConfiguration
-from flying_vines.doctor.vehicle_probe import SwitchFacts
-from flying_vines.doctor.vehicle_watch import TICK_S, VehicleWatch
+from flying_vines.doctor.processes import Process
+from flying_vines.doctor.vehicle_probe import TICK_S, SwitchFacts, VehicleWatch
 from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampFile
 
 MOVING_S = 20.0
@@ -66,64 +46,63 @@ async def examine(
         found.extend(findings)
         report(findings)
 
-    config, clock = examined.config, Clock()
-    add(configuration.check(examined.facts))
-    add(machine.check(computer.facts()))
-    add(_disks(examined, logs))
+    config, clock = examined.config, computer.Clock()
+    add(configuration.check(examined))
+    add(computer.check_machine(computer.machine_facts()))
+    folders = [computer.disk_facts("flight logs", logs, config.log.least_free_MB)]
+    if examined.state is not None:
+        folders.append(computer.disk_facts("state", examined.state.parameters.parent))
+    add([*map(computer.check_disk, folders)])
     running, holders = processes.services(), list[Process]()
-    phlosar = link_to("phloSAR", config.firmware.link, add, running, holders)
-    vehicle = link_to("vehicle", config.vehicle.link, add, running, holders)
-    add([_service(running, holders)])
-    add([await asyncio.to_thread(_page, config, bool(running))])
-    add([network.check_broker(await broker.facts(config.mqtt))])
+    board_link = link_to("phloSAR", config.firmware.link, add, running, holders)
+    vehicle_link = link_to("vehicle", config.vehicle.link, add, running, holders)
+    holding = {process.pid for process in holders}
+    uses = [each for each in running if each.pid in holding or processes.hides_files(each)]
+    add([processes.check_service(running, uses)])
+    add([await asyncio.to_thread(_page, config.page, bool(running))])
+    add([network.check_broker(await network.broker_facts(config.mqtt))])
 
     own = config.firmware.is_phlosar  # a device that is no phloSAR gets no bytes from us
     board = None
-    if phlosar is not None and own:
-        board = FirmwareProbe(phlosar, examined.prior, config.limits.max_kPa, examined.learned)
-    watch = None if vehicle is None else VehicleWatch(vehicle, config, examined.signing)
+    if board_link is not None and own:
+        board = firmware.FirmwareProbe(board_link, examined.prior, config.limits.max_kPa, examined.learned)
+    watch = None if vehicle_link is None else VehicleWatch(vehicle_link, config, examined.signing)
     over, asked = asyncio.Event(), False
     async with asyncio.TaskGroup() as tasks:
         for probe in (board, watch):
             if probe is not None:
                 tasks.create_task(probe.run(over.is_set))
-        late_s = await lateness_s(seconds) if board or watch else 0.0
+        late_s = await computer.lateness_s(seconds) if board or watch else 0.0
         if board or watch:
-            add([machine.load(late_s, config.losses.telemetry_s)])
+            add([computer.check_load(late_s, config.losses.telemetry_s)])
         add(firmware.check(board.facts if board else None, config, examined.board_settings, late_s))
         facts = watch.facts if watch else None
-        add(vehicles.check(facts, config, seconds, running, late_s))
+        add(vehicle.check(facts, config, seconds, running, late_s))
         autopilot = facts if facts and facts.found else None
         switch = autopilot.radio if autopilot else None
-        if watch and ask and switch and switch.problem is None and vehicles.uses_switch(config):
+        if watch and ask and switch and switch.problem is None and vehicle.uses_switch(config):
             asked = True
             switch = await _move_switch(watch, len(config.switch.positions), ask)
         over.set()
-    add([radio.check(switch, config, asked)])
-    add(mission.check(autopilot.mission if autopilot else None, autopilot is not None, config))
+    add([radio.check_switch(switch, config, asked)])
+    add(vehicle.check_mission(autopilot.mission if autopilot else None, autopilot is not None, config))
     times = clock.facts(autopilot.ahead_s if autopilot else None, examined.signing is not None)
-    add(clocks.check(times, when(times.unix_s)))
+    add(computer.check_clock(times))
     if autopilot:
-        add([clocks.against_vehicle(times)])
+        add([computer.check_clock_against_vehicle(times)])
     keep_signing(examined)
     return found
 
 
-def _disks(examined: ServiceConfiguration, logs: Path) -> list[DoctorFinding]:
-    found = [disk.check(folders.facts("flight logs", logs, examined.config.log.least_free_MB))]
-    if examined.state is not None:
-        found.append(disk.check(folders.facts("state", examined.state.parameters.parent, 0.0)))
-    return found
-
-
-def _page(config: Config, service_runs: bool) -> DoctorFinding:
-    host, number = config.page.host, config.page.port
-    facts = PageFacts(f"{host}:{number}", *ports.tcp_port(host, number)) if number else PageFacts("")
-    return network.check_page(facts, service_runs)
+def _page(page: PageConfig, service_runs: bool) -> DoctorFinding:
+    if not page.port:
+        return network.check_page("")
+    problem, held_by = ports.tcp_port(page.host, page.port)
+    return network.check_page(f"{page.host}:{page.port}", problem, held_by, service_runs)
 
 
 def link_to(
-    which: Which, where: str, add: Report, running: Sequence[Process], holders: list[Process]
+    which: ports.Which, where: str, add: Report, running: Sequence[Process], holders: list[Process]
 ) -> Address | None:
     """Checks a link's port. Returns its address, or None if it cannot be opened.
 
@@ -138,19 +117,14 @@ def link_to(
     if isinstance(address, NetworkAddress):
         listens = address.kind == "udpin"
         held_by = ports.udp_port(address) if listens else None
-        add([port.check_network(which, where, listens, held_by, served(held_by or ()))])
+        add([ports.check_network(which, where, listens, held_by, served(held_by or ()))])
         holders += held_by or ()
         return address if held_by is None else None
     facts = ports.serial_port(which, where, address)
     facts = replace(facts, served=served(facts.held_by))
-    add(port.check(facts))
+    add(ports.check(facts))
     holders += facts.held_by
     return address if facts.may_open and not facts.missing and not facts.held_by else None
-
-
-def _service(running: Sequence[Process], holders: Sequence[Process]) -> DoctorFinding:
-    holding = {process.pid for process in holders}
-    return service.check(running, [p for p in running if p.pid in holding or processes.hides_files(p)])
 
 
 async def _move_switch(watch: VehicleWatch, positions: int, ask: RadioQuestion) -> SwitchFacts:

@@ -1,4 +1,4 @@
-"""Runs the radio test on a link and guides a person, or a simulated one, through its steps."""
+"""Runs the radio test on a link and guides a person through its steps."""
 
 from __future__ import annotations
 
@@ -17,18 +17,19 @@ from rich.text import Text
 from flying_vines.config.address import Address
 from flying_vines.config.config import Config
 from flying_vines.doctor.radio_test import LOSSES, RadioLearned, RadioStep, RadioTest, Sign, TransmitterLoss
-from flying_vines.doctor.vehicle_probe import VehicleProbe
-from flying_vines.doctor.vehicle_watch import TICK_S, VehicleWatch
-from flying_vines.simulation.autopilot import FakeAutopilot
+from flying_vines.doctor.vehicle_probe import TICK_S, VehicleProbe, VehicleWatch
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mavlink.signing import Signing
 
-BEGIN = "Take the props off. Disconnect the vine or shut the bottle. The test moves nothing. Ctrl-C ends it."
-FAKE = "The simulated vehicle moves its own transmitter, to show the test."
+BEGIN = (
+    "Take the props off. Disconnect the vine or shut the reservoir. The test moves nothing. Ctrl-C ends it."
+)
 STEPS = 1 + 2 * LOSSES
 MARK_WIDTH = 4
-FAKE_HAND_S = 0.5
-"""Delay of the simulated person after each prompt."""
+
+
+Hand = Callable[[RadioTest, float], None]
+"""Acts in place of a person: gets the test and the present time, again and again."""
 
 
 class NobodyThereError(Exception):
@@ -46,42 +47,6 @@ class RadioProbe(VehicleProbe):
         super().take(t, unix_s, message)
         if self._state.is_ours(message):
             self.test.take(t, message)
-
-    def due(self, t: float) -> list[MavlinkMessage]:
-        asked = self.test.requests(t, self._state.system_id) if self._state.found else []
-        return [*super().due(t), *asked]
-
-
-class FakeHand:
-    """Simulates the person: moves the simulated transmitter as the prompts say."""
-
-    def __init__(self, autopilot: FakeAutopilot, test: RadioTest, channel: int, positions: int) -> None:
-        self._autopilot, self._test = autopilot, test
-        self._channel, self._positions = channel, positions
-        self._done: tuple[int, RadioStep] | None = None
-        self._since_s = 0.0
-        self._seen: tuple[int, RadioStep] | None = None
-
-    def act(self, t: float) -> None:
-        now = self._test.round, self._test.step
-        if now != self._seen:
-            self._seen, self._since_s = now, t
-        if now == self._done or t - self._since_s < FAKE_HAND_S:
-            return
-        self._done = now
-        match self._test.step:
-            case "ready":
-                self._move()
-            case "off":
-                self._test.press(t)
-                self._autopilot.lose_rc("frozen")
-            case "on":
-                self._move()
-                self._autopilot.return_rc()
-
-    def _move(self) -> None:
-        pulse_us = 1000 + round(1000 * self._test.target / (self._positions - 1))
-        self._autopilot.set_rc(self._channel, pulse_us)
 
 
 class Guide:
@@ -198,17 +163,19 @@ async def guided(
     config: Config,
     signing: Signing | None,
     console: Console,
-    autopilot: FakeAutopilot | None = None,
+    begin: str = BEGIN,
+    hand: Hand | None = None,
 ) -> RadioLearned:
-    """Runs the whole test. `autopilot`: the simulated one, or None. Raises `NobodyThereError`."""
+    """Runs the whole test. `begin`: its first line. `hand`: acts in place of a person.
+
+    Raises `NobodyThereError`.
+    """
     probe = RadioProbe(config)
     test = probe.test
     watch = VehicleWatch(address, config, signing, probe)
     guide = Guide(test, config, console)
-    count = len(config.switch.positions)
-    hand = None if autopilot is None else FakeHand(autopilot, test, config.switch.channel, count)
     nobody, over = asyncio.Event(), asyncio.Event()
-    console.print(Text(BEGIN if hand is None else FAKE, style="yellow"), soft_wrap=not console.is_terminal)
+    console.print(Text(begin, style="yellow"), soft_wrap=not console.is_terminal)
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(watch.run(over.is_set))
         with _live(console) as live, _enters(lambda: test.press(watch.t), nobody.set, hand is None):
@@ -216,7 +183,7 @@ async def guided(
                 test.advance(watch.t)
                 live(guide.follow(watch.t))
                 if hand is not None:
-                    hand.act(watch.t)
+                    hand(test, watch.t)
                 elif nobody.is_set() and test.step == "off":
                     break
                 await asyncio.sleep(TICK_S)

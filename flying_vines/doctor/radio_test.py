@@ -227,10 +227,6 @@ class RadioTest:
             jumped = self._jump_at is not None
             self._begin_loss(t if self._jump_at is None else self._jump_at, pressed=not jumped)
 
-    def requests(self, t: float, system_id: int) -> list[MavlinkMessage]:
-        """Requests for the autopilot's parameters."""
-        return self._parameters.requests(t, system_id, self._radio.autopilot)
-
     def advance(self, t: float) -> None:
         """Advance the test to time `t`."""
         if self._began_at is None:

@@ -6,19 +6,24 @@ the service will receive the same messages. It answers no request and obeys no c
 
 from __future__ import annotations
 
+import asyncio
+import time
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from flying_vines.config.address import Address
 from flying_vines.config.config import Config
 from flying_vines.core.core import LISTEN_FIRST_S
+from flying_vines.service.host_clock import synchronised
 from flying_vines.vehicle.component.duplicate_id import DuplicateIdDetector
 from flying_vines.vehicle.component.telemetry import Heartbeat
 from flying_vines.vehicle.component.transmit_queue import TransmitQueue
-from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mavlink.signing import RefusedFrames
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
+from flying_vines.vehicle.mavlink.link import buffered_frames, open_link, unread_from
+from flying_vines.vehicle.mavlink.signing import RefusedFrames, Signing
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.mission_cache import MissionCache
 from flying_vines.vehicle.own_triggers import messages_of, own_triggers
@@ -33,6 +38,7 @@ SETTLE_S = 1.5
 ENOUGH = 4
 """Minimum number of messages for a rate."""
 VERSION_AGAIN_S = 1.0
+TICK_S = 0.02
 _SIGNED = 1
 """Incompatibility flag of a signed MAVLink 2 frame."""
 
@@ -159,7 +165,6 @@ class VehicleProbe:
         self._found_at: float | None = None
         self._longest_silence_s = 0.0
         self._rates: dict[str, _Rate] = {}
-        self._messages = 0
         self._senders: Counter[tuple[int, int]] = Counter()
         self._signs = self._answers = False
         self._seen: set[int] = set()
@@ -169,7 +174,6 @@ class VehicleProbe:
 
     def take(self, t: float, unix_s: float, message: MavlinkMessage) -> None:
         """Take in a message of any sender; `unix_s` is the time of this computer's clock."""
-        self._messages += 1
         sender = message.get_srcSystem(), message.get_srcComponent()
         self._senders[sender] += 1
         if self._state.is_ours(message):
@@ -281,7 +285,7 @@ class VehicleProbe:
         autopilot = state.system_id, mavlink.MAV_COMP_ID_AUTOPILOT1
         heartbeat = self._rates.get("HEARTBEAT")
         return VehicleFacts(
-            messages=self._messages,
+            messages=self._senders.total(),
             others=tuple(sorted(sender for sender in self._senders if sender != autopilot)),
             rivals=self._rivals,
             system_id=state.system_id,
@@ -305,3 +309,73 @@ class VehicleProbe:
         rate = self._rates.get(name)
         rate_Hz = rate.per_s(t, wanted.rate_Hz) if rate else 0.0
         return StreamFacts(name, wanted.rate_Hz, rate_Hz, wanted.essential, wanted.refused)
+
+
+class VehicleWatch:
+    """Listens and sends requests at `address` while `run` runs. Times are the event loop's."""
+
+    def __init__(
+        self,
+        address: Address,
+        config: Config,
+        signing: Signing | None = None,
+        probe: VehicleProbe | None = None,
+    ) -> None:
+        self.probe = probe or VehicleProbe(config)
+        self._down = "it was not opened"
+        self._signing = signing
+        self._synchronised = bool(synchronised())
+        self._codec = MavlinkCodec(config.vehicle.system_id, config.vehicle.component_id, signing)
+        self._received = 0
+        self._link = open_link(address, self._bytes, self._state, self._stranger)
+
+    @property
+    def t(self) -> float:
+        return asyncio.get_running_loop().time()
+
+    @property
+    def facts(self) -> VehicleFacts:
+        refused = self._signing.refused if self._signing else RefusedFrames()
+        return replace(
+            self.probe.facts(self.t),
+            down=self._down,
+            bytes=self._received,
+            refused=refused,
+            unread_from=unread_from(self._link),
+            echoes=self._codec.echoes,
+            buffered=buffered_frames(self._link),
+        )
+
+    async def run(self, over: Callable[[], bool]) -> None:
+        opening = asyncio.create_task(self._link.run())
+        try:
+            while not over() and not opening.done():
+                if self._signing is not None:
+                    self._signing.advance(time.time(), self.t, self._synchronised)
+                for message in self.probe.due(self.t):
+                    self._link.write(self._codec.encode(message, self.probe.system_id))
+                await asyncio.sleep(TICK_S)
+        finally:
+            opening.cancel()
+            await asyncio.wait([opening])
+        if not opening.cancelled():
+            opening.result()
+
+    def _bytes(self, data: bytes) -> None:
+        self._received += len(data)
+        self._take(self._codec.decode(data, self.t))
+
+    def _stranger(self, data: bytes, enter: Callable[[], None]) -> None:
+        self._received += len(data)
+        messages, proven = self._codec.decode_stranger(data, self.t)
+        if proven:
+            enter()
+        self._take(messages)
+
+    def _take(self, messages: Sequence[MavlinkMessage]) -> None:
+        now, unix_s = self.t, time.time()
+        for message in messages:
+            self.probe.take(now, unix_s, message)
+
+    def _state(self, up: bool, why: str) -> None:
+        self._down = "" if up else why

@@ -184,7 +184,7 @@ class Gateway(Watcher):
             self._vents.setdefault(message.by, []).append(message)
             if self._next_vents is None:
                 self._vent()
-        elif self._bucket.take(self._now):
+        elif self._bucket.take(asyncio.get_running_loop().time()):
             # Earlier vents come first.
             self._vent()
             decision = self._ask(message.by, message.intent, message.made_at, message.seen_at)
@@ -219,16 +219,10 @@ class Gateway(Watcher):
             return False
         try:
             self._socket.send(data)
-        except BlockingIOError:
-            return False
         except OSError:
-            # The process has ended; `_listen` handles that.
+            # The process does not read, or has ended; `_hangs` and `_listen` handle that.
             return False
         return True
-
-    @property
-    def _now(self) -> float:
-        return asyncio.get_running_loop().time()
 
 
 async def _last_line(stream: asyncio.StreamReader) -> str:

@@ -121,20 +121,9 @@ def raw(thing: Snapshot | Action) -> msgspec.Raw:
     return msgspec.Raw(msgspec.json.encode(thing))
 
 
-def packet(message: ToGateway | FromGateway) -> bytes:
-    """A message as bytes."""
-    return msgspec.json.encode(message)
-
-
-def read_to_gateway(packet: bytes) -> ToGateway:
-    """Raises `msgspec.DecodeError`."""
-    return _TO_GATEWAY.decode(packet)
-
-
-def read_from_gateway(packet: bytes) -> FromGateway:
-    """Raises `msgspec.DecodeError`."""
-    return _FROM_GATEWAY.decode(packet)
-
-
-_TO_GATEWAY: msgspec.json.Decoder[ToGateway] = msgspec.json.Decoder(ToGateway)
-_FROM_GATEWAY: msgspec.json.Decoder[FromGateway] = msgspec.json.Decoder(FromGateway)
+packet = msgspec.json.encode
+"""A message as bytes."""
+read_to_gateway: Callable[[bytes], ToGateway] = msgspec.json.Decoder(ToGateway).decode
+"""Raises `msgspec.DecodeError`."""
+read_from_gateway: Callable[[bytes], FromGateway] = msgspec.json.Decoder(FromGateway).decode
+"""Raises `msgspec.DecodeError`."""

@@ -138,13 +138,12 @@ def check_plugins(config: Config, config_file: Path | None = None) -> None:
 def _read_broker_files(mqtt: MqttConfig, named: Callable[..., AbstractContextManager[None]]) -> None:
     if not mqtt.broker:
         return
-    from flying_vines.gateway.mqtt import credentials
-    from flying_vines.gateway.mqtt.problems import FileError
+    from flying_vines.gateway.mqtt.broker import FileError, password, tls
 
     with named("mqtt.password_file", FileError):
-        credentials.password(mqtt)
+        password(mqtt)
     try:
-        credentials.tls(mqtt, parse_broker(mqtt.broker))
+        tls(mqtt, parse_broker(mqtt.broker))
     except FileError as error:
         files = ("ca_file", "key_file", "certificate_file")
         key = next(name for name in files if str(error).startswith(getattr(mqtt, name) or "\0"))

@@ -154,7 +154,7 @@ def test_bad_input_is_one_line_and_status_2(
 
 
 def test_an_impossible_volume_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    status, _, err = run(capsys, "calibrate", "--fake", "--bottle-volume-L", "-2")
+    status, _, err = run(capsys, "calibrate", "--fake", "--reservoir-volume-L", "-2")
     assert status == 2
     assert "litres" in err
 

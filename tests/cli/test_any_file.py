@@ -17,7 +17,7 @@ from recorded_flight import one_bend
 from flying_vines.config import config
 from flying_vines.files.bounded import decoded
 from flying_vines.gateway import page_token
-from flying_vines.gateway.mqtt.credentials import password
+from flying_vines.gateway.mqtt.broker import password
 from flying_vines.physics.plant.true_rig import TrueRig, true_rig_text
 from flying_vines.physics.rig import Rig
 from flying_vines.record.reader import FlightLog, flights_in

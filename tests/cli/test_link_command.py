@@ -36,7 +36,7 @@ from firmware_link.protocol import (
 )
 from firmware_link.statistics import Traffic
 from flying_vines.cli import link as link_command
-from flying_vines.cli.link_view import LinkView, as_json, line, verdict
+from flying_vines.cli.link import LinkView, as_json, line, verdict
 from flying_vines.config.address import SerialAddress
 from flying_vines.config.config import default_text
 from flying_vines.physics.plant.effects import Effects

@@ -578,6 +578,7 @@ def test_any_slip_in_the_built_in_configuration_parses_or_is_refused(at: int, le
         ("[log]\n", "[calibration]\nsteps = 6\nhold_s = 3\n[log]\n"),
         ("[telemetry]\n", "[telemetry]\nfuel_status = true\n"),
         ("[losses]\n", "[losses]\non_autopilot_loss = 'hold'\n"),
+        ("[mqtt]\n", "[mqtt]\nkept_events = 100\n"),
     ],
 )
 def test_settings_of_an_earlier_version_are_ignored_with_a_line(before: str, after: str) -> None:

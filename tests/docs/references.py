@@ -28,7 +28,7 @@ from flying_vines.cli.main import _parser
 from flying_vines.config import config
 from flying_vines.config.config import ITEM_COMMANDS, Config
 from flying_vines.config.toml_edit import value_text
-from flying_vines.doctor.checks.vehicle import USES
+from flying_vines.doctor.vehicle import USES
 from flying_vines.files.toml_text import lines_of_keys
 from flying_vines.vehicle.autopilots.ardupilot import STREAM_GROUPS
 from flying_vines.vehicle.component.parameter_table import SETTINGS, bounds, value_of

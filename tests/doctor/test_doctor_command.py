@@ -17,8 +17,8 @@ from service_bench import on_bench
 from waiting import until
 
 from flying_vines.config import config as configuration
-from flying_vines.doctor.finding import DoctorFinding
-from flying_vines.doctor.show import asking, last_line, show
+from flying_vines.doctor.finding import DoctorFinding, last_line, show, summary
+from flying_vines.doctor.radio import asking
 from flying_vines.doctor.vehicle_probe import SwitchFacts
 from flying_vines.simulation.autopilot import FakeAutopilot
 
@@ -35,7 +35,7 @@ FOUND = [
 def shown(*, terminal: bool) -> str:
     console = Console(file=io.StringIO(), force_terminal=terminal, width=80)
     show(FOUND, console)
-    console.print(last_line(FOUND))
+    console.print(last_line(FOUND, summary(FOUND)))
     assert isinstance(console.file, io.StringIO)
     return console.file.getvalue()
 

@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import msgspec
 import pytest
@@ -15,30 +16,14 @@ from doctor.known_lines import every_line, matches
 from firmware_link.protocol import PROTOCOL_VERSION, Fault, Setting, SettingsMemory, Units, Welcome
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
-from flying_vines.doctor.checks import (
-    clock,
-    disk,
-    firmware,
-    machine,
-    mission,
-    network,
-    port,
-    radio,
-    receiver,
-    service,
-    vehicle,
-)
-from flying_vines.doctor.checks import configuration as configuration_check
-from flying_vines.doctor.checks.clock import ClockFacts
-from flying_vines.doctor.checks.configuration import ConfigurationFacts
-from flying_vines.doctor.checks.disk import DiskFacts
-from flying_vines.doctor.checks.machine import MachineFacts
-from flying_vines.doctor.checks.network import BrokerFacts, PageFacts
-from flying_vines.doctor.checks.port import PortFacts
-from flying_vines.doctor.checks.service import Process
+from flying_vines.doctor import computer, firmware, network, ports, processes, radio, vehicle
+from flying_vines.doctor import configuration as configuration_check
+from flying_vines.doctor.computer import ClockFacts, DiskFacts, MachineFacts, lateness_s
 from flying_vines.doctor.finding import DoctorFinding, FindingText, may_fly, summary
-from flying_vines.doctor.firmware_probe import FirmwareFacts
-from flying_vines.doctor.look.clock import lateness_s
+from flying_vines.doctor.firmware import FirmwareFacts
+from flying_vines.doctor.network import BrokerFacts
+from flying_vines.doctor.ports import PortFacts
+from flying_vines.doctor.processes import Process
 from flying_vines.doctor.radio_test import RadioLearned, Sign, TransmitterLoss
 from flying_vines.doctor.vehicle_probe import StreamFacts, SwitchFacts, VehicleFacts
 from flying_vines.supply import CyclesLeft
@@ -46,7 +31,7 @@ from flying_vines.vehicle.mavlink.signing import RefusedFrames
 from flying_vines.vehicle.mission.item import MissionItem
 
 CONFIG = configuration.default()
-FACTS = ConfigurationFacts("vine.toml", CONFIG)
+FACTS = configuration_check.given(CONFIG, "vine.toml")
 MACHINE = MachineFacts("0.1.0", "3.11.2", "Linux 6.12", "aarch64", 900.0, 0, 55.0)
 DISK = DiskFacts("flight logs", "flights", free_MB=9000.0, least_free_MB=200.0, took_s=0.02)
 STATE = DiskFacts("state", "/var/lib/flying-vines", free_MB=9000.0, took_s=0.02)
@@ -115,7 +100,7 @@ def changed(table: str, **values: object) -> Config:
 
 
 def of_receiver(**learned: object) -> list[DoctorFinding]:
-    return receiver.check(replace(LEARNED, **learned), CONFIG)  # type: ignore[arg-type]
+    return radio.check_radio_test(replace(LEARNED, **learned), CONFIG)  # type: ignore[arg-type]
 
 
 def later(loss: TransmitterLoss, shown_s: float) -> TransmitterLoss:
@@ -128,20 +113,20 @@ def of_configuration(**facts: object) -> list[DoctorFinding]:
 
 
 def of_machine(**facts: object) -> list[DoctorFinding]:
-    return machine.check(replace(MACHINE, **facts))  # type: ignore[arg-type]
+    return computer.check_machine(replace(MACHINE, **facts))  # type: ignore[arg-type]
 
 
 def of_disk(facts: DiskFacts, **others: object) -> list[DoctorFinding]:
-    return [disk.check(replace(facts, **others))]  # type: ignore[arg-type]
+    return [computer.check_disk(replace(facts, **others))]  # type: ignore[arg-type]
 
 
 def of_clock(**facts: object) -> list[DoctorFinding]:
     looked = replace(NOW, **facts)  # type: ignore[arg-type]
-    return [*clock.check(looked, "2024-01-01 00:00:00"), clock.against_vehicle(looked)]
+    return [*computer.check_clock(looked), computer.check_clock_against_vehicle(looked)]
 
 
 def of_port(**facts: object) -> list[DoctorFinding]:
-    return port.check(replace(PORT, **facts))  # type: ignore[arg-type]
+    return ports.check(replace(PORT, **facts))  # type: ignore[arg-type]
 
 
 def with_memory(memory: SettingsMemory) -> FirmwareFacts:
@@ -168,7 +153,7 @@ def of_stream(
 
 
 def of_switch(asked: bool = False, config: Config = CONFIG, **facts: object) -> list[DoctorFinding]:
-    return [radio.check(replace(SWITCH, **facts), config, asked)]  # type: ignore[arg-type]
+    return [radio.check_switch(replace(SWITCH, **facts), config, asked)]  # type: ignore[arg-type]
 
 
 def of_mission(*commands: tuple[int, float, float]) -> list[DoctorFinding]:
@@ -176,25 +161,23 @@ def of_mission(*commands: tuple[int, float, float]) -> list[DoctorFinding]:
         seq: MissionItem(seq, command, (param1, param2, 0.0, 0.0, 0.0, 0.0, 0.0))
         for seq, (command, param1, param2) in enumerate(commands)
     }
-    return mission.check(items, True, CONFIG)
+    return vehicle.check_mission(items, True, CONFIG)
 
 
 def of_broker(**facts: object) -> list[DoctorFinding]:
     return [network.check_broker(replace(BrokerFacts("broker:1883"), **facts))]  # type: ignore[arg-type]
 
 
-def of_page(service_runs: bool = False, **facts: object) -> list[DoctorFinding]:
-    looked = replace(PageFacts("127.0.0.1:8017"), **facts)  # type: ignore[arg-type]
-    return [network.check_page(looked, service_runs)]
+def of_page(address: str = "127.0.0.1:8017", **facts: Any) -> list[DoctorFinding]:
+    return [network.check_page(address, **facts)]
 
 
 SIGNED = changed("vehicle", signing_key="key")
-PORTS = port.LINES["phloSAR"]
 HOME, WAYPOINT, SCRIPT = (16, 0.0, 0.0), (16, 0.0, 0.0), 217
 
 CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (configuration_check.GOOD, of_configuration()),
-    (configuration_check.RIG, of_configuration(rig="rig.toml", rig_summary="bottle 2 L")),
+    (configuration_check.RIG_READ, of_configuration(rig="rig.toml", rig_summary="bottle 2 L")),
     (configuration_check.BAD_RIG, of_configuration(rig="rig.toml", rig_problem="rig.toml:3: no such cause")),
     (configuration_check.KEY, of_configuration(signing_key="vine.key")),
     (
@@ -211,27 +194,27 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
         of_configuration(config=changed("vehicle", link="tcp:10.0.0.7:5760")),
     ),
     (configuration_check.NO_CLOCK, of_configuration(signing_clock_problem="stamp: damaged")),
-    (configuration_check.PARAMETERS, of_configuration(parameters={"FV_MAX_KPA": 15.0})),
+    (configuration_check.SET_BY_PILOT, of_configuration(parameters={"FV_MAX_KPA": 15.0})),
     (configuration_check.IGNORED, of_configuration(ignored=["p.toml:1: VINE_AP_ACTION: is ignored"])),
     (configuration_check.BAD_PARAMETERS, of_configuration(parameters_problem="p.toml:1: damaged")),
     (configuration_check.DISARMED, of_configuration(disarming="vine.disarmed")),
     (configuration_check.LATCHED, of_configuration(latched={"overpressure": "vine at 60.0 kPa, limit 50"})),
     (configuration_check.BENCH, of_configuration(config=changed("interlocks", bench_mode=True))),
-    (machine.GOOD, of_machine()),
-    (machine.NOT_LINUX, of_machine(system="Darwin 24")),
-    (machine.MEMORY, of_machine(free_MB=200.0)),
-    (machine.LITTLE_MEMORY, of_machine(free_MB=199.0)),
-    (machine.SUPPLY, of_machine()),
-    (machine.SUPPLY_NOW, of_machine(throttled=0x50005)),
-    (machine.SUPPLY_BEFORE, of_machine(throttled=0x50000)),
-    (machine.NO_SUPPLY, of_machine(throttled=None)),
-    (machine.COOL, of_machine(hottest_C=79.0)),
-    (machine.HOT, of_machine(hottest_C=80.0)),
-    (disk.GOOD, of_disk(DISK)),
-    (disk.NO_LOGS, of_disk(DISK, problem="Read-only file system")),
-    (disk.NO_STATE, of_disk(STATE, problem="Permission denied")),
-    (disk.FULL, of_disk(DISK, free_MB=199.0)),
-    (disk.SLOW, of_disk(DISK, took_s=0.51)),
+    (computer.LINUX, of_machine()),
+    (computer.NOT_LINUX, of_machine(system="Darwin 24")),
+    (computer.MEMORY, of_machine(free_MB=200.0)),
+    (computer.LITTLE_MEMORY, of_machine(free_MB=199.0)),
+    (computer.SUPPLY, of_machine()),
+    (computer.SUPPLY_NOW, of_machine(throttled=0x50005)),
+    (computer.SUPPLY_BEFORE, of_machine(throttled=0x50000)),
+    (computer.NO_SUPPLY, of_machine(throttled=None)),
+    (computer.COOL, of_machine(hottest_C=79.0)),
+    (computer.HOT, of_machine(hottest_C=80.0)),
+    (computer.DISK, of_disk(DISK)),
+    (computer.NO_LOGS, of_disk(DISK, problem="Read-only file system")),
+    (computer.NO_STATE, of_disk(STATE, problem="Permission denied")),
+    (computer.FULL, of_disk(DISK, free_MB=199.0)),
+    (computer.SLOW, of_disk(DISK, took_s=0.51)),
     (network.NO_PAGE, of_page(address="")),
     (network.PAGE, of_page()),
     (network.PAGE_TAKEN, of_page(problem="Address already in use", held_by=(OTHER,))),
@@ -241,26 +224,26 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (network.NO_PACKAGE, of_broker(problem="aiomqtt is missing", missing_package=True)),
     (network.AWAY, of_broker(problem="nothing answers there")),
     (network.REFUSES, of_broker(problem="it does not accept this user and password", needs_person=True)),
-    (machine.ON_TIME, [machine.load(0.004, 0.3)]),
-    (machine.BUSY, [machine.load(0.15, 0.3)]),
-    (machine.TOO_BUSY, [machine.load(0.34, 0.3)]),
-    (PORTS["good"], of_port()),
-    (PORTS["network"], [port.check_network("phloSAR", "tcp:board:3000", False, None)]),
-    (PORTS["free"], [port.check_network("phloSAR", "udpin:127.0.0.1:3000", True, None)]),
-    (PORTS["missing"], of_port(missing="/dev/ttyACM0 is not there")),
-    (PORTS["no uart"], of_port(where="serial:/dev/ttyAMA0:57600", missing="/dev/ttyAMA0 does not exist")),
-    (PORTS["not allowed"], of_port(may_open=False)),
-    (PORTS["log in again"], of_port(may_open=False, member_since_login=True)),
-    (PORTS["held"], of_port(held_by=(OTHER,))),
-    (PORTS["served"], of_port(held_by=(OTHER,), served=True)),
-    (PORTS["served"], [port.check_network("phloSAR", "udpin:127.0.0.1:3000", True, (OTHER,), served=True)]),
-    (PORTS["console"], of_port(console=True)),
-    (PORTS["modem"], of_port(modem_manager=True)),
-    (PORTS["kept off"], of_port(modem_manager=True, modem_manager_kept_off=True)),
-    (PORTS["by number"], of_port(where="serial:/dev/ttyACM0:115200", usb="usb:16c0:0483:77")),
-    (service.NONE, [service.check([], [])]),
-    (service.ELSEWHERE, [service.check([OTHER], [])]),
-    (service.RUNS, [service.check([OTHER], [OTHER])]),
+    (computer.ON_TIME, [computer.check_load(0.004, 0.3)]),
+    (computer.BUSY, [computer.check_load(0.15, 0.3)]),
+    (computer.TOO_BUSY, [computer.check_load(0.34, 0.3)]),
+    (ports.GOOD, of_port()),
+    (ports.NETWORK, [ports.check_network("phloSAR", "tcp:board:3000", False, None)]),
+    (ports.FREE, [ports.check_network("phloSAR", "udpin:127.0.0.1:3000", True, None)]),
+    (ports.MISSING, of_port(missing="/dev/ttyACM0 is not there")),
+    (ports.NO_UART, of_port(where="serial:/dev/ttyAMA0:57600", missing="/dev/ttyAMA0 does not exist")),
+    (ports.NOT_ALLOWED, of_port(may_open=False)),
+    (ports.LOG_IN_AGAIN, of_port(may_open=False, member_since_login=True)),
+    (ports.HELD, of_port(held_by=(OTHER,))),
+    (ports.SERVED, of_port(held_by=(OTHER,), served=True)),
+    (ports.SERVED, [ports.check_network("phloSAR", "udpin:127.0.0.1:3000", True, (OTHER,), served=True)]),
+    (ports.CONSOLE, of_port(console=True)),
+    (ports.MODEM, of_port(modem_manager=True)),
+    (ports.KEPT_OFF, of_port(modem_manager=True, modem_manager_kept_off=True)),
+    (ports.BY_NUMBER, of_port(where="serial:/dev/ttyACM0:115200", usb="usb:16c0:0483:77")),
+    (processes.NO_SERVICE, [processes.check_service([], [])]),
+    (processes.ELSEWHERE, [processes.check_service([OTHER], [])]),
+    (processes.RUNS, [processes.check_service([OTHER], [OTHER])]),
     (firmware.NO_PORT, firmware.check(None, CONFIG)),
     (
         firmware.OTHER,
@@ -295,20 +278,20 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (firmware.LIMITS, of_firmware()),
     (firmware.LOW_SETPOINTS, of_welcome(setpoint_limit_kPa=20.0, cv_limit_kPa=22.0)),
     (firmware.VENTS_FIRST, of_welcome(setpoint_limit_kPa=22.0, cv_limit_kPa=24.0)),
-    (firmware.LOW_BOTTLE, of_welcome(reservoir_limit_kPa=600.0)),
+    (firmware.LOW_RESERVOIR, of_welcome(reservoir_limit_kPa=600.0)),
     (firmware.LOW_RATE, of_welcome(rate_limit_kPa_per_s=50.0)),
     (firmware.VINE, of_firmware(cv_kPa=-3.9)),
     (firmware.VINE_OFF, of_firmware(cv_kPa=4.1)),
     (firmware.VINE_OFF, of_firmware(cv_kPa=math.nan)),
-    (firmware.BOTTLE, of_firmware()),
-    (firmware.BOTTLE, of_firmware(reservoir_kPa=66.0, full_bend_spends_kPa=5.0)),
-    (firmware.BOTTLE_EMPTY, of_firmware(reservoir_kPa=60.0)),
-    (firmware.BOTTLE_EMPTY, of_firmware(reservoir_kPa=65.0, full_bend_spends_kPa=5.0)),
-    (firmware.BOTTLE_LOW, of_firmware(cycles_left=replace(FIRMWARE.cycles_left, expected=9.0))),  # type: ignore[type-var]
-    (firmware.BOTTLE_SENSOR, of_firmware(reservoir_kPa=-20.0)),
-    (firmware.BOTTLE_SENSOR, of_firmware(reservoir_kPa=math.nan)),
-    (firmware.BOTTLE_OVER, of_firmware(reservoir_kPa=730.0)),
-    (firmware.BOTTLE_LOSES, of_firmware(reservoir_falls_kPa_per_s=0.6)),
+    (firmware.RESERVOIR, of_firmware()),
+    (firmware.RESERVOIR, of_firmware(reservoir_kPa=66.0, full_bend_spends_kPa=5.0)),
+    (firmware.RESERVOIR_EMPTY, of_firmware(reservoir_kPa=60.0)),
+    (firmware.RESERVOIR_EMPTY, of_firmware(reservoir_kPa=65.0, full_bend_spends_kPa=5.0)),
+    (firmware.RESERVOIR_LOW, of_firmware(cycles_left=replace(FIRMWARE.cycles_left, expected=9.0))),  # type: ignore[type-var]
+    (firmware.RESERVOIR_SENSOR, of_firmware(reservoir_kPa=-20.0)),
+    (firmware.RESERVOIR_SENSOR, of_firmware(reservoir_kPa=math.nan)),
+    (firmware.RESERVOIR_OVER, of_firmware(reservoir_kPa=730.0)),
+    (firmware.RESERVOIR_LOSES, of_firmware(reservoir_falls_kPa_per_s=0.6)),
     (vehicle.NOT_ASKED, vehicle.check(None, CONFIG, 6.0)),
     (vehicle.NO_LINK, of_vehicle(messages=0, bytes=0, down="tcp:router:5760: Connection refused")),
     (vehicle.SILENT, of_vehicle(messages=0, bytes=0)),
@@ -354,7 +337,7 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (vehicle.NO_KEY_NEEDED, of_vehicle(signs=True, answers=True)),
     (vehicle.NOT_SIGNED, of_vehicle()),
     (radio.NOT_USED, of_switch(config=changed("switch", positions=("", "")))),
-    (radio.NO_AUTOPILOT, [radio.check(None, CONFIG, False)]),
+    (radio.NOT_CHECKED, [radio.check_switch(None, CONFIG, False)]),
     (radio.NOT_TRUSTED, of_switch(problem="radio failsafe")),
     (radio.HIDES_LOSS, of_switch(hides_loss="FS_THR_ENABLE 0")),
     (radio.TWO_USES, of_switch(other_use="RC9_OPTION is 31")),
@@ -365,41 +348,41 @@ CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (radio.ALL_SEEN, of_switch(seen=frozenset({0, 1, 2}))),
     (radio.SOME_SEEN, of_switch(asked=True, seen=frozenset({0, 2}))),
     (radio.NEVER_MOVED, of_switch(asked=True)),
-    (mission.NOT_READ, mission.check(None, True, CONFIG)),
-    (mission.NO_AUTOPILOT, mission.check(None, False, CONFIG)),
-    (mission.NONE, of_mission()),
-    (mission.NO_VINE, of_mission(HOME, WAYPOINT)),
-    (mission.UNDERSTOOD, of_mission(HOME, (SCRIPT, 1.0, 40.0))),
-    (mission.NOT_UNDERSTOOD, of_mission(HOME, (SCRIPT, 99.0, 0.0))),
-    (mission.NOT_UNDERSTOOD, of_mission(HOME, (SCRIPT, 1.0, 400.0))),
-    (clock.SYNCHRONISED, of_clock()),
-    (clock.NOT_SYNCHRONISED, of_clock(synchronised=False)),
-    (clock.NOT_SET, of_clock(unix_s=1_704_067_200.0)),
-    (clock.JUMPED, of_clock(jumped_s=-0.6)),
-    (clock.AGREES, of_clock(ahead_s=-1.9)),
-    (clock.APART, of_clock(ahead_s=2.1)),
-    (clock.APART_AND_SIGNED, of_clock(ahead_s=-61.0, signing=True)),
-    (clock.VEHICLE_WITHOUT, of_clock()),
-    (receiver.ARMED, of_receiver(problem="armed")),
-    (receiver.NO_AUTOPILOT, of_receiver(problem="no autopilot")),
-    (receiver.NO_RC, of_receiver(problem="no RC", detail="no RC_CHANNELS yet")),
-    (receiver.NOT_GOOD, of_receiver(problem="RC not good", detail="radio failsafe")),
-    (receiver.NOT_THERE, of_receiver(problem="position", detail="1500 µs", target=2)),
-    (receiver.NOT_BACK, of_receiver(problem="not back", detail="radio failsafe")),
-    (receiver.GROUND_STATION, of_receiver(problem="ground station")),
-    (receiver.HIDDEN_BY, of_receiver(autopilot="ardupilot", hidden_by="FS_THR_ENABLE 0")),
-    (receiver.HIDDEN, of_receiver(losses=(UNSEEN,))),
-    (receiver.SLOW, of_receiver(losses=(later(HELD, 3.1), HELD_BENT))),
-    (receiver.SHOWS, of_receiver()),
-    (receiver.SHOWS_UNTIMED, of_receiver(losses=(replace(HELD, pressed=False),))),
-    (receiver.PARAMETERS, of_receiver()),
-    (receiver.NO_PARAMETERS, of_receiver()),
-    (receiver.HELD, of_receiver()),
-    (receiver.HARMLESS, of_receiver(losses=(replace(HELD_BENT, lost_us=1000),))),
-    (receiver.BENDS_UNSEEN, of_receiver(losses=(PRESET, PRESET))),
-    (receiver.BENDS_REPORTED, of_receiver(autopilot="ardupilot", losses=(later(PRESET, 0.3),))),
-    (receiver.BENDS, of_receiver(losses=(later(PRESET, 1.9),))),
-    (receiver.UNCLEAR, of_receiver(losses=(HELD_BENT, replace(PRESET, lost_us=1500)))),
+    (vehicle.MISSION_NOT_READ, vehicle.check_mission(None, True, CONFIG)),
+    (vehicle.NO_MISSION_READ, vehicle.check_mission(None, False, CONFIG)),
+    (vehicle.NO_MISSION, of_mission()),
+    (vehicle.NO_VINE, of_mission(HOME, WAYPOINT)),
+    (vehicle.UNDERSTOOD, of_mission(HOME, (SCRIPT, 1.0, 40.0))),
+    (vehicle.NOT_UNDERSTOOD, of_mission(HOME, (SCRIPT, 99.0, 0.0))),
+    (vehicle.NOT_UNDERSTOOD, of_mission(HOME, (SCRIPT, 1.0, 400.0))),
+    (computer.SYNCHRONISED, of_clock()),
+    (computer.NOT_SYNCHRONISED, of_clock(synchronised=False)),
+    (computer.NOT_SET, of_clock(unix_s=1_704_067_200.0)),
+    (computer.JUMPED, of_clock(jumped_s=-0.6)),
+    (computer.AGREES, of_clock(ahead_s=-1.9)),
+    (computer.APART, of_clock(ahead_s=2.1)),
+    (computer.APART_AND_SIGNED, of_clock(ahead_s=-61.0, signing=True)),
+    (computer.VEHICLE_WITHOUT, of_clock()),
+    (radio.ARMED, of_receiver(problem="armed")),
+    (radio.NO_AUTOPILOT, of_receiver(problem="no autopilot")),
+    (radio.NO_RC, of_receiver(problem="no RC", detail="no RC_CHANNELS yet")),
+    (radio.NOT_GOOD, of_receiver(problem="RC not good", detail="radio failsafe")),
+    (radio.NOT_THERE, of_receiver(problem="position", detail="1500 µs", target=2)),
+    (radio.NOT_BACK, of_receiver(problem="not back", detail="radio failsafe")),
+    (radio.GROUND_STATION, of_receiver(problem="ground station")),
+    (radio.HIDDEN_BY, of_receiver(autopilot="ardupilot", hidden_by="FS_THR_ENABLE 0")),
+    (radio.HIDDEN, of_receiver(losses=(UNSEEN,))),
+    (radio.SLOW, of_receiver(losses=(later(HELD, 3.1), HELD_BENT))),
+    (radio.SHOWS, of_receiver()),
+    (radio.SHOWS_UNTIMED, of_receiver(losses=(replace(HELD, pressed=False),))),
+    (radio.PARAMETERS, of_receiver()),
+    (radio.NO_PARAMETERS, of_receiver()),
+    (radio.HELD, of_receiver()),
+    (radio.HARMLESS, of_receiver(losses=(replace(HELD_BENT, lost_us=1000),))),
+    (radio.BENDS_UNSEEN, of_receiver(losses=(PRESET, PRESET))),
+    (radio.BENDS_REPORTED, of_receiver(autopilot="ardupilot", losses=(later(PRESET, 0.3),))),
+    (radio.BENDS, of_receiver(losses=(later(PRESET, 1.9),))),
+    (radio.UNCLEAR, of_receiver(losses=(HELD_BENT, replace(PRESET, lost_us=1500)))),
 ]
 
 
@@ -423,8 +406,8 @@ def test_px4_sends_mission_current_at_its_own_times(rate_Hz: float, verdict: str
 
 
 def test_the_way_to_end_a_service_is_that_of_the_running_one() -> None:
-    assert "(sudo systemctl stop flying-vines.service)" in service.check([SERVICE], [SERVICE]).do
-    assert "(kill 7)" in service.check([Process(7, "flying-vines run")], []).do
+    assert "(sudo systemctl stop flying-vines.service)" in processes.check_service([SERVICE], [SERVICE]).do
+    assert "(kill 7)" in processes.check_service([Process(7, "flying-vines run")], []).do
 
 
 def test_no_line_is_without_a_case() -> None:
@@ -432,17 +415,10 @@ def test_no_line_is_without_a_case() -> None:
     assert untold == []
 
 
-def test_every_warning_has_a_remedy() -> None:
-    for line in every_line():
-        assert bool(line.do) == (line.verdict in ("warning", "bad")), line
-
-
-def test_both_ports_report_the_same_about_their_own_link() -> None:
-    for name, line in port.LINES["phloSAR"].items():
-        other = port.LINES["vehicle"][name]
-        assert other.check == "vehicle port"
-        assert other.do == line.do.replace("firmware.link", "vehicle.link")
-        assert (other.verdict, other.what) == (line.verdict, line.what)
+def test_each_port_names_its_own_link() -> None:
+    (missing,) = of_port(which="vehicle", missing="/dev/ttyACM0 is not there")
+    assert missing.check == "vehicle port" and "correct vehicle.link" in missing.do
+    assert "correct firmware.link" in of_port(missing="/dev/ttyACM0 is not there")[0].do
 
 
 HEALTHY: list[Sequence[DoctorFinding]] = [
@@ -453,7 +429,7 @@ HEALTHY: list[Sequence[DoctorFinding]] = [
     of_page(),
     of_broker(took_s=0.01),
     of_port(),
-    [service.check([], [])],
+    [processes.check_service([], [])],
     of_firmware(),
     of_vehicle(),
     of_switch(seen=frozenset({0, 1, 2})),
@@ -519,7 +495,7 @@ def test_a_receiver_is_safe_if_the_loss_is_reported_before_a_bend(
 def test_on_ardupilot_nothing_waits_for_a_preset_that_is_reported_late() -> None:
     """ArduPilot's status changes 0.9 s after the jump, and the switch acts after `debounce_s`."""
     late = of_receiver(autopilot="ardupilot", losses=(PRESET,))
-    assert any(matches(receiver.BENDS, finding) for finding in late)
+    assert any(matches(radio.BENDS, finding) for finding in late)
     assert not may_fly(late)
 
 
@@ -537,7 +513,7 @@ def test_on_ardupilot_nothing_waits_for_a_preset_that_is_reported_late() -> None
     ],
 )
 def test_the_result_for_the_configuration(learned: RadioLearned, written: int | str | None) -> None:
-    assert receiver.to_write(learned, CONFIG) == written
+    assert radio.to_write(learned, CONFIG) == written
 
 
 @pytest.mark.parametrize("name", ["RC_CHANNELS", "GLOBAL_POSITION_INT"])

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from firmware_link.protocol import Fault, Mode, Telemetry
 from flying_vines.config import config
-from flying_vines.doctor.firmware_probe import FirmwareFacts, with_readings
+from flying_vines.doctor.firmware import FirmwareFacts, with_readings
 from flying_vines.doctor.vehicle_probe import SETTLE_S, VehicleProbe
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.radio.rc import RC_BIT

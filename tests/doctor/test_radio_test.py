@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 import msgspec
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from doctor.radio_worlds import run_on
 from flying_vines.config import config
-from flying_vines.doctor.checks import receiver
+from flying_vines.config.config import Config
+from flying_vines.doctor import radio
 from flying_vines.doctor.finding import may_fly
 from flying_vines.doctor.radio_test import (
     BACK_WITHIN_S,
@@ -22,9 +23,12 @@ from flying_vines.doctor.radio_test import (
     TransmitterLoss,
     failsafe_of,
 )
-from flying_vines.vehicle.mavlink.codec import MavlinkMessage
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
+from flying_vines.vehicle.mavlink.tlog import TlogReader
 from flying_vines.vehicle.radio.rc import RC_BIT
 
+RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
+TICK_S = 0.05
 CONFIG = config.default()
 TWO = msgspec.structs.replace(
     CONFIG, switch=msgspec.structs.replace(CONFIG.switch, positions=("straight", "bend-full"))
@@ -34,18 +38,53 @@ PX4_LATEST_S = 1.4
 """Measured on real autopilots: longest time until the RC status shows a loss."""
 
 
+def recorded(name: str, from_s: float, until_s: float) -> Iterator[tuple[float, MavlinkMessage]]:
+    """The autopilot's messages between two times, with a disarmed vehicle."""
+    codec, began = MavlinkCodec(99, 191), None
+    for unix_s, frame in TlogReader(RECORDINGS / f"{name}.tlog").frames():
+        began = unix_s if began is None else began
+        t = unix_s - began
+        for message in codec.decode(frame):
+            if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1 or not from_s <= t <= until_s:
+                continue
+            if message.get_type() == "HEARTBEAT":
+                message.base_mode &= ~mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+            yield t, message
+
+
+def run_on(
+    name: str,
+    from_s: float,
+    until_s: float,
+    presses: Sequence[float] = (),
+    target: int = 0,
+    conf: Config = CONFIG,
+) -> RadioTest:
+    """Run the test on a part of a recording. It begins with the switch in position `target`."""
+    test, waiting, now = RadioTest(conf), sorted(presses), from_s
+    test.target = target
+    for t, message in recorded(name, from_s, until_s):
+        while now + TICK_S < t:
+            now += TICK_S
+            while waiting and waiting[0] <= now:
+                test.press(waiting.pop(0))
+            test.advance(now)
+        test.take(t, message)
+    return test
+
+
 def kinds(loss: TransmitterLoss) -> list[str]:
     return [sign.kind for sign in loss.signs if sign.kind != "mode"]
 
 
-# Real recordings.
+# Real recordings. A person presses Enter at given times.
 
 
 def test_px4_with_a_crsf_receiver_that_holds() -> None:
     """README: lost at 49.5, moved meanwhile, back at 53.9; lost at 66.1 while bent, back at 76.1."""
     learned = run_on("px4_crsf_loss", 43, 80, presses=(49.5, 66.1)).learned
     first, second = learned.losses
-    assert (learned.autopilot, learned.problem, receiver.to_write(learned, CONFIG)) == ("px4", "", "hold")
+    assert (learned.autopilot, learned.problem, radio.to_write(learned, CONFIG)) == ("px4", "", "hold")
     for loss in (first, second):
         assert loss.pressed
         assert kinds(loss) == ["rssi", "RC status"]
@@ -58,21 +97,21 @@ def test_px4_with_a_crsf_receiver_that_holds() -> None:
     assert first.back is not None
     assert first.back.switch_us == 1988
     assert first.back.good_after_s == pytest.approx(0.3, abs=0.1)
-    assert may_fly(receiver.check(learned, CONFIG))
+    assert may_fly(radio.check_radio_test(learned, CONFIG))
 
 
 def test_px4_with_an_sbus_receiver_that_has_a_preset_in_the_bent_position() -> None:
     """README: preset losses at 50.40 … 56.4 and 97.9 … 103.9, ch9 2000."""
     test = run_on("px4_sbus_failsafe", 44, 108, presses=(50.4, 97.9), conf=TWO)
     learned = test.learned
-    assert (learned.problem, receiver.to_write(learned, CONFIG)) == ("", 1999)
+    assert (learned.problem, radio.to_write(learned, CONFIG)) == ("", 1999)
     for loss in learned.losses:
         assert kinds(loss) == ["channels", "RC status"]
         assert (loss.before_us, loss.lost_us, loss.jumped) == (999, 1999, ())
         assert loss.told_after_jump_s == pytest.approx(0.86, abs=0.04)
         assert loss.back is not None
         assert loss.back.switch_us == 999
-    (line,) = [finding for finding in receiver.check(learned, TWO) if finding.check == "receiver"]
+    (line,) = [finding for finding in radio.check_radio_test(learned, TWO) if finding.check == "receiver"]
     assert line.verdict == "warning"
     assert "position 2" in line.what
     assert "waits 1.6 s" in line.what
@@ -118,8 +157,8 @@ def test_ardupilot_that_hides_losses() -> None:
     unseen = run_on("ardupilot_hidden_rc_loss", 53, 74, presses=(54.6,)).learned
     (loss,) = unseen.losses
     assert (loss.signs, loss.seen) == ((), False)
-    assert receiver.to_write(unseen, CONFIG) == "hidden"
-    (finding,) = [f for f in receiver.check(unseen, CONFIG) if f.verdict == "bad"]
+    assert radio.to_write(unseen, CONFIG) == "hidden"
+    (finding,) = [f for f in radio.check_radio_test(unseen, CONFIG) if f.verdict == "bad"]
     assert "no sign of RC loss" in finding.what
     assert "FS_THR_ENABLE = 1" in finding.do
     # At 41.59 the stream has the parameter. Then nobody needs to switch the transmitter off.
@@ -127,13 +166,13 @@ def test_ardupilot_that_hides_losses() -> None:
     known = test.learned
     assert test.step == "done"
     assert (known.hidden_by, known.losses) == ("FS_THR_ENABLE 0", ())
-    assert "set FS_THR_ENABLE = 1" in receiver.check(known, CONFIG)[0].do
+    assert "set FS_THR_ENABLE = 1" in radio.check_radio_test(known, CONFIG)[0].do
 
 
 def test_px4_whose_rc_comes_from_a_ground_station() -> None:
     learned = run_on("px4_mission", 0, 8).learned
     assert learned.problem == "ground station"
-    (finding,) = receiver.check(learned, CONFIG)
+    (finding,) = radio.check_radio_test(learned, CONFIG)
     assert finding.verdict == "skipped"
     assert may_fly([finding])
 
@@ -197,7 +236,7 @@ def test_a_preset_in_the_straight_position_is_distinguished_from_a_hold_by_the_s
     person.lose(status=(0, 1, 0), switch_us=1000)
     person.come_back(switch_us=2000)
     assert (person.test.step, failsafe_of(person.test.learned.losses)) == ("done", 1000)
-    assert may_fly(receiver.check(person.test.learned, CONFIG))
+    assert may_fly(radio.check_radio_test(person.test.learned, CONFIG))
 
 
 def test_after_a_preset_the_second_loss_is_from_a_third_position() -> None:
@@ -296,7 +335,7 @@ def test_a_transmitter_that_is_not_switched_on_again_ends_it() -> None:
     person.lose()
     person.wait(BACK_WITHIN_S + 0.1)
     assert person.test.learned.problem == "not back"
-    assert not may_fly(receiver.check(person.test.learned, CONFIG))
+    assert not may_fly(radio.check_radio_test(person.test.learned, CONFIG))
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from firmware_link.reconnect import (
     Reconnect,
 )
 from flying_vines.gateway.mqtt import connection
-from flying_vines.gateway.mqtt.problems import THROWN_OUT
+from flying_vines.gateway.mqtt.broker import THROWN_OUT
 from flying_vines.terminal import page_socket
 from flying_vines.vehicle.mavlink import link
 

@@ -8,14 +8,12 @@ import re
 import shutil
 import zipfile
 from pathlib import Path
-from typing import Any
 
 import command_line
 import pytest
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from recorded_flight import BEGAN, HIGH, LOW, fly, new_flight, one_bend
 
-from flying_vines.core.events import Asked, VehicleMessage
+from flying_vines.core.events import Asked
 from flying_vines.record.reader import FlightLog, summarise
 from flying_vines.record.recorder import Recorder
 from flying_vines.vine.intent import ArmPneumatics, BendTo, ClearLatchedFaults, Hold, StartBench, VentVine
@@ -116,46 +114,6 @@ def test_export_writes_what_was_recorded(flights: Path, run: Runner, tmp_path: P
     assert "RC_CHANNELS.chan9_raw [us]" in rc[0].split(",")
     assert not any("ATTITUDE" in column for column in rc[0].split(","))
     assert len((tmp_path / "tables" / "tick.csv").read_text().splitlines()) == 1 + 400
-
-
-def test_export_for_viewers_holds_all_that_its_layouts_name(
-    flights: Path, run: Runner, tmp_path: Path
-) -> None:
-    (folder,) = flights.iterdir()
-    run("export", folder, "--viewers", "-o", tmp_path)
-    entries = list(FlightLog(tmp_path / "viewers.mcap").entries())
-    topics = {entry.topic: entry.fields for entry in entries}
-    assert set(topics) == {"snapshot", "phlosar/telemetry", "log", "location"}
-    layout = json.loads((tmp_path / "foxglove.json").read_text())["configById"]
-    assert all("foxglovePanelTitle" in panel for name, panel in layout.items() if name.startswith("Plot!"))
-    foxglove = [path["value"] for panel in layout.values() for path in panel.get("paths", ())]
-    juggler = re.findall(r'curve name="([^"]+)"', (tmp_path / "plotjuggler.xml").read_text())
-    for path in (*foxglove, *juggler):
-        topic = next(name for name in topics if path.startswith(name))
-        value: Any = topics[topic]
-        for name in re.split("[./]", path[len(topic) + 1 :]):
-            value = value[name]
-        assert isinstance(value, float), path
-    assert layout["RosOut!log"]["topicToRender"] in topics and layout["map!where"]["followTopic"] in topics
-    assert -90.0 < topics["location"]["latitude"] < 90.0 and abs(topics["location"]["longitude"]) < 180.0
-    texts = [entry.fields for entry in entries if entry.topic == "log"]
-    said = list(FlightLog(folder).entries(("decision", "notice")))
-    shown = [one.fields for one in said if not one.fields.get("of_decision")]
-    assert len(texts) == sum(one.get("severity") != 7 for one in shown)
-
-
-def test_only_the_position_of_our_own_vehicle_is_exported(run: Runner, tmp_path: Path) -> None:
-    recorder, flight = Recorder(tmp_path / "flights", BEGAN, t=0.0), new_flight()
-    fly(flight, recorder, ((3.0, LOW),))
-    for system, component in ((2, 1), (1, 191)):
-        message = mavlink.MAVLink_global_position_int_message(3000, 10**8, 10**8, 0, 0, 0, 0, 0, 0)
-        message.pack(mavlink.MAVLink(None, system, component))
-        flight.core.handle(VehicleMessage(3.0, message))
-    recorder.close()
-    run("export", recorder.folder, "--viewers", "-o", tmp_path)
-    fixes = [entry.fields for entry in FlightLog(tmp_path / "viewers.mcap").entries(("location",))]
-    assert len(fixes) > 5
-    assert all(fix["latitude"] != 10.0 for fix in fixes)
 
 
 def test_a_bundle_holds_the_flight_and_no_key(flights: Path, run: Runner, tmp_path: Path) -> None:

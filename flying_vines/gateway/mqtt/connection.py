@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -14,26 +13,25 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from firmware_link.reconnect import KeptOpen, Policy, Problem
-from flying_vines.config.address import parse_broker
 from flying_vines.gateway.feed import Feed, FeedReader, NoAnswerError
 from flying_vines.gateway.messages import Happened
-from flying_vines.gateway.mqtt import credentials
-from flying_vines.gateway.mqtt.home_assistant import discovery
-from flying_vines.gateway.mqtt.payloads import AnswerPayload
-from flying_vines.gateway.mqtt.problems import (
+from flying_vines.gateway.mqtt.broker import (
     THROWN_OUT,
     FileError,
     RefusedError,
+    login,
     may_want_other_version,
     problem_of,
 )
-from flying_vines.gateway.mqtt.publisher import Now, Publication, Publisher
+from flying_vines.gateway.mqtt.payloads import AnswerPayload, Topics
+from flying_vines.gateway.mqtt.publisher import Now, Publication, Publisher, discovery
 from flying_vines.gateway.mqtt.requests import QueuedRequest, RequestQueue
-from flying_vines.gateway.mqtt.topics import Topics
 
 MAX_PACKET = 4096
 """Bytes. An MQTT 5 broker does not send us longer packets."""
 MAX_UNANSWERED = 50
+KEEP_ALIVE_S = 30
+"""MQTT's keep-alive: a lost connection is noticed after 1 to 2 times this."""
 TIMEOUT_S = 10.0
 """Maximum wait for an answer of the broker."""
 REQUEST_INTERVAL_S = 0.05
@@ -54,8 +52,6 @@ _OTHER_VERSION = {
     aiomqtt.ProtocolVersion.V311: aiomqtt.ProtocolVersion.V5,
 }
 
-_SILENT = logging.Logger(__name__, logging.CRITICAL + 1)
-
 
 async def serve(feed: Feed) -> None:
     """Serve until cancelled."""
@@ -72,10 +68,9 @@ class Connection:
     def __init__(self, feed: Feed) -> None:
         self._feed = feed
         self._mqtt = feed.start.config.mqtt
-        self._broker = parse_broker(self._mqtt.broker)
         self._topics = Topics.of(self._mqtt)
         self._publisher = Publisher(feed.start, self._topics)
-        self._requests = RequestQueue(self._mqtt.commands, self._mqtt.asked_within_s)
+        self._requests = RequestQueue(self._mqtt.commands)
         self._answers: asyncio.Queue[AnswerPayload] = asyncio.Queue(MAX_UNANSWERED)
         self._happened, self._requested = asyncio.Event(), asyncio.Event()
         self._protocol = aiomqtt.ProtocolVersion.V5
@@ -125,10 +120,7 @@ class Connection:
         return problem_of(failure, self._mqtt, self._kept.is_open)
 
     async def _client(self) -> _Client:
-        def read() -> tuple[str | None, Any]:
-            return credentials.password(self._mqtt), credentials.tls(self._mqtt, self._broker)
-
-        password, tls = await asyncio.to_thread(read)
+        arguments = await login(self._mqtt, self._protocol, TIMEOUT_S)
         will = self._publisher.last_will(self._now)
         properties = None
         if self._protocol is aiomqtt.ProtocolVersion.V5:
@@ -136,18 +128,11 @@ class Connection:
             properties.MaximumPacketSize = MAX_PACKET
         return _Client(
             self._receive,
-            self._broker.host,
-            self._broker.port,
-            username=self._mqtt.username or None,
-            password=password,
-            identifier=self._mqtt.client_id or f"{self._topics.prefix}-{self._topics.name}".replace("/", "-"),
-            protocol=self._protocol,
+            identifier=f"{self._topics.prefix}-{self._topics.name}".replace("/", "-"),
             will=aiomqtt.Will(will.topic, will.payload, will.qos, will.retain),
-            timeout=TIMEOUT_S,
-            keepalive=self._mqtt.keepalive_s,
+            keepalive=KEEP_ALIVE_S,
             properties=properties,
-            tls_context=tls,
-            logger=_SILENT,
+            **arguments,
         )
 
     async def _greet(self, client: _Client) -> None:
@@ -248,8 +233,8 @@ class _Client(aiomqtt.Client):
     Received messages go directly to `receive`: the library's queue would need a task per message of a flood.
     """
 
-    def __init__(self, receive: Callable[[bytes, bool], None], *broker: Any, **how: Any) -> None:
-        super().__init__(*broker, **how)
+    def __init__(self, receive: Callable[[bytes, bool], None], **arguments: Any) -> None:
+        super().__init__(**arguments)
         self.refused = False
         self._receive = receive
 

@@ -1,4 +1,6 @@
-"""The messages on the broker. Pressures are gauge kPa, angles degrees; null is unknown.
+"""The topics of one vehicle, and the messages on them.
+
+Pressures are gauge kPa, angles degrees; null is unknown.
 
 `SCHEMA_VERSION` increases when a field changes or disappears. New fields do not change it, so readers must
 ignore unknown fields.
@@ -7,18 +9,46 @@ ignore unknown fields.
 from __future__ import annotations
 
 import math
+import re
+import socket
 from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
 
+from flying_vines.config.config import MqttConfig
 from flying_vines.vine.intent import CommandName
 
 SCHEMA_VERSION = 1
 MAX_ID_LENGTH = 64
+ASKED_WITHIN_S = 5.0
+"""Maximum age of a request that only deflates the vine; of all others: `ACTS_WITHIN_S`."""
 
 RulingName = Literal["accepted", "limited", "refused"]
 SeverityName = Literal["error", "warning", "notice", "info"]
+
+
+class Topics:
+    """The topics of one vehicle; all begin with `base`.
+
+    The vehicle's name in the topic separates the vehicles of a fleet.
+    """
+
+    def __init__(self, prefix: str, name: str) -> None:
+        self.prefix, self.name = prefix, name
+        self.base = base = f"{prefix}/{name}"
+        self.status = f"{base}/status"
+        self.about = f"{base}/about"
+        self.state = f"{base}/state"
+        self.reservoir = f"{base}/reservoir"
+        self.event = f"{base}/event"
+        self.ask = f"{base}/ask"
+        self.answer = f"{base}/answer"
+
+    @classmethod
+    def of(cls, mqtt: MqttConfig) -> Topics:
+        """A vehicle without a name has the computer's name."""
+        return cls(mqtt.prefix, mqtt.name or re.sub(r"[^\w.-]", "-", socket.gethostname(), flags=re.ASCII))
 
 
 class _Payload(msgspec.Struct, frozen=True, kw_only=True):
@@ -120,7 +150,7 @@ class CyclesPayload(msgspec.Struct, frozen=True):
 
 
 class ReservoirPayload(_Payload, frozen=True, kw_only=True):
-    """The bottle."""
+    """The reservoir."""
 
     reservoir_kPa: float | None
     cycles: CyclesPayload | None

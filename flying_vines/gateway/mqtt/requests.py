@@ -10,7 +10,7 @@ from typing import NamedTuple
 import msgspec
 
 from flying_vines.gateway import messages
-from flying_vines.gateway.mqtt.payloads import AnswerPayload, RequestPayload
+from flying_vines.gateway.mqtt.payloads import ASKED_WITHIN_S, AnswerPayload, RequestPayload
 from flying_vines.gateway.mqtt.publisher import Now
 from flying_vines.vehicle.token_bucket import TokenBucket
 from flying_vines.vine.intent import CommandName
@@ -34,9 +34,8 @@ class QueuedRequest(NamedTuple):
 class RequestQueue:
     """Checks incoming requests, and returns those for the service, one after another."""
 
-    def __init__(self, commands: Sequence[CommandName], within_s: float) -> None:
+    def __init__(self, commands: Sequence[CommandName]) -> None:
         self._commands = commands
-        self._within_s = within_s
         self._known: dict[str, float] = {}
         """Request times, by id."""
         self._waiting: deque[QueuedRequest] = deque()
@@ -106,9 +105,9 @@ class RequestQueue:
         if retained:
             return request, "a retained message: the time of the request is unknown"
         age_s = now.unix_s - request.unix_s
-        if abs(age_s) > self._within_s:
+        if abs(age_s) > ASKED_WITHIN_S:
             when = f"{age_s:.1f} s ago" if age_s > 0 else f"{-age_s:.1f} s in the future"
-            return request, f"requested {when} by this vehicle's clock; the limit is {self._within_s:g} s"
+            return request, f"requested {when} by this vehicle's clock; the limit is {ASKED_WITHIN_S:g} s"
         try:
             messages.Request(0, "broker", request.command, request.value, request.name)
         except ValueError as error:
@@ -119,7 +118,7 @@ class RequestQueue:
         """True if the id is new. Old ids are dropped, because old requests are refused anyway."""
         while self._known:
             oldest = next(iter(self._known))
-            if abs(now.unix_s - self._known[oldest]) <= self._within_s:
+            if abs(now.unix_s - self._known[oldest]) <= ASKED_WITHIN_S:
                 break
             del self._known[oldest]
         if request.id in self._known:

@@ -1,4 +1,4 @@
-"""Decides from the HTTP request who may use the page.
+"""Decides from the HTTP request who may use the page, and limits the number of connections.
 
 A page of another site can make its visitors' browsers send requests here. Such a request has another `Origin`
 or, after DNS rebinding, another `Host`. Both kinds are refused, even if only this computer can connect.
@@ -9,12 +9,21 @@ from __future__ import annotations
 import ipaddress
 import re
 import socket
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 from urllib.parse import urlsplit
 
 from flying_vines.gateway import page_token
 
+K = TypeVar("K")
+
+MAX_NEW = 128
+"""Maximum number of connections that have not opened the page's socket."""
+MAX_VIEWERS = 64
+MAX_PILOTS = 16
+"""Maximum number of holders of the full token. Viewers do not take these places."""
 MAX_TOKEN_LENGTH = page_token.MAX_LENGTH + 64
 """Length of a token as typed, with spaces and hyphens."""
 _HOST = re.compile(r"[A-Za-z0-9.-]+(:\d{1,5})?|\[[0-9A-Fa-f:.]+\](:\d{1,5})?")
@@ -97,3 +106,50 @@ class Access:
     def _bearer(self, headers: Mapping[str, str]) -> str:
         kind, _, token = headers.get("Authorization", "").partition(" ")
         return token if kind.lower() == "bearer" else ""
+
+
+class Connections(Generic[K]):
+    """The open connections, by the caller's own keys. A holder of the full token always gets one.
+
+    The caller closes the connection that a method returns, because it has lost its place.
+    """
+
+    def __init__(self) -> None:
+        self._new: dict[K, str] = {}
+        """New connections and their addresses, the oldest first."""
+        self._viewers: set[K] = set()
+        self._pilots: dict[K, None] = {}
+        """The oldest first."""
+
+    def opened(self, who: K, address: str) -> K | None:
+        """If there are too many new connections, the address with most of them loses its oldest one."""
+        self._new[who] = address
+        if len(self._new) <= MAX_NEW:
+            return None
+        ((busiest, _),) = Counter(self._new.values()).most_common(1)
+        oldest = next(key for key, address in self._new.items() if address == busiest)
+        del self._new[oldest]
+        return oldest
+
+    def add_viewer(self, who: K) -> bool:
+        """Returns True if there was a place for the viewer."""
+        if len(self._viewers) >= MAX_VIEWERS:
+            return False
+        self._new.pop(who, None)
+        self._viewers.add(who)
+        return True
+
+    def add_pilot(self, who: K) -> K | None:
+        """A pilot always gets a place. If there are too many, the oldest loses its place."""
+        self._new.pop(who, None)
+        self._pilots[who] = None
+        if len(self._pilots) <= MAX_PILOTS:
+            return None
+        oldest = next(iter(self._pilots))
+        del self._pilots[oldest]
+        return oldest
+
+    def closed(self, who: K) -> None:
+        self._new.pop(who, None)
+        self._viewers.discard(who)
+        self._pilots.pop(who, None)

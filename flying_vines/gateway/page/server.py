@@ -25,11 +25,8 @@ from aiohttp.web import (
 from flying_vines.gateway.feed import Feed
 from flying_vines.gateway.messages import SnapshotMessage
 from flying_vines.gateway.page import flights
-from flying_vines.gateway.page.access import Access, Refused
-from flying_vines.gateway.page.connections import MAX_VIEWERS, Connections
-from flying_vines.gateway.page.history import History
-from flying_vines.gateway.page.request import MAX_REQUEST_BYTES
-from flying_vines.gateway.page.viewer_session import ViewerSession
+from flying_vines.gateway.page.access import MAX_VIEWERS, Access, Connections, Refused
+from flying_vines.gateway.page.viewer_session import MAX_REQUEST_BYTES, History, ViewerSession
 
 KEEP_ALIVE_S = 5.0
 CLOSING_S = 0.2

@@ -3,24 +3,94 @@
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Sequence
+from typing import Annotated, NamedTuple
 
 import msgspec
 from aiohttp import WSCloseCode, WSMsgType
 from aiohttp.web import WebSocketResponse
+from msgspec import Meta
 
 from flying_vines.config.config import Config
 from flying_vines.gateway.feed import Feed, FeedReader, NoAnswerError
-from flying_vines.gateway.messages import Happened, SnapshotMessage
-from flying_vines.gateway.page.history import History, Sample
-from flying_vines.gateway.page.request import MAX_AT_ONCE, MAX_PER_S, PageRequest, read_request
+from flying_vines.gateway.messages import Happened, Request, SnapshotMessage
 from flying_vines.vehicle.token_bucket import TokenBucket
+from flying_vines.vine.intent import CommandName
 from flying_vines.vine.profile import flatten, top_kPa
 
 BEAT_S = 1.0
 """A message is sent at least this often. After 2 s without one, the viewer reports a lost link."""
 SLOW_S = 5.0
 """A viewer that accepts no data for this long is disconnected."""
+MAX_REQUEST_BYTES = 512
+MAX_PER_S = 20.0
+MAX_AT_ONCE = 40.0
+HISTORY_S = 120.0
+EVERY_S = 0.19
+"""Takes every other snapshot: there are ten a second."""
+
+
+class PageRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A browser's request: a pressed button. The answer has the same `id`."""
+
+    id: Annotated[int, Meta(ge=0, le=2**53)]
+    command: CommandName
+    value: float | None = None
+    name: Annotated[str, Meta(max_length=100)] | None = None
+    made_at: float | None = None
+    """Time of the press, on the clock of the snapshots."""
+    seen_at: float | None = None
+    """The `t` of the snapshot that was shown at that time."""
+
+
+def read_request(text: str) -> PageRequest:
+    """Raises `msgspec.DecodeError`, or `ValueError` for an invalid command."""
+    request = _REQUEST.decode(text)
+    Request(0, "page", request.command, request.value, request.name)
+    return request
+
+
+_REQUEST = msgspec.json.Decoder(PageRequest)
+
+
+class Sample(NamedTuple):
+    """Time in seconds; gauge kPa, None if unknown. The page gets it as an array."""
+
+    t: float
+    cv_kPa: float | None
+    command_kPa: float | None
+    reservoir_kPa: float | None
+
+
+class _Pressures(msgspec.Struct, frozen=True):
+    t: float
+    cv_kPa: float | None
+    command_kPa: float | None
+    reservoir_kPa: float | None
+
+
+class History:
+    """The pressures of the last two minutes, for a newly opened page. `take` gets all snapshots in order."""
+
+    def __init__(self) -> None:
+        self.samples: deque[Sample] = deque()
+
+    def take(self, seen: SnapshotMessage) -> None:
+        now = _PRESSURES.decode(seen.snapshot)
+        if self.samples and now.t - self.samples[-1].t < EVERY_S:
+            return
+        while self.samples and now.t - self.samples[0].t > HISTORY_S:
+            self.samples.popleft()
+        pressures = _rounded(now.cv_kPa), _rounded(now.command_kPa), _rounded(now.reservoir_kPa)
+        self.samples.append(Sample(round(now.t, 2), *pressures))
+
+
+def _rounded(pressure_kPa: float | None) -> float | None:
+    return None if pressure_kPa is None else round(pressure_kPa, 2)
+
+
+_PRESSURES = msgspec.json.Decoder(_Pressures)
 
 
 class _Vine(msgspec.Struct, frozen=True):

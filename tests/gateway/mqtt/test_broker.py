@@ -8,6 +8,7 @@ import gc
 import re
 import ssl
 import time
+from collections.abc import AsyncIterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,17 +20,68 @@ from waiting import until
 
 from firmware_link import reconnect
 from flying_vines.config.config import MqttConfig
-from flying_vines.doctor.look.broker import facts
-from flying_vines.gateway.mqtt import connection
-from flying_vines.gateway.mqtt.problems import THROWN_OUT
+from flying_vines.doctor.network import broker_facts
+from flying_vines.gateway import mqtt as client
+from flying_vines.gateway.feed import Feed
+from flying_vines.gateway.messages import Answered, FromGateway, Request, Trouble
+from flying_vines.gateway.mqtt import connection, publisher
+from flying_vines.gateway.mqtt.broker import THROWN_OUT
 from flying_vines.gateway.mqtt.publisher import Publication
 
+from ..gateway_inputs import happened, notice, seen, start
 from .brokers import MOSQUITTO_HOW, Broker, Line, Onlooker, make_certificates, onlooker, run_quietly, running
-from .vehicles import flying
 
 pytestmark = real_time
 
 BASE = "flying-vines/heron"
+
+
+class Vehicle:
+    """A vehicle whose service sends a snapshot ten times a second, and carries out requests if not `deaf`."""
+
+    def __init__(self, **settings: Any) -> None:
+        self.feed = Feed(start(**settings), self._receive)
+        self.troubles: list[str] = []
+        self.asked: list[Request] = []
+        self.deaf = False
+
+    @property
+    def t(self) -> float:
+        return asyncio.get_running_loop().time()
+
+    def say(self, text: str) -> None:
+        self.feed.take(happened(notice(self.t, text)))
+
+    def _receive(self, message: FromGateway) -> None:
+        if isinstance(message, Trouble):
+            self.troubles.append(message.text)
+            return
+        assert isinstance(message, Request)
+        self.asked.append(message)
+        if not self.deaf:
+            answer = Answered(message.number, "accepted", "")
+            asyncio.get_running_loop().call_soon(self.feed.take, answer)
+
+    async def live(self) -> None:
+        while True:
+            self.feed.take(seen(self.t))
+            await asyncio.sleep(0.1)
+
+    async def in_trouble(self, text: str) -> None:
+        await until(lambda: any(text in trouble for trouble in self.troubles), text)
+
+
+@contextlib.asynccontextmanager
+async def flying(**settings: Any) -> AsyncIterator[Vehicle]:
+    vehicle = Vehicle(**settings)
+    parts = [asyncio.create_task(part) for part in (vehicle.live(), client.serve(vehicle.feed))]
+    try:
+        yield vehicle
+    finally:
+        for part in parts:
+            part.cancel()
+        ended = await asyncio.gather(*parts, return_exceptions=True)
+    assert all(isinstance(end, asyncio.CancelledError) for end in ended), ended
 
 
 @pytest.fixture(autouse=True)
@@ -61,8 +113,11 @@ async def test_a_later_subscriber_gets_the_present_vehicles(broker: Broker, peop
         assert not latecomer.on(f"{BASE}/state"), "states are not kept"
 
 
-async def test_events_while_the_broker_is_away_are_sent_once_and_in_order(broker: Broker) -> None:
-    async with Line(broker).laid() as line, flying(broker=line.url, name="heron", kept_events=20) as vehicle:
+async def test_events_while_the_broker_is_away_are_sent_once_and_in_order(
+    broker: Broker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(publisher, "MAX_STORED_EVENTS", 20)
+    async with Line(broker).laid() as line, flying(broker=line.url, name="heron") as vehicle:
         async with onlooker(broker) as people:
             vehicle.say("before")
             await people.until(f"{BASE}/event", text="before")
@@ -318,7 +373,7 @@ async def test_an_authority_without_key_usage_is_refused_as_python_3_13_does(
         )
         async with flying(broker=mqtt.broker, name="heron", ca_file=mqtt.ca_file) as vehicle:
             await vehicle.in_trouble(why)
-        assert (await facts(mqtt)).problem.endswith(why)
+        assert (await broker_facts(mqtt)).problem.endswith(why)
     gc.collect()
 
 

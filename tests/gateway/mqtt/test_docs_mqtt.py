@@ -8,12 +8,11 @@ from pathlib import Path
 import msgspec
 
 from flying_vines.gateway.messages import COMMANDS
+from flying_vines.gateway.mqtt.broker import THROWN_OUT
 from flying_vines.gateway.mqtt.connection import MAX_PACKET, POLICY
-from flying_vines.gateway.mqtt.payloads import PAYLOADS, SCHEMA_VERSION, schemas
-from flying_vines.gateway.mqtt.problems import THROWN_OUT
-from flying_vines.gateway.mqtt.publisher import RESERVOIR_S
+from flying_vines.gateway.mqtt.payloads import ASKED_WITHIN_S, PAYLOADS, SCHEMA_VERSION, Topics, schemas
+from flying_vines.gateway.mqtt.publisher import MAX_STORED_EVENTS, RESERVOIR_S
 from flying_vines.gateway.mqtt.requests import MAX_AT_ONCE, MAX_PER_S
-from flying_vines.gateway.mqtt.topics import Topics
 
 from ..gateway_inputs import configured
 
@@ -54,8 +53,8 @@ def test_its_numbers_and_commands_are_the_code_s() -> None:
         f"`version` ({SCHEMA_VERSION})",
         f"every {RESERVOIR_S:g} s",
         f"`mqtt.rate_Hz`, {mqtt.rate_Hz:g} a second",
-        f"the last {mqtt.kept_events} events (`mqtt.kept_events`)",
-        f"`mqtt.asked_within_s` ({mqtt.asked_within_s:g} s)",
+        f"the last {MAX_STORED_EVENTS} events",
+        f"a time more than {ASKED_WITHIN_S:g} s from now",
         f"longer than {MAX_PACKET // 1024} kB",
         f"shorter than {POLICY.report_after_s:g} s",
         "after 15 s, later every five minutes",

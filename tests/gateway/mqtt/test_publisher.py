@@ -16,10 +16,23 @@ from hypothesis import strategies as st
 from flying_vines.core.events import Action, Asked, Decision
 from flying_vines.core.pending_bend import PendingBend
 from flying_vines.gateway.messages import Happened, SnapshotMessage, raw
-from flying_vines.gateway.mqtt.home_assistant import discovery
-from flying_vines.gateway.mqtt.payloads import PAYLOADS, EventPayload, LostEvent, NoticeEvent, RequestPayload
-from flying_vines.gateway.mqtt.publisher import RESERVOIR_S, SILENT_S, Events, Now, Publication, Publisher
-from flying_vines.gateway.mqtt.topics import Topics
+from flying_vines.gateway.mqtt.payloads import (
+    PAYLOADS,
+    EventPayload,
+    LostEvent,
+    NoticeEvent,
+    RequestPayload,
+    Topics,
+)
+from flying_vines.gateway.mqtt.publisher import (
+    RESERVOIR_S,
+    SILENT_S,
+    Events,
+    Now,
+    Publication,
+    Publisher,
+    discovery,
+)
 from flying_vines.simulation.simulated_world import SimulatedWorld
 from flying_vines.vehicle.notice import Notice
 from flying_vines.vine.intent import BendTo, Intent, StartBench, StartProfile, VentVine

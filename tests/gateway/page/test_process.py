@@ -93,32 +93,6 @@ async def test_a_page_that_hangs_or_ends_is_back_within_five_seconds(tmp_path: P
 
 
 @pytest.mark.long
-async def test_no_page_bends_the_vine_of_an_armed_vehicle(tmp_path: Path) -> None:
-    """The core refuses the request, whatever a browser sends."""
-    async with (
-        serving(tmp_path, bench_mode=True) as served,
-        client() as session,
-        session.ws_connect(served.url + "live") as viewing,
-    ):
-        await ready(viewing)
-        assert await ask(viewing, "bend", value=50) == ("accepted", "")
-        await until(served.bench.bent, "disarmed and in bench mode it bends")
-        assert await ask(viewing, "vent") == ("accepted", "")
-        await until(served.bench.vented, "the vine is vented")
-        served.bench.autopilot.arm()
-        while not (await next_of_kind(viewing, "snapshot"))["snapshot"]["armed"]:
-            pass
-        refused = ("refused", "the page cannot bend the vine while the vehicle is armed")
-        assert await ask(viewing, "bend", value=50) == refused
-        assert await ask(viewing, "pressure", value=12) == refused
-        assert await ask(viewing, "profile", name="bend-half") == refused
-        assert await ask(viewing, "start_bench") == ("refused", "the vehicle is armed")
-        await asyncio.sleep(0.3)
-        assert served.bench.vented()
-        assert await ask(viewing, "vent") == ("accepted", "")
-
-
-@pytest.mark.long
 async def test_an_unanswered_request_is_not_executed_when_the_service_continues(tmp_path: Path) -> None:
     async with (
         serving(tmp_path) as served,

@@ -41,7 +41,7 @@ const SHOWN_S = 120;
 const GAP_S = 1;
 const LEFT = 40, RIGHT = 10, TOP = 22, BETWEEN = 30, BOTTOM = 22;
 
-// Samples are [t, vine, setpoint, bottle], gauge kPa or null; the right edge is now.
+// Samples are [t, vine, setpoint, reservoir], gauge kPa or null; the right edge is now.
 export function drawChart(canvas, samples, droneNow, vine) {
   const scale = window.devicePixelRatio || 1;
   const { clientWidth: width, clientHeight: height } = canvas;
@@ -62,10 +62,10 @@ export function drawChart(canvas, samples, droneNow, vine) {
 
   for (const pane of [upper, lower]) grid(pen, pane, x, droneNow, width, color, pane === lower);
   title(pen, LEFT, upper.top - 8, [["vine", color("vine")], ["setpoint", color("wanted")], ["kPa", color("soft")]]);
-  title(pen, LEFT, lower.top - 8, [["bottle", color("bottle")], ["kPa", color("soft")]]);
+  title(pen, LEFT, lower.top - 8, [["reservoir", color("reservoir")], ["kPa", color("soft")]]);
   line(pen, samples, 2, upper, x, color("wanted"), [6, 4]);
   line(pen, samples, 1, upper, x, color("vine"), []);
-  line(pen, samples, 3, lower, x, color("bottle"), []);
+  line(pen, samples, 3, lower, x, color("reservoir"), []);
 }
 
 function grid(pen, pane, x, droneNow, width, color, last) {

@@ -1,21 +1,24 @@
-"""Checks the vehicle's link: who sends, and do all needed messages arrive often enough?"""
+"""Checks the vehicle: who sends on its link, do all needed messages arrive, is its mission understood?"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from flying_vines.config.address import NetworkAddress, parse_address
 from flying_vines.config.config import Config
-from flying_vines.doctor.checks.machine import excused
-from flying_vines.doctor.checks.service import Process, named, stop
-from flying_vines.doctor.finding import DoctorFinding, FindingText
+from flying_vines.core.motion_planner import MotionPlanner
+from flying_vines.doctor.computer import excused
+from flying_vines.doctor.finding import DoctorFinding, Subject
+from flying_vines.doctor.processes import Process, all_named, stop
 from flying_vines.doctor.vehicle_probe import StreamFacts, VehicleFacts
 from flying_vines.vehicle.autopilots import OTHER, of_name
 from flying_vines.vehicle.autopilots.autopilot import Autopilot
 from flying_vines.vehicle.mavlink.link import BUFFERED_FRAME_BYTES, RECEIVE_BUFFER_BYTES
+from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.state import ALTITUDE_FRESH_S, HEARTBEAT_FRESH_S
+from flying_vines.vehicle.triggers import Rules
 
 MIN_RATE_SHARE = 0.7
 """A stream below this share of its requested rate is slow."""
@@ -34,146 +37,104 @@ USES = {
 }
 """The use of each message in the service or the doctor."""
 
-NO_LINK = FindingText("vehicle link", "bad", "{why}", "check vehicle.link, and the result for its port above")
-SERVED = FindingText(
-    "vehicle link",
-    "bad",
+_VEHICLE_LINK = Subject("vehicle link")
+NO_LINK = _VEHICLE_LINK.bad("{why}", "check vehicle.link, and the result for its port above")
+SERVED = _VEHICLE_LINK.bad(
     "no autopilot is found{why}; {who} runs and may use this link",
     "use flying-vines watch; or stop the service ({stop}) and repeat this check",
 )
-NOT_ASKED = FindingText(
-    "vehicle link", "skipped", "not checked, because its port cannot be used: see the result for the port"
-)
-SILENT = FindingText(
-    "vehicle link",
-    "bad",
+NOT_ASKED = _VEHICLE_LINK.skipped("not checked, because its port cannot be used: see the result for the port")
+SILENT = _VEHICLE_LINK.bad(
     "nothing arrived in {seconds:.0f} s",
     "set the autopilot's port: on ArduPilot SERIALn_PROTOCOL = 2 and its baud rate, on PX4 MAV_1_CONFIG; "
     "check vehicle.link, RX and TX",
 )
-NOT_THE_PEER = FindingText(
-    "vehicle link",
-    "bad",
+NOT_THE_PEER = _VEHICLE_LINK.bad(
     "only {other} sends, and this is not the peer in vehicle.link",
     "if that is your autopilot, write ?peer={other} in vehicle.link",
 )
-NOISE = FindingText(
-    "vehicle link",
-    "bad",
+NOISE = _VEHICLE_LINK.bad(
     "{bytes} bytes arrived, but no MAVLink message",
     "set the autopilot's baud rate in vehicle.link, and check that no other device uses the line",
 )
-ECHO = FindingText(
-    "vehicle link",
-    "bad",
+ECHO = _VEHICLE_LINK.bad(
     "only our own {echoes} frames come back",
     "set the autopilot's port, and check the wires: TX and RX touch, or the adapter returns what we send",
 )
-SERIAL_ECHO = FindingText(
-    "vehicle link",
-    "warning",
+SERIAL_ECHO = _VEHICLE_LINK.warning(
     "our own frames come back on the serial line",
     "check the wires: TX and RX touch, or the adapter returns what we send (half-duplex, local echo)",
 )
-BUFFER = FindingText("receive buffer", "good", "keeps {seconds:.0f} s of frames while this computer stalls")
-SMALL_BUFFER = FindingText(
-    "receive buffer",
-    "warning",
+_RECEIVE_BUFFER = Subject("receive buffer")
+BUFFER = _RECEIVE_BUFFER.good("keeps {seconds:.0f} s of frames while this computer stalls")
+SMALL_BUFFER = _RECEIVE_BUFFER.warning(
     "keeps {seconds:.1f} s of frames: a vent that is sent in a longer stall of this computer is lost",
     "sudo sysctl -w net.core.rmem_max={wanted} (and the same in /etc/sysctl.d/60-vine.conf)",
 )
-NO_AUTOPILOT = FindingText(
-    "vehicle link",
-    "bad",
+NO_AUTOPILOT = _VEHICLE_LINK.bad(
     "{messages} messages arrived from {others}, but none from an autopilot",
     "check which messages a router forwards, and vehicle.system_id = {system} (0: the first autopilot)",
 )
-TWO_AUTOPILOTS = FindingText(
-    "vehicle link",
-    "bad",
-    "autopilots {one} and {other} are on the link: neither is served",
-    "set vehicle.system_id",
+TWO_AUTOPILOTS = _VEHICLE_LINK.bad(
+    "autopilots {one} and {other} are on the link: neither is served", "set vehicle.system_id"
 )
-AUTOPILOT = FindingText("autopilot", "good", "{kind} {version}, system {system}, {mode}")
-OTHER_AUTOPILOT = FindingText(
-    "autopilot",
-    "warning",
+_AUTOPILOT = Subject("autopilot")
+AUTOPILOT = _AUTOPILOT.good("{kind} {version}, system {system}, {mode}")
+OTHER_AUTOPILOT = _AUTOPILOT.warning(
     "system {system} is neither ArduPilot nor PX4",
     "try each trigger on the ground first: it is not known how this autopilot reports mission items",
 )
-ARMED = FindingText(
-    "autopilot", "warning", "it is armed ({mode})", "disarm it before you connect or repair anything"
-)
-HEARTBEAT = FindingText(
-    "heartbeat", "good", "{rate:.1f} a second; the link was silent for {silence:.1f} s at most"
-)
-HEARTBEAT_GAPS = FindingText(
-    "heartbeat",
-    "bad",
+ARMED = _AUTOPILOT.warning("it is armed ({mode})", "disarm it before you connect or repair anything")
+_HEARTBEAT = Subject("heartbeat")
+HEARTBEAT = _HEARTBEAT.good("{rate:.1f} a second; the link was silent for {silence:.1f} s at most")
+HEARTBEAT_GAPS = _HEARTBEAT.bad(
     "nothing arrived for {silence:.1f} s; after {limit:g} s (losses.autopilot_s) the autopilot is lost",
     "correct the link: cable, baud rate, load of a router",
 )
-NO_HEARTBEAT = FindingText(
-    "heartbeat",
-    "bad",
+NO_HEARTBEAT = _HEARTBEAT.bad(
     "none for {limit:g} s, but other messages arrive: the arm state is unknown",
     "check which messages a router forwards",
 )
-STREAM = FindingText("{name}", "good", "{rate:.1f} a second")
-SLOW = FindingText("{name}", "warning", "{rate:.1f} a second, not {wanted:g} (for {use})", "{where}")
-TOO_SLOW = FindingText("{name}", "bad", "{rate:.1f} a second; {use} needs {least:.1f}", "{where}")
-MISSING = FindingText("{name}", "bad", "does not arrive; needed for {use}", "{where}")
-MISSED = FindingText("{name}", "warning", "does not arrive; used for {use}", "{where}")
-DUPLICATE_ID = FindingText(
-    "component id",
-    "bad",
+_STREAM = Subject("{name}")
+STREAM = _STREAM.good("{rate:.1f} a second")
+SLOW = _STREAM.warning("{rate:.1f} a second, not {wanted:g} (for {use})", "{where}")
+TOO_SLOW = _STREAM.bad("{rate:.1f} a second; {use} needs {least:.1f}", "{where}")
+MISSING = _STREAM.bad("does not arrive; needed for {use}", "{where}")
+MISSED = _STREAM.warning("does not arrive; used for {use}", "{where}")
+_COMPONENT_ID = Subject("component id")
+DUPLICATE_ID = _COMPONENT_ID.bad(
     "{id} is taken by another program on this vehicle",
     "set vehicle.component_id to a free one (BlueOS and Rpanion have 191)",
 )
-DUPLICATE_ID_OF_SERVICE = FindingText(
-    "component id",
-    "warning",
-    "{id} is in use on this vehicle, probably by {who}, which runs",
-    "stop it ({stop}) and repeat this check",
+DUPLICATE_ID_OF_SERVICE = _COMPONENT_ID.warning(
+    "{id} is in use on this vehicle, probably by {who}, which runs", "stop it ({stop}) and repeat this check"
 )
-DUPLICATE_ID_ONCE = FindingText(
-    "component id",
-    "warning",
+DUPLICATE_ID_ONCE = _COMPONENT_ID.warning(
     "a message came from our own id {id}: another program may use this id",
     "repeat this check; if it comes again, set vehicle.component_id to a free one",
 )
-FREE = FindingText("component id", "good", "{id} is free; senders besides the autopilot: {others}")
-UNSIGNED = FindingText(
-    "signing",
-    "bad",
+FREE = _COMPONENT_ID.good("{id} is free; senders besides the autopilot: {others}")
+_SIGNING = Subject("signing")
+UNSIGNED = _SIGNING.bad(
     "all messages were refused: {refused}",
     "give both sides the same key (docs/mavlink.md), or remove vehicle.signing_key",
 )
-DATED_AHEAD = FindingText(
-    "signing",
-    "bad",
+DATED_AHEAD = _SIGNING.bad(
     "all messages were refused: their time is too far ahead of this computer's clock",
     "correct the clock that is wrong: this computer's or the sender's (docs/mavlink.md)",
 )
-SOME_REFUSED = FindingText(
-    "signing",
-    "warning",
-    "some messages were refused: {refused}",
-    "check who else sends on this link, and with which key",
+SOME_REFUSED = _SIGNING.warning(
+    "some messages were refused: {refused}", "check who else sends on this link, and with which key"
 )
-SIGNED = FindingText("signing", "good", "all messages were signed with our key")
-NO_KEY = FindingText(
-    "signing",
-    "warning",
+SIGNED = _SIGNING.good("all messages were signed with our key")
+NO_KEY = _SIGNING.warning(
     "the autopilot signs its messages, but the configuration has no key: it may ignore ours",
     "write its key to a file, and set vehicle.signing_key to this file",
 )
-NO_KEY_NEEDED = FindingText(
-    "signing",
-    "good",
-    "the autopilot signs its messages, and also answers our unsigned ones: no key is needed",
+NO_KEY_NEEDED = _SIGNING.good(
+    "the autopilot signs its messages, and also answers our unsigned ones: no key is needed"
 )
-NOT_SIGNED = FindingText("signing", "good", "off, on both sides")
+NOT_SIGNED = _SIGNING.good("off, on both sides")
 
 
 def check(
@@ -196,7 +157,7 @@ def check(
         return [NOT_ASKED()]
     if running and not facts.found and not facts.refused.total and not facts.rivals:
         why = f" ({facts.down})" if facts.down else ""
-        return [SERVED(why=why, who=named(running), stop=stop(running))]
+        return [SERVED(why=why, who=all_named(running), stop=stop(running))]
     if not facts.messages:
         if facts.refused.ahead:
             return [DATED_AHEAD()]
@@ -288,7 +249,7 @@ def _component(facts: VehicleFacts, config: Config, running: Sequence[Process]) 
     ours = config.vehicle.component_id
     came_once = (facts.system_id, ours) in facts.others
     if running and (facts.duplicate_id or came_once):
-        return DUPLICATE_ID_OF_SERVICE(id=ours, who=named(running), stop=stop(running))
+        return DUPLICATE_ID_OF_SERVICE(id=ours, who=all_named(running), stop=stop(running))
     if facts.duplicate_id:
         return DUPLICATE_ID(id=ours)
     if came_once:
@@ -306,3 +267,45 @@ def _signing(facts: VehicleFacts, wanted: bool) -> DoctorFinding:
 
 def _named(others: tuple[tuple[int, int], ...]) -> str:
     return ", ".join(f"{system}/{component}" for system, component in others)
+
+
+_MISSION = Subject("mission")
+MISSION_NOT_READ = _MISSION.warning(
+    "it could not be read, so its items would not move the vine",
+    "try again with more --seconds; check whether a ground station is uploading",
+)
+NO_MISSION_READ = _MISSION.skipped("not read: no autopilot was found")
+NO_MISSION = _MISSION.good("the vehicle has no mission")
+NO_VINE = _MISSION.good("{items} items, none for the vine")
+UNDERSTOOD = _MISSION.good("{items} items; for the vine: {vine}")
+NOT_UNDERSTOOD = _MISSION.bad(
+    "item {seq}: {why}",
+    "correct the item, or add a rule to [[items]]; `flying-vines mission check` shows details",
+)
+
+
+def check_mission(
+    mission: Mapping[int, MissionItem] | None, found: bool, config: Config
+) -> list[DoctorFinding]:
+    """`mission` is None if it was not read; `found` is True if there is an autopilot."""
+    if not found:
+        return [NO_MISSION_READ()]
+    if mission is None:
+        return [MISSION_NOT_READ()]
+    if not mission:
+        return [NO_MISSION()]
+    rules, planner = Rules(config), MotionPlanner(config)
+    findings, understood = [], []
+    for seq, item in sorted(mission.items()):
+        if item.command not in rules.commands:
+            continue
+        intent, problem = rules.for_command(item.command, item.params)
+        if intent is not None:
+            problem = planner.problem(intent)
+        if problem:
+            findings.append(NOT_UNDERSTOOD(seq=seq, why=problem))
+        else:
+            understood.append(f"{seq} ({intent})")
+    if understood:
+        findings.append(UNDERSTOOD(items=len(mission), vine=", ".join(understood)))
+    return findings or [NO_VINE(items=len(mission))]

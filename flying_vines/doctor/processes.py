@@ -1,13 +1,17 @@
-"""Other processes on this computer and their open files, from /proc as far as this user may read it."""
+"""Other processes on this computer and their open files, and whether the service already runs.
+
+All from /proc, as far as this user may read it. A running service holds the ports.
+"""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
-from flying_vines.doctor.checks.service import Process
+from flying_vines.doctor.finding import DoctorFinding, Subject
 
 PROC = Path("/proc")
 _OUR_UNITS = re.compile(r"/(flying-vines[^/]*\.service)$", re.MULTILINE)
@@ -16,6 +20,50 @@ _PSEUDO = "/dev/pts/"
 _PTY_MASTERS = ("/dev/ptmx", "/dev/pts/ptmx")
 """The device side of pseudo-terminals. A simulated device has this side open and may also keep the host side
 open. It does not count as a user of the port."""
+
+
+class Process(NamedTuple):
+    """Another program on this computer."""
+
+    pid: int
+    name: str
+    unit: str = ""
+    """The systemd unit, if the process is our service; else empty."""
+
+    def __str__(self) -> str:
+        return f"{self.name} (process {self.pid}{', ' if self.unit else ''}{self.unit})"
+
+    @property
+    def stop(self) -> str:
+        """The command that stops the process. Our service vents the vine before it ends."""
+        return f"sudo systemctl stop {self.unit}" if self.unit else f"kill {self.pid}"
+
+
+_SERVICE = Subject("service")
+NO_SERVICE = _SERVICE.good("no other service runs here")
+ELSEWHERE = _SERVICE.warning(
+    "{who} already runs, on other ports of this computer",
+    "stop it ({stop}). If it serves another vehicle, give both services different component ids",
+)
+RUNS = _SERVICE.bad(
+    "{who} already runs and uses the links, so they cannot be checked",
+    "use flying-vines watch; or stop the service ({stop}) and repeat this check",
+)
+
+
+def all_named(processes: Sequence[Process]) -> str:
+    return ", ".join(map(str, processes))
+
+
+def stop(processes: Sequence[Process]) -> str:
+    return "; ".join(process.stop for process in processes)
+
+
+def check_service(running: Sequence[Process], holding: Sequence[Process]) -> DoctorFinding:
+    """`holding`: the running services that use our links, or may use them."""
+    if holding:
+        return RUNS(who=all_named(holding), stop=stop(holding))
+    return ELSEWHERE(who=all_named(running), stop=stop(running)) if running else NO_SERVICE()
 
 
 def _processes(proc: Path) -> Iterator[tuple[int, Path]]:
@@ -29,18 +77,16 @@ def _processes(proc: Path) -> Iterator[tuple[int, Path]]:
             yield int(folder.name), folder
 
 
-def _arguments(folder: Path) -> list[str]:
+def text_of(path: Path) -> str:
+    """The text of a file of the system; empty if it is missing, or this user may not read it."""
     try:
-        return (folder / "cmdline").read_bytes().decode(errors="replace").rstrip("\0").split("\0")
+        return path.read_text(errors="replace")
     except OSError:
-        return []
+        return ""
 
 
 def _name(folder: Path) -> str:
-    try:
-        return (folder / "comm").read_text(errors="replace").strip()
-    except OSError:
-        return "?"
+    return text_of(folder / "comm").strip() or "?"
 
 
 def services(proc: Path = PROC) -> list[Process]:
@@ -48,15 +94,12 @@ def services(proc: Path = PROC) -> list[Process]:
     return [
         Process(pid, "flying-vines run", _unit(folder))
         for pid, folder in _processes(proc)
-        if _serves(_arguments(folder))
+        if _serves(text_of(folder / "cmdline").rstrip("\0").split("\0"))
     ]
 
 
 def _unit(folder: Path) -> str:
-    try:
-        found = _OUR_UNITS.search((folder / "cgroup").read_text(errors="replace"))
-    except OSError:
-        return ""
+    found = _OUR_UNITS.search(text_of(folder / "cgroup"))
     return found[1] if found else ""
 
 
@@ -74,7 +117,7 @@ def _serves(arguments: list[str]) -> bool:
     return False
 
 
-def named(name: str, proc: Path = PROC) -> bool:
+def runs(name: str, proc: Path = PROC) -> bool:
     """True if a program of this name runs."""
     return any(_name(folder) == name for _, folder in _processes(proc))
 
@@ -94,11 +137,7 @@ def port_holders(kind: str, port: int, proc: Path = PROC) -> tuple[Process, ...]
 
 def _inodes(kind: str, port: int, proc: Path) -> Iterator[str]:
     for table in (kind, f"{kind}6"):
-        try:
-            rows = (proc / "net" / table).read_text().splitlines()[1:]
-        except OSError:
-            continue
-        for row in rows:
+        for row in text_of(proc / "net" / table).splitlines()[1:]:
             columns = row.split()
             if int(columns[1].rpartition(":")[2], 16) == port and (
                 kind == "udp" or columns[3] == _TCP_LISTENS

@@ -1,17 +1,22 @@
-"""Turns a connection error into a sentence."""
+"""What a connection to the broker needs, read again for each connection, and what its errors mean."""
 
 from __future__ import annotations
 
+import asyncio
+import logging
 import socket
 import ssl
 import sys
+from pathlib import Path
+from typing import Any
 
 import aiomqtt
 from paho.mqtt.reasoncodes import ReasonCode
 
 from firmware_link.reconnect import Problem
-from flying_vines.config.address import parse_broker
+from flying_vines.config.address import BrokerAddress, parse_broker
 from flying_vines.config.config import MqttConfig
+from flying_vines.files.bounded import decoded, first_line, read_private
 
 THROWN_OUT = Problem(
     "it accepts us and then closes: does another vehicle have the same mqtt.name?", needs_person=True
@@ -21,7 +26,7 @@ _OTHER_VERSION = 0x84
 _NO_GREETING = "Operation timed out"
 """The library's text if a broker accepts the TCP connection but does not answer the MQTT connect message."""
 _BY_CODE = {
-    0x85: "it does not accept our client id: set mqtt.client_id",
+    0x85: "it does not accept our client id, PREFIX-NAME: set mqtt.prefix and mqtt.name",
     0x86: "it does not accept this user and password: check mqtt.username and mqtt.password_file",
     0x87: "it refuses the login: check mqtt.username and mqtt.password_file, and the broker's list of users",
     0x8A: "it has banned us",
@@ -49,12 +54,71 @@ _BADLY_MADE = "Python {python} refuses its certificate, or {trusted}: {why}. Mak
 """All other codes. Python 3.13 and newer ask for what RFC 5280 demands, older ones do not."""
 
 
+_SILENT = logging.Logger(__name__, logging.CRITICAL + 1)
+
+
 class RefusedError(Exception):
     """The broker accepted the login, but refuses our messages or ends the connection."""
 
 
 class FileError(Exception):
     """A password, key or certificate cannot be used."""
+
+
+async def login(mqtt: MqttConfig, version: aiomqtt.ProtocolVersion, timeout_s: float) -> dict[str, Any]:
+    """Arguments of the library's client. Raises `FileError`."""
+    broker = parse_broker(mqtt.broker)
+    secret, tls_context = await asyncio.to_thread(lambda: (password(mqtt), tls(mqtt, broker)))
+    return {
+        "hostname": broker.host,
+        "port": broker.port,
+        "username": mqtt.username or None,
+        "password": secret,
+        "protocol": version,
+        "timeout": timeout_s,
+        "tls_context": tls_context,
+        "logger": _SILENT,
+    }
+
+
+def password(mqtt: MqttConfig) -> str | None:
+    """The first line of the file that is no comment. Raises `FileError`; may block on a slow disk."""
+    if not mqtt.password_file:
+        return None
+    path, what = Path(mqtt.password_file), "the password"
+    try:
+        text = decoded(read_private(path, what, FileError))
+    except UnicodeDecodeError:
+        raise FileError(f"{path}: {what} cannot be read: not UTF-8") from None
+    # A password may itself begin with "#".
+    found = first_line(text) or text.strip().partition("\n")[0].strip()
+    if not found:
+        raise FileError(f"{mqtt.password_file}: no password in its first line")
+    return found
+
+
+def tls(mqtt: MqttConfig, broker: BrokerAddress) -> ssl.SSLContext | None:
+    """The TLS context, or None without TLS. Raises `FileError`; may block on a slow disk."""
+    if not broker.tls:
+        return None
+    try:
+        context = ssl.create_default_context(cafile=mqtt.ca_file or None)
+    except OSError as error:
+        raise FileError(f"{mqtt.ca_file}: {_why(error, 'it contains no certificates')}") from None
+    if mqtt.certificate_file:
+        read_private(Path(mqtt.key_file), "the key", FileError)
+        try:
+            # Without a password here, OpenSSL asks for a key's password on the terminal and waits.
+            context.load_cert_chain(mqtt.certificate_file, mqtt.key_file, password="")
+        except OSError as error:
+            why = _why(error, "they are not a certificate and its key, or the key has a password")
+            raise FileError(f"{mqtt.certificate_file}, {mqtt.key_file}: {why}") from None
+    return context
+
+
+def _why(error: OSError, of_tls: str) -> str:
+    # OpenSSL's texts about a file with wrong content do not help.
+    return of_tls if isinstance(error, ssl.SSLError) else str(error.strerror)
 
 
 def problem_of(error: BaseException, mqtt: MqttConfig, connected: bool) -> Problem:

@@ -1,4 +1,4 @@
-"""A simulated healthy vehicle and phloSAR, to test an installation."""
+"""`flying-vines doctor --fakes`: a simulated healthy vehicle and phloSAR, to test an installation."""
 
 from __future__ import annotations
 
@@ -10,9 +10,13 @@ from contextlib import ExitStack, asynccontextmanager
 import msgspec
 
 from flying_vines.config.config import Config
+from flying_vines.doctor.radio_test import RadioStep, RadioTest
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot_server import FIRST_CLIENT, AutopilotServer
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
+
+FAKE_HAND_S = 0.5
+"""Delay of the simulated person after each prompt."""
 
 
 @asynccontextmanager
@@ -65,3 +69,34 @@ async def _ended(tasks: Sequence[asyncio.Task[None]]) -> None:
     for ended in await asyncio.gather(*tasks, return_exceptions=True):
         if isinstance(ended, BaseException) and not isinstance(ended, asyncio.CancelledError):
             raise ended
+
+
+class FakeHand:
+    """Simulates the person of the radio test: moves the simulated transmitter as the prompts say."""
+
+    def __init__(self, autopilot: FakeAutopilot, config: Config) -> None:
+        self._autopilot, self._switch = autopilot, config.switch
+        self._done: tuple[int, RadioStep] | None = None
+        self._since_s = 0.0
+        self._seen: tuple[int, RadioStep] | None = None
+
+    def act(self, test: RadioTest, t: float) -> None:
+        now = test.round, test.step
+        if now != self._seen:
+            self._seen, self._since_s = now, t
+        if now == self._done or t - self._since_s < FAKE_HAND_S:
+            return
+        self._done = now
+        match test.step:
+            case "ready":
+                self._move(test.target)
+            case "off":
+                test.press(t)
+                self._autopilot.lose_rc("frozen")
+            case "on":
+                self._move(test.target)
+                self._autopilot.return_rc()
+
+    def _move(self, position: int) -> None:
+        pulse_us = 1000 + round(1000 * position / (len(self._switch.positions) - 1))
+        self._autopilot.set_rc(self._switch.channel, pulse_us)

@@ -1,1 +1,0 @@
-"""Facts about this computer, from files, sockets and the clock. `checks/` judges them."""
