@@ -153,6 +153,10 @@ class Calibrator:
         zero = self.findings.estimate("cv_zero_kPa")
         return snapshot.cv_kPa - (zero.value if zero else 0.0)
 
+    def vented(self, snapshot: Snapshot) -> bool:
+        """True if the core has vented the vine, and its pressure is low or unknown."""
+        return snapshot.doing == "vented" and not self.cv_kPa(snapshot) >= VENTED_KPA
+
     # Inputs.
 
     def begin(self, t: float) -> list[Output]:

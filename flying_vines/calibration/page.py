@@ -9,8 +9,8 @@ from typing import Any
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from flying_vines.calibration.driver import CalibrationOutcome
 from flying_vines.calibration.findings import Chart, Series
+from flying_vines.calibration.rig import CalibrationOutcome
 from flying_vines.identification.report.canvas import INK, blank, quiet, typeset
 from flying_vines.identification.report.templates import filled
 from flying_vines.identification.report.write import svg

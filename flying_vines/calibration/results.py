@@ -23,8 +23,8 @@ from flying_vines.calibration.configuration import (
     is_precise,
     with_numbers,
 )
-from flying_vines.calibration.driver import CalibrationOutcome, CalibrationRun, UserConfiguration
 from flying_vines.calibration.findings import Findings
+from flying_vines.calibration.rig import CalibrationOutcome, CalibrationRun, UserConfiguration
 from flying_vines.calibration.terminal import CalibrationTerminal
 from flying_vines.config import on_disk
 from flying_vines.config.config import ConfigError, PneumaticsConfig

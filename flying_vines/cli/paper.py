@@ -29,7 +29,7 @@ def _paper(arguments: argparse.Namespace) -> int:
 
         if folder:
             from flying_vines.studies.paper.figures import draw
-    from flying_vines.studies.paper.show import show
+    from flying_vines.studies.paper.report import show
 
     with needs_analysis(), file_errors(folder):
         if folder:

@@ -23,7 +23,7 @@ from flying_vines.calibration.findings import (
 from flying_vines.calibration.plan import CalibrationRequest, plan
 from flying_vines.calibration.readings import Readings, ReadingsBuffer
 from flying_vines.calibration.reservoir_balance import Bins, fit_balance
-from flying_vines.calibration.simulated_rig import CURVE, HYSTERESIS_KPA, SimulatedAngleReader
+from flying_vines.calibration.rig import CURVE, HYSTERESIS_KPA, SimulatedAngleReader
 from flying_vines.calibration.vine_air import AirInputs, VineAir, fit_vine_air, volumes
 from flying_vines.config import config
 from flying_vines.config.config import PneumaticsConfig

@@ -9,9 +9,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from flying_vines.calibration.calibrator import Ended
-from flying_vines.calibration.driver import CalibrationOutcome
 from flying_vines.calibration.findings import Chart, Findings, MeasuredQuantity, Series
 from flying_vines.calibration.page import page, pictures
+from flying_vines.calibration.rig import CalibrationOutcome
 
 X = np.linspace(0.0, 20.0, 40)
 CHART = Chart(

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from matplotlib import pyplot as plt
 
-from flying_vines.physics import paper
+from flying_vines.physics.arrays import Array
 from flying_vines.plots.style import BLUE, GREEN, GREY, ORANGE, PURPLE, finish, save
-from flying_vines.studies.paper.compare import STEP_TEST_S, Curves, FrequencyResponse
+from flying_vines.studies.paper.compare import BAND, STEP_TEST_S, Curves, FrequencyResponse
 from flying_vines.studies.paper.data import curve, stated
 
 MEASURED: dict[str, Any] = {"color": BLUE, "ls": "none", "marker": "o", "ms": 4, "label": "measured"}
@@ -44,7 +44,7 @@ def _discharge(curves: Curves) -> Any:
         nearest = f"nearest exponential, τ = {d.best_time_constant_s:.1f} s"
         above.plot(
             d.plant_time_s,
-            paper.discharge_kPa(d.plant_time_s, float(measured[0]), d.best_time_constant_s),
+            d.exponential_kPa(d.plant_time_s, d.best_time_constant_s),
             color=GREY,
             lw=1.0,
             label=nearest,
@@ -59,14 +59,15 @@ def _discharge(curves: Curves) -> Any:
             (d.time_constant_s, ORANGE, "o"),
             (d.best_time_constant_s, GREY, "."),
         ):
-            off = measured - paper.discharge_kPa(time_s, float(measured[0]), tau_s)
+            off = measured - d.exponential_kPa(time_s, tau_s)
             below.plot(time_s, 100.0 * off / measured[0], color=style, lw=1.0, marker=marker, ms=3.5)
-        off = measured - np.interp(time_s, d.plant_time_s, d.likely_kPa)
+        off = measured - d.at_points(d.likely_kPa)
         below.plot(time_s, 100.0 * off / measured[0], color=PURPLE, lw=1.0, marker=".", ms=3.5)
         below.axhline(0.0, color="black", lw=0.6)
         below.set_title(
-            f"nRMSE, %: drawn {d.nrmse_percent:.2f}, nearest {d.nrmse_best_percent:.2f}, "
-            f"high-fidelity {d.nrmse_likely_percent:.2f}",
+            f"nRMSE, %: drawn {d.nrmse_percent(d.time_constant_s):.2f}, "
+            f"nearest {d.nrmse_percent(d.best_time_constant_s):.2f}, "
+            f"high-fidelity {d.plants_nrmse_percent(d.likely_kPa):.2f}",
             loc="left",
             fontsize=8.0,
         )
@@ -135,7 +136,7 @@ def _frequency(curves: Curves) -> Any:
             label=f"off-the-shelf regulator (baseline {n})",
         )
         line = curve(f"frequency_model_{first.condition.name}")
-        off = f"{first.model_rms_dB:.1f} dB rms, {first.model_band_rms_dB:.1f} up to 3 cut-offs"
+        off = _off(first, first.model_gain)
         axis.plot(line.x, line.y, **{**MODEL, "label": f"paper's model: {off}"})
         for f, style in zip(responses, ("-", "--"), strict=False):
             _plot_plant(axis, f, {**PLANT, "ls": style}, several=len(responses) > 1)
@@ -166,8 +167,12 @@ def _plot_plant(axis: Any, f: FrequencyResponse, style: dict[str, Any], several:
     order = np.argsort(f.measured.x)
     supply = f" on {f.supply_kPa:.0f} kPa" if several else ""
     which = "high-fidelity" if style["color"] == PURPLE else "baseline"
-    label = f"{which}{supply}: {f.plant_rms_dB:.1f} dB rms, {f.plant_band_rms_dB:.1f} up to 3 cut-offs"
+    label = f"{which}{supply}: {_off(f, f.plant_gain)}"
     axis.plot(f.measured.x[order], f.plant_gain[order], **{**style, "label": label})
+
+
+def _off(f: FrequencyResponse, gains: Array) -> str:
+    return f"{f.rms_dB(gains):.1f} dB rms, {f.rms_dB(gains, BAND):.1f} up to {BAND:g} cut-offs"
 
 
 def _sine(curves: Curves) -> Any:
