@@ -33,8 +33,7 @@ def _design(arguments: argparse.Namespace) -> int:
     with needs_analysis():
         from flying_vines.studies.design import catalogue, evaluate
         from flying_vines.studies.design import robot as requirements
-        from flying_vines.studies.design.compass import compass
-        from flying_vines.studies.design.search import Performance, evaluate_all, front
+        from flying_vines.studies.design.evaluate import Performance, evaluate_all, front
         from flying_vines.studies.design.show import as_json, show
 
         if folder:
@@ -45,15 +44,14 @@ def _design(arguments: argparse.Namespace) -> int:
     tried = evaluate_all(robot, parts)
     performances: tuple[Performance, ...] = ("cycles", "inflation", "deflation")
     fronts = {by: front(tried, by) for by in performances}
-    compared = compass(evaluation, evaluate(robot, parts.choose()))
     figures: Sequence[Path] = ()
     with file_errors(folder):
         if folder:
             folder.mkdir(parents=True, exist_ok=True)
-            figures = draw(evaluation, tried, compared, folder)
+            figures = draw(evaluation, tried, folder)
     return show_found(
         arguments.json,
-        lambda: as_json(evaluation, fronts, compared),
-        lambda console: show(evaluation, fronts, compared, tried, console),
+        lambda: as_json(evaluation, fronts),
+        lambda console: show(evaluation, fronts, tried, console),
         figures,
     )

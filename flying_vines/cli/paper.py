@@ -47,18 +47,17 @@ def _paper(arguments: argparse.Namespace) -> int:
 def _paper_diagnosis(folder: Path | None, json_wanted: bool) -> int:
     with needs_analysis():
         from flying_vines.studies.paper.diagnosis import diagnose_paper
-        from flying_vines.studies.paper.diagnosis.show import show
-        from flying_vines.studies.paper.diagnosis.words import as_json
+        from flying_vines.studies.paper.diagnosis.report import as_json, show
 
         if folder:
             from flying_vines.identification.report import write_report
-            from flying_vines.studies.paper.diagnosis.figures import draw
+            from flying_vines.studies.paper.figures import draw_diagnosis
     with needs_analysis(), file_errors(folder):
         if folder:
             folder.mkdir(parents=True, exist_ok=True)
         with progress_bar() as progress:
             diagnosis = diagnose_paper(progress)
-        figures = draw(diagnosis, folder) if folder else []
+        figures = draw_diagnosis(diagnosis, folder) if folder else []
         if folder:
             write_report(diagnosis.discharges.verdict, diagnosis.discharges.case, folder)
     return show_found(

@@ -34,10 +34,10 @@ def show(rows: tuple[PaperRow, ...], findings: tuple[str, ...], console: Console
     )
     console.print("\nWhat disagrees in the paper itself", style="bold")
     for number, finding in enumerate(findings, 1):
-        _item(console, f"{number}.", finding)
+        item(console, f"{number}.", finding)
     console.print("\nWhy a row differs or cannot be decided", style="bold")
     for note, quantities in reasons(rows).items():
-        _item(console, "·", f"{'; '.join(quantities)}: {note}")
+        item(console, "·", f"{'; '.join(quantities)}: {note}")
 
 
 def reasons(rows: tuple[PaperRow, ...]) -> dict[str, list[str]]:
@@ -49,7 +49,8 @@ def reasons(rows: tuple[PaperRow, ...]) -> dict[str, list[str]]:
     return found
 
 
-def _item(console: Console, mark: str, text: str) -> None:
+def item(console: Console, mark: str, text: str) -> None:
+    """Print a text with a hanging mark."""
     item = Table.grid(padding=(0, 1))
     item.add_row(mark, Text(text))
     console.print(Padding(item, (0, 0, 0, 1)))

@@ -62,16 +62,16 @@ class Suspect:
     parameter: str
     values: tuple[float, ...]
     """Tested values."""
-    made: Callable[[Rig, float], Setup] | None = None
+    made: Callable[[float], Setup] | None = None
     """Makes the bench; None: apply the cause with this name."""
 
-    def on(self, rig: Rig, value: float) -> Setup:
+    def on(self, value: float) -> Setup:
         """The simulated bench with this difference."""
-        return self.made(rig, value) if self.made else setup(rig, self.name, **{self.parameter: value})
+        return self.made(value) if self.made else setup(BASE, self.name, **{self.parameter: value})
 
 
-def _tube(rig: Rig, flow_resistance_kPa_s_per_SL: float) -> Setup:
-    return _with_tube(setup(rig), flow_resistance_kPa_s_per_SL)
+def _tube(flow_resistance_kPa_s_per_SL: float) -> Setup:
+    return _with_tube(setup(BASE), flow_resistance_kPa_s_per_SL)
 
 
 def _with_tube(made: Setup, flow_resistance_kPa_s_per_SL: float) -> Setup:
@@ -79,8 +79,8 @@ def _with_tube(made: Setup, flow_resistance_kPa_s_per_SL: float) -> Setup:
     return replace(made, plant=Plant(made.plant.rig, replace(made.plant.effects, tubing=tubing)))
 
 
-def _outlet(rig: Rig, scale: float) -> Setup:
-    return setup(replace(rig, solenoid=Solenoid(scale * rig.solenoid.flow_resistance_kPa_s_per_SL)))
+def _outlet(scale: float) -> Setup:
+    return setup(replace(BASE, solenoid=Solenoid(scale * BASE.solenoid.flow_resistance_kPa_s_per_SL)))
 
 
 SUSPECTS = (
@@ -143,17 +143,10 @@ class Responses:
     other: tuple[GainExplanation, ...]
     """With TC5 at 690 kPa."""
 
-    def of(self, *names: str) -> GainExplanation:
-        """The explanation with these suspects, with TC5 at 345 kPa."""
-        return _of(self.explanations, names)
-
-    def of_other(self, *names: str) -> GainExplanation:
-        """The explanation with these suspects, with TC5 at 690 kPa."""
-        return _of(self.other, names)
-
-
-def _of(explanations: Sequence[GainExplanation], names: Sequence[str]) -> GainExplanation:
-    return next(a for a in explanations if set(a.names) == set(names))
+    def of(self, *names: str, other: bool = False) -> GainExplanation:
+        """The explanation with these suspects; with TC5 at 345 kPa, or at the `other` supply."""
+        explanations = self.other if other else self.explanations
+        return next(each for each in explanations if set(each.names) == set(names))
 
 
 def explain(
@@ -171,26 +164,21 @@ def explain(
         again: suspects that are also tested with the other supply pressure of TC5.
     """
     by_name = {suspect.name: suspect for suspect in suspects}
+    tested: dict[tuple[str, ...], Benches] = {(): {(): setup(BASE)}}
+    tested |= {(each.name,): {(value,): each.on(value) for value in each.values} for each in suspects}
+    for name in with_tube:
+        both = product(by_name[name].values, by_name["tube"].values)
+        tested[name, "tube"] = {(v, r): _with_tube(by_name[name].on(v), r) for v, r in both}
+    runs = [(names, SUPPLY_KPA) for names in tested]
+    runs += [(names, OTHER_SUPPLY_KPA) for names in [(), *((name,) for name in again)]]
+    found: list[GainExplanation] = []
     with threadpool_limits(1):
-        found = _explained((), {(): setup(BASE)}, SUPPLY_KPA)
-        for done, suspect in enumerate(suspects):
-            progress(f"frequency response: {suspect.name}", 0.6 * done / len(suspects))
-            found += _explained((suspect.name,), _benches(suspect), SUPPLY_KPA)
-        tube = by_name["tube"]
-        for name in with_tube:
-            progress(f"frequency response: {name} with a tube", 0.6)
-            both = product(by_name[name].values, tube.values)
-            pairs: Benches = {(v, r): _with_tube(by_name[name].on(BASE, v), r) for v, r in both}
-            found += _explained((name, tube.name), pairs, SUPPLY_KPA)
-        progress("frequency response: the other supply", 0.8)
-        other = _explained((), {(): setup(BASE)}, OTHER_SUPPLY_KPA)
-        for suspect in (by_name[name] for name in again):
-            other += _explained((suspect.name,), _benches(suspect), OTHER_SUPPLY_KPA)
-    return Responses(_ordered(found), _ordered(other))
-
-
-def _benches(suspect: Suspect) -> Benches:
-    return {(value,): suspect.on(BASE, value) for value in suspect.values}
+        for done, (names, supply_kPa) in enumerate(runs):
+            progress(f"frequency response: {' + '.join(names) or NONE}", done / len(runs))
+            found += _explained(names, tested[names], supply_kPa)
+    # Two explanations of each run: without and with a floor.
+    first = 2 * len(tested)
+    return Responses(_ordered(found[:first]), _ordered(found[first:]))
 
 
 def _ordered(explanations: list[GainExplanation]) -> tuple[GainExplanation, ...]:
