@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, NamedTuple
 
+from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.arrays import Array
 
 SD_95 = 1.96
@@ -113,6 +114,11 @@ class MeasuredQuantity:
         if self.assumed == 0.0:
             return f"{self.value:+.3g}"
         return f"{self.value / self.assumed - 1.0:+.1%}"
+
+
+def configured(name: str, what: str, unit: str, pneumatics: PneumaticsConfig) -> MeasuredQuantity:
+    """A quantity that replaces a number of `[pneumatics]`, which is assumed until then."""
+    return MeasuredQuantity(name, what, unit, assumed=getattr(pneumatics, name), key=f"pneumatics.{name}")
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,11 @@ import json
 import os
 import time
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from flying_vines.calibration.configuration import (
     ConfigurationChange,
@@ -31,8 +34,14 @@ from flying_vines.config.config import ConfigError, PneumaticsConfig
 from flying_vines.files.extras import lacks
 from flying_vines.physics.plant.true_rig import TrueRig, true_rig_text
 from flying_vines.supply import nominal_rig
+from flying_vines.supply.rig_file_prior import load_rig_file_prior
+
+if TYPE_CHECKING:
+    from flying_vines.identification.case import Case
 
 FOLDER = "calibration"
+DIAGNOSED_S = 20.0
+"""Duration of the diagnosed part. With many effects, diagnosing some minutes of data takes an hour."""
 MIN_TOLERANCE_PERCENT, MAX_TOLERANCE_PERCENT = 1.0, 10.0
 RIG_KEYS = {
     "reservoir_volume_L": "reservoir.volume_L",
@@ -134,25 +143,52 @@ def _draw(outcome: CalibrationOutcome, folder: Path, terminal: CalibrationTermin
 def _diagnose(
     outcome: CalibrationOutcome, rig_file: Path, numbers: PneumaticsConfig, terminal: CalibrationTerminal
 ) -> Path | None:
-    """The rig file that the configuration should name; None if there is none."""
+    """Diagnose the recording, from the rig file with the measured numbers; needs the extra `analysis`.
+
+    Returns the rig file that the configuration should name, if there is one. It must improve the estimate of
+    the cycles left: its causes lower the error on unseen data, and change the air that a cycle takes.
+    """
     command = f"flying-vines diagnose --from-log {outcome.folder} --rig {rig_file}"
     try:
-        from flying_vines.calibration.diagnosis import diagnosed
+        from flying_vines.identification.diagnose import diagnose
+        from flying_vines.identification.extended import extended_rig
+        from flying_vines.identification.from_log import read_flight
         from flying_vines.identification.recording import CaseError
+        from flying_vines.identification.report import write_report
     except ModuleNotFoundError as error:
         terminal.warn(f"No diagnosis: {lacks(error)}. Then: {command}")
         return None
     try:
         with terminal.working() as progress:
-            diagnosis = diagnosed(outcome.folder, rig_file, numbers, progress)
+            case = _beginning(read_flight(outcome.folder, rig_file))
+            verdict = diagnose(case, progress=progress)
+            report = write_report(verdict, case, rig_file.parent / "diagnosis")[0]
     except CaseError as error:
         terminal.warn(f"No diagnosis: {error}")
         return None
     except KeyboardInterrupt:
         terminal.warn(f"No diagnosis now; later: {command}")
         return None
-    terminal.diagnosis(diagnosis)
-    return diagnosis.rig if diagnosis.helps else None
+    helps = False
+    if verdict.named:
+        rig = rig_file.parent / "rig.toml"
+        _write(rig, true_rig_text(extended_rig(case.rig, verdict)))
+        helps = verdict.held_out.gain[0] > 0.0 and bool(load_rig_file_prior(rig, numbers).used)
+    terminal.diagnosis(verdict, report, helps)
+    return rig if helps else None
+
+
+def _beginning(case: Case) -> Case:
+    """The first `DIAGNOSED_S` of the first run, with a remark."""
+    run = case.runs[0]
+    rows = int(np.searchsorted(run.time_s, DIAGNOSED_S))
+    columns: dict[str, Any] = {
+        field.name: value[:rows]
+        for field in fields(run)
+        if isinstance(value := getattr(run, field.name), np.ndarray)
+    }
+    remark = f"only the first {DIAGNOSED_S:g} s of movement are diagnosed"
+    return replace(case, runs=(replace(run, **columns),), remarks=(*case.remarks, remark))
 
 
 def _write_configurations(
