@@ -17,7 +17,7 @@ from rich.console import Console
 import flying_vines.studies.paper
 from flying_vines.physics.rig import ControlVolume, Rig
 from flying_vines.studies.paper import PaperComparison, PaperRow, as_json, compare
-from flying_vines.studies.paper.bench import LIKELY, Bench, Trace, follow_sine, gain, run
+from flying_vines.studies.paper.bench import LIKELY, Bench, follow_sine, gain, run
 from flying_vines.studies.paper.compare import last_crossing_Hz, window_s
 from flying_vines.studies.paper.figures import draw
 from flying_vines.studies.paper.report import show
@@ -149,15 +149,15 @@ def test_the_venturi_rests_in_the_demonstration() -> None:
         reservoir_kPa=690.0,
         duration_s=4.0,
     )
-    assert trace.openings[1].max() == 0.0
-    assert np.ptp(trace.cv_kPa) == pytest.approx(20.7, rel=0.05)
+    assert trace["dvp"].max() == 0.0
+    assert np.ptp(trace["cv_reading_kPa"]) == pytest.approx(20.7, rel=0.05)
 
 
 def test_a_slow_sine_is_followed_and_a_supply_does_not_fall() -> None:
     bench = Bench().with_cv(0.5).with_fixed_source()
     trace = follow_sine(bench, frequency_Hz=0.5, peak_to_peak_kPa=21.0, reservoir_kPa=690.0)
     assert gain(trace, 2) == pytest.approx(1.0, abs=0.1)
-    assert trace.reservoir_kPa[-1] == pytest.approx(690.0, abs=1e-5)
+    assert trace["reservoir_kPa"][-1] == pytest.approx(690.0, abs=1e-5)
 
 
 @pytest.mark.parametrize("cycles", [1, 3])
@@ -166,9 +166,8 @@ def test_gain_is_the_fundamentals(cycles: int) -> None:
     command = np.sin(2.0 * np.pi * turns)
     # A square's fundamental is 4/π of its height.
     square = 5.0 + 0.5 * np.sign(np.sin(2.0 * np.pi * (turns + 1e-9)))
-    rest = np.zeros((5, 300))
-    rest[0] = square
-    trace = Trace(np.vstack((turns, command, rest)))
+    trace = np.zeros(300, [("target_kPa", float), ("cv_reading_kPa", float)])
+    trace["target_kPa"], trace["cv_reading_kPa"] = command, square
     assert gain(trace, cycles) == pytest.approx(2.0 / np.pi, rel=1e-3)
 
 
@@ -278,11 +277,11 @@ def test_the_likely_bench_is_what_its_sensors_read() -> None:
     quiet = replace(LIKELY, noise_seed=None).with_cv(0.5)
 
     def reading_kPa(bench: Bench) -> float:
-        return float(run(bench, lambda _: 69.0, reservoir_kPa=690.0, duration_s=0.5).cv_kPa[-1])
+        return float(run(bench, lambda _: 69.0, reservoir_kPa=690.0, duration_s=0.5)["cv_reading_kPa"][-1])
 
     assert reading_kPa(quiet) > reading_kPa(replace(quiet, effects=replace(quiet.effects, tubing=None))) + 0.3
     noisy = run(replace(quiet, noise_seed=1), lambda _: 0.0, reservoir_kPa=690.0, duration_s=1.0)
-    assert np.std(noisy.cv_kPa) == pytest.approx(0.15, rel=0.15)
+    assert np.std(noisy["cv_reading_kPa"]) == pytest.approx(0.15, rel=0.15)
 
 
 def test_figures_are_pictures(comparison: PaperComparison, tmp_path: Path) -> None:

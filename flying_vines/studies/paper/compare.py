@@ -9,7 +9,7 @@ import numpy as np
 
 from flying_vines.physics import paper
 from flying_vines.physics.arrays import Array
-from flying_vines.physics.baseline import BaselineState, Inputs, step
+from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.plant.compiled import replay
 from flying_vines.physics.plant.flow import Iso6358
@@ -103,7 +103,7 @@ class StepResponse:
 
     @property
     def overshoot_kPa(self) -> float:
-        return max(0.0, float(self.trace.cv_kPa.max()) - self.condition.swing_kPa)
+        return max(0.0, float(self.trace["cv_reading_kPa"].max()) - self.condition.swing_kPa)
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ class SineSeries:
 
     @property
     def peak_to_peak_kPa(self) -> float:
-        return float(np.ptp(self.trace.cv_kPa))
+        return float(np.ptp(self.trace["cv_reading_kPa"]))
 
 
 @dataclass(frozen=True)
@@ -239,9 +239,10 @@ def discharge(name: str, label: str, reservoir_volume_L: float, likely: Bench) -
     initial_kPa = float(measured.y[0])
     tau_s = fit_time_constant_s(model.x, model.y)
     resistance = tau_s * ALPHA_KPA / reservoir_volume_L
-    plant_s, plant_kPa = plant_discharge(resistance, reservoir_volume_L, initial_kPa, float(measured.x[-1]))
+    baseline = Plant(Rig(reservoir=Reservoir(reservoir_volume_L), cv=None, evp=Evp(resistance)))
     # The paper does not state how far the valve was closed: the ratio is from its curves.
     closed = HIGH_RESISTANCE_RATIO if name == HIGH_RESISTANCE else 1.0
+    samples = 1 + math.ceil(float(measured.x[-1]) / DISCHARGE_STEP_S)
     return DischargeCurve(
         name=name,
         label=label,
@@ -250,9 +251,9 @@ def discharge(name: str, label: str, reservoir_volume_L: float, likely: Bench) -
         model=model,
         time_constant_s=tau_s,
         best_time_constant_s=nearest_time_constant_s(measured.x, measured.y),
-        plant_time_s=plant_s,
-        plant_kPa=plant_kPa,
-        likely_kPa=likely_discharge(likely, reservoir_volume_L, initial_kPa, len(plant_s), closed),
+        plant_time_s=DISCHARGE_STEP_S * np.arange(samples, dtype=np.float64),
+        plant_kPa=plant_discharge(baseline, initial_kPa, samples),
+        likely_kPa=plant_discharge(likely_plant(likely, reservoir_volume_L, closed), initial_kPa, samples),
     )
 
 
@@ -272,31 +273,24 @@ def nearest_time_constant_s(time_s: Array, pressure_kPa: Array) -> float:
     return 1.0 / rate
 
 
-def plant_discharge(
-    flow_resistance_kPa_s_per_SL: float, volume_L: float, initial_kPa: float, duration_s: float
-) -> tuple[Array, Array]:
-    """Discharge of the baseline plant to atmosphere through the open EVP: times s, pressures kPa gauge."""
-    rig = Rig(reservoir=Reservoir(volume_L), cv=None, evp=Evp(flow_resistance_kPa_s_per_SL))
-    state, wide_open = BaselineState(initial_kPa, 0.0), Inputs(1.0, 0.0, False)
-    pressures = [initial_kPa]
-    for _ in range(math.ceil(duration_s / DISCHARGE_STEP_S)):
-        state = step(rig, state, wide_open, DISCHARGE_STEP_S)
-        pressures.append(state.reservoir_kPa)
-    return DISCHARGE_STEP_S * np.arange(len(pressures), dtype=np.float64), np.array(pressures)
+def plant_discharge(plant: Plant, initial_kPa: float, samples: int) -> Array:
+    """Discharge of a plant to atmosphere through the open EVP, kPa gauge, every `DISCHARGE_STEP_S`."""
+    ticks = round(DISCHARGE_STEP_S / TICK_S)
+    wide_open = np.tile((1.0, 0.0, 0.0), (samples * ticks, 1))
+    start = Inputs(1.0, 0.0, False)
+    flown = replay(plant, wide_open, at_rest(plant, initial_kPa), initial=start, record_every=ticks)
+    return np.asarray(flown.table["reservoir_kPa"])
 
 
-def likely_discharge(bench: Bench, volume_L: float, initial_kPa: float, samples: int, closed: float) -> Array:
-    """Discharge of the high-fidelity plant to atmosphere through the EVP, kPa gauge.
+def likely_plant(bench: Bench, volume_L: float, closed: float) -> Plant:
+    """The high-fidelity plant of a discharge.
 
     Args:
         bench: gives the effects. Their wall is the wall of one 2 L bottle.
         volume_L: volume of all bottles.
-        initial_kPa: start pressure, kPa gauge.
-        samples: number of pressures, one every `DISCHARGE_STEP_S`.
         closed: resistance of the partly closed valve, divided by its rated resistance.
     """
-    effects = bench.effects
-    law, wall = effects.evp_law, effects.reservoir_wall
+    law, wall = bench.effects.evp_law, bench.effects.reservoir_wall
     if isinstance(law, Iso6358):
         law = replace(law, sonic_conductance_SL_per_s_kPa=law.sonic_conductance_SL_per_s_kPa / closed)
     if wall is not None:
@@ -307,14 +301,8 @@ def likely_discharge(bench: Bench, volume_L: float, initial_kPa: float, samples:
             capacity_J_per_K=bottles * wall.capacity_J_per_K,
             outer_conductance_W_per_K=bottles * wall.outer_conductance_W_per_K,
         )
-    plant = Plant(
-        Rig(reservoir=Reservoir(volume_L), cv=None), replace(effects, evp_law=law, reservoir_wall=wall)
-    )
-    ticks = round(DISCHARGE_STEP_S / TICK_S)
-    wide_open = np.tile((1.0, 0.0, 0.0), (samples * ticks, 1))
-    start = Inputs(1.0, 0.0, False)
-    flown = replay(plant, wide_open, at_rest(plant, initial_kPa), initial=start, record_every=ticks)
-    return np.asarray(flown.table["reservoir_kPa"])
+    effects = replace(bench.effects, evp_law=law, reservoir_wall=wall)
+    return Plant(Rig(reservoir=Reservoir(volume_L), cv=None), effects)
 
 
 def rated_resistance_kPa_s_per_SL() -> float:
@@ -340,7 +328,7 @@ def step_response(bench: Bench, test: Condition, flow_resistance_kPa_s_per_SL: f
         reservoir_kPa=test.reservoir_kPa,
         duration_s=STEP_TEST_S,
     )
-    near = trace.cv_kPa >= target_kPa - NEAR_KPA
+    near = trace["cv_reading_kPa"] >= target_kPa - NEAR_KPA
     arrived = int(np.argmax(near)) if near.any() else -1
     return StepResponse(
         condition=test,
@@ -348,8 +336,8 @@ def step_response(bench: Bench, test: Condition, flow_resistance_kPa_s_per_SL: f
         faster_kPa_per_s=rate * (1.0 + error),
         slower_kPa_per_s=rate * (1.0 - error),
         trace=trace,
-        rate_kPa_per_s=float(trace.cv_kPa[arrived] / trace.time_s[arrived]),
-        rise_s=float(trace.time_s[arrived]) if near.any() else math.nan,
+        rate_kPa_per_s=float(trace["cv_reading_kPa"][arrived] / trace["time_s"][arrived]),
+        rise_s=float(trace["time_s"][arrived]) if near.any() else math.nan,
     )
 
 
@@ -388,7 +376,7 @@ def plant_gain(bench: Bench, frequency_Hz: float, peak_to_peak_kPa: float, suppl
     trace = follow_sine(
         bench, frequency_Hz=frequency_Hz, peak_to_peak_kPa=peak_to_peak_kPa, reservoir_kPa=supply_kPa
     )
-    kept_s = len(trace.time_s) * (trace.time_s[1] - trace.time_s[0])
+    kept_s = len(trace) * TICK_S
     return gain(trace, round(kept_s * frequency_Hz))
 
 
@@ -483,8 +471,8 @@ def plant_cycle(
         return swing_kPa * (1.0 - abs(1.0 - 2.0 * (t / period_s % 1.0)))
 
     trace = run(bench, triangle, reservoir_kPa=reservoir_kPa, duration_s=counted * period_s)
-    spent_kPa = float(trace.reservoir_kPa[0] - trace.reservoir_kPa[-1])
-    return spent_kPa / counted, float(np.ptp(trace.cv_kPa)) / swing_kPa
+    spent_kPa = float(trace["reservoir_kPa"][0] - trace["reservoir_kPa"][-1])
+    return spent_kPa / counted, float(np.ptp(trace["cv_reading_kPa"])) / swing_kPa
 
 
 def distance_dB(measured: PrintedCurve, frequency_Hz: Array, gains: Array) -> float:

@@ -94,9 +94,9 @@ def _inflation(curves: Curves) -> Any:
         axis.plot(*ramp(s.faster_kPa_per_s), color=BLUE, lw=1.6, ls="--", label="measured, if faster")
         axis.plot(*ramp(s.slower_kPa_per_s), color=BLUE, lw=1.6, ls=":", label="measured, if slower")
         axis.plot(*ramp(s.model_rate_kPa_per_s), **{**MODEL, "label": "paper's model (Eq. 4)"})
-        shown = s.trace.time_s <= longest
-        axis.plot(s.trace.time_s[shown], s.trace.cv_kPa[shown], **PLANT)
-        axis.plot(likely.trace.time_s[shown], likely.trace.cv_kPa[shown], **LIKELY)
+        shown = s.trace["time_s"] <= longest
+        axis.plot(s.trace["time_s"][shown], s.trace["cv_reading_kPa"][shown], **PLANT)
+        axis.plot(likely.trace["time_s"][shown], likely.trace["cv_reading_kPa"][shown], **LIKELY)
         axis.set_xlim(0, longest)
         axis.set_ylim(0, 1.12 * target)
         axis.set_xlabel("time, s")
@@ -187,9 +187,9 @@ def _sine(curves: Curves) -> Any:
         1, 2, figsize=(11, 4.2), width_ratios=[2.6, 1.0], layout="constrained"
     )
     full, low = curves.sines
-    time_s = full.trace.time_s - full.trace.time_s[0]
+    time_s = full.trace["time_s"] - full.trace["time_s"][0]
     shown = time_s <= 2.5
-    wave.plot(time_s[shown], full.trace.command_kPa[shown], color=ORANGE, lw=1.6, label="command, 1.2 Hz")
+    wave.plot(time_s[shown], full.trace["target_kPa"][shown], color=ORANGE, lw=1.6, label="command, 1.2 Hz")
     for series, color, which in (
         (curves.sines, GREEN, "baseline"),
         (curves.likely_sines, PURPLE, "high-fidelity"),
@@ -197,7 +197,7 @@ def _sine(curves: Curves) -> Any:
         for s, style in zip(series, ("-", "--"), strict=True):
             wave.plot(
                 time_s[shown],
-                s.trace.cv_kPa[shown],
+                s.trace["cv_reading_kPa"][shown],
                 color=color,
                 ls=style,
                 lw=1.3,

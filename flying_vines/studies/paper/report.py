@@ -118,9 +118,9 @@ def as_json(comparison: PaperComparison) -> dict[str, Any]:
                 "swing_kPa": s.condition.swing_kPa,
                 "cv_volume_L": s.condition.cv_volume_L,
                 "reservoir_kPa": s.condition.reservoir_kPa,
-                "time_s": _plain(s.trace.time_s[::20]),
-                "plant_kPa": _plain(s.trace.cv_kPa[::20]),
-                "likely_kPa": _plain(likely.trace.cv_kPa[::20]),
+                "time_s": _plain(s.trace["time_s"][::20]),
+                "plant_kPa": _plain(s.trace["cv_reading_kPa"][::20]),
+                "likely_kPa": _plain(likely.trace["cv_reading_kPa"][::20]),
                 "plant_rate_kPa_per_s": s.rate_kPa_per_s,
                 "likely_rate_kPa_per_s": likely.rate_kPa_per_s,
                 "model_rate_kPa_per_s": s.model_rate_kPa_per_s,
@@ -143,10 +143,10 @@ def as_json(comparison: PaperComparison) -> dict[str, Any]:
             {
                 "supply_kPa": s.supply_kPa,
                 "cv_volume_L": SINE_VOLUME_L,
-                "time_s": _plain((s.trace.time_s - s.trace.time_s[0])[::10]),
-                "command_kPa": _plain(s.trace.command_kPa[::10]),
-                "plant_kPa": _plain(s.trace.cv_kPa[::10]),
-                "likely_kPa": _plain(likely.trace.cv_kPa[::10]),
+                "time_s": _plain((s.trace["time_s"] - s.trace["time_s"][0])[::10]),
+                "command_kPa": _plain(s.trace["target_kPa"][::10]),
+                "plant_kPa": _plain(s.trace["cv_reading_kPa"][::10]),
+                "likely_kPa": _plain(likely.trace["cv_reading_kPa"][::10]),
             }
             for s, likely in zip(c.sines, c.likely_sines, strict=True)
         ],

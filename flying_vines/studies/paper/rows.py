@@ -235,7 +235,7 @@ def _step(s: StepResponse, likely: StepResponse) -> Subject:
     test, rate = s.condition, s.model_rate_kPa_per_s
     error, nrmse = stated()[f"{test.name}.rate_error"], stated()[f"{test.name}.nrmse"]
     rated = rated_resistance_kPa_s_per_SL()
-    lines_kPa = np.minimum(rate * s.trace.time_s, test.swing_kPa)
+    lines_kPa = np.minimum(rate * s.trace["time_s"], test.swing_kPa)
     own_error = 100.0 * (s.rate_kPa_per_s / rate - 1.0)
     return {
         "s": s,
@@ -250,7 +250,7 @@ def _step(s: StepResponse, likely: StepResponse) -> Subject:
         "nearer_rate": min(
             (s.faster_kPa_per_s, s.slower_kPa_per_s), key=lambda each: abs(each - likely.rate_kPa_per_s)
         ),
-        "nrmse": 100.0 * rms(s.trace.cv_kPa - lines_kPa) / test.swing_kPa,
+        "nrmse": 100.0 * rms(s.trace["cv_reading_kPa"] - lines_kPa) / test.swing_kPa,
         "length_s": STEP_TEST_S,
         **{
             f"window_if_{sign}_s": window_s(test.swing_kPa / rate, measured / rate, nrmse.value / 100.0)
