@@ -16,7 +16,7 @@ from rich.console import Console
 
 import flying_vines.studies.paper
 from flying_vines.physics.rig import ControlVolume, Rig
-from flying_vines.studies.paper import PaperComparison, PaperRow, as_json, compare
+from flying_vines.studies.paper import PaperComparison, as_json, compare
 from flying_vines.studies.paper.bench import LIKELY, Bench, follow_sine, gain, run
 from flying_vines.studies.paper.compare import last_crossing_Hz, window_s
 from flying_vines.studies.paper.figures import draw
@@ -36,85 +36,9 @@ def comparison() -> PaperComparison:
 
 
 @pytest.fixture
-def rows(comparison: PaperComparison) -> dict[str, PaperRow]:
-    return {row.key: row for row in comparison.rows}
-
-
-@pytest.fixture
 def quick(comparison: PaperComparison, monkeypatch: pytest.MonkeyPatch) -> None:
     """The command, with the results that this module has already computed."""
     monkeypatch.setattr(flying_vines.studies.paper, "compare", lambda: comparison)
-
-
-@pytest.mark.parametrize(
-    ("key", "ours", "within"),
-    [
-        ("alpha", 101.325, 0.01),
-        ("discharge.4L_highRv.tau", 105.0188, 0.001),
-        ("discharge.4L_lowRv.tau", 80.6138, 0.001),
-        ("discharge.2L_lowRv.tau", 40.3069, 0.001),
-        ("discharge.4L_highRv.nrmse", 4.63, 0.005),
-        ("discharge.4L_lowRv.nrmse", 4.26, 0.005),
-        ("discharge.2L_lowRv.nrmse", 5.57, 0.005),
-        ("discharge.4L_highRv.nrmse_grid", 4.76, 0.005),
-        ("discharge.4L_lowRv.nrmse_grid", 4.04, 0.005),
-        ("discharge.2L_lowRv.nrmse_grid", 5.60, 0.005),
-        ("discharge.4L_highRv.tau_best", 90.4, 0.05),
-        ("discharge.4L_lowRv.tau_best", 70.6, 0.05),
-        ("discharge.2L_lowRv.tau_best", 33.1, 0.05),
-        ("inflation.tc1.rate_model", 68.4, 0.05),
-        ("inflation.tc2.rate_model", 34.2, 0.05),
-        ("inflation.tc3.rate_model", 17.1, 0.05),
-        ("frequency.tc4.cutoff_drawn", 1.359, 0.001),
-        ("frequency.tc5.cutoff_drawn", 0.3234, 0.0002),
-        ("frequency.tc4.crosses_1", 1.601, 0.001),
-        ("frequency.tc5.crosses_1", 0.219, 0.0005),
-        ("frequency.tc4.measured_3dB", 2.31, 0.005),
-        ("frequency.tc5.measured_3dB", 0.461, 0.0005),
-        ("cycles.demonstration", 311.0, 0.5),
-        ("cycles.sine", 298.0, 1.0),
-        ("cycles.pouch", 53.0, 0.5),
-    ],
-)
-def test_published_numbers_come_out(rows: dict[str, PaperRow], key: str, ours: float, within: float) -> None:
-    assert rows[key].ours == pytest.approx(ours, abs=within)
-
-
-@pytest.mark.parametrize(
-    ("key", "paper", "within"),
-    [
-        ("frequency.tc4.rms", 3.34, 0.005),
-        ("frequency.tc5_345.rms", 5.87, 0.005),
-        ("inflation.tc2.rate_if_faster", 49.5, 0.05),
-        ("inflation.tc3.rate_if_slower", 9.4, 0.05),
-        ("sine.phlosar", 32.0, 0.0),
-        ("mass.phlosar", 0.84, 0.0),
-        ("power", 3.0, 0.0),
-    ],
-)
-def test_the_papers_column(rows: dict[str, PaperRow], key: str, paper: float, within: float) -> None:
-    assert rows[key].paper == pytest.approx(paper, abs=within)
-
-
-@pytest.mark.parametrize(
-    ("key", "verdict"),
-    [
-        ("discharge.2L_lowRv.nrmse", "agrees"),
-        ("discharge.nrmse_least", "undecided"),
-        ("frequency.tc4.crosses_1", "agrees"),
-        ("frequency.tc4.cutoff_stated", "differs"),
-        ("frequency.tc4.flow_if_amplitude", "differs"),
-        ("frequency.tc4.flow_if_peak_to_peak", "agrees"),
-        ("frequency.tc5.supply", "differs"),
-        ("inflation.tc1.nrmse", "undecided"),
-        ("inflation.tc2.rate_error", "differs"),
-        ("cycles.demonstration", "agrees"),
-        ("cycles.sine", "differs"),
-        ("mass.total", "agrees"),
-    ],
-)
-def test_verdicts(rows: dict[str, PaperRow], key: str, verdict: str) -> None:
-    assert rows[key].verdict == verdict
 
 
 def test_every_difference_has_a_reason(comparison: PaperComparison) -> None:
@@ -123,23 +47,6 @@ def test_every_difference_has_a_reason(comparison: PaperComparison) -> None:
         assert row.verdict == "agrees" or row.note, row.key
         assert row.quantity
         assert row.place
-
-
-def test_the_plant_agrees_with_the_equations(rows: dict[str, PaperRow]) -> None:
-    """Properties of the baseline plant for any tuning of the regulator."""
-    for name in ("4L_highRv", "4L_lowRv", "2L_lowRv"):
-        assert rows[f"discharge.{name}.nrmse_plant"].verdict == "agrees"
-    for name in ("tc1", "tc2", "tc3"):
-        model, plant = (
-            rows[f"inflation.{name}.rate_model"].ours,
-            rows[f"inflation.{name}.rate_if_faster"].ours,
-        )
-        assert model is not None
-        assert plant is not None
-        assert 0.88 * model < plant <= model
-    cycles = rows["cycles.plant"].ours
-    assert cycles is not None
-    assert 298.0 < cycles < 680.0
 
 
 def test_the_venturi_rests_in_the_demonstration() -> None:
@@ -225,13 +132,14 @@ def test_the_table_is_as_it_was(comparison: PaperComparison) -> None:
     stored = [cells(line) for line in TABLE.read_text(encoding="utf-8").strip().split("\n")]
     assert [line[0] for line in ours] == [line[0] for line in stored]
     for row, mine, text in zip(comparison.rows, ours[1:], stored[1:], strict=True):
-        assert mine[-1] == text[-1] == row.verdict, row.key
-        if row.ours is None:
+        if row.by not in ("plant", "high-fidelity"):
+            assert mine == text
             continue
+        assert mine[-1] == text[-1] == row.verdict, row.key
         # Where a plant switches, the last bits depend on the compiler.
-        within = 0.03 if row.by in ("plant", "high-fidelity") else 0.0006
-        numbers = [cell for cell in text if re.fullmatch(r"[\d.]+", cell)]
-        assert any(float(n) == pytest.approx(row.ours, rel=within, abs=0.02) for n in numbers), row.key
+        for now, before in zip(mine[2:4], text[2:4], strict=True):
+            numbers = [float(cell.lstrip("<>")) for cell in (now, before) if cell != "–"]
+            assert numbers == pytest.approx(numbers[::-1], rel=0.03, abs=0.02), row.key
 
 
 def test_the_page_has_rows_of_the_table_and_the_counts(comparison: PaperComparison) -> None:
@@ -259,17 +167,6 @@ def test_the_page_has_todays_distances(comparison: PaperComparison) -> None:
     for finding in comparison.findings:
         # The first words of each finding. The numbers of a plant that follow are in the table.
         assert " ".join(finding.split()[:12]) in " ".join(page.split())
-
-
-def test_the_high_fidelity_plant_is_nearer_to_the_measured_gain(rows: dict[str, PaperRow]) -> None:
-    for name in ("tc4", "tc5_345"):
-        likely, model = rows[f"frequency.{name}.rms_likely"], rows[f"frequency.{name}.rms"]
-        assert likely.ours is not None
-        assert model.ours is not None
-        assert model.paper is not None
-        assert likely.ours < 0.5 * model.paper
-        assert likely.ours < 0.5 * model.ours
-        assert rows[f"frequency.{name}.rms_band_likely"].verdict == "agrees"
 
 
 def test_the_likely_bench_is_what_its_sensors_read() -> None:
