@@ -135,11 +135,9 @@ def test_the_table_is_as_it_was(comparison: PaperComparison) -> None:
         if row.by not in ("plant", "high-fidelity"):
             assert mine == text
             continue
-        assert mine[-1] == text[-1] == row.verdict, row.key
+        assert (mine[2], mine[-1]) == (text[2], text[-1]), row.key
         # Where a plant switches, the last bits depend on the compiler.
-        for now, before in zip(mine[2:4], text[2:4], strict=True):
-            numbers = [float(cell.lstrip("<>")) for cell in (now, before) if cell != "–"]
-            assert numbers == pytest.approx(numbers[::-1], rel=0.03, abs=0.02), row.key
+        assert float(mine[3]) == pytest.approx(float(text[3]), rel=0.03, abs=0.02), row.key
 
 
 def test_the_page_has_rows_of_the_table_and_the_counts(comparison: PaperComparison) -> None:
