@@ -13,7 +13,6 @@ from flying_vines.calibration.findings import (
     Estimate,
     Findings,
     MeasuredQuantity,
-    Result,
     Series,
     SettingProposal,
     thinned,
@@ -47,7 +46,7 @@ class StageRecording:
     ambient_kPa: float
     """Absolute; NaN if it is unknown."""
 
-    def result(self) -> Result:
+    def result(self) -> Findings:
         """Evaluate the stage; takes up to some seconds of CPU time."""
         match self.stage:
             case "empty":
@@ -61,21 +60,16 @@ class StageRecording:
                 assert litres is not None
                 return vine_air.vessel_volume(self._vine, litres)
         vine = self._vine
-        results = [Result((self._reservoir_volume,)), vine_air.bottle_leak(vine)]
+        found = Findings((self._reservoir_volume,)).renewed_by(vine_air.bottle_leak(vine))
         if self.stage != "bottle_leak":
-            results += [vine_air.volumes(vine), vine_air.vine_leak(vine)]
+            found = found.renewed_by(vine_air.volumes(vine)).renewed_by(vine_air.vine_leak(vine))
         if self.stage in ("vine_leak", "valve"):
-            results.append(valve.outlet(self._less_zero, vine))
+            found = found.renewed_by(valve.outlet(self._less_zero, vine))
         if self.stage == "valve":
             ran_s = float(np.sum(self.readings.dvp)) * self.readings.step_s
-            results.append(valve.inflation_valve(self._less_zero, vine))
-            results.append(Result((vine_air.venturi(vine, ran_s),)))
-        return Result(
-            tuple(finding for result in results for finding in result.findings),
-            tuple(proposal for result in results for proposal in result.proposals),
-            tuple(remark for result in results for remark in result.remarks),
-            tuple(chart for result in results for chart in result.charts),
-        )
+            found = found.renewed_by(valve.inflation_valve(self._less_zero, vine))
+            found = found.renewed_by(Findings((vine_air.venturi(vine, ran_s),)))
+        return found
 
     @property
     def _less_zero(self) -> Readings:
@@ -129,7 +123,7 @@ def mean_at_rest(column: Array) -> tuple[Estimate, bool]:
     return Estimate(float(np.mean(column)), spread / sqrt(BLOCKS)), steady
 
 
-def cv_zero(vented: Readings) -> Result:
+def cv_zero(vented: Readings) -> Findings:
     """Zero of the vine's sensor, and the noise of both sensors."""
     zero, steady = mean_at_rest(vented.cv_kPa)
     finding = MeasuredQuantity("cv_zero_kPa", "vine's sensor at no pressure", "kPa", assumed=0.0)
@@ -137,7 +131,7 @@ def cv_zero(vented: Readings) -> Result:
     if steady and abs(zero.value) > max(MIN_CV_ZERO_KPA, 2.0 * zero.sd):
         why = f"the vented vine reads {zero.value:+z.2f} kPa"
         proposals = (SettingProposal("cv_zero_kPa", round(-zero.value, 3), True, why),)
-    return Result(
+    return Findings(
         (
             finding.measured(zero, "" if steady else UNSTEADY),
             _noise("cv_noise_kPa", "vine's sensor, noise", vented.cv_kPa),
@@ -149,17 +143,17 @@ def cv_zero(vented: Readings) -> Result:
     )
 
 
-def reservoir_zero(empty: Readings) -> Result:
+def reservoir_zero(empty: Readings) -> Findings:
     """Zero of the reservoir's sensor, from readings of the open, empty reservoir."""
     zero, steady = mean_at_rest(empty.reservoir_kPa)
     finding = MeasuredQuantity("reservoir_zero_kPa", "bottle's sensor at no pressure", "kPa", assumed=0.0)
     if not steady:
-        return Result((finding.unknown(UNSTEADY),))
+        return Findings((finding.unknown(UNSTEADY),))
     proposals: tuple[SettingProposal, ...] = ()
     if abs(zero.value) > max(MIN_RESERVOIR_ZERO_KPA, 2.0 * zero.sd):
         why = f"the empty bottle reads {zero.value:+.1f} kPa"
         proposals = (SettingProposal("reservoir_zero_kPa", round(-zero.value, 2), True, why),)
-    return Result((finding.measured(zero),), proposals)
+    return Findings((finding.measured(zero),), proposals)
 
 
 def _noise(name: str, what: str, column: Array) -> MeasuredQuantity:
@@ -186,7 +180,7 @@ def _chart(vented: Readings, zero: Estimate) -> Chart:
 # Bend curve and hysteresis, from the angles that a person entered.
 
 
-def bend_curve(pairs: tuple[tuple[float, float], ...]) -> Result:
+def bend_curve(pairs: tuple[tuple[float, float], ...]) -> Findings:
     """Fit pairs (gauge kPa, degrees), in the order in which they were measured."""
     top = MeasuredQuantity("bend_top_deg", "bend at the highest pressure", "deg", key="vine.curve")
     width = MeasuredQuantity("hysteresis_kPa", "hysteresis of the bend", "kPa", key="vine.hysteresis_kPa")
@@ -195,15 +189,15 @@ def bend_curve(pairs: tuple[tuple[float, float], ...]) -> Result:
         from flying_vines.identification.bend_curve.pairs import MIN_PAIRS
     except ImportError as error:
         why = f"{lacks(error)}; findings.json has the pairs for `vine fit`"
-        return Result((top.unknown(why), width.unknown(why)))
+        return Findings((top.unknown(why), width.unknown(why)))
     if len(pairs) < MIN_PAIRS:
         why = f"{len(pairs)} angles were entered; a curve needs at least {MIN_PAIRS}, up and down"
-        return Result((top.unknown(why), width.unknown(why)))
+        return Findings((top.unknown(why), width.unknown(why)))
     kPa, deg = np.array(pairs).T
     try:
         found = fit(Pairs(kPa, deg))
     except PairsError as error:
-        return Result((top.unknown(str(error)), width.unknown(str(error))))
+        return Findings((top.unknown(str(error)), width.unknown(str(error))))
     last = found.curve[-1]
     sd = found.rms_deg / float(np.sqrt(len(pairs)))
     hysteresis = width.unknown("no angle was entered on the way down")
@@ -220,7 +214,7 @@ def bend_curve(pairs: tuple[tuple[float, float], ...]) -> Result:
             Series("on the way down", "line", np.maximum(0.0, line_kPa - shift), line_deg),
         ),
     )  # fmt: skip
-    return Result(
+    return Findings(
         (top.measured(Estimate(last[1], sd), f"at {last[0]:g} kPa"), hysteresis),
         remarks=found.notes,
         charts=(chart,),

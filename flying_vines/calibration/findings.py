@@ -133,24 +133,13 @@ class SettingProposal:
 
 
 @dataclass(frozen=True)
-class Result:
-    """The results of one stage."""
+class Findings:
+    """The results of one stage, or of all stages so far. Pairs and curve: gauge kPa, degrees."""
 
     findings: tuple[MeasuredQuantity, ...] = ()
     proposals: tuple[SettingProposal, ...] = ()
     remarks: tuple[str, ...] = ()
     charts: tuple[Chart, ...] = ()
-    curve: tuple[tuple[float, float], ...] = ()
-    hysteresis_kPa: float | None = None
-
-
-@dataclass(frozen=True)
-class Findings:
-    """The results of all stages so far. Pairs and curve: gauge kPa, degrees."""
-
-    findings: tuple[MeasuredQuantity, ...] = ()
-    proposals: tuple[SettingProposal, ...] = ()
-    remarks: tuple[str, ...] = ()
     pairs: tuple[tuple[float, float], ...] = ()
     curve: tuple[tuple[float, float], ...] = ()
     """Empty if it was not measured."""
@@ -171,20 +160,21 @@ class Findings:
         """All notes and remarks, one line each."""
         return (*(f"{f.what}: {f.note}" for f in self.findings if f.note), *self.remarks)
 
-    def with_result(self, result: Result) -> Findings:
-        """The findings and those of another stage. A newer result replaces an older one of the same name."""
-        return replace(
-            self,
-            findings=_renewed(self.findings, result.findings, "name"),
-            proposals=_renewed(self.proposals, result.proposals, "setting"),
-            remarks=(*self.remarks, *(remark for remark in result.remarks if remark not in self.remarks)),
-            curve=result.curve or self.curve,
-            hysteresis_kPa=self.hysteresis_kPa if result.hysteresis_kPa is None else result.hysteresis_kPa,
+    def renewed_by(self, newer: Findings) -> Findings:
+        """Both together. A newer result replaces an older one of the same name."""
+        return Findings(
+            _renewed(self.findings, newer.findings, "name"),
+            _renewed(self.proposals, newer.proposals, "setting"),
+            tuple(dict.fromkeys((*self.remarks, *newer.remarks))),
+            _renewed(self.charts, newer.charts, "name"),
+            newer.pairs or self.pairs,
+            newer.curve or self.curve,
+            self.hysteresis_kPa if newer.hysteresis_kPa is None else newer.hysteresis_kPa,
         )
 
     def as_json(self) -> dict[str, Any]:
-        """The findings as plain lists, numbers and texts."""
-        return asdict(self)
+        """The findings without the charts, as plain lists, numbers and texts."""
+        return {name: value for name, value in asdict(self).items() if name != "charts"}
 
 
 def _renewed(before: Iterable[Any], now: Iterable[Any], name: str) -> tuple[Any, ...]:

@@ -27,7 +27,7 @@ from flying_vines.calibration.configuration import (
     with_numbers,
 )
 from flying_vines.calibration.findings import Findings
-from flying_vines.calibration.rig import CalibrationOutcome, CalibrationRun, UserConfiguration
+from flying_vines.calibration.rig import CalibrationRun, UserConfiguration
 from flying_vines.calibration.terminal import CalibrationTerminal
 from flying_vines.config import on_disk
 from flying_vines.config.config import ConfigError, PneumaticsConfig
@@ -66,15 +66,12 @@ def write_results(
     Args:
         in_place: also replace the user's configuration by the calibrated one.
     """
-    outcome = run.outcome
-    folder = outcome.folder / FOLDER
+    folder, findings = run.folder / FOLDER, run.findings
     folder.mkdir()
-    findings = outcome.findings
     terminal.results(findings)
-    if outcome.log_problem:
-        terminal.warn(outcome.log_problem)
-    ended = outcome.ended
-    content = {"outcome": ended.outcome, "sentence": ended.sentence, **findings.as_json()}
+    if run.log_problem:
+        terminal.warn(run.log_problem)
+    content = {"outcome": run.ended.outcome, "sentence": run.ended.sentence, **findings.as_json()}
     _write(folder / "findings.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
     _write(folder / "profile-before.toml", user.text)
     changed = list(changes(findings, user.config.limits.max_kPa))
@@ -91,15 +88,15 @@ def write_results(
         places.append(user.path)
     if changed:
         _write_configurations(user, changed, None, places, terminal)
-    if outcome.charts:
-        _draw(outcome, folder, terminal)
-    extended = _diagnose(outcome, rig_file, numbers, terminal) if diagnose else None
+    if findings.charts:
+        _draw(run, folder, terminal)
+    extended = _diagnose(run.folder, rig_file, numbers, terminal) if diagnose else None
     if extended is not None:
         _write_configurations(user, changed, extended, places, terminal)
     if changed:
         for place in places:
             terminal.line("Configuration", place)
-    terminal.line("Log", outcome.folder)
+    terminal.line("Log", run.folder)
 
 
 def rig_text(numbers: PneumaticsConfig, findings: Findings) -> str:
@@ -128,27 +125,27 @@ def _write(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-def _draw(outcome: CalibrationOutcome, folder: Path, terminal: CalibrationTerminal) -> None:
+def _draw(run: CalibrationRun, folder: Path, terminal: CalibrationTerminal) -> None:
     try:
         from flying_vines.calibration.page import page, pictures
     except ModuleNotFoundError as error:
         terminal.warn(f"No pictures: {lacks(error)}")
         return
-    drawn = pictures(outcome.charts, folder)
+    drawn = pictures(run.findings.charts, folder)
     path = folder / "calibration.html"
-    _write(path, page(f"Calibration {outcome.folder.name}", outcome, drawn))
+    _write(path, page(f"Calibration {run.folder.name}", run.ended.sentence, run.findings, drawn))
     terminal.line("Page", path)
 
 
 def _diagnose(
-    outcome: CalibrationOutcome, rig_file: Path, numbers: PneumaticsConfig, terminal: CalibrationTerminal
+    flight: Path, rig_file: Path, numbers: PneumaticsConfig, terminal: CalibrationTerminal
 ) -> Path | None:
     """Diagnose the recording, from the rig file with the measured numbers; needs the extra `analysis`.
 
     Returns the rig file that the configuration should name, if there is one. It must improve the estimate of
     the cycles left: its causes lower the error on unseen data, and change the air that a cycle takes.
     """
-    command = f"flying-vines diagnose --from-log {outcome.folder} --rig {rig_file}"
+    command = f"flying-vines diagnose --from-log {flight} --rig {rig_file}"
     try:
         from flying_vines.identification.diagnose import diagnose
         from flying_vines.identification.extended import extended_rig
@@ -160,7 +157,7 @@ def _diagnose(
         return None
     try:
         with terminal.working() as progress:
-            case = _beginning(read_flight(outcome.folder, rig_file))
+            case = _beginning(read_flight(flight, rig_file))
             verdict = diagnose(case, progress=progress)
             report = write_report(verdict, case, rig_file.parent / "diagnosis")[0]
     except CaseError as error:

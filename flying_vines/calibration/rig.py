@@ -12,10 +12,9 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from random import Random
-from typing import NamedTuple
 
 import msgspec
 
@@ -29,7 +28,7 @@ from flying_vines.calibration.calibrator import (
     Question,
 )
 from flying_vines.calibration.configuration import proposed
-from flying_vines.calibration.findings import Chart, Findings
+from flying_vines.calibration.findings import Findings
 from flying_vines.calibration.plan import CalibrationPlan, CalibrationRequest, plan
 from flying_vines.calibration.terminal import CalibrationTerminal
 from flying_vines.config.address import Address, SerialAddress, parse_address
@@ -92,21 +91,16 @@ class UserConfiguration:
         return str(self.path or "the built-in configuration")
 
 
-class CalibrationOutcome(NamedTuple):
+@dataclass(frozen=True)
+class CalibrationRun:
+    """A calibration that has ended."""
+
     folder: Path
     """Folder of the flight."""
     ended: Ended
     findings: Findings
-    charts: tuple[Chart, ...]
     log_problem: str
     """One sentence if the log is incomplete: it ended, or it continues in another folder."""
-
-
-@dataclass(frozen=True)
-class CalibrationRun:
-    """The outcome, and the proposed settings of the firmware."""
-
-    outcome: CalibrationOutcome
     pneumatics: PneumaticsConfig
     """The rig file's numbers if the configuration names a rig file."""
     interrupted: bool
@@ -117,7 +111,7 @@ class CalibrationRun:
 
     @property
     def done(self) -> bool:
-        return self.outcome.ended.outcome == "done"
+        return self.ended.outcome == "done"
 
 
 @dataclass(frozen=True)
@@ -176,7 +170,7 @@ class _Rig(ABC):
         self._outputs: deque[Output] = deque()
         """The first is being carried out."""
 
-    async def calibrate(self, stopped: asyncio.Event) -> CalibrationOutcome:
+    async def calibrate(self, stopped: asyncio.Event) -> CalibrationRun:
         """Run the calibration until its end, or until `stopped`; then wait until the vine is vented."""
         calibrator = self._calibrator
         try:
@@ -196,8 +190,14 @@ class _Rig(ABC):
         finally:
             await self._close()
             self._recorder.close()
-        folder, news = self._recorder.folder, self._recorder.news
-        return CalibrationOutcome(folder, calibrator.ended, calibrator.findings, calibrator.charts, news)
+        return CalibrationRun(
+            self._recorder.folder,
+            calibrator.ended,
+            calibrator.findings,
+            self._recorder.news,
+            self._prepared.pneumatics,
+            stopped.is_set(),
+        )
 
     def _take_actions(self) -> None:
         while self._actions:
@@ -281,12 +281,12 @@ async def calibrate_real(
             if not await terminal.confirmed(READY, stopped):
                 return None
             with terminal.live():
-                outcome = await _RealRig(prepared, terminal, prepared.recorder(out)).calibrate(stopped)
-        wanted = proposed(outcome.findings.proposals, settings)
-        saves = save and bool(wanted) and outcome.ended.outcome == "done"
+                run = await _RealRig(prepared, terminal, prepared.recorder(out)).calibrate(stopped)
+        wanted = proposed(run.findings.proposals, settings)
+        saves = save and bool(wanted) and run.done
         if saves:
             await exchange_settings(address, wanted, stopped, prepared.state)
-    return CalibrationRun(outcome, prepared.pneumatics, stopped.is_set(), wanted, saves)
+    return replace(run, interrupted=stopped.is_set(), firmware=wanted, is_set=saves)
 
 
 class _RealRig(_Rig):
@@ -412,9 +412,9 @@ async def calibrate_simulated(
     on_stop_signals(stopped.set)
     terminal.introduce(prepared.plan)
     with terminal.live():
-        recorder = prepared.recorder(out, t=0.0)
-        outcome = await _SimulatedRig(prepared, terminal, recorder, phlosar).calibrate(stopped)
-    return CalibrationRun(outcome, prepared.pneumatics, stopped.is_set())
+        return await _SimulatedRig(prepared, terminal, prepared.recorder(out, t=0.0), phlosar).calibrate(
+            stopped
+        )
 
 
 class _SimulatedRig(_Rig):

@@ -113,7 +113,7 @@ class CalibrationTerminal:
                 say(Text.assemble((f"{index + 1}/{of}  {stage.title}", "bold"), (f"  {stage.does}", "dim")))
             case Message(text):
                 say(Text(f"     {text}"))
-            case StageResult(_, findings, _):
+            case StageResult(_, findings):
                 for finding in findings:
                     if _is_news(finding, self._shown.get(finding.name)):
                         self._shown[finding.name] = finding

@@ -23,8 +23,8 @@ from flying_vines.calibration.findings import (
     SD_95,
     Chart,
     Estimate,
+    Findings,
     MeasuredQuantity,
-    Result,
     Series,
     SettingProposal,
     configured,
@@ -207,7 +207,7 @@ def _refined(
     )
 
 
-def inflation_valve(readings: Readings, vine: VineAir) -> Result:
+def inflation_valve(readings: Readings, vine: VineAir) -> Findings:
     """Start, gain and resistance of the valve, and the dead band to set in the firmware."""
     p, known = vine.known.pneumatics, vine.known
     start = MeasuredQuantity("evp_start", "inflation valve, start", "opening")
@@ -215,7 +215,7 @@ def inflation_valve(readings: Readings, vine: VineAir) -> Result:
     full = configured("evp_flow_resistance_kPa_s_per_SL", "inflation valve, fully open", "kPa·s/SL", p)
     fit = fit_valve(readings, vine)
     if isinstance(fit, str):
-        return Result(tuple(finding.unknown(fit) for finding in (start, gain, full)))
+        return Findings(tuple(finding.unknown(fit) for finding in (start, gain, full)))
     rows = np.concatenate([readings.reservoir_kPa[each.rows] for each in fit.inflations])
     at_kPa = float(np.mean(rows))
     supply_kPa = p.full_kPa + known.ambient_kPa
@@ -230,7 +230,7 @@ def inflation_valve(readings: Readings, vine: VineAir) -> Result:
     lift = max(0.0, round(fit.start.low - MARGIN, 3))
     why = f"the valve passes air from {fit.start.value:.3f} on"
     proposal = SettingProposal("evp_dead_band", min(lift, 0.6), False, why)
-    return Result(found, (proposal,), charts=(_chart(readings, vine, fit, at_kPa),))
+    return Findings(found, (proposal,), charts=(_chart(readings, vine, fit, at_kPa),))
 
 
 def _chart(readings: Readings, vine: VineAir, fit: ValveFit, at_kPa: float) -> Chart:
@@ -305,17 +305,17 @@ def vents(readings: Readings) -> Iterator[tuple[Array, Array]]:
         yield t_s[begin : begin + stop] - opened_s, kPa[:stop]
 
 
-def outlet(readings: Readings, vine: VineAir) -> Result:
+def outlet(readings: Readings, vine: VineAir) -> Findings:
     """The outlet's resistance while the Venturi is off."""
     finding = MeasuredQuantity(
         "outlet_flow_resistance_kPa_s_per_SL", "outlet, the Venturi at rest", "kPa·s/SL"
     )
     falls = list(vents(readings))
     if not falls:
-        return Result((finding.unknown("no complete vent from a held pressure without the Venturi"),))
+        return Findings((finding.unknown("no complete vent from a held pressure without the Venturi"),))
     litres = vine.volume()
     if litres.low <= 0.0:
-        return Result((finding.unknown(TOO_LITTLE),))
+        return Findings((finding.unknown(TOO_LITTLE),))
     resistances = []
     for t_s, kPa in falls:
         open_ = t_s > 0.0
@@ -332,4 +332,4 @@ def outlet(readings: Readings, vine: VineAir) -> Result:
         f"{mean:.3g} kPa·s/SL, mean of {n} vents",
     )  # fmt: skip
     note = f"mean of the fall from {kPa[0]:.0f} kPa"
-    return Result((finding.measured(Estimate(mean, sd), note),), charts=(chart,))
+    return Findings((finding.measured(Estimate(mean, sd), note),), charts=(chart,))

@@ -23,8 +23,8 @@ from flying_vines.calibration.findings import (
     SD_95,
     Chart,
     Estimate,
+    Findings,
     MeasuredQuantity,
-    Result,
     Series,
     configured,
 )
@@ -192,21 +192,21 @@ def reservoir_volume(known: PneumaticsConfig, given_L: float | None = None) -> M
     return found.unknown("from the configuration; an error scales all volumes, and all resistances inversely")
 
 
-def vessel_volume(vessel: VineAir, vessel_L: float) -> Result:
+def vessel_volume(vessel: VineAir, vessel_L: float) -> Findings:
     """The reservoir's volume, measured with a rigid vessel whose volume is known (with its hose)."""
     found = reservoir_volume(vessel.known.pneumatics)
     ratio = vessel.balance.values["volume"]
     if ratio.low <= 0.0:
-        return Result((found.unknown("the bottle's pressure did not fall when the vessel was filled"),))
+        return Findings((found.unknown("the bottle's pressure did not fall when the vessel was filled"),))
     value = vessel_L / ratio.value
     sd = value * hypot(ratio.sd / ratio.value, GAIN_SD, VESSEL_SD)
-    return Result((found.measured(Estimate(value, sd), f"with a vessel of {vessel_L:g} L"),))
+    return Findings((found.measured(Estimate(value, sd), f"with a vessel of {vessel_L:g} L"),))
 
 
 # Findings.
 
 
-def bottle_leak(vine: VineAir) -> Result:
+def bottle_leak(vine: VineAir) -> Findings:
     """Leak of the reservoir, at its mean pressure."""
     bins = vine.balance.bins
     at_kPa = float(np.mean(bins.reservoir_kPa))
@@ -237,18 +237,18 @@ def bottle_leak(vine: VineAir) -> Result:
         ),
         f"leak {rate.value:.3f} kPa/s ({rate.low:.3f} … {rate.high:.3f})",
     )
-    return Result(findings, charts=(chart,))
+    return Findings(findings, charts=(chart,))
 
 
-def vine_leak(vine: VineAir) -> Result:
+def vine_leak(vine: VineAir) -> Findings:
     """Leak of the vine, from the air that a held pressure takes beyond the reservoir's own leak."""
     relative_sd = hypot(vine.known.relative_sd, VINE_LEAK_SD)
     per_kPa = vine.balance.values["vine_leak"].times(vine.SL_per_kPa, relative_sd)
     finding = MeasuredQuantity("vine_leak_kPa_s_per_SL", "vine's leak, as a resistance", "kPa·s/SL")
-    return Result((_resistance(finding, 1.0, per_kPa),))
+    return Findings((_resistance(finding, 1.0, per_kPa),))
 
 
-def volumes(vine: VineAir) -> Result:
+def volumes(vine: VineAir) -> Findings:
     """Effective volume and compliance of the vine, and the air of its pouch."""
     known, values = vine.known, vine.balance.values
     litres = vine.volume()
@@ -270,7 +270,7 @@ def volumes(vine: VineAir) -> Result:
         else:
             found.append(finding.unknown("there was no such inflation"))
     found.append(_compliance(vine))
-    return Result(tuple(found), charts=(_staircase(vine),))
+    return Findings(tuple(found), charts=(_staircase(vine),))
 
 
 def venturi(vine: VineAir, ran_s: float) -> MeasuredQuantity:

@@ -17,7 +17,6 @@ from flying_vines.calibration.findings import (
     Estimate,
     Findings,
     MeasuredQuantity,
-    Result,
     SettingProposal,
 )
 from flying_vines.calibration.plan import CalibrationRequest, plan
@@ -277,7 +276,7 @@ def test_without_a_volume_what_depends_on_it_is_unknown(seen: tuple[Readings, Vi
 # Stages.
 
 
-def recorded(stage: str, readings: Readings, findings: Findings, **request: float) -> Result:
+def recorded(stage: str, readings: Readings, findings: Findings, **request: float) -> Findings:
     calibration = plan(config.default(), CalibrationRequest(asks_angles=False, **request))  # type: ignore[arg-type]
     return StageRecording(calibration, stage, readings, findings, 101.325).result()
 
@@ -332,7 +331,7 @@ def test_the_measured_zero_of_the_reservoirs_sensor_is_used() -> None:
         result = recorded("bottle_leak", readings, findings, bottle_volume_L=RESERVOIR_L)
         return next(found for found in result.findings if found.name == "bottle_leak_kPa_s_per_SL")
 
-    known, unknown = leak(Findings().with_result(zero_found)), leak(Findings())
+    known, unknown = leak(Findings().renewed_by(zero_found)), leak(Findings())
     assert known.value is not None and known.low is not None and known.high is not None
     assert known.value == pytest.approx(resistance, rel=0.01)
     assert unknown.low is not None and unknown.high is not None
@@ -373,13 +372,13 @@ def test_a_clock_that_wraps_goes_on() -> None:
 
 
 def test_the_newest_finding_counts_and_is_plain_json() -> None:
-    first = Result((MeasuredQuantity("a", "what", "kPa", 1.0, 0.5, 1.5), MeasuredQuantity("b", "b", "")))
-    second = Result(
+    first = Findings((MeasuredQuantity("a", "what", "kPa", 1.0, 0.5, 1.5), MeasuredQuantity("b", "b", "")))
+    second = Findings(
         (MeasuredQuantity("a", "what", "kPa").unknown("gone"),),
         (SettingProposal("s", 1.0, True, "why"),),
         ("said",),
     )
-    findings = Findings(pairs=((1.0, 2.0),)).with_result(first).with_result(second).with_result(second)
+    findings = Findings(pairs=((1.0, 2.0),)).renewed_by(first).renewed_by(second).renewed_by(second)
     assert [finding.name for finding in findings.findings] == ["a", "b"]
     assert findings.estimate("a") is None and findings.remarks == ("said",)
     assert json.loads(json.dumps(findings.as_json()))["pairs"] == [[1.0, 2.0]]

@@ -222,7 +222,7 @@ def test_the_core_carries_out_its_requests(measured: CoreWorld) -> None:
     volume = measured.calibrator.findings.get("cv_volume_L")
     assert volume is not None and volume.value is not None and volume.low is not None
     assert volume.value == pytest.approx(0.1, rel=0.35)
-    assert {chart.name for chart in measured.calibrator.charts} >= {"zero", "bottle", "levels"}
+    assert {chart.name for chart in measured.calibrator.findings.charts} >= {"zero", "bottle", "levels"}
 
 
 def test_interrupted_while_the_vine_is_bent_it_is_vented() -> None:

@@ -25,8 +25,8 @@ def test_with_disarmed_pneumatics_it_moves_nothing_and_a_replay_agrees(tmp_path:
     request = CalibrationRequest(asks_angles=False, only=("levels",))
     terminal = CalibrationTerminal(Console(file=io.StringIO()), interactive=False)
     calibration = calibrate_simulated(user, request, tmp_path / "flights", terminal, None)
-    outcome = asyncio.run(calibration).outcome
-    replayed = replay_flight(FlightLog(outcome.folder))
+    run = asyncio.run(calibration)
+    replayed = replay_flight(FlightLog(run.folder))
     assert not replayed.differences
-    assert outcome.ended.outcome != "done"
-    assert outcome.ended.sentence.endswith("was refused: the pneumatics are disarmed")
+    assert run.ended.outcome != "done"
+    assert run.ended.sentence.endswith("was refused: the pneumatics are disarmed")
