@@ -36,6 +36,8 @@ RowVerdict = Literal["agrees", "differs", "undecided"]
 By = Literal["equation", "data", "plant", "high-fidelity", "text"]
 Subject = dict[str, Any]
 """Fields that the texts and the numbers of a row can name."""
+CRITERIA = {"differs", "bound", "at_most", "margin", "rounded", "within", "within_absolute"}
+"""Keys of a row that decide whether the numbers agree."""
 
 
 @dataclass(frozen=True)
@@ -152,26 +154,23 @@ def _agree(
     ours: float | None,
 ) -> bool | None:
     """True if the numbers agree by the criterion of the row; None if it has none."""
-    if "differs" in row:
-        return False
-    if number is None or ours is None:
+    if not CRITERIA & row.keys():
         return None
+    if "differs" in row or number is None or ours is None:
+        return False
     if "bound" in row:
         return ours > number if row["bound"] == ">" else ours <= number
     if "at_most" in row:
         return bool(ours <= row["at_most"])
     if to is not None:
         return bool(number - row["margin"] <= ours <= to + row["margin"])
-    if "rounded" in row:
-        assert isinstance(papers, Stated)
+    if isinstance(papers, Stated) and "rounded" in row:
         tolerance = papers.half_digit
     elif "within" in row:
         tolerance = row["within"] * number
-    elif "within_absolute" in row:
+    else:
         tolerance = row["within_absolute"]
         tolerance = subject[tolerance] if isinstance(tolerance, str) else tolerance
-    else:
-        return None
     # The margin is for rounding errors of binary fractions.
     return bool(abs(ours - number) <= tolerance * (1.0 + 1e-9))
 
