@@ -160,6 +160,9 @@ def _prepared(user: UserConfiguration, request: CalibrationRequest) -> _Prepared
 class _Rig(ABC):
     """Passes the core's actions to a calibrator, and carries out its outputs."""
 
+    _world: Service | SimulatedWorld
+    """Where the core runs."""
+
     def __init__(self, prepared: _Prepared, terminal: CalibrationTerminal, recorder: Recorder) -> None:
         self._prepared = prepared
         self._terminal = terminal
@@ -175,17 +178,17 @@ class _Rig(ABC):
         calibrator = self._calibrator
         try:
             await self._pass_time()
-            self._carry_out(calibrator.begin(self.now))
+            self._carry_out(calibrator.begin(self._now))
             while calibrator.ended is None:
                 await self._pass_time()
                 if stopped.is_set():
-                    self._carry_out(calibrator.stop(self.now, "interrupted"))
+                    self._carry_out(calibrator.stop(self._now, "interrupted"))
                 self._take_actions()
-                self._carry_out(calibrator.tick(self.now, self._snapshot()))
+                self._carry_out(calibrator.tick(self._now, self._snapshot()))
                 self._take_actions()
                 self._terminal.progress(calibrator.progress)
-            until = self.now + LAST_VENT_S
-            while self.now < until and not calibrator.vented(self._snapshot()):
+            until = self._now + LAST_VENT_S
+            while self._now < until and not calibrator.vented(self._snapshot()):
                 await self._pass_time()
         finally:
             await self._close()
@@ -221,17 +224,17 @@ class _Rig(ABC):
             self._outputs.popleft()
 
     def _answer(self, question: Question, text: str | None) -> None:
-        self._carry_out(self._calibrator.answer(self.now, question, text))
+        self._carry_out(self._calibrator.answer(self._now, question, text))
 
     def _evaluated(self, task: EvaluationTask, result: object) -> None:
-        self._carry_out(self._calibrator.evaluated(self.now, task, result))
+        self._carry_out(self._calibrator.evaluated(self._now, task, result))
 
     @property
-    @abstractmethod
-    def now(self) -> float: ...
+    def _now(self) -> float:
+        return self._world.now
 
-    @abstractmethod
-    def _snapshot(self) -> Snapshot: ...
+    def _snapshot(self) -> Snapshot:
+        return self._world.core.snapshot(self._now)
 
     @abstractmethod
     async def _pass_time(self) -> None:
@@ -295,18 +298,11 @@ class _RealRig(_Rig):
     def __init__(self, prepared: _Prepared, terminal: CalibrationTerminal, recorder: Recorder) -> None:
         super().__init__(prepared, terminal, recorder)
         watchers = (recorder, EachAction(self._take))
-        self._service = Service(
+        self._world = self._service = Service(
             prepared.plan.config, watchers, prepared.prior, prepared.stored, prepared.signing
         )
         self._serving = asyncio.create_task(self._service.run())
         self._tasks: set[asyncio.Task[None]] = set()
-
-    @property
-    def now(self) -> float:
-        return self._service.now
-
-    def _snapshot(self) -> Snapshot:
-        return self._service.core.snapshot(self.now)
 
     async def _pass_time(self) -> None:
         ended, _ = await asyncio.wait([self._serving, *self._tasks], timeout=STEP_S)
@@ -429,27 +425,20 @@ class _SimulatedRig(_Rig):
     ) -> None:
         super().__init__(prepared, terminal, recorder)
         self._phlosar = phlosar
-        self._world = _RecordedWorld(prepared, phlosar, recorder)
+        self._world = self._simulated = _RecordedWorld(prepared, phlosar, recorder)
         self._angles = SimulatedAngleReader(seed=1)
         self._steps = 0
-
-    @property
-    def now(self) -> float:
-        return self._world.now
-
-    def _snapshot(self) -> Snapshot:
-        return self._world.core.snapshot(self.now)
 
     async def _pass_time(self) -> None:
         # The event loop learns of Ctrl-C.
         await asyncio.sleep(0)
         self._steps += 1
-        self._actions.extend(self._world.advance(self._steps * STEP_S))
+        self._actions.extend(self._simulated.advance(self._steps * STEP_S))
         if self._steps % STEPS_PER_SNAPSHOT == 0:
             self._recorder.snapshot(self._snapshot())
 
     def _ask(self, intent: Intent) -> None:
-        self._actions.extend(self._world.feed(Asked(self.now, "calibration", intent)))
+        self._actions.extend(self._simulated.feed(Asked(self._now, "calibration", intent)))
 
     def _question(self, question: Question) -> None:
         text = ""
@@ -464,7 +453,7 @@ class _SimulatedRig(_Rig):
         self._evaluated(task, result_of(task))
 
     async def _close(self) -> None:
-        self._actions.extend(self._world.feed(Stop(self.now)))
+        self._actions.extend(self._simulated.feed(Stop(self._now)))
 
 
 class _RecordedWorld(SimulatedWorld):
