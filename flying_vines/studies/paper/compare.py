@@ -107,18 +107,13 @@ class StepResponse:
 
 
 @dataclass(frozen=True)
-class FrequencyResponse:
-    """TC4 or TC5 on one supply. Frequencies Hz; arrays in the order of the measured points."""
+class MeasuredGains:
+    """The measured points of TC4 or TC5 (Fig. 5). Frequencies Hz."""
 
     condition: Condition
-    supply_kPa: float
     measured: PrintedCurve
     cutoff_Hz: float
     """Drawn cut-off of the paper's model."""
-    model_gain: Array
-    """The paper's model at the measured frequencies."""
-    plant_gain: Array
-    """The plant in closed loop at the measured frequencies."""
 
     def rms_dB(self, gains: Array, cutoffs: float = math.inf) -> float:
         """Distance of gains to the measured ones, up to this multiple of the drawn cut-off."""
@@ -129,6 +124,17 @@ class FrequencyResponse:
     def peak_rate_kPa_per_s(self) -> float:
         """Greatest rate of a sine at the drawn cut-off, if A is peak to peak."""
         return paper.sine_peak_rate_kPa_per_s(self.cutoff_Hz, self.condition.swing_kPa / 2.0)
+
+
+@dataclass(frozen=True)
+class FrequencyResponse(MeasuredGains):
+    """The plant's response to TC4 or TC5 on one supply; gains in the order of the measured points."""
+
+    supply_kPa: float
+    model_gain: Array
+    """The paper's model."""
+    plant_gain: Array
+    """The plant in closed loop."""
 
 
 @dataclass(frozen=True)
@@ -359,16 +365,22 @@ def window_s(model_rise_s: float, speed_ratio: float, nrmse: float) -> float:
     return model_rise_s * window if window >= slow else math.nan
 
 
+def measured_gains(name: str) -> MeasuredGains:
+    """The measured points of the test condition tc4 or tc5."""
+    cutoff_Hz = stated()[f"{name}.cutoff_drawn"].value
+    return MeasuredGains(condition(name), curve(f"frequency_measured_{name}"), cutoff_Hz)
+
+
 def frequency_response(bench: Bench, test: Condition, supply_kPa: float) -> FrequencyResponse:
     """TC4 or TC5 by Eq. 6 and by the plant on a fixed supply; A is taken as peak to peak."""
-    measured = curve(f"frequency_measured_{test.name}")
-    cutoff = stated()[f"{test.name}.cutoff_drawn"].value
-    model_gain = paper.frequency_gain(measured.x, cutoff)
+    points = measured_gains(test.name)
+    measured = points.measured
+    model_gain = paper.frequency_gain(measured.x, points.cutoff_Hz)
     rig = bench.with_cv(test.cv_volume_L).with_fixed_source()
     # A frequency that was measured twice is simulated once.
     found = {f: plant_gain(rig, f, test.swing_kPa, supply_kPa) for f in np.unique(measured.x).tolist()}
     gains = np.array([found[f] for f in measured.x.tolist()])
-    return FrequencyResponse(test, supply_kPa, measured, cutoff, model_gain, gains)
+    return FrequencyResponse(test, measured, points.cutoff_Hz, supply_kPa, model_gain, gains)
 
 
 def plant_gain(bench: Bench, frequency_Hz: float, peak_to_peak_kPa: float, supply_kPa: float) -> float:

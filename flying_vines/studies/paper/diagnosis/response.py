@@ -13,8 +13,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
-from math import ceil, pi
+from math import ceil, inf, pi
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -29,7 +30,7 @@ from flying_vines.physics.plant.simulator import TICK_S
 from flying_vines.physics.rig import ControlVolume, Hose, Rig, Solenoid
 from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
 from flying_vines.studies.paper.bench import FIXED_SOURCE, PAPERS_TUNING
-from flying_vines.studies.paper.compare import BAND, decibel, rms
+from flying_vines.studies.paper.compare import BAND, measured_gains, rms
 from flying_vines.studies.paper.data import condition, curve, stated
 
 TESTS = ("tc4", "tc5")
@@ -202,21 +203,20 @@ def _explained(
 def _explanation(
     names: tuple[str, ...], simulated: Mapping[tuple[float, ...], list[Array]]
 ) -> GainExplanation:
-    measured = [curve(f"frequency_measured_{test}") for test in TESTS]
-    bands = [m.x <= BAND * stated()[f"{t}.cutoff_drawn"].value for t, m in zip(TESTS, measured, strict=True)]
-    left = {
-        values: [decibel(g / m.y) for g, m in zip(found, measured, strict=True)]
-        for values, found in simulated.items()
-    }
-    best = min(left, key=lambda values: sum(rms(e) ** 2 for e in left[values]))
+    measured, tests = [measured_gains(test) for test in TESTS], range(len(TESTS))
+
+    def off_dB(values: tuple[float, ...], test: int, cutoffs: float = inf) -> float:
+        return measured[test].rms_dB(simulated[values][test], cutoffs)
+
+    best = min(simulated, key=lambda values: sum(off_dB(values, test) ** 2 for test in tests))
     # `reversed` below: each test is predicted with the best values of the other.
-    best_of = [min(left, key=lambda values: rms(left[values][test])) for test in range(len(TESTS))]
+    best_of = [min(simulated, key=partial(off_dB, test=test)) for test in tests]
     return GainExplanation(
         names=names,
         best=dict(zip(names, best, strict=True)),
-        rms_dB=tuple(rms(e) for e in left[best]),
-        band_rms_dB=tuple(rms(e[band]) for e, band in zip(left[best], bands, strict=True)),
-        unseen_dB=tuple(rms(left[values][test]) for test, values in enumerate(reversed(best_of))),
+        rms_dB=tuple(off_dB(best, test) for test in tests),
+        band_rms_dB=tuple(off_dB(best, test, BAND) for test in tests),
+        unseen_dB=tuple(off_dB(values, test) for test, values in enumerate(reversed(best_of))),
         gains=tuple(simulated[best]),
     )
 
