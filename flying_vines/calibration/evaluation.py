@@ -81,15 +81,12 @@ class StageRecording:
         plan = self.plan
         ambient_kPa = self.ambient_kPa if np.isfinite(self.ambient_kPa) else STANDARD_PRESSURE_KPA
         volume = self._reservoir_volume
-        known = Estimate(volume.assumed or 1.0, 0.0)
-        if volume.value is not None and volume.low is not None and volume.high is not None:
-            known = Estimate.of_interval(volume.value, volume.low, volume.high)
         zero = self.findings.estimate("reservoir_zero_kPa")
         return vine_air.fit_vine_air(
             self._less_zero,
             vine_air.AirInputs(
                 plan.user_config.pneumatics,
-                known,
+                volume.estimate or Estimate(volume.assumed or 1.0, 0.0),
                 plan.top_kPa,
                 plan.settling_s(self.stage),
                 ambient_kPa,

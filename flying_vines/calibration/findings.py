@@ -94,26 +94,38 @@ class MeasuredQuantity:
     def unknown(self, why: str) -> MeasuredQuantity:
         return replace(self, value=None, low=None, high=None, note=why)
 
+    @property
+    def interval(self) -> tuple[float, float, float] | None:
+        """Value, lower and upper end of the 95 % interval; None if it was not measured."""
+        if self.value is None or self.low is None or self.high is None:
+            return None
+        return self.value, self.low, self.high
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """Value and standard deviation; None if it was not measured."""
+        return Estimate.of_interval(*self.interval) if self.interval else None
+
     def texts(self) -> tuple[str, str]:
         """Value and interval. The width of the interval decides how many digits are shown."""
-        if self.value is None:
+        if self.interval is None:
             return "–", ""
-        if self.low is None or self.high is None:
-            return f"{self.value:.4g}", ""
-        half_width = 0.5 * (self.high - self.low)
+        value, low, high = self.interval
+        half_width = 0.5 * (high - low)
         known = 0.0 < half_width < math.inf
         digits = min(9, max(0, 1 - math.floor(math.log10(half_width)))) if known else 3
-        return f"{self.value:.{digits}f}", f"{self.low:.{digits}f} … {self.high:.{digits}f}"
+        return f"{value:.{digits}f}", f"{low:.{digits}f} … {high:.{digits}f}"
 
     def change(self) -> str:
         """The difference between measured and assumed value, as text."""
-        if self.value is None or self.assumed is None:
+        if self.interval is None or self.assumed is None:
             return ""
-        if self.low is not None and self.high is not None and self.low <= self.assumed <= self.high:
+        value, low, high = self.interval
+        if low <= self.assumed <= high:
             return "as assumed"
         if self.assumed == 0.0:
-            return f"{self.value:+.3g}"
-        return f"{self.value / self.assumed - 1.0:+.1%}"
+            return f"{value:+.3g}"
+        return f"{value / self.assumed - 1.0:+.1%}"
 
 
 def configured(name: str, what: str, unit: str, pneumatics: PneumaticsConfig) -> MeasuredQuantity:
@@ -152,9 +164,7 @@ class Findings:
     def estimate(self, name: str) -> Estimate | None:
         """Value and standard deviation; None if the quantity was not measured."""
         found = self.get(name)
-        if found is None or found.value is None or found.low is None or found.high is None:
-            return None
-        return Estimate.of_interval(found.value, found.low, found.high)
+        return found.estimate if found else None
 
     def notes(self) -> Sequence[str]:
         """All notes and remarks, one line each."""

@@ -116,8 +116,9 @@ def rig_text(numbers: PneumaticsConfig, findings: Findings) -> str:
 def _tolerances(findings: Findings) -> Iterator[tuple[str, float]]:
     for name, key in RIG_KEYS.items():
         found = findings.get(name)
-        if found and found.value and found.low is not None and found.high is not None:
-            percent = 50.0 * (found.high - found.low) / found.value
+        if found and found.value and found.interval:
+            value, low, high = found.interval
+            percent = 50.0 * (high - low) / value
             yield key, round(min(max(percent, MIN_TOLERANCE_PERCENT), MAX_TOLERANCE_PERCENT), 1)
 
 

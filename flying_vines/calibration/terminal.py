@@ -212,12 +212,11 @@ def findings_table(findings: Findings) -> Table:
 def _is_news(finding: MeasuredQuantity, shown: MeasuredQuantity | None) -> bool:
     """True if the value is measured for the first time, clearly different from the shown one, or twice as
     precise."""
-    if shown is None or shown.value is None or finding.value is None:
+    if shown is None or shown.interval is None or finding.interval is None:
         return shown is None or shown.value != finding.value
-    if shown.low is None or shown.high is None or finding.low is None or finding.high is None:
-        return False
-    different = abs(finding.value - shown.value) > max(0.1 * abs(shown.value), shown.high - shown.low)
-    return different or finding.high - finding.low < 0.5 * (shown.high - shown.low)
+    (before, low_before, high_before), (now, low, high) = shown.interval, finding.interval
+    different = abs(now - before) > max(0.1 * abs(before), high_before - low_before)
+    return different or high - low < 0.5 * (high_before - low_before)
 
 
 def _found(finding: MeasuredQuantity) -> Text:

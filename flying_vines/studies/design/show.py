@@ -98,15 +98,10 @@ def notes(evaluation: Evaluation) -> list[str]:
 def rows(evaluation: Evaluation) -> list[tuple[str, str, float, float | None, str]]:
     """Quantity, unit, value, wanted value or None, and source."""
     e, robot = evaluation, evaluation.robot
-    wanted_cycles = robot.least_cycles or None
-    pouch = robot.cv_kind == "pouch"
-    active = e.parts.venturi is not None
     kind = f"{robot.cv_kind} {robot.cv_volume_L:g} L"
-    wanted = {
-        "rigid": wanted_cycles if active and not pouch else None,
-        "pouch": wanted_cycles if active and pouch else None,
-        "passive": None if active else wanted_cycles,
-    }
+    wanted: dict[str, float | None] = dict.fromkeys(("rigid", "pouch", "passive"))
+    # The cycles that count for this robot on these parts.
+    wanted["passive" if e.parts.venturi is None else robot.cv_kind] = robot.least_cycles or None
     up, down = robot.wanted_inflation_kPa_per_s, robot.wanted_deflation_kPa_per_s
     left = f"to {100 * DEFLATED:.0f} % left, not in the paper"
     swing = f"Eq. 7, {robot.swing_kPa:g} kPa peak to peak"
@@ -119,7 +114,13 @@ def rows(evaluation: Evaluation) -> list[tuple[str, str, float, float | None, st
         ("min. reservoir pressure", "kPa", e.least_kPa, None, "Eq. 4, wanted inflation"),
         ("cycles, rigid", "", e.cycles_rigid, wanted["rigid"], "Eq. 8"),
         ("cycles, pouch's air", "", e.cycles_pouch_air, None, "Eq. 8, air of V (P_a + P)"),
-        ("cycles, pouch, fast enough", "", e.cycles_pouch, wanted["pouch"], "Eq. 8, minimum P_r of a pouch"),
+        (
+            "cycles, pouch, fast enough",
+            "",
+            e.cycles_pouch,
+            wanted["pouch"],
+            "Eq. 8, minimum P_r of a pouch",
+        ),
         ("cycles, passive venting", "", e.cycles_passive, wanted["passive"], "no air for the Venturi"),
         ("operating time, cycling", "s", e.operating_s, None, f"{robot.cycle_rate_Hz:.3g} cycles a second"),
         ("operating time, fully open", "s", e.full_open_s, None, "Eq. 3 to minimum pressure"),
