@@ -276,7 +276,7 @@ SHEETS: dict[tuple[str, ...], Draw] = {
     ("tutorial-bench.png", "ground-station-graph.png"): bench,
     ("doctor.svg",): doctor,
     ("vine-fit.png",): commands("vine fit pairs.csv --out ."),
-    ("design-speed.png", "design-search.png", "design-compass.png"): commands("design --out ."),
+    ("design-speed.png", "design-search.png"): commands("design --out ."),
     tuple(f"paper-{name}.png" for name in PAPER): commands("paper --out ."),
     ("paper-diagnosis-discharge.png", "paper-diagnosis-frequency.png"): commands("paper --diagnose --out ."),
     ("simulate-case.png",): commands(

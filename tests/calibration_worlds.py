@@ -17,9 +17,9 @@ from flying_vines.calibration.calibrator import (
     Output,
     Question,
 )
-from flying_vines.calibration.driver import result_of
-from flying_vines.calibration.findings import Result
+from flying_vines.calibration.findings import Findings
 from flying_vines.calibration.plan import CalibrationPlan
+from flying_vines.calibration.rig import result_of
 from flying_vines.core.events import Action, Asked, Decision, Measured
 from flying_vines.core.snapshot import Snapshot
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
@@ -143,7 +143,7 @@ class PaperWorld(_Stage):
         self.carry_out(self.calibrator.take(ruling))
 
     def evaluate(self, task: EvaluationTask) -> object:
-        return Result()
+        return Findings()
 
     def _telemetry(self) -> Telemetry:
         mode = Mode.REGULATE if self.bent else Mode.VENT

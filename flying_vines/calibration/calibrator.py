@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from flying_vines.calibration.evaluation import StageRecording
-from flying_vines.calibration.findings import Chart, Findings, MeasuredQuantity, Result
+from flying_vines.calibration.findings import Findings, MeasuredQuantity
 from flying_vines.calibration.plan import ANSWER_S, SETTLE_S, CalibrationPlan, Movement, Stage
 from flying_vines.calibration.readings import ReadingsBuffer
 from flying_vines.core.events import Action, Decision, Measured
@@ -72,14 +72,13 @@ class EvaluationTask:
     """Work for the background, because it takes CPU time. Pass its result or exception to `evaluated`."""
 
     stage: Stage
-    run: Callable[[], Result]
+    run: Callable[[], Findings]
 
 
 @dataclass(frozen=True)
 class StageResult:
     stage: Stage
     findings: tuple[MeasuredQuantity, ...]
-    charts: tuple[Chart, ...]
 
 
 @dataclass(frozen=True)
@@ -113,7 +112,6 @@ class Calibrator:
         self.plan = plan
         self.findings = Findings()
         self.ended: Ended | None = None
-        self._charts: dict[str, Chart] = {}
         self._buffer = ReadingsBuffer()
         self._out: list[Output] = []
         self._t = 0.0
@@ -134,10 +132,6 @@ class Calibrator:
         self._ready = False
 
     @property
-    def charts(self) -> tuple[Chart, ...]:
-        return tuple(self._charts.values())
-
-    @property
     def progress(self) -> CalibrationProgress:
         done_s = sum(stage.seconds for stage in self.plan.stages[: self._index])
         if self._stage:
@@ -152,6 +146,10 @@ class Calibrator:
         """The vine's pressure, less the zero of its sensor if that is measured."""
         zero = self.findings.estimate("cv_zero_kPa")
         return snapshot.cv_kPa - (zero.value if zero else 0.0)
+
+    def vented(self, snapshot: Snapshot) -> bool:
+        """True if the core has vented the vine, and its pressure is low or unknown."""
+        return snapshot.doing == "vented" and not self.cv_kPa(snapshot) >= VENTED_KPA
 
     # Inputs.
 
@@ -200,13 +198,12 @@ class Calibrator:
         if self.ended is not None or task is not self._task:
             return []
         self._task = None
-        if not isinstance(result, Result):
+        if not isinstance(result, Findings):
             what = f"{task.stage.title}: the recording could not be evaluated: {result}"
-            result = Result(remarks=(what,))
+            result = Findings(remarks=(what,))
             self._out.append(Message(what))
-        self.findings = self.findings.with_result(result)
-        self._charts |= {chart.name: chart for chart in result.charts}
-        self._out.append(StageResult(task.stage, result.findings, result.charts))
+        self.findings = self.findings.renewed_by(result)
+        self._out.append(StageResult(task.stage, result.findings))
         return self._advance()
 
     def stop(self, t: float, why: str) -> list[Output]:

@@ -60,9 +60,9 @@ def _up_to(max_kPa: float, curve: Sequence[tuple[float, float]]) -> Sequence[tup
 
 def is_precise(finding: MeasuredQuantity) -> bool:
     """True if the measured value may replace the assumed one."""
-    value, low, high = finding.value, finding.low, finding.high
-    if value is None or low is None or high is None:
+    if finding.interval is None:
         return False
+    value, low, high = finding.interval
     return low > 0.0 and high - low <= 2.0 * MAX_RELATIVE_WIDTH * value
 
 

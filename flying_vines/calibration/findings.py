@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, NamedTuple
 
+from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.arrays import Array
 
 SD_95 = 1.96
@@ -93,26 +94,43 @@ class MeasuredQuantity:
     def unknown(self, why: str) -> MeasuredQuantity:
         return replace(self, value=None, low=None, high=None, note=why)
 
+    @property
+    def interval(self) -> tuple[float, float, float] | None:
+        """Value, lower and upper end of the 95 % interval; None if it was not measured."""
+        if self.value is None or self.low is None or self.high is None:
+            return None
+        return self.value, self.low, self.high
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """Value and standard deviation; None if it was not measured."""
+        return Estimate.of_interval(*self.interval) if self.interval else None
+
     def texts(self) -> tuple[str, str]:
         """Value and interval. The width of the interval decides how many digits are shown."""
-        if self.value is None:
+        if self.interval is None:
             return "–", ""
-        if self.low is None or self.high is None:
-            return f"{self.value:.4g}", ""
-        half_width = 0.5 * (self.high - self.low)
+        value, low, high = self.interval
+        half_width = 0.5 * (high - low)
         known = 0.0 < half_width < math.inf
         digits = min(9, max(0, 1 - math.floor(math.log10(half_width)))) if known else 3
-        return f"{self.value:.{digits}f}", f"{self.low:.{digits}f} … {self.high:.{digits}f}"
+        return f"{value:.{digits}f}", f"{low:.{digits}f} … {high:.{digits}f}"
 
     def change(self) -> str:
         """The difference between measured and assumed value, as text."""
-        if self.value is None or self.assumed is None:
+        if self.interval is None or self.assumed is None:
             return ""
-        if self.low is not None and self.high is not None and self.low <= self.assumed <= self.high:
+        value, low, high = self.interval
+        if low <= self.assumed <= high:
             return "as assumed"
         if self.assumed == 0.0:
-            return f"{self.value:+.3g}"
-        return f"{self.value / self.assumed - 1.0:+.1%}"
+            return f"{value:+.3g}"
+        return f"{value / self.assumed - 1.0:+.1%}"
+
+
+def configured(name: str, what: str, unit: str, pneumatics: PneumaticsConfig) -> MeasuredQuantity:
+    """A quantity that replaces a number of `[pneumatics]`, which is assumed until then."""
+    return MeasuredQuantity(name, what, unit, assumed=getattr(pneumatics, name), key=f"pneumatics.{name}")
 
 
 @dataclass(frozen=True)
@@ -127,24 +145,13 @@ class SettingProposal:
 
 
 @dataclass(frozen=True)
-class Result:
-    """The results of one stage."""
+class Findings:
+    """The results of one stage, or of all stages so far. Pairs and curve: gauge kPa, degrees."""
 
     findings: tuple[MeasuredQuantity, ...] = ()
     proposals: tuple[SettingProposal, ...] = ()
     remarks: tuple[str, ...] = ()
     charts: tuple[Chart, ...] = ()
-    curve: tuple[tuple[float, float], ...] = ()
-    hysteresis_kPa: float | None = None
-
-
-@dataclass(frozen=True)
-class Findings:
-    """The results of all stages so far. Pairs and curve: gauge kPa, degrees."""
-
-    findings: tuple[MeasuredQuantity, ...] = ()
-    proposals: tuple[SettingProposal, ...] = ()
-    remarks: tuple[str, ...] = ()
     pairs: tuple[tuple[float, float], ...] = ()
     curve: tuple[tuple[float, float], ...] = ()
     """Empty if it was not measured."""
@@ -157,28 +164,27 @@ class Findings:
     def estimate(self, name: str) -> Estimate | None:
         """Value and standard deviation; None if the quantity was not measured."""
         found = self.get(name)
-        if found is None or found.value is None or found.low is None or found.high is None:
-            return None
-        return Estimate.of_interval(found.value, found.low, found.high)
+        return found.estimate if found else None
 
     def notes(self) -> Sequence[str]:
         """All notes and remarks, one line each."""
         return (*(f"{f.what}: {f.note}" for f in self.findings if f.note), *self.remarks)
 
-    def with_result(self, result: Result) -> Findings:
-        """The findings and those of another stage. A newer result replaces an older one of the same name."""
-        return replace(
-            self,
-            findings=_renewed(self.findings, result.findings, "name"),
-            proposals=_renewed(self.proposals, result.proposals, "setting"),
-            remarks=(*self.remarks, *(remark for remark in result.remarks if remark not in self.remarks)),
-            curve=result.curve or self.curve,
-            hysteresis_kPa=self.hysteresis_kPa if result.hysteresis_kPa is None else result.hysteresis_kPa,
+    def renewed_by(self, newer: Findings) -> Findings:
+        """Both together. A newer result replaces an older one of the same name."""
+        return Findings(
+            _renewed(self.findings, newer.findings, "name"),
+            _renewed(self.proposals, newer.proposals, "setting"),
+            tuple(dict.fromkeys((*self.remarks, *newer.remarks))),
+            _renewed(self.charts, newer.charts, "name"),
+            newer.pairs or self.pairs,
+            newer.curve or self.curve,
+            self.hysteresis_kPa if newer.hysteresis_kPa is None else newer.hysteresis_kPa,
         )
 
     def as_json(self) -> dict[str, Any]:
-        """The findings as plain lists, numbers and texts."""
-        return asdict(self)
+        """The findings without the charts, as plain lists, numbers and texts."""
+        return {name: value for name, value in asdict(self).items() if name != "charts"}
 
 
 def _renewed(before: Iterable[Any], now: Iterable[Any], name: str) -> tuple[Any, ...]:

@@ -9,8 +9,7 @@ from typing import Any
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from flying_vines.calibration.driver import CalibrationOutcome
-from flying_vines.calibration.findings import Chart, Series
+from flying_vines.calibration.findings import Chart, Findings, Series
 from flying_vines.identification.report.canvas import INK, blank, quiet, typeset
 from flying_vines.identification.report.templates import filled
 from flying_vines.identification.report.write import svg
@@ -26,17 +25,16 @@ LEGEND = {"facecolor": "white", "edgecolor": "none", "framealpha": 0.85}
 DPI = 200
 
 
-def page(title: str, outcome: CalibrationOutcome, pictures: Mapping[str, bytes]) -> str:
+def page(title: str, sentence: str, findings: Findings, pictures: Mapping[str, bytes]) -> str:
     """The whole page. `pictures`: SVG by the names of the charts."""
-    findings = outcome.findings
     return filled(
         Path(__file__).with_name("calibration.html"),
         pictures,
         title=title,
-        sentence=outcome.ended.sentence,
+        sentence=sentence,
         findings=[(finding, *finding.texts(), finding.change()) for finding in findings.findings],
         notes=findings.notes(),
-        charts=outcome.charts,
+        charts=findings.charts,
     )
 
 

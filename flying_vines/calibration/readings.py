@@ -6,6 +6,7 @@ from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import sqrt
 
 import numpy as np
 
@@ -96,6 +97,11 @@ class ReadingsBuffer:
             np.array(column[first:], np.float64) for column in self._columns
         )
         return Readings(t, regulating > 0.5, setpoint, cv, reservoir, evp, dvp, solenoid > 0.5)
+
+
+def noise_kPa(column: Array) -> float:
+    """Standard deviation of the noise, from differences of successive readings. Slow changes do not count."""
+    return float(np.std(np.diff(column))) / sqrt(2.0)
 
 
 def smooth(column: Array, rows: int) -> Array:

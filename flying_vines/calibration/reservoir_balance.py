@@ -21,9 +21,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from flying_vines.calibration.findings import Estimate
-from flying_vines.calibration.least_squares import least_squares
 from flying_vines.calibration.readings import Readings, smooth
 from flying_vines.physics.arrays import Array, BoolArray
 from flying_vines.physics.constants import GAMMA, STANDARD_PRESSURE_KPA
@@ -47,6 +47,8 @@ model also fit some noise."""
 _ROUNDS = 3
 """Iterations of the gas temperature: the mass depends on it, and the cooling on the mass."""
 _STEP = 1e-4
+_FTOL = 1e-5
+"""The fit of the heat parameters ends if a step lowers χ² by a smaller share."""
 
 
 @dataclass(frozen=True)
@@ -128,10 +130,8 @@ def fit_balance(
     ratio = np.ones_like(read_kPa)
     for _ in range(_ROUNDS):
         fit = _BalanceFit(bins, priors, usual, reservoir_L, read_kPa / ratio, ratio)
-        heat, _ = least_squares(
-            lambda heat, fit=fit: fit.solved(heat)[1],  # type: ignore[misc]
-            heat, usual - _HEAT_RANGE, usual + _HEAT_RANGE, np.full(3, _STEP),
-        )  # fmt: skip
+        bounds = usual - _HEAT_RANGE, usual + _HEAT_RANGE
+        heat = least_squares(fit.residual, heat, bounds=bounds, diff_step=_STEP, ftol=_FTOL).x
         ratio = 1.0 + fit.gas(heat)
     # A simulated reservoir may be isothermal.
     isothermal = _BalanceFit(bins, priors, usual, reservoir_L, read_kPa, np.ones_like(read_kPa))
@@ -172,29 +172,30 @@ class _BalanceFit:
         read = bins.reservoir_kPa[bins.counts] / bins.noise_kPa
         self._target = np.concatenate([read, expected, [0.0, 0.0]])
 
-    def solved(self, heat: Array | None) -> tuple[Array, Array]:
-        """The best linear parameters, and the residuals; the last three are those of the heat parameters."""
+    def residual(self, heat: Array | None) -> Array:
+        """The residuals with the best linear parameters; the last three are those of the heat parameters."""
         design = self._design(heat)
-        best = np.linalg.lstsq(design, self._target, rcond=None)[0]
         unusual = np.zeros(3) if heat is None else (self._usual - heat) / _HEAT_SD
-        return best, np.concatenate([self._target - design @ best, unusual])
+        return np.concatenate([self._target - design @ self._best(design), unusual])
 
     def chi2(self, heat: Array | None) -> float:
         """χ² of the readings and of the priors."""
-        residual = self.solved(heat)[1]
+        residual = self.residual(heat)
         return float(residual @ residual)
+
+    def _best(self, design: Array) -> Array:
+        """The best linear parameters."""
+        return np.asarray(np.linalg.lstsq(design, self._target, rcond=None)[0])
 
     def gas(self, heat: Array | None) -> Array:
         """The fitted ϑ, (bins,)."""
-        best, _ = self.solved(heat)
-        n = len(self._names)
+        best, n = self._best(self._design(heat)), len(self._names)
         return np.asarray(self._temperatures(heat).T @ np.concatenate([best[:n], best[n + 1 :]]))
 
     def balance(self, heat: Array | None) -> Balance:
         """All results with their covariance."""
-        best, _ = self.solved(heat)
-        design = self._design(heat)
-        whole = design
+        whole = design = self._design(heat)
+        best = self._best(design)
         if heat is not None:
             derivatives = [(self._design(heat + d) - design) @ best / _STEP for d in _STEP * np.eye(3)]
             prior = np.hstack([np.zeros((3, design.shape[1])), np.diag(1.0 / _HEAT_SD)])

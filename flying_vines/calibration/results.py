@@ -13,8 +13,11 @@ import json
 import os
 import time
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from flying_vines.calibration.configuration import (
     ConfigurationChange,
@@ -23,16 +26,22 @@ from flying_vines.calibration.configuration import (
     is_precise,
     with_numbers,
 )
-from flying_vines.calibration.driver import CalibrationOutcome, CalibrationRun, UserConfiguration
 from flying_vines.calibration.findings import Findings
+from flying_vines.calibration.rig import CalibrationRun, UserConfiguration
 from flying_vines.calibration.terminal import CalibrationTerminal
 from flying_vines.config import on_disk
 from flying_vines.config.config import ConfigError, PneumaticsConfig
 from flying_vines.files.extras import lacks
 from flying_vines.physics.plant.true_rig import TrueRig, true_rig_text
 from flying_vines.supply import nominal_rig
+from flying_vines.supply.rig_file_prior import load_rig_file_prior
+
+if TYPE_CHECKING:
+    from flying_vines.identification.case import Case
 
 FOLDER = "calibration"
+DIAGNOSED_S = 20.0
+"""Duration of the diagnosed part. With many effects, diagnosing some minutes of data takes an hour."""
 MIN_TOLERANCE_PERCENT, MAX_TOLERANCE_PERCENT = 1.0, 10.0
 RIG_KEYS = {
     "reservoir_volume_L": "reservoir.volume_L",
@@ -57,15 +66,12 @@ def write_results(
     Args:
         in_place: also replace the user's configuration by the calibrated one.
     """
-    outcome = run.outcome
-    folder = outcome.folder / FOLDER
+    folder, findings = run.folder / FOLDER, run.findings
     folder.mkdir()
-    findings = outcome.findings
     terminal.results(findings)
-    if outcome.log_problem:
-        terminal.warn(outcome.log_problem)
-    ended = outcome.ended
-    content = {"outcome": ended.outcome, "sentence": ended.sentence, **findings.as_json()}
+    if run.log_problem:
+        terminal.warn(run.log_problem)
+    content = {"outcome": run.ended.outcome, "sentence": run.ended.sentence, **findings.as_json()}
     _write(folder / "findings.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
     _write(folder / "profile-before.toml", user.text)
     changed = list(changes(findings, user.config.limits.max_kPa))
@@ -82,15 +88,15 @@ def write_results(
         places.append(user.path)
     if changed:
         _write_configurations(user, changed, None, places, terminal)
-    if outcome.charts:
-        _draw(outcome, folder, terminal)
-    extended = _diagnose(outcome, rig_file, numbers, terminal) if diagnose else None
+    if findings.charts:
+        _draw(run, folder, terminal)
+    extended = _diagnose(run.folder, rig_file, numbers, terminal) if diagnose else None
     if extended is not None:
         _write_configurations(user, changed, extended, places, terminal)
     if changed:
         for place in places:
             terminal.line("Configuration", place)
-    terminal.line("Log", outcome.folder)
+    terminal.line("Log", run.folder)
 
 
 def rig_text(numbers: PneumaticsConfig, findings: Findings) -> str:
@@ -110,8 +116,9 @@ def rig_text(numbers: PneumaticsConfig, findings: Findings) -> str:
 def _tolerances(findings: Findings) -> Iterator[tuple[str, float]]:
     for name, key in RIG_KEYS.items():
         found = findings.get(name)
-        if found and found.value and found.low is not None and found.high is not None:
-            percent = 50.0 * (found.high - found.low) / found.value
+        if found and found.value and found.interval:
+            value, low, high = found.interval
+            percent = 50.0 * (high - low) / value
             yield key, round(min(max(percent, MIN_TOLERANCE_PERCENT), MAX_TOLERANCE_PERCENT), 1)
 
 
@@ -119,40 +126,67 @@ def _write(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-def _draw(outcome: CalibrationOutcome, folder: Path, terminal: CalibrationTerminal) -> None:
+def _draw(run: CalibrationRun, folder: Path, terminal: CalibrationTerminal) -> None:
     try:
         from flying_vines.calibration.page import page, pictures
     except ModuleNotFoundError as error:
         terminal.warn(f"No pictures: {lacks(error)}")
         return
-    drawn = pictures(outcome.charts, folder)
+    drawn = pictures(run.findings.charts, folder)
     path = folder / "calibration.html"
-    _write(path, page(f"Calibration {outcome.folder.name}", outcome, drawn))
+    _write(path, page(f"Calibration {run.folder.name}", run.ended.sentence, run.findings, drawn))
     terminal.line("Page", path)
 
 
 def _diagnose(
-    outcome: CalibrationOutcome, rig_file: Path, numbers: PneumaticsConfig, terminal: CalibrationTerminal
+    flight: Path, rig_file: Path, numbers: PneumaticsConfig, terminal: CalibrationTerminal
 ) -> Path | None:
-    """The rig file that the configuration should name; None if there is none."""
-    command = f"flying-vines diagnose --from-log {outcome.folder} --rig {rig_file}"
+    """Diagnose the recording, from the rig file with the measured numbers; needs the extra `analysis`.
+
+    Returns the rig file that the configuration should name, if there is one. It must improve the estimate of
+    the cycles left: its causes lower the error on unseen data, and change the air that a cycle takes.
+    """
+    command = f"flying-vines diagnose --from-log {flight} --rig {rig_file}"
     try:
-        from flying_vines.calibration.diagnosis import diagnosed
+        from flying_vines.identification.diagnose import diagnose
+        from flying_vines.identification.extended import extended_rig
+        from flying_vines.identification.from_log import read_flight
         from flying_vines.identification.recording import CaseError
+        from flying_vines.identification.report import write_report
     except ModuleNotFoundError as error:
         terminal.warn(f"No diagnosis: {lacks(error)}. Then: {command}")
         return None
     try:
         with terminal.working() as progress:
-            diagnosis = diagnosed(outcome.folder, rig_file, numbers, progress)
+            case = _beginning(read_flight(flight, rig_file))
+            verdict = diagnose(case, progress=progress)
+            report = write_report(verdict, case, rig_file.parent / "diagnosis")[0]
     except CaseError as error:
         terminal.warn(f"No diagnosis: {error}")
         return None
     except KeyboardInterrupt:
         terminal.warn(f"No diagnosis now; later: {command}")
         return None
-    terminal.diagnosis(diagnosis)
-    return diagnosis.rig if diagnosis.helps else None
+    helps = False
+    if verdict.named:
+        rig = rig_file.parent / "rig.toml"
+        _write(rig, true_rig_text(extended_rig(case.rig, verdict)))
+        helps = verdict.held_out.gain[0] > 0.0 and bool(load_rig_file_prior(rig, numbers).used)
+    terminal.diagnosis(verdict, report, helps)
+    return rig if helps else None
+
+
+def _beginning(case: Case) -> Case:
+    """The first `DIAGNOSED_S` of the first run, with a remark."""
+    run = case.runs[0]
+    rows = int(np.searchsorted(run.time_s, DIAGNOSED_S))
+    columns: dict[str, Any] = {
+        field.name: value[:rows]
+        for field in fields(run)
+        if isinstance(value := getattr(run, field.name), np.ndarray)
+    }
+    remark = f"only the first {DIAGNOSED_S:g} s of movement are diagnosed"
+    return replace(case, runs=(replace(run, **columns),), remarks=(*case.remarks, remark))
 
 
 def _write_configurations(

@@ -26,7 +26,9 @@ from flying_vines.calibration.findings import Findings, MeasuredQuantity
 from flying_vines.calibration.plan import CalibrationPlan
 
 if TYPE_CHECKING:
-    from flying_vines.calibration.diagnosis import CalibrationDiagnosis
+    from pathlib import Path
+
+    from flying_vines.identification.verdict import Verdict
 
 OUTCOMES = {
     "done": ("Done", "bold green"),
@@ -111,7 +113,7 @@ class CalibrationTerminal:
                 say(Text.assemble((f"{index + 1}/{of}  {stage.title}", "bold"), (f"  {stage.does}", "dim")))
             case Message(text):
                 say(Text(f"     {text}"))
-            case StageResult(_, findings, _):
+            case StageResult(_, findings):
                 for finding in findings:
                     if _is_news(finding, self._shown.get(finding.name)):
                         self._shown[finding.name] = finding
@@ -145,11 +147,11 @@ class CalibrationTerminal:
         with self._bar:
             yield update
 
-    def diagnosis(self, found: CalibrationDiagnosis) -> None:
-        """Show the verdict."""
+    def diagnosis(self, verdict: Verdict, report: Path, helps: bool) -> None:
+        """Show the verdict; `helps`: its causes improve the cycles left."""
         from flying_vines.identification.show import in_words
 
-        verdict, unseen, say = found.verdict, found.verdict.held_out, self._console.print
+        unseen, say = verdict.held_out, self._console.print
         say(Text.assemble("\nDiagnosis of the recording: ", (in_words(verdict), "bold")))
         for named in verdict.named:
             for name, e in named.parameters.items():
@@ -158,12 +160,12 @@ class CalibrationTerminal:
             f"     confidence {verdict.confidence:.0%}; error on unseen data {unseen.nrmse_before:.2%} of "
             f"the range before, {unseen.nrmse_after:.2%} after; noise alone {unseen.noise_floor:.2%}"
         )
-        if found.rig is not None and not found.helps:
+        if verdict.named and not helps:
             say(
                 "     The named causes do not improve the cycles left. "
                 "So the configuration does not name rig.toml."
             )
-        self.line("Diagnosis", found.report)
+        self.line("Diagnosis", report)
 
     def firmware(self, wanted: Mapping[str, float], link: str, is_set: bool) -> None:
         """Show the proposed settings, and how to save them."""
@@ -210,12 +212,11 @@ def findings_table(findings: Findings) -> Table:
 def _is_news(finding: MeasuredQuantity, shown: MeasuredQuantity | None) -> bool:
     """True if the value is measured for the first time, clearly different from the shown one, or twice as
     precise."""
-    if shown is None or shown.value is None or finding.value is None:
+    if shown is None or shown.interval is None or finding.interval is None:
         return shown is None or shown.value != finding.value
-    if shown.low is None or shown.high is None or finding.low is None or finding.high is None:
-        return False
-    different = abs(finding.value - shown.value) > max(0.1 * abs(shown.value), shown.high - shown.low)
-    return different or finding.high - finding.low < 0.5 * (shown.high - shown.low)
+    (before, low_before, high_before), (now, low, high) = shown.interval, finding.interval
+    different = abs(now - before) > max(0.1 * abs(before), high_before - low_before)
+    return different or high - low < 0.5 * (high_before - low_before)
 
 
 def _found(finding: MeasuredQuantity) -> Text:

@@ -1,4 +1,6 @@
-"""Start, play and gain of the inflation valve, from inflations at several rates.
+"""The valves: start, play and gain of the inflation valve, and the resistance of the outlet.
+
+The inflation valve is measured by inflations at several rates:
 
     ∫ Q dt = G Σ max(0, x − u₀) p_r dt       over an inflation from one settled pressure to another
 
@@ -15,20 +17,23 @@ from dataclasses import dataclass
 from math import hypot
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from flying_vines.calibration.findings import (
     SD_95,
     Chart,
     Estimate,
+    Findings,
     MeasuredQuantity,
-    Result,
     Series,
     SettingProposal,
+    configured,
+    thinned,
 )
-from flying_vines.calibration.least_squares import least_squares
-from flying_vines.calibration.readings import Readings
-from flying_vines.calibration.vine_air import TOO_LITTLE, VineAir, inverse
+from flying_vines.calibration.readings import Readings, smooth
+from flying_vines.calibration.vine_air import SMOOTHED_S, TOO_LITTLE, VineAir, inverse
 from flying_vines.physics.arrays import Array
+from flying_vines.physics.plant.valve_response import backlash
 
 MAX_STEP_S = 0.0015
 """Slower telemetry does not contain every command of the valve."""
@@ -39,6 +44,8 @@ MIN_RISE_KPA = 3.0
 MIN_INFLATIONS = 4
 STARTS = np.arange(0.0, 0.7, 0.001)
 PLAYS = np.arange(0.0, 0.26, 0.01)
+REFINE_STEPS = (0.005, 0.0005, 1e-4)
+"""Steps of play, start and ln gain for derivatives; half of the grid's, because doses are interpolated."""
 PLAY_PRIOR = (0.07, 0.06)
 """Mean and standard deviation of w."""
 AIR_SD = 0.01
@@ -108,16 +115,15 @@ def after_play(command: Array, widths: Array) -> Array:
 
     A command of 0 resets the play.
     """
-    half = widths / 2.0
-    rows = np.flatnonzero(command > 0.0)
-    out = np.zeros((len(rows), len(widths)))
-    held = np.zeros(len(widths))
-    for at, row in enumerate(rows):
-        if at == 0 or rows[at - 1] != row - 1:
-            held = np.zeros(len(widths))
-        held = np.maximum(command[row] - half, np.minimum(command[row] + half, held))
-        out[at] = held + half
-    return out
+    on = command > 0.0
+    # The first 0 after a movement resets the play.
+    kept = command[on | np.append(False, on[:-1])]
+    out = np.empty((len(kept), len(widths)))
+    for column, width in enumerate(widths.tolist()):
+        held = 0.0
+        for row, opening in enumerate(kept.tolist()):
+            held = out[row, column] = backlash(held, opening, width)
+    return np.asarray((out + widths / 2.0)[kept > 0.0])
 
 
 def fit_valve(readings: Readings, vine: VineAir) -> ValveFit | str:
@@ -176,11 +182,15 @@ def _refined(
     def residual(q: Array) -> Array:
         return np.append((air - expected(q)) / sd, (PLAY_PRIOR[0] - q[0]) / PLAY_PRIOR[1])
 
-    low, high = np.array([0.0, 0.0, -np.inf]), np.array([PLAYS[-1], STARTS[-1], np.inf])
-    q, jacobian = least_squares(residual, best, low, high, np.array([0.005, 0.0005, 1e-4]))
-    residuals = residual(q)[:-1]
+    def slopes(q: Array) -> Array:
+        at_q = residual(q)
+        return np.array([(residual(q + step) - at_q) / step.sum() for step in np.diag(REFINE_STEPS)]).T
+
+    bounds = ([0.0, 0.0, -np.inf], [PLAYS[-1], STARTS[-1], np.inf])
+    fit = least_squares(residual, best, slopes, bounds, x_scale="jac", ftol=1e-5)
+    q, residuals = fit.x, fit.fun[:-1]
     spread = max(1.0, float(residuals @ residuals) / max(1, len(air) - 3))
-    covariance = np.linalg.pinv(jacobian.T @ jacobian) * spread
+    covariance = np.linalg.pinv(fit.jac.T @ fit.jac) * spread
     play_sd, start_sd, gain_sd = np.sqrt(np.diag(covariance))
     if start_sd > MAX_START_SD:
         return "the inflations were too much alike to separate start and gain"
@@ -197,21 +207,15 @@ def _refined(
     )
 
 
-def inflation_valve(readings: Readings, vine: VineAir) -> Result:
+def inflation_valve(readings: Readings, vine: VineAir) -> Findings:
     """Start, gain and resistance of the valve, and the dead band to set in the firmware."""
     p, known = vine.known.pneumatics, vine.known
     start = MeasuredQuantity("evp_start", "inflation valve, start", "opening")
     gain = MeasuredQuantity("evp_gain_SL_per_s", "inflation valve's gain, full bottle", "SL/s per opening")
-    full = MeasuredQuantity(
-        "evp_flow_resistance_kPa_s_per_SL",
-        "inflation valve, fully open",
-        "kPa·s/SL",
-        assumed=p.evp_flow_resistance_kPa_s_per_SL,
-        key="pneumatics.evp_flow_resistance_kPa_s_per_SL",
-    )
+    full = configured("evp_flow_resistance_kPa_s_per_SL", "inflation valve, fully open", "kPa·s/SL", p)
     fit = fit_valve(readings, vine)
     if isinstance(fit, str):
-        return Result(tuple(finding.unknown(fit) for finding in (start, gain, full)))
+        return Findings(tuple(finding.unknown(fit) for finding in (start, gain, full)))
     rows = np.concatenate([readings.reservoir_kPa[each.rows] for each in fit.inflations])
     at_kPa = float(np.mean(rows))
     supply_kPa = p.full_kPa + known.ambient_kPa
@@ -226,7 +230,7 @@ def inflation_valve(readings: Readings, vine: VineAir) -> Result:
     lift = max(0.0, round(fit.start.low - MARGIN, 3))
     why = f"the valve passes air from {fit.start.value:.3f} on"
     proposal = SettingProposal("evp_dead_band", min(lift, 0.6), False, why)
-    return Result(found, (proposal,), charts=(_chart(readings, vine, fit, at_kPa),))
+    return Findings(found, (proposal,), charts=(_chart(readings, vine, fit, at_kPa),))
 
 
 def _chart(readings: Readings, vine: VineAir, fit: ValveFit, at_kPa: float) -> Chart:
@@ -259,3 +263,73 @@ def _chart(readings: Readings, vine: VineAir, fit: ValveFit, at_kPa: float) -> C
         ),
         f"starts at {fit.start.value:.3f}",
     )
+
+
+# The outlet: R = ∫ P dt / n over a vent from P_0 to zero without the Venturi. n = V_cv P_0 / α is the air
+# that leaves the vine. R is a mean over the whole fall, without the time that the outlet needs to open.
+
+MIN_VENT_KPA = 8.0
+EMPTY = 0.01
+"""Below this share of the start pressure the vine counts as empty: the readings are only noise."""
+MAX_VENT_S = 10.0
+QUICK_S = 0.005
+COLD = 0.15
+"""A fast vent cools the air. Up to twice this share of the air leaves later, while it warms, at almost no
+pressure. So the result is increased by this share, and its interval covers an increase of 0 to twice this
+share."""
+DETECTED = (0.95, 0.85)
+"""Shares of the pressure at the start. A line through both points gives the time when the fall begins."""
+
+
+def vents(readings: Readings) -> Iterator[tuple[Array, Array]]:
+    """(time since the outlet opened, pressure) of each vent that began at a held pressure."""
+    venting = readings.solenoid & (readings.evp == 0.0) & (readings.dvp == 0.0) & ~readings.regulating
+    for rows in readings.stretches(venting):
+        begin, t_s = rows.start, readings.t_s
+        before = slice(max(0, begin - round(0.1 / readings.step_s)), begin)
+        if not readings.shut[before].all() or before.stop == before.start:
+            continue
+        start_kPa = float(np.mean(readings.cv_kPa[before]))
+        end = min(rows.stop, int(np.searchsorted(t_s, t_s[begin] + MAX_VENT_S)))
+        kPa = readings.cv_kPa[begin:end]
+        if start_kPa < MIN_VENT_KPA or end - begin < 0.5 / readings.step_s:
+            continue
+        quick = smooth(kPa, max(1, round(QUICK_S / readings.step_s)))
+        high, low = (int(np.argmax(quick < share * start_kPa)) for share in DETECTED)
+        if low <= high:
+            continue
+        slope_s = (t_s[begin + low] - t_s[begin + high]) / (DETECTED[0] - DETECTED[1])
+        opened_s = t_s[begin + high] - (1.0 - DETECTED[0]) * slope_s
+        empty = np.flatnonzero(smooth(kPa, max(1, round(SMOOTHED_S / readings.step_s))) < EMPTY * start_kPa)
+        stop = int(empty[0]) if len(empty) else len(kPa)
+        yield t_s[begin : begin + stop] - opened_s, kPa[:stop]
+
+
+def outlet(readings: Readings, vine: VineAir) -> Findings:
+    """The outlet's resistance while the Venturi is off."""
+    finding = MeasuredQuantity(
+        "outlet_flow_resistance_kPa_s_per_SL", "outlet, the Venturi at rest", "kPa·s/SL"
+    )
+    falls = list(vents(readings))
+    if not falls:
+        return Findings((finding.unknown("no complete vent from a held pressure without the Venturi"),))
+    litres = vine.volume()
+    if litres.low <= 0.0:
+        return Findings((finding.unknown(TOO_LITTLE),))
+    resistances = []
+    for t_s, kPa in falls:
+        open_ = t_s > 0.0
+        start_kPa = float(np.mean(kPa[~open_])) if np.any(~open_) else float(kPa[0])
+        resistances.append(float(np.sum(kPa[open_])) * readings.step_s / vine.air_SL(0.0, start_kPa))
+    n = len(resistances)
+    spread = float(np.std(resistances, ddof=1)) / np.sqrt(n) if n > 1 else 0.05 * resistances[0]
+    mean = float(np.mean(resistances)) * (1.0 + COLD)
+    sd = float(np.hypot(spread, mean * np.hypot(litres.sd / litres.value, COLD / np.sqrt(3.0))))
+    t_s, kPa = falls[-1]
+    chart = Chart(
+        "vent", "Venting", "time since it opened, s", "vine, kPa",
+        (Series("readings", "points", thinned(t_s), thinned(kPa)),),
+        f"{mean:.3g} kPa·s/SL, mean of {n} vents",
+    )  # fmt: skip
+    note = f"mean of the fall from {kPa[0]:.0f} kPa"
+    return Findings((finding.measured(Estimate(mean, sd), note),), charts=(chart,))

@@ -19,10 +19,17 @@ from math import hypot
 
 import numpy as np
 
-from flying_vines.calibration.findings import SD_95, Chart, Estimate, MeasuredQuantity, Result, Series
-from flying_vines.calibration.readings import Readings, smooth
+from flying_vines.calibration.findings import (
+    SD_95,
+    Chart,
+    Estimate,
+    Findings,
+    MeasuredQuantity,
+    Series,
+    configured,
+)
+from flying_vines.calibration.readings import Readings, noise_kPa, smooth
 from flying_vines.calibration.reservoir_balance import Balance, binned, fit_balance
-from flying_vines.calibration.zero import noise_kPa
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA
@@ -52,7 +59,6 @@ differs from that at the leak."""
 MIN_LEAK_SDS = 3.0
 """A leak is reported if it is this many standard deviations above zero."""
 TOO_LITTLE = "too few inflations to measure the vine's volume"
-RESERVOIR_KEY = "pneumatics.reservoir_volume_L"
 GIVEN_VOLUME_SD = 0.005
 """Relative standard deviation of a reservoir's volume that a person measured by weighing its water."""
 VESSEL_SD = 0.01
@@ -178,40 +184,29 @@ def _columns(readings: Readings, top_kPa: float) -> dict[str, Array]:
 # The reservoir's volume.
 
 
-def _reservoir_volume(assumed_L: float) -> MeasuredQuantity:
-    return MeasuredQuantity(
-        "reservoir_volume_L", "bottle's volume", "L", assumed=assumed_L, key=RESERVOIR_KEY
-    )
+def reservoir_volume(known: PneumaticsConfig, given_L: float | None = None) -> MeasuredQuantity:
+    """The reservoir's volume as the person gave it; otherwise the configuration's number is used."""
+    found = configured("reservoir_volume_L", "bottle's volume", "L", known)
+    if given_L is not None:
+        return found.measured(Estimate(given_L, GIVEN_VOLUME_SD * given_L), "as you gave it")
+    return found.unknown("from the configuration; an error scales all volumes, and all resistances inversely")
 
 
-def given_volume(reservoir_L: float, assumed_L: float) -> MeasuredQuantity:
-    """The reservoir's volume as the person gave it."""
-    estimate = Estimate(reservoir_L, GIVEN_VOLUME_SD * reservoir_L)
-    return _reservoir_volume(assumed_L).measured(estimate, "as you gave it")
-
-
-def assumed_volume(assumed_L: float) -> MeasuredQuantity:
-    """Not measured: the configuration's number is used."""
-    return _reservoir_volume(assumed_L).unknown(
-        "from the configuration; an error scales all volumes, and all resistances inversely"
-    )
-
-
-def vessel_volume(vessel: VineAir, vessel_L: float, assumed_L: float) -> Result:
+def vessel_volume(vessel: VineAir, vessel_L: float) -> Findings:
     """The reservoir's volume, measured with a rigid vessel whose volume is known (with its hose)."""
-    found = _reservoir_volume(assumed_L)
+    found = reservoir_volume(vessel.known.pneumatics)
     ratio = vessel.balance.values["volume"]
     if ratio.low <= 0.0:
-        return Result((found.unknown("the bottle's pressure did not fall when the vessel was filled"),))
+        return Findings((found.unknown("the bottle's pressure did not fall when the vessel was filled"),))
     value = vessel_L / ratio.value
     sd = value * hypot(ratio.sd / ratio.value, GAIN_SD, VESSEL_SD)
-    return Result((found.measured(Estimate(value, sd), f"with a vessel of {vessel_L:g} L"),))
+    return Findings((found.measured(Estimate(value, sd), f"with a vessel of {vessel_L:g} L"),))
 
 
 # Findings.
 
 
-def bottle_leak(vine: VineAir) -> Result:
+def bottle_leak(vine: VineAir) -> Findings:
     """Leak of the reservoir, at its mean pressure."""
     bins = vine.balance.bins
     at_kPa = float(np.mean(bins.reservoir_kPa))
@@ -242,28 +237,22 @@ def bottle_leak(vine: VineAir) -> Result:
         ),
         f"leak {rate.value:.3f} kPa/s ({rate.low:.3f} … {rate.high:.3f})",
     )
-    return Result(findings, charts=(chart,))
+    return Findings(findings, charts=(chart,))
 
 
-def vine_leak(vine: VineAir) -> Result:
+def vine_leak(vine: VineAir) -> Findings:
     """Leak of the vine, from the air that a held pressure takes beyond the reservoir's own leak."""
     relative_sd = hypot(vine.known.relative_sd, VINE_LEAK_SD)
     per_kPa = vine.balance.values["vine_leak"].times(vine.SL_per_kPa, relative_sd)
     finding = MeasuredQuantity("vine_leak_kPa_s_per_SL", "vine's leak, as a resistance", "kPa·s/SL")
-    return Result((_resistance(finding, 1.0, per_kPa),))
+    return Findings((_resistance(finding, 1.0, per_kPa),))
 
 
-def volumes(vine: VineAir) -> Result:
+def volumes(vine: VineAir) -> Findings:
     """Effective volume and compliance of the vine, and the air of its pouch."""
     known, values = vine.known, vine.balance.values
     litres = vine.volume()
-    volume = MeasuredQuantity(
-        "cv_volume_L",
-        "vine's effective volume",
-        "L",
-        assumed=known.pneumatics.cv_volume_L,
-        key="pneumatics.cv_volume_L",
-    )
+    volume = configured("cv_volume_L", "vine's effective volume", "L", known.pneumatics)
     if litres.low > 0.0:
         found = [volume.measured(litres, f"mean of 0 to {known.top_kPa:g} kPa, with the tube")]
     else:
@@ -281,19 +270,13 @@ def volumes(vine: VineAir) -> Result:
         else:
             found.append(finding.unknown("there was no such inflation"))
     found.append(_compliance(vine))
-    return Result(tuple(found), charts=(_staircase(vine),))
+    return Findings(tuple(found), charts=(_staircase(vine),))
 
 
 def venturi(vine: VineAir, ran_s: float) -> MeasuredQuantity:
     """Resistance of the fully open supply valve, at the full reservoir's pressure."""
     p = vine.known.pneumatics
-    finding = MeasuredQuantity(
-        "dvp_flow_resistance_kPa_s_per_SL",
-        "Venturi's supply valve",
-        "kPa·s/SL",
-        assumed=p.dvp_flow_resistance_kPa_s_per_SL,
-        key="pneumatics.dvp_flow_resistance_kPa_s_per_SL",
-    )
+    finding = configured("dvp_flow_resistance_kPa_s_per_SL", "Venturi's supply valve", "kPa·s/SL", p)
     if ran_s < MIN_VENTURI_S:
         return finding.unknown("the Venturi hardly ran: this vine vents fast enough without it")
     bins = vine.balance.bins

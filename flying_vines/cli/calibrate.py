@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
     Raises `ConfigError` if the configuration cannot be read.
     """
     with needs_analysis():
-        from flying_vines.calibration.driver import CalibrateError
+        from flying_vines.calibration.rig import CalibrateError
         from flying_vines.physics.rig import RigError
         from flying_vines.service.link_settings import SettingsError, SettingsInterruptedError
 
@@ -84,10 +84,15 @@ def run(arguments: argparse.Namespace) -> int:
 def _run(arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
-    from flying_vines.calibration import real_rig, simulated_rig
-    from flying_vines.calibration.driver import CalibrateError, UserConfiguration
     from flying_vines.calibration.plan import CalibrationRequest
     from flying_vines.calibration.results import write_results
+    from flying_vines.calibration.rig import (
+        CalibrateError,
+        CalibrationRun,
+        UserConfiguration,
+        calibrate_real,
+        calibrate_simulated,
+    )
     from flying_vines.calibration.terminal import CalibrationTerminal
 
     path: Path | None = arguments.config
@@ -117,14 +122,14 @@ def _run(arguments: argparse.Namespace) -> int:
     terminal = CalibrationTerminal(Console(markup=False, highlight=False), interactive)
     if fake:
         rig = None if arguments.fake == LIKELY else arguments.fake
-        done = simulated_rig.calibrate(user, request, arguments.out, terminal, rig)
+        done: CalibrationRun | None = asyncio.run(
+            calibrate_simulated(user, request, arguments.out, terminal, rig)
+        )
     else:
         phlosar_only(user.config, "calibrate")
-        calibration = real_rig.calibrate(user, request, arguments.out, terminal, arguments.set_firmware)
-        begun = asyncio.run(calibration)
-        if begun is None:
-            return INTERRUPTED
-        done = begun
+        done = asyncio.run(calibrate_real(user, request, arguments.out, terminal, arguments.set_firmware))
+    if done is None:
+        return INTERRUPTED
     diagnose = not (arguments.no_diagnosis or done.interrupted)
     write_results(done, user, terminal, diagnose, arguments.in_place and done.done)
     terminal.firmware(done.firmware, user.config.firmware.link, done.is_set)
@@ -134,7 +139,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _pairs(path: Path) -> Any:
-    from flying_vines.calibration.driver import CalibrateError
+    from flying_vines.calibration.rig import CalibrateError
     from flying_vines.identification.bend_curve import PairsError, load_pairs
 
     try:

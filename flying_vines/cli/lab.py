@@ -92,7 +92,7 @@ def _paper(arguments: argparse.Namespace) -> int:
 
         if folder:
             from flying_vines.studies.paper.figures import draw
-    from flying_vines.studies.paper.show import show
+    from flying_vines.studies.paper.report import show
 
     with needs_analysis(), file_errors(folder):
         if folder:
@@ -110,18 +110,17 @@ def _paper(arguments: argparse.Namespace) -> int:
 def _paper_diagnosis(folder: Path | None, json_wanted: bool) -> int:
     with needs_analysis():
         from flying_vines.studies.paper.diagnosis import diagnose_paper
-        from flying_vines.studies.paper.diagnosis.show import show
-        from flying_vines.studies.paper.diagnosis.words import as_json
+        from flying_vines.studies.paper.diagnosis.report import as_json, show
 
         if folder:
             from flying_vines.identification.report import write_report
-            from flying_vines.studies.paper.diagnosis.figures import draw
+            from flying_vines.studies.paper.figures import draw_diagnosis
     with needs_analysis(), file_errors(folder):
         if folder:
             folder.mkdir(parents=True, exist_ok=True)
         with progress_bar() as progress:
             diagnosis = diagnose_paper(progress)
-        figures = draw(diagnosis, folder) if folder else []
+        figures = draw_diagnosis(diagnosis, folder) if folder else []
         if folder:
             write_report(diagnosis.discharges.verdict, diagnosis.discharges.case, folder)
     return show_found(
@@ -152,8 +151,7 @@ def _design(arguments: argparse.Namespace) -> int:
     with needs_analysis():
         from flying_vines.studies.design import catalogue, evaluate
         from flying_vines.studies.design import robot as requirements
-        from flying_vines.studies.design.compass import compass
-        from flying_vines.studies.design.search import Performance, evaluate_all, front
+        from flying_vines.studies.design.evaluate import Performance, evaluate_all, front
         from flying_vines.studies.design.show import as_json, show
 
         if folder:
@@ -164,16 +162,15 @@ def _design(arguments: argparse.Namespace) -> int:
     tried = evaluate_all(robot, parts)
     performances: tuple[Performance, ...] = ("cycles", "inflation", "deflation")
     fronts = {by: front(tried, by) for by in performances}
-    compared = compass(evaluation, evaluate(robot, parts.choose()))
     figures: Sequence[Path] = ()
     with file_errors(folder):
         if folder:
             folder.mkdir(parents=True, exist_ok=True)
-            figures = draw(evaluation, tried, compared, folder)
+            figures = draw(evaluation, tried, folder)
     return show_found(
         arguments.json,
-        lambda: as_json(evaluation, fronts, compared),
-        lambda console: show(evaluation, fronts, compared, tried, console),
+        lambda: as_json(evaluation, fronts),
+        lambda console: show(evaluation, fronts, tried, console),
         figures,
     )
 

@@ -11,19 +11,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_link.protocol import Fault, Mode, Telemetry
-from flying_vines.calibration import angle, outlet_resistance, valve, vine_air, zero
-from flying_vines.calibration.evaluation import StageRecording
+from flying_vines.calibration import valve, vine_air
+from flying_vines.calibration.evaluation import StageRecording, bend_curve, cv_zero, reservoir_zero
 from flying_vines.calibration.findings import (
     Estimate,
     Findings,
     MeasuredQuantity,
-    Result,
     SettingProposal,
 )
 from flying_vines.calibration.plan import CalibrationRequest, plan
 from flying_vines.calibration.readings import Readings, ReadingsBuffer
 from flying_vines.calibration.reservoir_balance import Bins, fit_balance
-from flying_vines.calibration.simulated_rig import CURVE, HYSTERESIS_KPA, SimulatedAngleReader
+from flying_vines.calibration.rig import CURVE, HYSTERESIS_KPA, SimulatedAngleReader
 from flying_vines.calibration.vine_air import AirInputs, VineAir, fit_vine_air, volumes
 from flying_vines.config import config
 from flying_vines.config.config import PneumaticsConfig
@@ -65,7 +64,7 @@ def resting(
 @given(offset=st.floats(-4.0, 4.0), seed=st.integers(0, 1000))
 @settings(max_examples=20, deadline=None)
 def test_zero_is_found_and_taken_out(offset: float, seed: int) -> None:
-    result = zero.cv_zero(resting(5.0, offset, seed))
+    result = cv_zero(resting(5.0, offset, seed))
     found = result.findings[0]
     assert found.value == pytest.approx(offset, abs=0.02)
     noise = next(finding for finding in result.findings if finding.name == "cv_noise_kPa")
@@ -77,12 +76,12 @@ def test_zero_is_found_and_taken_out(offset: float, seed: int) -> None:
 
 def test_a_zero_that_wanders_is_not_proposed() -> None:
     still = resting(5.0, 1.0, 1)
-    result = zero.cv_zero(replace(still, cv_kPa=still.cv_kPa + still.t_s))
+    result = cv_zero(replace(still, cv_kPa=still.cv_kPa + still.t_s))
     assert result.proposals == () and result.remarks
 
 
 def test_a_good_zero_is_left_alone() -> None:
-    assert zero.cv_zero(resting(5.0, 0.01, 3)).proposals == ()
+    assert cv_zero(resting(5.0, 0.01, 3)).proposals == ()
 
 
 # The reservoir's balance.
@@ -225,8 +224,9 @@ def test_slow_telemetry_does_not_measure_the_valve(seen: tuple[Readings, VineAir
 
 def test_a_vessel_of_known_volume_measures_the_reservoir(seen: tuple[Readings, VineAir]) -> None:
     _, vine = seen
-    (found,) = vine_air.vessel_volume(vine, 0.15, 1.7).findings
-    assert found.value == pytest.approx(RESERVOIR_L, rel=0.04) and found.assumed == 1.7
+    (found,) = vine_air.vessel_volume(vine, 0.15).findings
+    assert found.value == pytest.approx(RESERVOIR_L, rel=0.04)
+    assert found.assumed == PneumaticsConfig().reservoir_volume_L
 
 
 @given(width=st.floats(0.0, 0.2), commands=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=30))
@@ -247,14 +247,14 @@ def test_the_outlets_resistance_is_found_from_the_decay(seen: tuple[Readings, Vi
     none = np.zeros(n)
     vented = np.arange(n) >= held
     readings = Readings(t, ~vented, np.where(vented, 0.0, 20.0), kPa, none + 600.0, none, none, vented)
-    (found,) = outlet_resistance.outlet(readings, vine).findings
+    (found,) = valve.outlet(readings, vine).findings
     assert found.low is not None and found.high is not None
     assert found.low <= resistance <= found.high
-    assert found.value == pytest.approx(resistance * (1.0 + outlet_resistance.COLD), rel=0.05)
+    assert found.value == pytest.approx(resistance * (1.0 + valve.COLD), rel=0.05)
 
 
 def test_without_a_vent_the_outlet_is_unknown(seen: tuple[Readings, VineAir]) -> None:
-    (found,) = outlet_resistance.outlet(resting(2.0, 0.0, 1), seen[1]).findings
+    (found,) = valve.outlet(resting(2.0, 0.0, 1), seen[1]).findings
     assert found.value is None and found.note
 
 
@@ -265,7 +265,7 @@ def test_without_a_volume_what_depends_on_it_is_unknown(seen: tuple[Readings, Vi
     for result in (
         volumes(unsure),
         valve.inflation_valve(readings, unsure),
-        outlet_resistance.outlet(readings, unsure),
+        valve.outlet(readings, unsure),
     ):
         for finding in result.findings:
             if finding.name.startswith(("cv_volume", "evp", "outlet")):
@@ -276,7 +276,7 @@ def test_without_a_volume_what_depends_on_it_is_unknown(seen: tuple[Readings, Vi
 # Stages.
 
 
-def recorded(stage: str, readings: Readings, findings: Findings, **request: float) -> Result:
+def recorded(stage: str, readings: Readings, findings: Findings, **request: float) -> Findings:
     calibration = plan(config.default(), CalibrationRequest(asks_angles=False, **request))  # type: ignore[arg-type]
     return StageRecording(calibration, stage, readings, findings, 101.325).result()
 
@@ -325,13 +325,13 @@ def test_the_measured_zero_of_the_reservoirs_sensor_is_used() -> None:
     still = resting(30.0, 0.0, 4, step_s=0.01)
     leaking = 600.0 * np.exp(-still.t_s * 101.325 / (resistance * RESERVOIR_L))
     readings = replace(still, reservoir_kPa=still.reservoir_kPa - 600.0 + leaking + zero_kPa)
-    zero_found = zero.reservoir_zero(replace(still, reservoir_kPa=still.reservoir_kPa - 600.0 + zero_kPa))
+    zero_found = reservoir_zero(replace(still, reservoir_kPa=still.reservoir_kPa - 600.0 + zero_kPa))
 
     def leak(findings: Findings) -> MeasuredQuantity:
         result = recorded("bottle_leak", readings, findings, bottle_volume_L=RESERVOIR_L)
         return next(found for found in result.findings if found.name == "bottle_leak_kPa_s_per_SL")
 
-    known, unknown = leak(Findings().with_result(zero_found)), leak(Findings())
+    known, unknown = leak(Findings().renewed_by(zero_found)), leak(Findings())
     assert known.value is not None and known.low is not None and known.high is not None
     assert known.value == pytest.approx(resistance, rel=0.01)
     assert unknown.low is not None and unknown.high is not None
@@ -345,7 +345,7 @@ def test_a_curve_is_found_from_read_angles() -> None:
     reader = SimulatedAngleReader(seed=3)
     levels = [*np.linspace(0.0, 20.0, 13), *np.linspace(20.0, 0.0, 13)[1:]]
     pairs = tuple((float(kPa), reader.read(float(kPa))) for kPa in levels)
-    result = angle.curve(pairs)
+    result = bend_curve(pairs)
     truth = BendCurve(CURVE, HYSTERESIS_KPA)
     found = BendCurve(result.curve)
     for kPa in (5.0, 10.0, 15.0, 19.0):
@@ -354,7 +354,7 @@ def test_a_curve_is_found_from_read_angles() -> None:
 
 
 def test_too_few_angles_give_no_curve() -> None:
-    result = angle.curve(((0.0, 0.0), (10.0, 30.0)))
+    result = bend_curve(((0.0, 0.0), (10.0, 30.0)))
     assert result.curve == () and "2 angles" in result.findings[0].note
 
 
@@ -372,13 +372,13 @@ def test_a_clock_that_wraps_goes_on() -> None:
 
 
 def test_the_newest_finding_counts_and_is_plain_json() -> None:
-    first = Result((MeasuredQuantity("a", "what", "kPa", 1.0, 0.5, 1.5), MeasuredQuantity("b", "b", "")))
-    second = Result(
+    first = Findings((MeasuredQuantity("a", "what", "kPa", 1.0, 0.5, 1.5), MeasuredQuantity("b", "b", "")))
+    second = Findings(
         (MeasuredQuantity("a", "what", "kPa").unknown("gone"),),
         (SettingProposal("s", 1.0, True, "why"),),
         ("said",),
     )
-    findings = Findings(pairs=((1.0, 2.0),)).with_result(first).with_result(second).with_result(second)
+    findings = Findings(pairs=((1.0, 2.0),)).renewed_by(first).renewed_by(second).renewed_by(second)
     assert [finding.name for finding in findings.findings] == ["a", "b"]
     assert findings.estimate("a") is None and findings.remarks == ("said",)
     assert json.loads(json.dumps(findings.as_json()))["pairs"] == [[1.0, 2.0]]

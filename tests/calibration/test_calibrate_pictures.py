@@ -8,8 +8,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from flying_vines.calibration.calibrator import Ended
-from flying_vines.calibration.driver import CalibrationOutcome
 from flying_vines.calibration.findings import Chart, Findings, MeasuredQuantity, Series
 from flying_vines.calibration.page import page, pictures
 
@@ -47,10 +45,10 @@ def test_the_page_holds_every_quantity_and_needs_no_network(tmp_path: Path) -> N
             MeasuredQuantity(
                 "cv_volume_L", "vine's <volume>", "L", 0.1043, 0.102, 0.1066, assumed=0.1, note="scales"
             ),
-        )
+        ),
+        charts=(CHART,),
     )
-    outcome = CalibrationOutcome(tmp_path, Ended("done", "calibrated"), findings, (CHART,), "")
-    text = page("Calibration of today", outcome, pictures((CHART,), tmp_path))
+    text = page("Calibration of today", "calibrated", findings, pictures((CHART,), tmp_path))
     HTMLParser().feed(text)
     assert "vine&#39;s &lt;volume&gt;" in text
     assert "0.1043" in text

@@ -10,7 +10,7 @@ import pytest
 from real_time import real_time
 
 from firmware_link.protocol import Setting
-from flying_vines.calibration.real_rig import carries_every_step, every_step
+from flying_vines.calibration.rig import carries_every_step, every_step
 from flying_vines.config.address import SerialAddress, parse_address
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.service import link_settings

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from unittest.mock import Mock
 
 import pytest
 from calibration_worlds import CoreWorld, PaperWorld
@@ -13,7 +12,6 @@ from hypothesis import strategies as st
 
 from examples import examples
 from flying_vines.calibration.calibrator import Calibrator, EvaluationTask, Question, StageBegan, StageResult
-from flying_vines.calibration.driver import CalibrationDriver
 from flying_vines.calibration.findings import Findings, MeasuredQuantity
 from flying_vines.calibration.plan import STAGES, CalibrationRequest, plan
 from flying_vines.config import config
@@ -107,11 +105,10 @@ def test_the_last_vent_ends_when_the_vine_is_vented_by_its_measured_zero(
     world = PaperWorld(plan(CONFIG, BLIND))
     found = MeasuredQuantity("cv_zero_kPa", "zero", "kPa", zero_kPa, zero_kPa, zero_kPa)
     world.calibrator.findings = Findings((found,))
-    nothing = Mock()
-    driver = CalibrationDriver(world.calibrator, nothing, nothing, nothing, nothing)
-    assert driver.vented(replace(world.snapshot, cv_kPa=reads_kPa)) == vented
-    assert driver.vented(replace(world.snapshot, cv_kPa=math.nan))
-    assert not driver.vented(replace(world.snapshot, doing="regulating"))
+    calibrator = world.calibrator
+    assert calibrator.vented(replace(world.snapshot, cv_kPa=reads_kPa)) == vented
+    assert calibrator.vented(replace(world.snapshot, cv_kPa=math.nan))
+    assert not calibrator.vented(replace(world.snapshot, doing="regulating"))
 
 
 def test_too_little_air_is_refused_before_anything_moves() -> None:
@@ -225,7 +222,7 @@ def test_the_core_carries_out_its_requests(measured: CoreWorld) -> None:
     volume = measured.calibrator.findings.get("cv_volume_L")
     assert volume is not None and volume.value is not None and volume.low is not None
     assert volume.value == pytest.approx(0.1, rel=0.35)
-    assert {chart.name for chart in measured.calibrator.charts} >= {"zero", "bottle", "levels"}
+    assert {chart.name for chart in measured.calibrator.findings.charts} >= {"zero", "bottle", "levels"}
 
 
 def test_interrupted_while_the_vine_is_bent_it_is_vented() -> None:

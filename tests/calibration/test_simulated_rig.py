@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 from pathlib import Path
 
 from rich.console import Console
 
-from flying_vines.calibration import simulated_rig
-from flying_vines.calibration.driver import UserConfiguration
 from flying_vines.calibration.plan import CalibrationRequest
+from flying_vines.calibration.rig import UserConfiguration, calibrate_simulated
 from flying_vines.calibration.terminal import CalibrationTerminal
 from flying_vines.config import config as configuration
 from flying_vines.record.reader import FlightLog
@@ -24,8 +24,9 @@ def test_with_disarmed_pneumatics_it_moves_nothing_and_a_replay_agrees(tmp_path:
     PersistentState.of(path, user.config).store_disarmed(True)
     request = CalibrationRequest(asks_angles=False, only=("levels",))
     terminal = CalibrationTerminal(Console(file=io.StringIO()), interactive=False)
-    outcome = simulated_rig.calibrate(user, request, tmp_path / "flights", terminal, None).outcome
-    replayed = replay_flight(FlightLog(outcome.folder))
+    calibration = calibrate_simulated(user, request, tmp_path / "flights", terminal, None)
+    run = asyncio.run(calibration)
+    replayed = replay_flight(FlightLog(run.folder))
     assert not replayed.differences
-    assert outcome.ended.outcome != "done"
-    assert outcome.ended.sentence.endswith("was refused: the pneumatics are disarmed")
+    assert run.ended.outcome != "done"
+    assert run.ended.sentence.endswith("was refused: the pneumatics are disarmed")

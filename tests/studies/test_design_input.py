@@ -9,8 +9,6 @@ import pytest
 from flying_vines.config.config import ConfigError
 from flying_vines.studies.design import catalogue
 from flying_vines.studies.design import robot as requirements
-from flying_vines.studies.design.compass import METRICS, compass, solutions
-from flying_vines.studies.design.evaluate import evaluate
 from flying_vines.studies.design.parts import Number, ValvePart, parse
 
 VALVE = """kind = "valve"
@@ -129,31 +127,3 @@ def test_variants_by_orifice_scale_with_its_area() -> None:
         assert variant.flow_SLPM.origin == "computed"
         expected = rated.flow_SLPM.value * (inch / 0.025) ** 2
         assert variant.flow_SLPM.value == pytest.approx(expected, rel=0.005)
-
-
-def test_ratings_quote_the_paper_or_are_judgements() -> None:
-    found = solutions()
-    assert len(found) == 6
-    without = [name for name, s in found.items() if s.air_supply is None and s.renewability is None]
-    assert sorted(without) == ["custom_regulator", "off_the_shelf_regulator"]
-    for solution in found.values():
-        for metric in METRICS:
-            rating = solution.rating(metric)
-            assert rating is None or rating.judgement != bool(rating.place)
-
-
-def test_a_design_is_placed_from_the_prototype() -> None:
-    robot, parts = requirements.demonstration(), catalogue()
-    prototype = evaluate(robot, parts.choose())
-    phlosar = solutions()["phlosar"]
-    same = compass(prototype, prototype).design
-    for metric in METRICS:
-        rating = phlosar.rating(metric)
-        assert rating is not None
-        assert same[metric] == rating.value
-    small = evaluate(robot, parts.choose(requirements.PartNames(reservoir="pet-1.0", venturi="")))
-    placed = compass(small, prototype).design
-    assert placed["size"] == same["size"] + 1.0
-    assert placed["air_supply"] == same["air_supply"] - 1.0
-    assert placed["weight"] > same["weight"]
-    assert all(1.0 <= value <= 5.0 for value in placed.values())

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flying_vines.studies.design import Evaluation, catalogue, demonstration, evaluate, search
-from flying_vines.studies.design.search import Performance, choices, evaluate_all, front, performance
+from flying_vines.studies.design.evaluate import Performance, choices, evaluate_all, front
 
 CATALOGUE = catalogue()
 TRIED = evaluate_all(demonstration(), CATALOGUE)
@@ -18,8 +18,8 @@ WAYS: tuple[Performance, ...] = ("cycles", "inflation", "deflation")
 
 
 def beats(a: Evaluation, b: Evaluation, by: Performance) -> bool:
-    better = (a.mass_kg <= b.mass_kg, performance(a, by) >= performance(b, by))
-    strictly = a.mass_kg < b.mass_kg or performance(a, by) > performance(b, by)
+    better = (a.mass_kg <= b.mass_kg, a.performance(by) >= b.performance(by))
+    strictly = a.mass_kg < b.mass_kg or a.performance(by) > b.performance(by)
     return all(better) and strictly
 
 
@@ -30,8 +30,8 @@ def check(found: list[Evaluation], tried: list[Evaluation], by: Performance) -> 
         assert not one.shortfalls
         assert not any(beats(other, one, by) for other in meeting)
     for one in meeting:
-        equal = [(e.mass_kg, performance(e, by)) for e in found]
-        assert (one.mass_kg, performance(one, by)) in equal or any(beats(e, one, by) for e in found)
+        equal = [(e.mass_kg, e.performance(by)) for e in found]
+        assert (one.mass_kg, one.performance(by)) in equal or any(beats(e, one, by) for e in found)
 
 
 @pytest.mark.parametrize("by", WAYS)

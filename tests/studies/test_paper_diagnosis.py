@@ -22,14 +22,13 @@ from flying_vines.studies.paper.diagnosis.discharge import (
     RESERVOIR,
     SAME_AS_FLOW,
     STEP_KPA,
+    VALVE_SETTLES,
     Discharges,
     analyse,
     paper_case,
 )
-from flying_vines.studies.paper.diagnosis.other_causes import VALVE_SETTLES
+from flying_vines.studies.paper.diagnosis.report import as_json, findings, show
 from flying_vines.studies.paper.diagnosis.response import FLOOR, SUSPECTS, Responses, explain
-from flying_vines.studies.paper.diagnosis.show import show
-from flying_vines.studies.paper.diagnosis.words import as_json, findings
 
 pytestmark = pytest.mark.long
 
@@ -154,8 +153,8 @@ def test_the_gains_show_a_tail_and_no_cause_of_the_catalogue(responses: Response
 
 
 def test_on_690_kPa_a_tube_predicts_better_than_on_345(responses: Responses) -> None:
-    assert responses.of_other("tube").unseen < 0.6 * responses.of("tube").unseen
-    assert responses.of_other(FLOOR).unseen > 1.5 * responses.of(FLOOR).unseen
+    assert responses.of("tube", other=True).unseen < 0.6 * responses.of("tube").unseen
+    assert responses.of(FLOOR, other=True).unseen > 1.5 * responses.of(FLOOR).unseen
 
 
 def test_each_finding_has_its_text_and_numbers(diagnosis: PaperDiagnosis) -> None:

@@ -6,10 +6,9 @@ evaluation = evaluate(robot, parts.choose(robot.parts))
 front = search(robot, parts)                Pareto front of mass and cycles, as evaluations
 """
 
-from flying_vines.studies.design.evaluate import Evaluation, evaluate
+from flying_vines.studies.design.evaluate import Evaluation, evaluate, search
 from flying_vines.studies.design.parts import Catalogue, PartsChoice, catalogue
 from flying_vines.studies.design.robot import Robot, demonstration
-from flying_vines.studies.design.search import search
 
 __all__ = [
     "Catalogue",

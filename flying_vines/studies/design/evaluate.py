@@ -1,20 +1,39 @@
-"""Evaluates a choice of parts for a robot: speed, cycles, mass and power, mostly by the paper's equations."""
+"""Evaluates choices of parts for a robot: speed, cycles, mass and power, mostly by the paper's equations.
+
+The search evaluates all choices of a catalogue, and finds the Pareto front of mass and performance.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
+from typing import Literal
 
 import numpy as np
 
 from flying_vines.physics import paper
 from flying_vines.physics.arrays import Array
-from flying_vines.studies.design.parts import Origin, Part, PartsChoice, ValvePart, VenturiPart
+from flying_vines.studies.design.parts import (
+    Catalogue,
+    Origin,
+    Part,
+    PartsChoice,
+    ReservoirPart,
+    SolenoidPart,
+    ValvePart,
+    VenturiPart,
+)
 from flying_vines.studies.design.robot import Robot
+
+Performance = Literal["cycles", "inflation", "deflation"]
 
 DEFLATED = 0.05
 """Remaining share of the swing at which a deflation counts as finished: passive venting is exponential."""
 POINTS = 60
+MAX_RESERVOIRS = 2
+"""Maximum number of equal reservoirs in parallel that the search tries."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +147,10 @@ class Evaluation:
         """The texts of `missed`."""
         return tuple(self.missed.values())
 
+    def performance(self, by: Performance) -> float:
+        """Cycles, or kPa/s from a full reservoir."""
+        return self.cycles if by == "cycles" else float(getattr(self, f"{by}_kPa_per_s"))
+
 
 def evaluate(robot: Robot, parts: PartsChoice) -> Evaluation:
     """Evaluate a choice of parts for a robot.
@@ -135,7 +158,8 @@ def evaluate(robot: Robot, parts: PartsChoice) -> Evaluation:
     Operating time, inflation, bandwidth and cycles are the paper's Eq. 3, 4, 7 and 8. The paper has no model
     of deflation; see `_deflation_curve`.
     """
-    fill_kPa = min(robot.fill_kPa, *_limits_kPa(parts))
+    inlets = [valve.max_inlet_kPa.value for valve in (parts.evp, parts.dvp) if valve is not None]
+    fill_kPa = min(robot.fill_kPa, parts.reservoir.max_kPa.value, *inlets)
     reservoir_kPa = np.linspace(0.0, fill_kPa, POINTS)
     resistance = parts.evp.resistance_kPa_s_per_SL
     volume_L, swing_kPa = parts.reservoir_volume_L, robot.swing_kPa
@@ -143,27 +167,22 @@ def evaluate(robot: Robot, parts: PartsChoice) -> Evaluation:
     more_air = robot.fill_SL / robot.rigid_fill_SL
     pouch_air = robot.pouch_fill_SL / robot.rigid_fill_SL
 
-    rigid_min_kPa = paper.min_reservoir_kPa(wanted, resistance, robot.cv_volume_L)
+    def cycles(air: float) -> float:
+        # A pouch needs more air for the same swing, so rate and swing of Eq. 8 are scaled by it.
+        left = paper.n_cycles(
+            fill_kPa,
+            reservoir_volume_L=volume_L,
+            cv_volume_L=robot.cv_volume_L,
+            swing_kPa=swing_kPa * air,
+            rate_kPa_per_s=wanted * air,
+            flow_resistance_kPa_s_per_SL=resistance,
+        )
+        return max(left, 0.0)
+
     inflation = paper.inflation_rate_kPa_per_s(reservoir_kPa, resistance, robot.cv_volume_L) / more_air
-    cycles_rigid = paper.n_cycles(
-        fill_kPa,
-        reservoir_volume_L=volume_L,
-        cv_volume_L=robot.cv_volume_L,
-        swing_kPa=swing_kPa,
-        rate_kPa_per_s=wanted,
-        flow_resistance_kPa_s_per_SL=resistance,
-    )
-    # A pouch needs `pouch_air` times the air for the same swing, so rate and swing of Eq. 8 are scaled by it.
-    cycles_pouch = paper.n_cycles(
-        fill_kPa,
-        reservoir_volume_L=volume_L,
-        cv_volume_L=robot.cv_volume_L,
-        swing_kPa=swing_kPa * pouch_air,
-        rate_kPa_per_s=wanted * pouch_air,
-        flow_resistance_kPa_s_per_SL=resistance,
-    )
+    cycles_rigid, cycles_pouch = cycles(1.0), cycles(pouch_air)
     own_cycles = cycles_pouch if robot.cv_kind == "pouch" else cycles_rigid
-    least_kPa = rigid_min_kPa * more_air
+    least_kPa = paper.min_reservoir_kPa(wanted, resistance, robot.cv_volume_L) * more_air
     tau_s = paper.discharge_time_constant_s(resistance, volume_L)
     deflation, passive = _deflation_curve(robot, parts, reservoir_kPa, more_air)
     return Evaluation(
@@ -176,22 +195,15 @@ def evaluate(robot: Robot, parts: PartsChoice) -> Evaluation:
         passive_kPa_per_s=passive,
         bandwidth_curve_Hz=paper.cutoff_Hz(inflation, swing_kPa / 2.0),
         least_kPa=least_kPa,
-        cycles_rigid=max(cycles_rigid, 0.0),
-        cycles_pouch_air=max(cycles_rigid, 0.0) / pouch_air,
-        cycles_pouch=max(cycles_pouch, 0.0),
-        cycles_passive=2.0 * max(own_cycles, 0.0),
+        cycles_rigid=cycles_rigid,
+        cycles_pouch_air=cycles_rigid / pouch_air,
+        cycles_pouch=cycles_pouch,
+        cycles_passive=2.0 * own_cycles,
         full_open_s=tau_s * math.log(fill_kPa / least_kPa) if least_kPa < fill_kPa else 0.0,
         mass_kg=sum(part.mass_g.value * count for part, count in parts.each()) / 1000.0,
         mass_by_origin_kg=_mass_by_origin_kg(parts),
         power_W=_power_W(parts, passive >= robot.wanted_deflation_kPa_per_s),
     )
-
-
-def _limits_kPa(parts: PartsChoice) -> list[float]:
-    limits = [parts.reservoir.max_kPa.value, parts.evp.max_inlet_kPa.value]
-    if parts.dvp is not None:
-        limits.append(parts.dvp.max_inlet_kPa.value)
-    return limits
 
 
 def _deflation_curve(
@@ -246,9 +258,54 @@ def _mass_by_origin_kg(parts: PartsChoice) -> dict[Origin, float]:
 
 
 def _power_W(parts: PartsChoice, passive: bool) -> float:
-    def power(part: Part | None, count: int = 1) -> float:
-        return 0.0 if part is None or part.power_W is None else count * part.power_W.value
+    def power(part: Part | None) -> float:
+        return 0.0 if part is None or part.power_W is None else part.power_W.value
 
-    always = sum(power(part, part.count) for part in parts.fixed)
+    always = sum(part.count * power(part) for part in parts.fixed)
     deflating = power(parts.solenoid) + (0.0 if passive else power(parts.dvp))
     return always + 0.5 * (power(parts.evp) + deflating)
+
+
+# The search.
+
+
+def choices(catalogue: Catalogue) -> Iterator[PartsChoice]:
+    """Every choice of valves, Venturi (or none), solenoid and reservoirs, with the lightest fixed parts."""
+    fixed, valves = catalogue.fixed(), catalogue.all(ValvePart)
+    pumps: list[tuple[ValvePart | None, VenturiPart | None]] = [(None, None)]
+    pumps += product(valves, catalogue.all(VenturiPart))
+    for evp, (dvp, venturi), solenoid, reservoir, count in product(
+        valves,
+        pumps,
+        catalogue.all(SolenoidPart),
+        catalogue.all(ReservoirPart),
+        range(1, MAX_RESERVOIRS + 1),
+    ):
+        yield PartsChoice(evp, reservoir, solenoid, fixed, dvp, venturi, count)
+
+
+def evaluate_all(robot: Robot, catalogue: Catalogue) -> list[Evaluation]:
+    """Evaluations of all choices, including those that miss a requirement."""
+    return [evaluate(robot, parts) for parts in choices(catalogue)]
+
+
+def front(evaluations: Sequence[Evaluation], by: Performance = "cycles") -> list[Evaluation]:
+    """The Pareto front among the evaluations that meet all requirements, lightest first.
+
+    Of equal evaluations only the first is in it.
+    """
+    meeting = [evaluation for evaluation in evaluations if not evaluation.missed]
+    meeting.sort(key=lambda evaluation: (evaluation.mass_kg, -evaluation.performance(by)))
+    found: list[Evaluation] = []
+    for evaluation in meeting:
+        if not found or evaluation.performance(by) > found[-1].performance(by):
+            found.append(evaluation)
+    return found
+
+
+def search(robot: Robot, catalogue: Catalogue, by: Performance = "cycles") -> list[Evaluation]:
+    """The Pareto front of mass and performance among the choices that meet a robot's requirements.
+
+    Empty if no choice meets them; then see `Evaluation.missed` of `evaluate_all`.
+    """
+    return front(evaluate_all(robot, catalogue), by)

@@ -1,8 +1,8 @@
-"""The design guide's pictures: speeds, the fronts, the comparison."""
+"""The design guide's pictures: speeds and fronts."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,32 +10,19 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 from flying_vines.physics import paper
-from flying_vines.plots.style import BLUE, GREEN, GREY, LABEL_BOX, ORANGE, PURPLE, RED, finish, save
-from flying_vines.studies.design.compass import METRICS, Compass
-from flying_vines.studies.design.evaluate import Evaluation
-from flying_vines.studies.design.search import Performance, front, performance
+from flying_vines.plots.style import BLUE, GREEN, LABEL_BOX, ORANGE, PURPLE, RED, finish, save
+from flying_vines.studies.design.evaluate import Evaluation, Performance, front
 from flying_vines.studies.design.show import words
 
 
-def draw(
-    evaluation: Evaluation,
-    tried: Sequence[Evaluation],
-    compared: Compass,
-    folder: Path,
-) -> list[Path]:
-    """Draw three PNGs into an existing folder. Returns their paths.
+def draw(evaluation: Evaluation, tried: Sequence[Evaluation], folder: Path) -> list[Path]:
+    """Draw two PNGs into an existing folder. Returns their paths.
 
     Args:
         evaluation: of the robot's own parts.
         tried: every choice of the catalogue.
-        compared: the design among the paper's solutions.
     """
-    figures = {
-        "speed": _speed(evaluation),
-        "search": _search(evaluation, tried),
-        "compass": _compass(compared),
-    }
-    return save(figures, folder, "design")
+    return save({"speed": _speed(evaluation), "search": _search(evaluation, tried)}, folder, "design")
 
 
 def _speed(e: Evaluation) -> Any:
@@ -96,6 +83,11 @@ def _speed(e: Evaluation) -> Any:
     return finish(figure, f"{robot.name}: how fast ({robot.cv_kind} {robot.cv_volume_L:g} L)")
 
 
+def _plot(axis: Any, by: Performance, some: Sequence[Evaluation], label: str, **look: Any) -> None:
+    x, y = [e.mass_kg for e in some], [e.performance(by) for e in some]
+    axis.plot(x, y, label=label, **{"ls": "none", "marker": "o", **look})
+
+
 def _search(chosen: Evaluation, tried: Sequence[Evaluation]) -> Any:
     figure, axes = plt.subplots(1, 2, figsize=(11, 6.6), layout="constrained")
     scales: tuple[tuple[Performance, str], ...] = (
@@ -105,48 +97,18 @@ def _search(chosen: Evaluation, tried: Sequence[Evaluation]) -> Any:
     for axis, (by, label) in zip(axes, scales, strict=True):
         for venturi, color, name in ((True, BLUE, "with a Venturi"), (False, PURPLE, "passive venting")):
             for meets, text in ((False, "misses a requirement"), (True, "meets all requirements")):
-                some = [
-                    e
-                    for e in tried
-                    if bool(e.shortfalls) != meets and (e.parts.venturi is not None) == venturi
-                ]
-                axis.plot(
-                    [e.mass_kg for e in some],
-                    [performance(e, by) for e in some],
-                    ls="none",
-                    marker="o",
-                    ms=4,
-                    mfc=color if meets else "white",
-                    mec=color,
-                    mew=0.7,
-                    alpha=0.7 if meets else 0.45,
-                    label=f"{name}, {text} ({len(some)})",
+                some = [e for e in tried if bool(e.missed) != meets and bool(e.parts.venturi) == venturi]
+                look: dict[str, Any] = (
+                    {"mfc": color, "alpha": 0.7} if meets else {"mfc": "white", "alpha": 0.45}
                 )
+                _plot(axis, by, some, f"{name}, {text} ({len(some)})", ms=4, mec=color, mew=0.7, **look)
         found = front(tried, by)
-        axis.plot(
-            [e.mass_kg for e in found],
-            [performance(e, by) for e in found],
-            color=GREEN,
-            lw=1.6,
-            drawstyle="steps-post",
-            marker="o",
-            ms=7,
-            label="Pareto front",
-        )
-        axis.plot(
-            chosen.mass_kg,
-            performance(chosen, by),
-            ls="none",
-            marker="*",
-            ms=15,
-            color=ORANGE,
-            mec="white",
-            label="the robot's parts",
-        )
+        _plot(axis, by, found, "Pareto front", ls="-", drawstyle="steps-post", lw=1.6, color=GREEN, ms=7)
+        _plot(axis, by, [chosen], "the robot's parts", marker="*", ms=15, color=ORANGE, mec="white")
         for number, e in enumerate(found, 1):
             axis.annotate(
                 str(number),
-                (e.mass_kg, performance(e, by)),
+                (e.mass_kg, e.performance(by)),
                 xytext=(-6, 5),
                 textcoords="offset points",
                 ha="right",
@@ -158,47 +120,8 @@ def _search(chosen: Evaluation, tried: Sequence[Evaluation]) -> Any:
         key = "\n".join(f"{n}  {words(e.parts)}" for n, e in enumerate(found[:8], 1))
         axis.set_xlabel(f"mass of the phloSAR, kg\n\n{key}", loc="left", fontsize=8.5)
         axis.set_ylabel(label)
-        axis.set_ylim(0, 1.08 * max(performance(e, by) for e in (*tried, chosen)) or 1.0)
+        axis.set_ylim(0, 1.08 * max(e.performance(by) for e in (*tried, chosen)) or 1.0)
         axis.margins(x=0.08)
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, frameon=False, fontsize=8.5, ncols=3, loc="outside lower left")
     return finish(figure, f"{chosen.robot.name}: what the catalogue offers")
-
-
-def _compass(compared: Compass) -> Any:
-    columns: list[tuple[str, Mapping[str, float | None], Mapping[str, bool], str]] = []
-    judgements: dict[str, dict[str, bool]] = {}
-    for name, solution in compared.solutions.items():
-        ratings = {metric: solution.rating(metric) for metric in METRICS}
-        judgements[name] = {metric: r is not None and r.judgement for metric, r in ratings.items()}
-        columns.append(
-            (
-                solution.label.replace(" regulator", "\nregulator"),
-                {metric: None if r is None else r.value for metric, r in ratings.items()},
-                judgements[name],
-                BLUE,
-            )
-        )
-    # The design's ratings are the phloSAR's, scaled. So they are judgements where the phloSAR's are.
-    columns.append(("your design", compared.design, judgements["phlosar"], ORANGE))
-    figure, axes = plt.subplots(1, len(columns), figsize=(12, 3.8), sharey=True, layout="constrained")
-    for axis, (label, values, judged, color) in zip(axes, columns, strict=True):
-        for place, metric in enumerate(METRICS):
-            value = values[metric]
-            if value is None:
-                axis.text(0.15, place, "no value", color=GREY, va="center", fontsize=8)
-                continue
-            face = "white" if judged[metric] else color
-            axis.barh(place, value, 0.62, color=face, edgecolor=color, lw=1.1)
-        axis.set_title(label, fontsize=9.5, color=color, va="bottom")
-        axis.set_xlim(0, 5.15)
-        axis.set_xticks([1, 3, 5])
-    axes[0].set_yticks(range(len(METRICS)), [metric.replace("_", " ") for metric in METRICS])
-    axes[0].invert_yaxis()
-    figure.supxlabel(
-        "1 worst … 5 best (of cost, weight and size, less is better). "
-        "Filled: from a sentence of the paper; open: our judgement. "
-        "Your design: the phloSAR's ratings, scaled",
-        fontsize=9,
-    )
-    return finish(figure, "Pressure supplies and regulators (after the paper's Fig. 2)")

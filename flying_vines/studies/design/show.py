@@ -11,10 +11,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from flying_vines.studies.design.compass import METRICS, Compass
-from flying_vines.studies.design.evaluate import DEFLATED, Evaluation
+from flying_vines.studies.design.evaluate import DEFLATED, Evaluation, Performance
 from flying_vines.studies.design.parts import PartsChoice
-from flying_vines.studies.design.search import Performance
 
 WHAT: Mapping[Performance, str] = {
     "cycles": "cycles",
@@ -26,11 +24,10 @@ WHAT: Mapping[Performance, str] = {
 def show(
     evaluation: Evaluation,
     fronts: Mapping[Performance, Sequence[Evaluation]],
-    compared: Compass,
     tried: Sequence[Evaluation],
     console: Console,
 ) -> None:
-    """Print the robot's table, the fronts and the comparison."""
+    """Print the robot's table and the fronts."""
     console.print(Text(evaluation.robot.name, style="bold"))
     console.print(Text(words(evaluation.parts)))
     console.print()
@@ -56,9 +53,6 @@ def show(
             console.print(
                 Text(f"No choice of the catalogue meets all requirements. Missed: {missed}.", style="red")
             )
-    console.print()
-    console.print(Text("Comparison, 1 (worst) to 5 (best), j: our judgement", style="bold"))
-    console.print(_compass(compared))
 
 
 def words(parts: PartsChoice) -> str:
@@ -104,15 +98,10 @@ def notes(evaluation: Evaluation) -> list[str]:
 def rows(evaluation: Evaluation) -> list[tuple[str, str, float, float | None, str]]:
     """Quantity, unit, value, wanted value or None, and source."""
     e, robot = evaluation, evaluation.robot
-    wanted_cycles = robot.least_cycles or None
-    pouch = robot.cv_kind == "pouch"
-    active = e.parts.venturi is not None
     kind = f"{robot.cv_kind} {robot.cv_volume_L:g} L"
-    wanted = {
-        "rigid": wanted_cycles if active and not pouch else None,
-        "pouch": wanted_cycles if active and pouch else None,
-        "passive": None if active else wanted_cycles,
-    }
+    wanted: dict[str, float | None] = dict.fromkeys(("rigid", "pouch", "passive"))
+    # The cycles that count for this robot on these parts.
+    wanted["passive" if e.parts.venturi is None else robot.cv_kind] = robot.least_cycles or None
     up, down = robot.wanted_inflation_kPa_per_s, robot.wanted_deflation_kPa_per_s
     left = f"to {100 * DEFLATED:.0f} % left, not in the paper"
     swing = f"Eq. 7, {robot.swing_kPa:g} kPa peak to peak"
@@ -125,7 +114,13 @@ def rows(evaluation: Evaluation) -> list[tuple[str, str, float, float | None, st
         ("min. reservoir pressure", "kPa", e.least_kPa, None, "Eq. 4, wanted inflation"),
         ("cycles, rigid", "", e.cycles_rigid, wanted["rigid"], "Eq. 8"),
         ("cycles, pouch's air", "", e.cycles_pouch_air, None, "Eq. 8, air of V (P_a + P)"),
-        ("cycles, pouch, fast enough", "", e.cycles_pouch, wanted["pouch"], "Eq. 8, minimum P_r of a pouch"),
+        (
+            "cycles, pouch, fast enough",
+            "",
+            e.cycles_pouch,
+            wanted["pouch"],
+            "Eq. 8, minimum P_r of a pouch",
+        ),
         ("cycles, passive venting", "", e.cycles_passive, wanted["passive"], "no air for the Venturi"),
         ("operating time, cycling", "s", e.operating_s, None, f"{robot.cycle_rate_Hz:.3g} cycles a second"),
         ("operating time, fully open", "s", e.full_open_s, None, "Eq. 3 to minimum pressure"),
@@ -165,47 +160,28 @@ def _front(found: Sequence[Evaluation]) -> Table:
     return table
 
 
-def _compass(compared: Compass) -> Table:
-    table = Table(box=None, padding=(0, 1), pad_edge=False)
-    table.add_column("", max_width=14)
-    for metric in METRICS:
-        table.add_column(metric.replace("_", " "), justify="right", no_wrap=True)
-    for solution in compared.solutions.values():
-        cells = []
-        for metric in METRICS:
-            rating = solution.rating(metric)
-            cells.append("–" if rating is None else f"{rating.value:g}" + ("j" if rating.judgement else " "))
-        table.add_row(solution.label, *cells)
-    design = [f"{compared.design[metric]:.1f}".removesuffix(".0") + " " for metric in METRICS]
-    table.add_row("your design", *design, style="bold")
-    return table
-
-
 def _number(value: float) -> str:
     return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
 
 
-def as_json(
-    evaluation: Evaluation,
-    fronts: Mapping[Performance, Sequence[Evaluation]],
-    compared: Compass,
-) -> dict[str, Any]:
+NUMBERS = (
+    "fill_kPa", "inflation_kPa_per_s", "deflation_kPa_per_s", "passive_kPa_per_s", "bandwidth_Hz",
+    "least_kPa", "cycles", "cycles_rigid", "cycles_pouch_air", "cycles_pouch", "cycles_passive",
+    "operating_s", "full_open_s", "mass_kg", "mass_by_origin_kg", "power_W",
+)  # fmt: skip
+CURVES = (
+    "reservoir_kPa", "inflation_curve_kPa_per_s", "deflation_curve_kPa_per_s", "bandwidth_curve_Hz",
+)  # fmt: skip
+
+
+def as_json(evaluation: Evaluation, fronts: Mapping[Performance, Sequence[Evaluation]]) -> dict[str, Any]:
     """Everything as plain lists, numbers and texts; the keys are described in docs/design.md."""
+    curves = {name: getattr(evaluation, name).tolist() for name in CURVES}
     return {
-        "evaluation": {
-            **_plain(evaluation),
-            "reservoir_kPa": evaluation.reservoir_kPa.tolist(),
-            "inflation_curve_kPa_per_s": evaluation.inflation_curve_kPa_per_s.tolist(),
-            "deflation_curve_kPa_per_s": evaluation.deflation_curve_kPa_per_s.tolist(),
-            "bandwidth_curve_Hz": evaluation.bandwidth_curve_Hz.tolist(),
-        },
+        "evaluation": {**_plain(evaluation), **curves},
         "robot": msgspec.to_builtins(evaluation.robot),
         "notes": notes(evaluation),
         "fronts": {by: [_plain(e) for e in found] for by, found in fronts.items()},
-        "compass": {
-            "solutions": msgspec.to_builtins(dict(compared.solutions)),
-            "design": dict(compared.design),
-        },
     }
 
 
@@ -213,20 +189,5 @@ def _plain(e: Evaluation) -> dict[str, Any]:
     return {
         "parts": [{"name": part.name, "count": count} for part, count in e.parts.each()],
         "shortfalls": list(e.shortfalls),
-        "fill_kPa": e.fill_kPa,
-        "inflation_kPa_per_s": e.inflation_kPa_per_s,
-        "deflation_kPa_per_s": e.deflation_kPa_per_s,
-        "passive_kPa_per_s": e.passive_kPa_per_s,
-        "bandwidth_Hz": e.bandwidth_Hz,
-        "least_kPa": e.least_kPa,
-        "cycles": e.cycles,
-        "cycles_rigid": e.cycles_rigid,
-        "cycles_pouch_air": e.cycles_pouch_air,
-        "cycles_pouch": e.cycles_pouch,
-        "cycles_passive": e.cycles_passive,
-        "operating_s": e.operating_s,
-        "full_open_s": e.full_open_s,
-        "mass_kg": e.mass_kg,
-        "mass_by_origin_kg": dict(e.mass_by_origin_kg),
-        "power_W": e.power_W,
+        **{name: getattr(e, name) for name in NUMBERS},
     }

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from flying_vines.physics.arrays import Array
 from flying_vines.physics.plant.effects import Effects, likely_effects
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.sensors import Sensor
@@ -71,37 +71,10 @@ LIKELY = Bench(effects=likely_effects(pouch=False), sensors=likely_sensors(Senso
 """The high-fidelity plant: all probable effects of a real rig, with rigid control volumes."""
 
 
-@dataclass(frozen=True)
-class Trace:
-    """The record of a test."""
-
-    table: Array
-    """Rows: time, command, control volume's reading, reservoir, EVP, DVP, solenoid. A column for each ms.
-
-    EVP is the inflation valve, DVP the valve that supplies the Venturi.
-    """
-
-    @property
-    def time_s(self) -> Array:
-        return self.table[0, :]
-
-    @property
-    def command_kPa(self) -> Array:
-        return self.table[1, :]
-
-    @property
-    def cv_kPa(self) -> Array:
-        """The sensor's reading."""
-        return self.table[2, :]
-
-    @property
-    def reservoir_kPa(self) -> Array:
-        return self.table[3, :]
-
-    @property
-    def openings(self) -> Array:
-        """EVP, DVP and solenoid; each value holds until the next sample."""
-        return self.table[4:, :]
+Trace = NDArray[np.void]
+"""The record of a test, a row for each ms: `time_s`, `target_kPa` (the command), `cv_reading_kPa`,
+`reservoir_kPa`, and the openings `evp`, `dvp` and `solenoid`, which hold until the next row. EVP is the
+inflation valve, DVP supplies the Venturi."""
 
 
 def run(
@@ -130,7 +103,7 @@ def run(
         for i in range(round(duration_s / TICK_S))
     ]
     cv_sensor, reservoir_sensor = bench.sensors
-    flown = closed_loop(
+    return closed_loop(
         plant,
         commands,
         duration_s,
@@ -141,8 +114,6 @@ def run(
         seed=bench.noise_seed,
         record_every=1,
     ).table
-    columns = ("time_s", "target_kPa", "cv_reading_kPa", "reservoir_kPa", "evp", "dvp", "solenoid")
-    return Trace(np.array([flown[column] for column in columns]))
 
 
 def follow_sine(
@@ -175,7 +146,7 @@ def follow_sine(
         reservoir_kPa=reservoir_kPa,
         duration_s=(settle + keep) / frequency_Hz,
     )
-    return Trace(trace.table[:, -round(keep / frequency_Hz / TICK_S) :])
+    return trace[-round(keep / frequency_Hz / TICK_S) :]
 
 
 def gain(trace: Trace, cycles: int) -> float:
@@ -185,6 +156,6 @@ def gain(trace: Trace, cycles: int) -> float:
         trace: whole cycles, as from `follow_sine`.
         cycles: their number.
     """
-    response = np.fft.rfft(trace.cv_kPa)[cycles]
-    command = np.fft.rfft(trace.command_kPa)[cycles]
+    response = np.fft.rfft(trace["cv_reading_kPa"])[cycles]
+    command = np.fft.rfft(trace["target_kPa"])[cycles]
     return float(abs(response) / abs(command))

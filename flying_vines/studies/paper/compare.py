@@ -9,7 +9,7 @@ import numpy as np
 
 from flying_vines.physics import paper
 from flying_vines.physics.arrays import Array
-from flying_vines.physics.baseline import BaselineState, Inputs, step
+from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.plant.compiled import replay
 from flying_vines.physics.plant.flow import Iso6358
@@ -36,6 +36,7 @@ HIGH_RESISTANCE_RATIO = 105.0188 / 80.6138
 """Resistance of this valve setting, relative to that of the other series; from the drawn curves."""
 
 BAND = 3.0
+"""The useful band of a frequency response ends at this multiple of the drawn cut-off."""
 
 
 @dataclass(frozen=True)
@@ -50,30 +51,37 @@ class DischargeCurve:
     """The drawn curve of the paper."""
     time_constant_s: float
     """τ of the drawn model."""
-    flow_resistance_kPa_s_per_SL: float
-    """R_v that follows from τ."""
     best_time_constant_s: float
     """τ of the exponential with the least squared error."""
-    nrmse_percent: float
-    """Error of the drawn model at the measured points, relative to P_r0."""
-    nrmse_grid_percent: float
-    """The same error on the logger's uniform grid, with linear interpolation."""
-    nrmse_best_percent: float
-    """Error with `best_time_constant_s`."""
     plant_time_s: Array
     plant_kPa: Array
-    """The baseline plant with this R_v."""
-    nrmse_plant_percent: float
+    """The baseline plant with the R_v that follows from τ."""
     likely_kPa: Array
     """The high-fidelity plant, at the same times; it is not fitted to the measurement."""
-    nrmse_likely_percent: float
 
     @property
-    def likely_is_fast(self) -> bool:
-        """True if the high-fidelity plant is on average below the measured points."""
-        return bool(
-            np.mean(np.interp(self.measured.x, self.plant_time_s, self.likely_kPa) - self.measured.y) < 0
-        )
+    def flow_resistance_kPa_s_per_SL(self) -> float:
+        """R_v that follows from τ."""
+        return self.time_constant_s * ALPHA_KPA / self.reservoir_volume_L
+
+    def exponential_kPa(self, time_s: Array, time_constant_s: float) -> Array:
+        """Eq. 3 from the first measured pressure."""
+        return np.asarray(paper.discharge_kPa(time_s, float(self.measured.y[0]), time_constant_s))
+
+    def at_points(self, plants_kPa: Array) -> Array:
+        """The pressures of a plant at the measured points."""
+        return np.interp(self.measured.x, self.plant_time_s, plants_kPa)
+
+    def nrmse_percent(self, time_constant_s: float) -> float:
+        """Error of an exponential at the measured points, relative to P_r0."""
+        return self._relative_percent(self.exponential_kPa(self.measured.x, time_constant_s))
+
+    def plants_nrmse_percent(self, plants_kPa: Array) -> float:
+        """The same error of a plant."""
+        return self._relative_percent(self.at_points(plants_kPa))
+
+    def _relative_percent(self, at_points_kPa: Array) -> float:
+        return 100.0 * rms(self.measured.y - at_points_kPa) / float(self.measured.y[0])
 
 
 @dataclass(frozen=True)
@@ -83,51 +91,50 @@ class StepResponse:
     condition: Condition
     model_rate_kPa_per_s: float
     """Eq. 4 with the R_v of the discharge at low R_v."""
-    rated_rate_kPa_per_s: float
-    """Eq. 4 with the rated flow of the EVP (inflation valve)."""
     faster_kPa_per_s: float
     """The measured rate, if the paper's error means faster than the model."""
     slower_kPa_per_s: float
     """The measured rate, if the paper's error means slower than the model."""
-    window_if_faster_s: float
-    """Length of the paper's time series that follows from the paper's two errors, if both curves are ramps
-    and the measured ramp is faster."""
-    window_if_slower_s: float
-    """The same, if the measured ramp is slower."""
     trace: Trace
     rate_kPa_per_s: float
     """Mean rate of the plant until the pressure has arrived, or to the end of the test."""
     rise_s: float
     """Time until the pressure has arrived; NaN if longer than `STEP_TEST_S`."""
-    overshoot_kPa: float
-    nrmse_percent: float
-    """Error of the plant against the paper's two straight lines over `STEP_TEST_S`, relative to ΔP_cv."""
+
+    @property
+    def overshoot_kPa(self) -> float:
+        return max(0.0, float(self.trace["cv_reading_kPa"].max()) - self.condition.swing_kPa)
 
 
 @dataclass(frozen=True)
-class FrequencyResponse:
-    """TC4 or TC5 on one supply. Frequencies Hz; arrays in the order of the measured points."""
+class MeasuredGains:
+    """The measured points of TC4 or TC5 (Fig. 5). Frequencies Hz."""
 
     condition: Condition
-    supply_kPa: float
     measured: PrintedCurve
     cutoff_Hz: float
     """Drawn cut-off of the paper's model."""
+
+    def rms_dB(self, gains: Array, cutoffs: float = math.inf) -> float:
+        """Distance of gains to the measured ones, up to this multiple of the drawn cut-off."""
+        band = self.measured.x <= cutoffs * self.cutoff_Hz
+        return rms(decibel(gains / self.measured.y)[band])
+
+    @property
+    def peak_rate_kPa_per_s(self) -> float:
+        """Greatest rate of a sine at the drawn cut-off, if A is peak to peak."""
+        return paper.sine_peak_rate_kPa_per_s(self.cutoff_Hz, self.condition.swing_kPa / 2.0)
+
+
+@dataclass(frozen=True)
+class FrequencyResponse(MeasuredGains):
+    """The plant's response to TC4 or TC5 on one supply; gains in the order of the measured points."""
+
+    supply_kPa: float
     model_gain: Array
-    """The paper's model at the measured frequencies."""
+    """The paper's model."""
     plant_gain: Array
-    """The plant in closed loop at the measured frequencies."""
-    model_rms_dB: float
-    """Distance of the model to the measured gain, over all points."""
-    plant_rms_dB: float
-    """Distance of the plant to the measured gain, over all points."""
-    model_band_rms_dB: float
-    """Distance of the model up to `BAND` times the drawn cut-off: the useful band."""
-    plant_band_rms_dB: float
-    """Distance of the plant in this band."""
-    measured_crosses_1_Hz: float
-    measured_3dB_Hz: float
-    plant_3dB_Hz: float
+    """The plant in closed loop."""
 
 
 @dataclass(frozen=True)
@@ -135,9 +142,11 @@ class SineSeries:
     """The response to 1.2 Hz and 34 kPa peak to peak (Fig. 6)."""
 
     supply_kPa: float
-    cv_volume_L: float
     trace: Trace
-    peak_to_peak_kPa: float
+
+    @property
+    def peak_to_peak_kPa(self) -> float:
+        return float(np.ptp(self.trace["cv_reading_kPa"]))
 
 
 @dataclass(frozen=True)
@@ -235,21 +244,11 @@ def discharge(name: str, label: str, reservoir_volume_L: float, likely: Bench) -
     measured, model = curve(f"discharge_{name}_measured"), curve(f"discharge_{name}_model")
     initial_kPa = float(measured.y[0])
     tau_s = fit_time_constant_s(model.x, model.y)
-    best_s = nearest_time_constant_s(measured.x, measured.y)
     resistance = tau_s * ALPHA_KPA / reservoir_volume_L
-
-    def nrmse(time_s: Array, pressure_kPa: Array, with_tau_s: float) -> float:
-        model_kPa = paper.discharge_kPa(time_s, initial_kPa, with_tau_s)
-        return 100.0 * rms(pressure_kPa - model_kPa) / initial_kPa
-
-    # The logger's period is the shortest time between two points.
-    grid_s = np.arange(0.0, measured.x[-1] + 0.01, np.diff(measured.x).min())
-    plant_s, plant_kPa = plant_discharge(resistance, reservoir_volume_L, initial_kPa, float(measured.x[-1]))
-    at_points = np.interp(measured.x, plant_s, plant_kPa)
+    baseline = Plant(Rig(reservoir=Reservoir(reservoir_volume_L), cv=None, evp=Evp(resistance)))
     # The paper does not state how far the valve was closed: the ratio is from its curves.
     closed = HIGH_RESISTANCE_RATIO if name == HIGH_RESISTANCE else 1.0
-    likely_kPa = likely_discharge(likely, reservoir_volume_L, initial_kPa, len(plant_s), closed)
-    likely_at_points = np.interp(measured.x, plant_s, likely_kPa)
+    samples = 1 + math.ceil(float(measured.x[-1]) / DISCHARGE_STEP_S)
     return DischargeCurve(
         name=name,
         label=label,
@@ -257,16 +256,10 @@ def discharge(name: str, label: str, reservoir_volume_L: float, likely: Bench) -
         measured=measured,
         model=model,
         time_constant_s=tau_s,
-        flow_resistance_kPa_s_per_SL=resistance,
-        best_time_constant_s=best_s,
-        nrmse_percent=nrmse(measured.x, measured.y, tau_s),
-        nrmse_grid_percent=nrmse(grid_s, np.interp(grid_s, measured.x, measured.y), tau_s),
-        nrmse_best_percent=nrmse(measured.x, measured.y, best_s),
-        plant_time_s=plant_s,
-        plant_kPa=plant_kPa,
-        nrmse_plant_percent=100.0 * rms(measured.y - at_points) / initial_kPa,
-        likely_kPa=likely_kPa,
-        nrmse_likely_percent=100.0 * rms(measured.y - likely_at_points) / initial_kPa,
+        best_time_constant_s=nearest_time_constant_s(measured.x, measured.y),
+        plant_time_s=DISCHARGE_STEP_S * np.arange(samples, dtype=np.float64),
+        plant_kPa=plant_discharge(baseline, initial_kPa, samples),
+        likely_kPa=plant_discharge(likely_plant(likely, reservoir_volume_L, closed), initial_kPa, samples),
     )
 
 
@@ -286,31 +279,24 @@ def nearest_time_constant_s(time_s: Array, pressure_kPa: Array) -> float:
     return 1.0 / rate
 
 
-def plant_discharge(
-    flow_resistance_kPa_s_per_SL: float, volume_L: float, initial_kPa: float, duration_s: float
-) -> tuple[Array, Array]:
-    """Discharge of the baseline plant to atmosphere through the open EVP: times s, pressures kPa gauge."""
-    rig = Rig(reservoir=Reservoir(volume_L), cv=None, evp=Evp(flow_resistance_kPa_s_per_SL))
-    state, wide_open = BaselineState(initial_kPa, 0.0), Inputs(1.0, 0.0, False)
-    pressures = [initial_kPa]
-    for _ in range(math.ceil(duration_s / DISCHARGE_STEP_S)):
-        state = step(rig, state, wide_open, DISCHARGE_STEP_S)
-        pressures.append(state.reservoir_kPa)
-    return DISCHARGE_STEP_S * np.arange(len(pressures), dtype=np.float64), np.array(pressures)
+def plant_discharge(plant: Plant, initial_kPa: float, samples: int) -> Array:
+    """Discharge of a plant to atmosphere through the open EVP, kPa gauge, every `DISCHARGE_STEP_S`."""
+    ticks = round(DISCHARGE_STEP_S / TICK_S)
+    wide_open = np.tile((1.0, 0.0, 0.0), (samples * ticks, 1))
+    start = Inputs(1.0, 0.0, False)
+    flown = replay(plant, wide_open, at_rest(plant, initial_kPa), initial=start, record_every=ticks)
+    return np.asarray(flown.table["reservoir_kPa"])
 
 
-def likely_discharge(bench: Bench, volume_L: float, initial_kPa: float, samples: int, closed: float) -> Array:
-    """Discharge of the high-fidelity plant to atmosphere through the EVP, kPa gauge.
+def likely_plant(bench: Bench, volume_L: float, closed: float) -> Plant:
+    """The high-fidelity plant of a discharge.
 
     Args:
         bench: gives the effects. Their wall is the wall of one 2 L bottle.
         volume_L: volume of all bottles.
-        initial_kPa: start pressure, kPa gauge.
-        samples: number of pressures, one every `DISCHARGE_STEP_S`.
         closed: resistance of the partly closed valve, divided by its rated resistance.
     """
-    effects = bench.effects
-    law, wall = effects.evp_law, effects.reservoir_wall
+    law, wall = bench.effects.evp_law, bench.effects.reservoir_wall
     if isinstance(law, Iso6358):
         law = replace(law, sonic_conductance_SL_per_s_kPa=law.sonic_conductance_SL_per_s_kPa / closed)
     if wall is not None:
@@ -321,14 +307,8 @@ def likely_discharge(bench: Bench, volume_L: float, initial_kPa: float, samples:
             capacity_J_per_K=bottles * wall.capacity_J_per_K,
             outer_conductance_W_per_K=bottles * wall.outer_conductance_W_per_K,
         )
-    plant = Plant(
-        Rig(reservoir=Reservoir(volume_L), cv=None), replace(effects, evp_law=law, reservoir_wall=wall)
-    )
-    ticks = round(DISCHARGE_STEP_S / TICK_S)
-    wide_open = np.tile((1.0, 0.0, 0.0), (samples * ticks, 1))
-    start = Inputs(1.0, 0.0, False)
-    flown = replay(plant, wide_open, at_rest(plant, initial_kPa), initial=start, record_every=ticks)
-    return np.asarray(flown.table["reservoir_kPa"])
+    effects = replace(bench.effects, evp_law=law, reservoir_wall=wall)
+    return Plant(Rig(reservoir=Reservoir(volume_L), cv=None), effects)
 
 
 def rated_resistance_kPa_s_per_SL() -> float:
@@ -338,36 +318,32 @@ def rated_resistance_kPa_s_per_SL() -> float:
     )
 
 
+def full_flow_SLPM(flow_resistance_kPa_s_per_SL: float) -> float:
+    """Flow through this resistance from a full reservoir."""
+    return 60.0 * paper.flow_SL_per_s(stated()["reservoir.pressure"].value, flow_resistance_kPa_s_per_SL)
+
+
 def step_response(bench: Bench, test: Condition, flow_resistance_kPa_s_per_SL: float) -> StepResponse:
     """One step of Sec. V-B by Eq. 4 and by the plant, supplied by the reservoir."""
     volume_L, target_kPa = test.cv_volume_L, test.swing_kPa
     rate = paper.inflation_rate_kPa_per_s(test.reservoir_kPa, flow_resistance_kPa_s_per_SL, volume_L)
-    rated = rated_resistance_kPa_s_per_SL()
     error = stated()[f"{test.name}.rate_error"].value / 100.0
-    nrmse = stated()[f"{test.name}.nrmse"].value / 100.0
     trace = run(
         bench.with_cv(volume_L),
         lambda _: target_kPa,
         reservoir_kPa=test.reservoir_kPa,
         duration_s=STEP_TEST_S,
     )
-    near_kPa = target_kPa - NEAR_KPA
-    arrives = bool(trace.cv_kPa.max() >= near_kPa)
-    arrived = int(np.argmax(trace.cv_kPa >= near_kPa)) if arrives else -1
-    lines = np.minimum(rate * trace.time_s, target_kPa)
+    near = trace["cv_reading_kPa"] >= target_kPa - NEAR_KPA
+    arrived = int(np.argmax(near)) if near.any() else -1
     return StepResponse(
         condition=test,
         model_rate_kPa_per_s=rate,
-        rated_rate_kPa_per_s=paper.inflation_rate_kPa_per_s(test.reservoir_kPa, rated, volume_L),
         faster_kPa_per_s=rate * (1.0 + error),
         slower_kPa_per_s=rate * (1.0 - error),
-        window_if_faster_s=window_s(target_kPa / rate, 1.0 + error, nrmse),
-        window_if_slower_s=window_s(target_kPa / rate, 1.0 - error, nrmse),
         trace=trace,
-        rate_kPa_per_s=float(trace.cv_kPa[arrived] / trace.time_s[arrived]),
-        rise_s=float(trace.time_s[arrived]) if arrives else math.nan,
-        overshoot_kPa=max(0.0, float(trace.cv_kPa.max()) - target_kPa),
-        nrmse_percent=100.0 * rms(trace.cv_kPa - lines) / target_kPa,
+        rate_kPa_per_s=float(trace["cv_reading_kPa"][arrived] / trace["time_s"][arrived]),
+        rise_s=float(trace["time_s"][arrived]) if near.any() else math.nan,
     )
 
 
@@ -389,34 +365,22 @@ def window_s(model_rise_s: float, speed_ratio: float, nrmse: float) -> float:
     return model_rise_s * window if window >= slow else math.nan
 
 
+def measured_gains(name: str) -> MeasuredGains:
+    """The measured points of the test condition tc4 or tc5."""
+    cutoff_Hz = stated()[f"{name}.cutoff_drawn"].value
+    return MeasuredGains(condition(name), curve(f"frequency_measured_{name}"), cutoff_Hz)
+
+
 def frequency_response(bench: Bench, test: Condition, supply_kPa: float) -> FrequencyResponse:
     """TC4 or TC5 by Eq. 6 and by the plant on a fixed supply; A is taken as peak to peak."""
-    measured = curve(f"frequency_measured_{test.name}")
-    cutoff = stated()[f"{test.name}.cutoff_drawn"].value
-    model_gain = paper.frequency_gain(measured.x, cutoff)
+    points = measured_gains(test.name)
+    measured = points.measured
+    model_gain = paper.frequency_gain(measured.x, points.cutoff_Hz)
     rig = bench.with_cv(test.cv_volume_L).with_fixed_source()
-    found: dict[float, float] = {}
-    for frequency in measured.x.tolist():
-        if frequency not in found:
-            found[frequency] = plant_gain(rig, frequency, test.swing_kPa, supply_kPa)
-    gains = np.array([found[frequency] for frequency in measured.x.tolist()])
-    model_dB, plant_dB = decibel(model_gain / measured.y), decibel(gains / measured.y)
-    band = measured.x <= BAND * cutoff
-    return FrequencyResponse(
-        condition=test,
-        supply_kPa=supply_kPa,
-        measured=measured,
-        cutoff_Hz=cutoff,
-        model_gain=model_gain,
-        plant_gain=gains,
-        model_rms_dB=rms(model_dB),
-        plant_rms_dB=rms(plant_dB),
-        model_band_rms_dB=rms(model_dB[band]),
-        plant_band_rms_dB=rms(plant_dB[band]),
-        measured_crosses_1_Hz=last_crossing_Hz(measured.x, measured.y, 1.0),
-        measured_3dB_Hz=last_crossing_Hz(measured.x, measured.y, math.sqrt(0.5)),
-        plant_3dB_Hz=last_crossing_Hz(measured.x, gains, math.sqrt(0.5)),
-    )
+    # A frequency that was measured twice is simulated once.
+    found = {f: plant_gain(rig, f, test.swing_kPa, supply_kPa) for f in np.unique(measured.x).tolist()}
+    gains = np.array([found[f] for f in measured.x.tolist()])
+    return FrequencyResponse(test, measured, points.cutoff_Hz, supply_kPa, model_gain, gains)
 
 
 def plant_gain(bench: Bench, frequency_Hz: float, peak_to_peak_kPa: float, supply_kPa: float) -> float:
@@ -424,7 +388,7 @@ def plant_gain(bench: Bench, frequency_Hz: float, peak_to_peak_kPa: float, suppl
     trace = follow_sine(
         bench, frequency_Hz=frequency_Hz, peak_to_peak_kPa=peak_to_peak_kPa, reservoir_kPa=supply_kPa
     )
-    kept_s = len(trace.time_s) * (trace.time_s[1] - trace.time_s[0])
+    kept_s = len(trace) * TICK_S
     return gain(trace, round(kept_s * frequency_Hz))
 
 
@@ -455,7 +419,7 @@ def sine_series(bench: Bench, supply_kPa: float) -> SineSeries:
         peak_to_peak_kPa=numbers["sine.command"].value,
         reservoir_kPa=supply_kPa,
     )
-    return SineSeries(supply_kPa, SINE_VOLUME_L, trace, float(np.ptp(trace.cv_kPa)))
+    return SineSeries(supply_kPa, trace)
 
 
 def supply_for(bench: Bench, peak_to_peak_kPa: float) -> float:
@@ -519,8 +483,8 @@ def plant_cycle(
         return swing_kPa * (1.0 - abs(1.0 - 2.0 * (t / period_s % 1.0)))
 
     trace = run(bench, triangle, reservoir_kPa=reservoir_kPa, duration_s=counted * period_s)
-    spent_kPa = float(trace.reservoir_kPa[0] - trace.reservoir_kPa[-1])
-    return spent_kPa / counted, float(np.ptp(trace.cv_kPa)) / swing_kPa
+    spent_kPa = float(trace["reservoir_kPa"][0] - trace["reservoir_kPa"][-1])
+    return spent_kPa / counted, float(np.ptp(trace["cv_reading_kPa"])) / swing_kPa
 
 
 def distance_dB(measured: PrintedCurve, frequency_Hz: Array, gains: Array) -> float:

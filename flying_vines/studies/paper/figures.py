@@ -1,4 +1,4 @@
-"""Draws the paper's figures with the measurement, the paper's model and ours."""
+"""Draws the paper's figures with the measurement, the paper's model and ours, and the diagnosis."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ from typing import Any
 import numpy as np
 from matplotlib import pyplot as plt
 
-from flying_vines.physics import paper
+from flying_vines.physics.arrays import Array
 from flying_vines.plots.style import BLUE, GREEN, GREY, ORANGE, PURPLE, finish, save
-from flying_vines.studies.paper.compare import STEP_TEST_S, Curves, FrequencyResponse
-from flying_vines.studies.paper.data import curve, stated
+from flying_vines.studies.paper.compare import BAND, STEP_TEST_S, Curves, FrequencyResponse
+from flying_vines.studies.paper.data import condition, curve, stated
+from flying_vines.studies.paper.diagnosis import PaperDiagnosis
+from flying_vines.studies.paper.diagnosis.discharge import RESERVOIR, VOLUME_L, Discharges
+from flying_vines.studies.paper.diagnosis.response import FLOOR, TESTS, Responses
 
 MEASURED: dict[str, Any] = {"color": BLUE, "ls": "none", "marker": "o", "ms": 4, "label": "measured"}
 MODEL: dict[str, Any] = {"color": ORANGE, "lw": 1.8, "label": "paper's model"}
@@ -44,7 +47,7 @@ def _discharge(curves: Curves) -> Any:
         nearest = f"nearest exponential, τ = {d.best_time_constant_s:.1f} s"
         above.plot(
             d.plant_time_s,
-            paper.discharge_kPa(d.plant_time_s, float(measured[0]), d.best_time_constant_s),
+            d.exponential_kPa(d.plant_time_s, d.best_time_constant_s),
             color=GREY,
             lw=1.0,
             label=nearest,
@@ -59,14 +62,15 @@ def _discharge(curves: Curves) -> Any:
             (d.time_constant_s, ORANGE, "o"),
             (d.best_time_constant_s, GREY, "."),
         ):
-            off = measured - paper.discharge_kPa(time_s, float(measured[0]), tau_s)
+            off = measured - d.exponential_kPa(time_s, tau_s)
             below.plot(time_s, 100.0 * off / measured[0], color=style, lw=1.0, marker=marker, ms=3.5)
-        off = measured - np.interp(time_s, d.plant_time_s, d.likely_kPa)
+        off = measured - d.at_points(d.likely_kPa)
         below.plot(time_s, 100.0 * off / measured[0], color=PURPLE, lw=1.0, marker=".", ms=3.5)
         below.axhline(0.0, color="black", lw=0.6)
         below.set_title(
-            f"nRMSE, %: drawn {d.nrmse_percent:.2f}, nearest {d.nrmse_best_percent:.2f}, "
-            f"high-fidelity {d.nrmse_likely_percent:.2f}",
+            f"nRMSE, %: drawn {d.nrmse_percent(d.time_constant_s):.2f}, "
+            f"nearest {d.nrmse_percent(d.best_time_constant_s):.2f}, "
+            f"high-fidelity {d.plants_nrmse_percent(d.likely_kPa):.2f}",
             loc="left",
             fontsize=8.0,
         )
@@ -90,9 +94,9 @@ def _inflation(curves: Curves) -> Any:
         axis.plot(*ramp(s.faster_kPa_per_s), color=BLUE, lw=1.6, ls="--", label="measured, if faster")
         axis.plot(*ramp(s.slower_kPa_per_s), color=BLUE, lw=1.6, ls=":", label="measured, if slower")
         axis.plot(*ramp(s.model_rate_kPa_per_s), **{**MODEL, "label": "paper's model (Eq. 4)"})
-        shown = s.trace.time_s <= longest
-        axis.plot(s.trace.time_s[shown], s.trace.cv_kPa[shown], **PLANT)
-        axis.plot(likely.trace.time_s[shown], likely.trace.cv_kPa[shown], **LIKELY)
+        shown = s.trace["time_s"] <= longest
+        axis.plot(s.trace["time_s"][shown], s.trace["cv_reading_kPa"][shown], **PLANT)
+        axis.plot(likely.trace["time_s"][shown], likely.trace["cv_reading_kPa"][shown], **LIKELY)
         axis.set_xlim(0, longest)
         axis.set_ylim(0, 1.12 * target)
         axis.set_xlabel("time, s")
@@ -135,20 +139,16 @@ def _frequency(curves: Curves) -> Any:
             label=f"off-the-shelf regulator (baseline {n})",
         )
         line = curve(f"frequency_model_{first.condition.name}")
-        off = f"{first.model_rms_dB:.1f} dB rms, {first.model_band_rms_dB:.1f} up to 3 cut-offs"
+        off = _off(first, first.model_gain)
         axis.plot(line.x, line.y, **{**MODEL, "label": f"paper's model: {off}"})
         for f, style in zip(responses, ("-", "--"), strict=False):
             _plot_plant(axis, f, {**PLANT, "ls": style}, several=len(responses) > 1)
         for f, style in zip(likely, ("-", "--"), strict=False):
             _plot_plant(axis, f, {**LIKELY, "ls": style}, several=len(likely) > 1)
         axis.plot(first.measured.x, first.measured.y, **MEASURED)
-        axis.set_xscale("log")
-        axis.set_yscale("log")
+        _log_axes(axis)
         axis.set_xlim(0.045, 20)
         axis.set_ylim(0.018, 1.4)
-        axis.set_xticks([0.1, 1, 10], ["0.1", "1", "10"])
-        axis.set_yticks([0.02, 0.05, 0.1, 0.2, 0.5, 1.0], ["0.02", "0.05", "0.1", "0.2", "0.5", "1"])
-        axis.set_yticks([], minor=True)
         axis.set_xlabel("command frequency, Hz")
         axis.legend(frameon=False, fontsize=8.5, loc="lower left")
         c = first.condition
@@ -162,12 +162,24 @@ def _frequency(curves: Curves) -> Any:
     return finish(figure, "Closed-loop frequency response (Eq. 6 and 7, the paper's Fig. 5)")
 
 
+def _log_axes(axis: Any) -> None:
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.set_xticks([0.1, 1, 10], ["0.1", "1", "10"])
+    axis.set_yticks([0.02, 0.05, 0.1, 0.2, 0.5, 1.0], ["0.02", "0.05", "0.1", "0.2", "0.5", "1"])
+    axis.set_yticks([], minor=True)
+
+
 def _plot_plant(axis: Any, f: FrequencyResponse, style: dict[str, Any], several: bool) -> None:
     order = np.argsort(f.measured.x)
     supply = f" on {f.supply_kPa:.0f} kPa" if several else ""
     which = "high-fidelity" if style["color"] == PURPLE else "baseline"
-    label = f"{which}{supply}: {f.plant_rms_dB:.1f} dB rms, {f.plant_band_rms_dB:.1f} up to 3 cut-offs"
+    label = f"{which}{supply}: {_off(f, f.plant_gain)}"
     axis.plot(f.measured.x[order], f.plant_gain[order], **{**style, "label": label})
+
+
+def _off(f: FrequencyResponse, gains: Array) -> str:
+    return f"{f.rms_dB(gains):.1f} dB rms, {f.rms_dB(gains, BAND):.1f} up to {BAND:g} cut-offs"
 
 
 def _sine(curves: Curves) -> Any:
@@ -175,9 +187,9 @@ def _sine(curves: Curves) -> Any:
         1, 2, figsize=(11, 4.2), width_ratios=[2.6, 1.0], layout="constrained"
     )
     full, low = curves.sines
-    time_s = full.trace.time_s - full.trace.time_s[0]
+    time_s = full.trace["time_s"] - full.trace["time_s"][0]
     shown = time_s <= 2.5
-    wave.plot(time_s[shown], full.trace.command_kPa[shown], color=ORANGE, lw=1.6, label="command, 1.2 Hz")
+    wave.plot(time_s[shown], full.trace["target_kPa"][shown], color=ORANGE, lw=1.6, label="command, 1.2 Hz")
     for series, color, which in (
         (curves.sines, GREEN, "baseline"),
         (curves.likely_sines, PURPLE, "high-fidelity"),
@@ -185,7 +197,7 @@ def _sine(curves: Curves) -> Any:
         for s, style in zip(series, ("-", "--"), strict=True):
             wave.plot(
                 time_s[shown],
-                s.trace.cv_kPa[shown],
+                s.trace["cv_reading_kPa"][shown],
                 color=color,
                 ls=style,
                 lw=1.3,
@@ -234,3 +246,78 @@ def _cycles(curves: Curves) -> Any:
     axis.legend(frameon=False, loc="upper left")
     axis.set_title("0.1 L to 20.7 kPa at 0.55 Hz from a 2 L bottle", loc="left", fontsize=10)
     return finish(figure, "Cycles (Eq. 8, the paper's demonstration)")
+
+
+# The diagnosis.
+
+
+def draw_diagnosis(diagnosis: PaperDiagnosis, folder: Path) -> list[Path]:
+    """Draw two PNGs into an existing folder. Returns their paths."""
+    plots = {
+        "discharge": _diagnosed_discharges(diagnosis.discharges),
+        "frequency": _diagnosed_responses(diagnosis.responses),
+    }
+    return save(plots, folder, "paper-diagnosis")
+
+
+def _diagnosed_discharges(found: Discharges) -> Any:
+    figure, axes = plt.subplots(
+        2, 3, figsize=(11, 5.8), sharey="row", height_ratios=[2.0, 1.2], layout="constrained"
+    )
+    for index, run in enumerate(found.verdict.evidence.runs):
+        above, below = axes[0, index], axes[1, index]
+        measured_kPa = run.measured_kPa[RESERVOIR]
+        for kPa, color, label in (
+            (run.baseline_kPa[RESERVOIR], ORANGE, "baseline"),
+            (run.extended_kPa[RESERVOIR], PURPLE, "more flow"),
+        ):
+            above.plot(run.time_s, kPa, color=color, lw=1.6, label=label)
+            off = 100.0 * (measured_kPa - kPa) / float(measured_kPa[0])
+            below.plot(run.time_s, off, color=color, lw=1.2, marker="o", ms=3)
+        above.plot(run.time_s, measured_kPa, "o", color=BLUE, ms=3.5, label="measured")
+        setting = "high" if "high" in run.run else "low"
+        above.set_title(f"{VOLUME_L[run.run]:g} L, {setting} R$_v$", loc="left", fontsize=10)
+        above.set_ylim(0, 720)
+        below.axhline(0.0, color="black", lw=0.6)
+        below.set_xlabel("time, s")
+    axes[0, 0].set_ylabel("reservoir, kPa gauge")
+    axes[1, 0].set_ylabel("measured − simulated,\n% of the first reading")
+    axes[0, 2].legend(frameon=False, fontsize=9)
+    return finish(figure, "The paper's discharges: measured, simulated, residuals")
+
+
+def _diagnosed_responses(responses: Responses) -> Any:
+    figure, axes = plt.subplots(
+        2, 2, figsize=(11, 6.0), sharex=True, sharey="row", height_ratios=[2, 1], layout="constrained"
+    )
+    shown = (
+        (responses.of(), ORANGE, "baseline"),
+        (responses.of("tube"), GREEN, "with a tube"),
+        (responses.of(FLOOR), PURPLE, "with a floor of the evaluation"),
+    )
+    for index, test in enumerate(TESTS):
+        above, below = axes[0, index], axes[1, index]
+        measured = curve(f"frequency_measured_{test}")
+        order = np.argsort(measured.x)
+        for explanation, color, label in shown:
+            gains = explanation.gains[index]
+            above.plot(measured.x[order], gains[order], color=color, lw=1.5, label=label)
+            off = 20.0 * np.log10(measured.y / gains)
+            below.plot(measured.x[order], off[order], color=color, lw=1.2, marker="o", ms=3)
+        above.plot(measured.x, measured.y, "o", color=BLUE, ms=4, label="measured")
+        tested = condition(test)
+        above.set_title(
+            f"{test.upper()}: {tested.swing_kPa:.0f} kPa peak to peak, {tested.cv_volume_L:g} L on "
+            f"{tested.reservoir_kPa:.0f} kPa",
+            loc="left",
+            fontsize=10,
+        )
+        _log_axes(above)
+        below.axhline(0.0, color="black", lw=0.6)
+        below.set_xlabel("command frequency, Hz")
+        for axis in (above, below):
+            axis.axvline(BAND * stated()[f"{test}.cutoff_drawn"].value, color=GREY, lw=0.8, ls=":")
+    axes[0, 0].set_ylabel("gain")
+    axes[1, 0].set_ylabel("measured over simulated, dB")
+    axes[0, 0].legend(frameon=False, fontsize=9)
+    return finish(figure, "The paper's frequency responses (dotted: three cut-offs of its model)")

@@ -1,39 +1,43 @@
-"""The table: every number of the paper, our number, and whether they agree. Its words are in `rows.toml`."""
+"""The table: every number of the paper, our number, and whether they agree. `rows.toml` lists its rows."""
 
 from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from importlib import resources
+from string import Formatter
 from typing import Any, Literal
+
+import numpy as np
 
 from flying_vines.physics import paper
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.studies.paper.compare import (
     BAND,
     HIGH_RESISTANCE,
+    SINE_VOLUME_L,
     STEP_TEST_S,
     Curves,
     DischargeCurve,
     FrequencyResponse,
     StepResponse,
     distance_dB,
+    full_flow_SLPM,
+    last_crossing_Hz,
     rated_resistance_kPa_s_per_SL,
+    rms,
+    window_s,
 )
 from flying_vines.studies.paper.data import PrintedCurve, Stated, curve, stated
 
 RowVerdict = Literal["agrees", "differs", "undecided"]
 By = Literal["equation", "data", "plant", "high-fidelity", "text"]
-
-PLANT_TOLERANCE = 0.1
-"""Maximum relative difference of a plant's number that agrees with a measured one."""
-FIT_TOLERANCE_PERCENT = 2.0
-"""Maximum nRMSE of a discharge that agrees with a measured one."""
-FIT_TOLERANCE_DB = 1.0
-"""Maximum rms distance of a curve that agrees with measured gains."""
+Subject = dict[str, Any]
+"""Fields that the texts and the numbers of a row can name."""
+CRITERIA = {"differs", "bound", "at_most", "margin", "rounded", "within", "within_absolute"}
+"""Keys of a row that decide whether the numbers agree."""
 
 
 @dataclass(frozen=True)
@@ -76,482 +80,251 @@ class PaperRow:
         return (self.ours - self.paper) / self.paper
 
 
-def table(curves: Curves) -> tuple[PaperRow, ...]:
-    """The whole table, in the paper's order of chapters."""
-    chapters: tuple[Callable[[Curves], Iterator[PaperRow]], ...] = (
-        _alpha,
-        _discharge_curves,
-        _discharge_range,
-        _discharge_resistance,
-        _inflation,
-        _frequency,
-        _sine,
-        _likely_sines,
-        _cycles,
-        _mass,
+@dataclass(frozen=True)
+class PaperComparison:
+    """The table, and the arrays behind it."""
+
+    rows: tuple[PaperRow, ...]
+    """In the paper's order of chapters."""
+    findings: tuple[str, ...]
+    """Contradictions within the paper."""
+    curves: Curves
+
+
+def comparison(curves: Curves) -> PaperComparison:
+    """The whole table, and the findings with the table's numbers."""
+    text = resources.files(__package__).joinpath("rows.toml").read_text(encoding="utf-8")
+    data, of = tomllib.loads(text), subjects(curves)
+    rows = tuple(
+        _row(row, {"numbers": stated(), **subject, **words})
+        for chapter in data["chapter"]
+        for subject in of[chapter.get("of", "paper")]
+        for row in chapter["row"]
+        for words in row.get("each", [{}])
     )
-    return tuple(row for chapter in chapters for row in chapter(curves))
+    numbers: dict[str, Any] = {
+        "ours": {row.key: math.nan if row.ours is None else row.ours for row in rows},
+        "paper": {row.key: math.nan if row.paper is None else row.paper for row in rows},
+        "off": {row.key: 100.0 * (row.relative_difference or 0.0) for row in rows},
+    }
+    shorter = [-numbers["off"][f"discharge.{d.name}.tau_best"] for d in curves.discharges]
+    numbers |= {"least": min(shorter), "most": max(shorter)}
+    return PaperComparison(rows, tuple(text.format_map(numbers) for text in data["findings"]), curves)
 
 
-@cache
-def _words() -> dict[str, dict[str, Any]]:
-    return tomllib.loads(resources.files(__package__).joinpath("rows.toml").read_text(encoding="utf-8"))
+def _row(row: Mapping[str, Any], subject: Subject) -> PaperRow:
+    """A row of `rows.toml` for one subject."""
 
+    def field(name: str) -> Any:
+        return Formatter().get_field(name.format_map(subject), (), subject)[0]
 
-def _row(
-    row: str,
-    paper_value: Stated | float | None,
-    ours: float | None,
-    verdict: RowVerdict,
-    *,
-    paper_to: float | None = None,
-    case: str = "",
-    **words: Any,
-) -> PaperRow:
-    """One row of the table.
-
-    Args:
-        row: its name in `rows.toml`, from which its key is made.
-        paper_value: the paper's number; the place of a stated number is used if `rows.toml` has none.
-        ours: our number.
-        verdict: whether they agree.
-        paper_to: the upper end of the paper's range.
-        case: which one of the notes applies, if there are several.
-        words: values for the placeholders of the texts.
-    """
-    texts = _words()[row]
-    place = texts.get("place", "")
-    if isinstance(paper_value, Stated):
-        place, paper_value = place or paper_value.place, paper_value.value
-
-    def finite(value: float | None) -> float | None:
+    def number(key: str) -> float | None:
+        found = field(row[key]) if key in row else None
+        value = found.value if isinstance(found, Stated) else found
         return None if value is None or not math.isfinite(value) else float(value)
 
+    papers: Any = field(row["paper"]) if "paper" in row else None
+    place = row.get("place") or papers.place
+    case = field(row["case"]) if row.get("case", "verdict") != "verdict" else ""
+    numbers = number("paper"), number("paper_to"), number("ours")
+    verdict: RowVerdict = "undecided"
+    if case not in row.get("undecided", ()) and (agree := _agree(row, subject, papers, *numbers)) is not None:
+        verdict = "agrees" if agree else "differs"
+    note = row["notes"][case or verdict] if "notes" in row else row["note"]
     return PaperRow(
-        key=row.format(**words),
-        quantity=texts["quantity"].format(**words),
-        unit=texts["unit"],
-        paper=finite(paper_value),
-        paper_to=finite(paper_to),
-        ours=finite(ours),
-        by=texts["by"],
-        verdict=verdict,
-        place=place.format(**words),
-        note=(texts["notes"][case] if case else texts["note"]).format(**words),
-        comparable=texts.get("comparable", True),
-        bound=texts.get("bound", ""),
+        row["key"].format_map(subject),
+        row["quantity"].format_map(subject),
+        row["unit"],
+        *numbers,
+        row["by"],
+        verdict,
+        place,
+        note.format_map({**subject, "row": row}),
+        row.get("comparable", True),
+        row.get("bound", ""),
     )
 
 
-def _near(ours: float, paper_value: float, tolerance: float) -> RowVerdict:
+def _agree(
+    row: Mapping[str, Any],
+    subject: Subject,
+    papers: Stated | float | None,
+    number: float | None,
+    to: float | None,
+    ours: float | None,
+) -> bool | None:
+    """True if the numbers agree by the criterion of the row; None if it has none."""
+    if not CRITERIA & row.keys():
+        return None
+    if "differs" in row or number is None or ours is None:
+        return False
+    if "bound" in row:
+        return ours > number if row["bound"] == ">" else ours <= number
+    if "at_most" in row:
+        return bool(ours <= row["at_most"])
+    if to is not None:
+        return bool(number - row["margin"] <= ours <= to + row["margin"])
+    if isinstance(papers, Stated) and "rounded" in row:
+        tolerance = papers.half_digit
+    elif "within" in row:
+        tolerance = row["within"] * number
+    else:
+        tolerance = row["within_absolute"]
+        tolerance = subject[tolerance] if isinstance(tolerance, str) else tolerance
     # The margin is for rounding errors of binary fractions.
-    return "agrees" if abs(ours - paper_value) <= tolerance * (1.0 + 1e-9) else "differs"
+    return bool(abs(ours - number) <= tolerance * (1.0 + 1e-9))
 
 
-def _near_plant(ours: float, paper_value: float) -> RowVerdict:
-    return _near(ours, paper_value, PLANT_TOLERANCE * paper_value)
-
-
-def _holds(condition: bool) -> RowVerdict:
-    return "agrees" if condition else "differs"
-
-
-def _alpha(_: Curves) -> Iterator[PaperRow]:
-    yield _row("alpha", stated()["alpha"], paper.alpha_kPa(), "undecided")
-
-
-def _stated_nrmse() -> tuple[Stated, Stated]:
-    """The ends of the paper's range."""
-    return stated()["discharge.nrmse_least"], stated()["discharge.nrmse_most"]
-
-
-def _discharge_curves(curves: Curves) -> Iterator[PaperRow]:
-    low, high = _stated_nrmse()
-
-    def in_range(percent: float, margin: float = 0.0) -> RowVerdict:
-        return _holds(low.value - margin <= percent <= high.value + margin)
-
-    for d in curves.discharges:
-        drawn_s = _tau_between_ends(d)
-        yield _row(
-            "discharge.{d.name}.tau",
-            drawn_s,
-            d.time_constant_s,
-            _near(d.time_constant_s, drawn_s, 1e-3 * d.time_constant_s),
-            d=d,
-        )
-        yield _row(
-            "discharge.{d.name}.nrmse",
-            low,
-            d.nrmse_percent,
-            in_range(d.nrmse_percent),
-            paper_to=high.value,
-            d=d,
-        )
-        yield _row(
-            "discharge.{d.name}.nrmse_grid",
-            low,
-            d.nrmse_grid_percent,
-            in_range(d.nrmse_grid_percent, margin=0.1),
-            paper_to=high.value,
-            d=d,
-        )
-        yield _row(
-            "discharge.{d.name}.nrmse_plant",
-            d.nrmse_percent,
-            d.nrmse_plant_percent,
-            _near(d.nrmse_plant_percent, d.nrmse_percent, 0.001),
-            d=d,
-            low=low,
-        )
-        yield _row(
-            "discharge.{d.name}.nrmse_likely",
-            d.nrmse_percent,
-            d.nrmse_likely_percent,
-            _holds(d.nrmse_likely_percent <= FIT_TOLERANCE_PERCENT),
-            d=d,
-            low=low,
-            limit_percent=FIT_TOLERANCE_PERCENT,
-            reduced=", reduced by the ratio of the drawn curves," if d.name == HIGH_RESISTANCE else "",
-            speed="fast" if d.likely_is_fast else "slow",
-        )
-        yield _row(
-            "discharge.{d.name}.tau_best",
-            d.time_constant_s,
-            d.best_time_constant_s,
-            _near(d.best_time_constant_s, d.time_constant_s, 0.02 * d.time_constant_s),
-            d=d,
-        )
-
-
-def _discharge_range(curves: Curves) -> Iterator[PaperRow]:
-    low, high = _stated_nrmse()
-    # The paper prints only some of the logged points, so the ends of its range cannot be checked.
-    for end, number, extreme in (("least", low, min), ("most", high, max)):
-        yield _row(
-            "discharge.nrmse_{end}",
-            number,
-            extreme(d.nrmse_percent for d in curves.discharges),
-            "undecided",
-            end=end,
-            on_grid=extreme(d.nrmse_grid_percent for d in curves.discharges),
-        )
-
-
-def _discharge_resistance(curves: Curves) -> Iterator[PaperRow]:
-    rated = rated_resistance_kPa_s_per_SL()
-    for d in curves.discharges:
-        closed = d.name == HIGH_RESISTANCE
-        ours = d.flow_resistance_kPa_s_per_SL
-        yield _row(
-            "discharge.{d.name}.resistance",
-            rated,
-            ours,
-            "undecided" if closed else _near(ours, rated, 0.05 * rated),
-            case="closed" if closed else "rated",
-            d=d,
-            drawn_SLPM=_full_flow_SLPM(ours),
-            best_SLPM=_full_flow_SLPM(d.best_time_constant_s * ALPHA_KPA / d.reservoir_volume_L),
-        )
-
-
-def _full_flow_SLPM(flow_resistance_kPa_s_per_SL: float) -> float:
-    return 60.0 * paper.flow_SL_per_s(stated()["reservoir.pressure"].value, flow_resistance_kPa_s_per_SL)
-
-
-def _tau_between_ends(d: DischargeCurve) -> float:
-    first, last = float(d.model.y[0]), float(d.model.y[-1])
-    return float(d.model.x[-1]) / math.log(first / last)
-
-
-def _inflation(curves: Curves) -> Iterator[PaperRow]:
-    for s, likely in zip(curves.steps, curves.likely_steps, strict=True):
-        yield from _step(s)
-        yield from _likely_step(likely)
-    yield _row(
-        "inflation.tc1.overshoot_vine",
-        None,
-        curves.vine_step.overshoot_kPa,
-        "undecided",
-        vine=curves.vine_step,
-        likely=curves.likely_steps[0],
-    )
-
-
-def _likely_step(s: StepResponse) -> Iterator[PaperRow]:
-    label = s.condition.name.upper()
-    nearer = min(s.faster_kPa_per_s, s.slower_kPa_per_s, key=lambda rate: abs(rate - s.rate_kPa_per_s))
-    yield _row(
-        "inflation.{s.condition.name}.rate_likely",
-        nearer,
-        s.rate_kPa_per_s,
-        _near_plant(s.rate_kPa_per_s, nearer),
-        s=s,
-        label=label,
-    )
-    yield _row(
-        "inflation.{s.condition.name}.overshoot_likely",
-        None,
-        s.overshoot_kPa,
-        "undecided",
-        s=s,
-        label=label,
-    )
-
-
-def _step(s: StepResponse) -> Iterator[PaperRow]:
-    name, numbers = s.condition.name, stated()
-    error, nrmse = numbers[f"{name}.rate_error"], numbers[f"{name}.nrmse"]
-    words: dict[str, Any] = {"s": s, "label": name.upper(), "error": error, "length_s": STEP_TEST_S}
-    size = "small" if error.value < 5.0 else "large"
-    yield _row("inflation.{s.condition.name}.rate_model", None, s.model_rate_kPa_per_s, "undecided", **words)
-    for sign, rate in (("faster", s.faster_kPa_per_s), ("slower", s.slower_kPa_per_s)):
-        yield _row(
-            "inflation.{s.condition.name}.rate_if_{sign}",
-            rate,
-            s.rate_kPa_per_s,
-            _near_plant(s.rate_kPa_per_s, rate),
-            sign=sign,
-            **words,
-        )
-    own_error = 100.0 * (s.rate_kPa_per_s / s.model_rate_kPa_per_s - 1.0)
-    yield _row(
-        "inflation.{s.condition.name}.rate_error",
-        error,
-        abs(own_error),
-        _near(abs(own_error), error.value, 1.0),
-        case=size,
-        own_error=own_error,
-        **words,
-    )
-    yield _row("inflation.{s.condition.name}.nrmse", nrmse, s.nrmse_percent, "undecided", case=size, **words)
-    yield _row(
-        "inflation.{s.condition.name}.overshoot",
-        None,
-        s.overshoot_kPa,
-        "undecided",
-        case="arrives" if math.isfinite(s.rise_s) else "never",
-        **words,
-    )
-
-
-def _frequency(curves: Curves) -> Iterator[PaperRow]:
-    tc4, tc5_low, tc5_full = curves.frequencies
-    for f in (tc4, tc5_low):
-        yield from _cutoffs(f)
-    for f, likely in zip(curves.frequencies, curves.likely_frequencies, strict=True):
-        yield from _distance(f, "plant_3dB", "")
-        yield from _distance(likely, "likely_3dB", "_likely")
-    for f, regulator in zip((tc4, tc5_low), curves.baselines, strict=True):
-        yield _other_regulator(f, curves, regulator)
-    yield from _flows(tc4)
-    yield from _flows(tc5_low)
-    yield _rate(curves)
-    yield from _supply(curves, tc5_low, tc5_full)
-
-
-def _cutoffs(f: FrequencyResponse) -> Iterator[PaperRow]:
-    name, numbers = f.condition.name, stated()
-    text, drawn = numbers[f"{name}.cutoff_modelled"], numbers[f"{name}.cutoff_drawn"]
-    measured = numbers[f"{name}.cutoff_measured"]
-    words: dict[str, Any] = {"name": name, "label": name.upper()}
-    line = curve(f"frequency_model_{name}")
-    from_line = float(line.x[-1] * line.y[-1])
-    yield _row(
-        "frequency.{name}.cutoff_drawn",
-        drawn,
-        from_line,
-        _near(from_line, drawn.value, 1e-3 * drawn.value),
-        **words,
-    )
-    rounded = _near(drawn.value, text.value, text.half_digit)
-    yield _row(
-        "frequency.{name}.cutoff_stated", text, drawn.value, rounded, case=rounded, drawn=drawn, **words
-    )
-    yield _row(
-        "frequency.{name}.crosses_1",
-        measured,
-        f.measured_crosses_1_Hz,
-        _near(f.measured_crosses_1_Hz, measured.value, measured.half_digit),
-        **words,
-    )
-    yield _row("frequency.{name}.measured_3dB", measured, f.measured_3dB_Hz, "differs", **words)
-
-
-def _distance(f: FrequencyResponse, three_dB: str, suffix: str) -> Iterator[PaperRow]:
-    """Rows for a plant's distance from the measured gains; `three_dB` and `suffix` complete their names."""
-    name, supply = f.condition.name, f"{f.supply_kPa:.0f}"
-    alone = name == "tc4"
-    words: dict[str, Any] = {
-        "series": name if alone else f"{name}_{supply}",
-        "label": name.upper() if alone else f"{name.upper()} on {supply} kPa",
-        "limit_dB": FIT_TOLERANCE_DB,
-        "band": BAND,
+def subjects(curves: Curves) -> dict[str, list[Subject]]:
+    """What the chapters of `rows.toml` are about."""
+    discharges = [_discharge(d) for d in curves.discharges]
+    responses = [
+        _response(f, likely, curves.discharges[1].flow_resistance_kPa_s_per_SL)
+        for f, likely in zip(curves.frequencies, curves.likely_frequencies, strict=True)
+    ]
+    sines = zip(("phlosar", "low_supply"), curves.sines, curves.likely_sines, curves.rated_sines, strict=True)
+    return {
+        "paper": [_paper(curves)],
+        "discharges": discharges,
+        "ends": [
+            {"end": end, **{key: extreme(d[key] for d in discharges) for key in ("nrmse", "nrmse_grid")}}
+            for end, extreme in (("least", min), ("most", max))
+        ],
+        "steps": [_step(*pair) for pair in zip(curves.steps, curves.likely_steps, strict=True)],
+        "tests": [{**r, **_other(r, b)} for r, b in zip(responses[:2], curves.baselines, strict=True)],
+        "responses": responses,
+        "sines": [
+            {
+                "name": name,
+                "s": s,
+                "likely": likely,
+                "rated": rated,
+                "volume_L": SINE_VOLUME_L,
+                "low_supply_kPa": curves.low_supply_kPa,
+            }
+            for name, s, likely, rated in sines
+        ],
     }
-    yield _row(
-        f"frequency.{{series}}.{three_dB}",
-        f.measured_3dB_Hz,
-        f.plant_3dB_Hz,
-        _near_plant(f.plant_3dB_Hz, f.measured_3dB_Hz),
-        **words,
-    )
-    for part, model_dB, plant_dB in (
-        ("rms", f.model_rms_dB, f.plant_rms_dB),
-        ("rms_band", f.model_band_rms_dB, f.plant_band_rms_dB),
-    ):
-        yield _row(
-            f"frequency.{{series}}.{part}{suffix}",
-            model_dB,
-            plant_dB,
-            _holds(plant_dB <= FIT_TOLERANCE_DB),
-            **words,
-        )
 
 
-def _other_regulator(f: FrequencyResponse, curves: Curves, regulator: PrintedCurve) -> PaperRow:
-    likely = next(g for g in curves.likely_frequencies if g.condition == f.condition)
-    return _row(
-        "frequency.{name}.rms_other",
-        distance_dB(regulator, f.measured.x, f.model_gain),
-        distance_dB(regulator, likely.measured.x, likely.plant_gain),
-        "undecided",
-        name=f.condition.name,
-        label=f.condition.name.upper(),
-    )
+def _discharge(d: DischargeCurve) -> Subject:
+    closed = d.name == HIGH_RESISTANCE
+    # The logger's period is the shortest time between two points.
+    grid_s = np.arange(0.0, d.measured.x[-1] + 0.01, np.diff(d.measured.x).min())
+    off_grid = np.interp(grid_s, d.measured.x, d.measured.y) - d.exponential_kPa(grid_s, d.time_constant_s)
+    best_resistance = d.best_time_constant_s * ALPHA_KPA / d.reservoir_volume_L
+    return {
+        "d": d,
+        "drawn_time_constant_s": float(d.model.x[-1]) / math.log(float(d.model.y[0] / d.model.y[-1])),
+        "nrmse": d.nrmse_percent(d.time_constant_s),
+        "nrmse_grid": 100.0 * rms(off_grid) / float(d.measured.y[0]),
+        "nrmse_best": d.nrmse_percent(d.best_time_constant_s),
+        "nrmse_plant": d.plants_nrmse_percent(d.plant_kPa),
+        "nrmse_likely": d.plants_nrmse_percent(d.likely_kPa),
+        "speed": "fast" if np.mean(d.at_points(d.likely_kPa) - d.measured.y) < 0 else "slow",
+        "reduced": ", reduced by the ratio of the drawn curves," if closed else "",
+        "valve": "closed" if closed else "rated",
+        "rated_resistance": rated_resistance_kPa_s_per_SL(),
+        "drawn_SLPM": full_flow_SLPM(d.flow_resistance_kPa_s_per_SL),
+        "best_SLPM": full_flow_SLPM(best_resistance),
+    }
 
 
-def _flows(f: FrequencyResponse) -> Iterator[PaperRow]:
-    name, rated = f.condition.name, stated()["evp.flow"].value
-
-    def needed(amplitude_kPa: float) -> tuple[float, float]:
-        rate = paper.sine_peak_rate_kPa_per_s(f.cutoff_Hz, amplitude_kPa)
-        return rate, 60.0 * paper.flow_for_rate_SL_per_s(rate, f.condition.cv_volume_L)
-
-    words: dict[str, Any] = {"name": name, "label": name.upper()}
-    rate, flow = needed(f.condition.swing_kPa)
-    yield _row("frequency.{name}.flow_if_amplitude", rated, flow, "differs", rate=rate, **words)
-    rate, flow = needed(f.condition.swing_kPa / 2.0)
-    yield _row(
-        "frequency.{name}.flow_if_peak_to_peak",
-        rated,
-        flow,
-        _near(flow, rated, 0.15 * rated),
-        case=name,
-        rate=rate,
-        **words,
-    )
-
-
-def _rate(curves: Curves) -> PaperRow:
-    f, tc1 = curves.frequencies[0], curves.steps[0]
-    rate = paper.sine_peak_rate_kPa_per_s(f.cutoff_Hz, f.condition.swing_kPa / 2.0)
-    return _row(
-        "frequency.tc4.rate",
-        tc1.faster_kPa_per_s,
-        rate,
-        _near(rate, tc1.faster_kPa_per_s, PLANT_TOLERANCE * rate),
-    )
+def _step(s: StepResponse, likely: StepResponse) -> Subject:
+    test, rate = s.condition, s.model_rate_kPa_per_s
+    error, nrmse = stated()[f"{test.name}.rate_error"], stated()[f"{test.name}.nrmse"]
+    rated = rated_resistance_kPa_s_per_SL()
+    lines_kPa = np.minimum(rate * s.trace["time_s"], test.swing_kPa)
+    own_error = 100.0 * (s.rate_kPa_per_s / rate - 1.0)
+    return {
+        "s": s,
+        "likely": likely,
+        "name": test.name,
+        "label": test.name.upper(),
+        "error": error,
+        "size": "small" if error.value < 5.0 else "large",
+        "own_error": own_error,
+        "own_error_size": abs(own_error),
+        "rated_rate": paper.inflation_rate_kPa_per_s(test.reservoir_kPa, rated, test.cv_volume_L),
+        "nearer_rate": min(
+            (s.faster_kPa_per_s, s.slower_kPa_per_s), key=lambda each: abs(each - likely.rate_kPa_per_s)
+        ),
+        "nrmse": 100.0 * rms(s.trace["cv_reading_kPa"] - lines_kPa) / test.swing_kPa,
+        "length_s": STEP_TEST_S,
+        **{
+            f"window_if_{sign}_s": window_s(test.swing_kPa / rate, measured / rate, nrmse.value / 100.0)
+            for sign, measured in (("faster", s.faster_kPa_per_s), ("slower", s.slower_kPa_per_s))
+        },
+        "end": "arrives" if math.isfinite(s.rise_s) else "never",
+    }
 
 
-def _supply(curves: Curves, low: FrequencyResponse, full: FrequencyResponse) -> Iterator[PaperRow]:
-    yield _row("frequency.tc5.supply", full.supply_kPa, low.supply_kPa, "differs")
-    resistance = curves.discharges[1].flow_resistance_kPa_s_per_SL
-    for f, series in ((curves.frequencies[0], "tc4"), (low, "tc5_345"), (full, "tc5_690")):
-        rate = paper.inflation_rate_kPa_per_s(f.supply_kPa, resistance, f.condition.cv_volume_L)
-        ours = paper.cutoff_Hz(rate, f.condition.swing_kPa / 2.0)
-        yield _row(
-            "frequency.{series}.cutoff_eq4",
-            f.cutoff_Hz,
-            ours,
-            _near_plant(ours, f.cutoff_Hz),
-            case=series,
-            series=series,
-            label=f.condition.name.upper(),
-            f=f,
-        )
+def _response(f: FrequencyResponse, likely: FrequencyResponse, resistance: float) -> Subject:
+    test, supply = f.condition, f"{f.supply_kPa:.0f}"
+    alone = test.name == "tc4"
+    rate = paper.inflation_rate_kPa_per_s(f.supply_kPa, resistance, test.cv_volume_L)
+    line = curve(f"frequency_model_{test.name}")
+    all_gains = {"model": f.model_gain, "plant": f.plant_gain, "likely": likely.plant_gain}
+    flow_SLPM = 60.0 * paper.flow_for_rate_SL_per_s(f.peak_rate_kPa_per_s, test.cv_volume_L)
+    return {
+        "f": f,
+        "likely": likely,
+        "name": test.name,
+        "label": test.name.upper(),
+        "series": test.name if alone else f"{test.name}_{supply}",
+        "supplied": test.name.upper() if alone else f"{test.name.upper()} on {supply} kPa",
+        "line_cutoff_Hz": float(line.x[-1] * line.y[-1]),
+        "crosses_1_Hz": last_crossing_Hz(f.measured.x, f.measured.y, 1.0),
+        "measured_3dB_Hz": last_crossing_Hz(f.measured.x, f.measured.y, math.sqrt(0.5)),
+        "plant_3dB_Hz": last_crossing_Hz(f.measured.x, f.plant_gain, math.sqrt(0.5)),
+        "likely_3dB_Hz": last_crossing_Hz(f.measured.x, likely.plant_gain, math.sqrt(0.5)),
+        "band": BAND,
+        **{f"{name}_dB": f.rms_dB(gains) for name, gains in all_gains.items()},
+        **{f"{name}_band_dB": f.rms_dB(gains, BAND) for name, gains in all_gains.items()},
+        "flow_SLPM": flow_SLPM,
+        "rate_if_amplitude": 2.0 * f.peak_rate_kPa_per_s,
+        "flow_if_amplitude_SLPM": 2.0 * flow_SLPM,
+        "eq4_cutoff_Hz": paper.cutoff_Hz(rate, test.swing_kPa / 2.0),
+    }
 
 
-def _sine(curves: Curves) -> Iterator[PaperRow]:
-    numbers = stated()
+def _other(response: Subject, regulator: PrintedCurve) -> Subject:
+    """The distances of our models from the off-the-shelf regulator."""
+    f, likely = response["f"], response["likely"]
+    return {
+        "other_model_dB": distance_dB(regulator, f.measured.x, f.model_gain),
+        "other_likely_dB": distance_dB(regulator, f.measured.x, likely.plant_gain),
+    }
+
+
+def _paper(curves: Curves) -> Subject:
+    numbers, c = stated(), curves.cycles
     command, frequency = numbers["sine.command"].value, numbers["sine.frequency"].value
-    phlosar = numbers["sine.phlosar"]
-    for name, s, rated in zip(("phlosar", "low_supply"), curves.sines, curves.rated_sines, strict=True):
-        number = numbers[f"sine.{name}"]
-        yield _row(
-            "sine.{name}",
-            number,
-            s.peak_to_peak_kPa,
-            _near_plant(s.peak_to_peak_kPa, number.value) if name == "phlosar" else "undecided",
-            case=name,
-            name=name,
-            s=s,
-            rated=rated,
-            low_supply_kPa=curves.low_supply_kPa,
-        )
-    baseline = curves.baselines[1]
-    nearest = abs(baseline.x - frequency).argmin()
-    assert baseline.std is not None
-    fundamental, deviation = command * float(baseline.y[nearest]), command * float(baseline.std[nearest])
-    number = numbers["sine.baseline"]
-    yield _row(
-        "sine.baseline",
-        number,
-        fundamental,
-        _near(fundamental, number.value, 2.0 * deviation),
-        deviation=deviation,
-    )
     tc4 = curves.frequencies[0]
-    cutoff = paper.cutoff_Hz(
-        paper.sine_peak_rate_kPa_per_s(tc4.cutoff_Hz, tc4.condition.swing_kPa / 2.0), command / 2.0
-    )
+    cutoff = paper.cutoff_Hz(tc4.peak_rate_kPa_per_s, command / 2.0)
     by_model = command * paper.frequency_gain(frequency, cutoff)
-    yield _row(
-        "sine.model",
-        phlosar,
-        by_model,
-        _near_plant(by_model, phlosar.value),
-        triangle_kPa=min(command, by_model * math.pi / 2.0),
-    )
-
-
-def _likely_sines(curves: Curves) -> Iterator[PaperRow]:
-    for name, s in zip(("phlosar", "low_supply"), curves.likely_sines, strict=True):
-        number = stated()[f"sine.{name}"]
-        yield _row(
-            "sine.{name}_likely",
-            number,
-            s.peak_to_peak_kPa,
-            _near_plant(s.peak_to_peak_kPa, number.value) if name == "phlosar" else "undecided",
-            case=name,
-            name=name,
-            s=s,
-        )
-
-
-def _cycles(curves: Curves) -> Iterator[PaperRow]:
-    c, numbers = curves.cycles, stated()
-    minimum = numbers["cycles.least"]
-    for row, ours in (
-        ("cycles.demonstration", c.rigid[-1]),
-        ("cycles.sine", c.rigid_sine[-1]),
-        ("cycles.pouch", c.pouch[-1]),
-        ("cycles.plant", c.plant_cycles[-1]),
-    ):
-        yield _row(row, minimum, float(ours), _holds(ours > minimum.value))
-    yield _row("cycles.performed", numbers["cycles.performed"], None, "undecided")
-
-
-def _mass(_: Curves) -> Iterator[PaperRow]:
-    numbers = stated()
-    total, phlosar, payload = (numbers[f"mass.{name}"] for name in ("total", "phlosar", "payload"))
-    known = sum(numbers[f"mass.{name}"].value for name in ("evp", "dvp", "bottle"))
-    yield _row("mass.phlosar", phlosar, known, "undecided", missing_g=1000 * (phlosar.value - known))
-    yield _row(
-        "mass.total",
-        payload,
-        total.value,
-        _holds(total.value <= payload.value),
-        total=total,
-        rest_kg=total.value - phlosar.value,
-    )
-    yield _row("power", numbers["power"], None, "undecided")
+    other = curves.baselines[1]
+    nearest = abs(other.x - frequency).argmin()
+    assert other.std is not None
+    deviation_kPa = command * float(other.std[nearest])
+    known_kg = sum(numbers[f"mass.{name}"].value for name in ("evp", "dvp", "bottle"))
+    phlosar_kg = numbers["mass.phlosar"].value
+    return {
+        "alpha_kPa": paper.alpha_kPa(),
+        "vine": curves.vine_step,
+        "likely_tc1": curves.likely_steps[0],
+        "tc1": curves.steps[0],
+        "tc4": tc4,
+        "tc5_supply_kPa": curves.frequencies[1].supply_kPa,
+        "baseline_kPa": command * float(other.y[nearest]),
+        "deviation_kPa": deviation_kPa,
+        "two_deviations_kPa": 2.0 * deviation_kPa,
+        "model_kPa": by_model,
+        "triangle_kPa": min(command, by_model * math.pi / 2.0),
+        "cycles_left": {
+            name: getattr(c, name)[-1] for name in ("rigid", "rigid_sine", "pouch", "plant_cycles")
+        },
+        "known_parts_kg": known_kg,
+        "missing_g": 1000 * (phlosar_kg - known_kg),
+        "rest_kg": numbers["mass.total"].value - phlosar_kg,
+    }

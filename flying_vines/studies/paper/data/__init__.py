@@ -6,7 +6,6 @@ numbers of the text, with their place. The paper does not print the time series 
 
 from __future__ import annotations
 
-import csv
 import math
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -19,20 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CURVES", "Condition", "PaperDataError", "PrintedCurve", "Stated", "condition", "curve", "stated"]
-
 DISCHARGES = ("4L_highRv", "4L_lowRv", "2L_lowRv")
-CURVES = (
-    *(f"discharge_{series}_{kind}" for series in DISCHARGES for kind in ("measured", "model")),
-    *(f"frequency_{kind}_tc{n}" for n in (4, 5) for kind in ("measured", "model")),
-    "frequency_baseline1",
-    "frequency_baseline2",
-)
-"""Names of the printed curves."""
-
-
-class PaperDataError(ValueError):
-    """The paper has no such curve or test condition, or a file is damaged; the text is one sentence."""
 
 
 @dataclass(frozen=True)
@@ -76,22 +62,10 @@ class Condition:
 
 
 def curve(name: str) -> PrintedCurve:
-    """The printed curve with a name from `CURVES`. Raises PaperDataError for another name."""
-    if name not in CURVES:
-        raise PaperDataError(f"the paper prints no curve {name!r}; it prints {', '.join(CURVES)}.")
-    return parse_curve(name, resources.files(__name__).joinpath(f"{name}.csv").read_text(encoding="utf-8"))
-
-
-def parse_curve(name: str, text: str) -> PrintedCurve:
-    """The curve in a CSV text: a header, then x, y and possibly the deviation upwards and downwards."""
-    header, *rows = list(csv.reader(text.splitlines())) or [[]]
-    try:
-        table = np.array(rows, dtype=np.float64)
-    except ValueError:
-        raise PaperDataError(f"{name}: a row has a cell that is not a number.") from None
-    if table.ndim != 2 or table.shape[1] != len(header) or len(header) < 2 or not np.isfinite(table).all():
-        raise PaperDataError(f"{name}: each row needs two or more finite numbers.")
-    return PrintedCurve(name, table[:, 0], table[:, 1], table[:, 2] if len(header) > 2 else None)
+    """The printed curve in the file `name`.csv: x, y, and possibly the deviation of y up and down."""
+    text = resources.files(__name__).joinpath(f"{name}.csv").read_text(encoding="utf-8")
+    x, y, *deviations = np.loadtxt(text.splitlines()[1:], delimiter=",", unpack=True)
+    return PrintedCurve(name, x, y, deviations[0] if deviations else None)
 
 
 @cache
@@ -101,10 +75,8 @@ def stated() -> Mapping[str, Stated]:
 
 
 def condition(name: str) -> Condition:
-    """The test condition `tc1` … `tc5`. Raises PaperDataError for another name."""
-    table = _tables().get(name, {})
-    if "swing_kPa" not in table:
-        raise PaperDataError(f"the paper has no test condition {name!r}; it has tc1 to tc5.")
+    """The test condition `tc1` … `tc5`."""
+    table = _tables()[name]
     return Condition(name, table["swing_kPa"], table["cv_volume_L"], table["reservoir_kPa"])
 
 

@@ -13,8 +13,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
-from math import ceil, pi
+from math import ceil, inf, pi
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -28,7 +29,7 @@ from flying_vines.physics.plant.simulator import TICK_S
 from flying_vines.physics.rig import ControlVolume, Hose, Rig, Solenoid
 from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
 from flying_vines.studies.paper.bench import FIXED_SOURCE, PAPERS_TUNING
-from flying_vines.studies.paper.compare import BAND, decibel, rms
+from flying_vines.studies.paper.compare import BAND, measured_gains, rms
 from flying_vines.studies.paper.data import condition, curve, stated
 
 TESTS = ("tc4", "tc5")
@@ -61,16 +62,16 @@ class Suspect:
     parameter: str
     values: tuple[float, ...]
     """Tested values."""
-    made: Callable[[Rig, float], Setup] | None = None
+    made: Callable[[float], Setup] | None = None
     """Makes the bench; None: apply the cause with this name."""
 
-    def on(self, rig: Rig, value: float) -> Setup:
+    def on(self, value: float) -> Setup:
         """The simulated bench with this difference."""
-        return self.made(rig, value) if self.made else setup(rig, self.name, **{self.parameter: value})
+        return self.made(value) if self.made else setup(BASE, self.name, **{self.parameter: value})
 
 
-def _tube(rig: Rig, flow_resistance_kPa_s_per_SL: float) -> Setup:
-    return _with_tube(setup(rig), flow_resistance_kPa_s_per_SL)
+def _tube(flow_resistance_kPa_s_per_SL: float) -> Setup:
+    return _with_tube(setup(BASE), flow_resistance_kPa_s_per_SL)
 
 
 def _with_tube(made: Setup, flow_resistance_kPa_s_per_SL: float) -> Setup:
@@ -78,8 +79,8 @@ def _with_tube(made: Setup, flow_resistance_kPa_s_per_SL: float) -> Setup:
     return replace(made, plant=Plant(made.plant.rig, replace(made.plant.effects, tubing=tubing)))
 
 
-def _outlet(rig: Rig, scale: float) -> Setup:
-    return setup(replace(rig, solenoid=Solenoid(scale * rig.solenoid.flow_resistance_kPa_s_per_SL)))
+def _outlet(scale: float) -> Setup:
+    return setup(replace(BASE, solenoid=Solenoid(scale * BASE.solenoid.flow_resistance_kPa_s_per_SL)))
 
 
 SUSPECTS = (
@@ -142,17 +143,10 @@ class Responses:
     other: tuple[GainExplanation, ...]
     """With TC5 at 690 kPa."""
 
-    def of(self, *names: str) -> GainExplanation:
-        """The explanation with these suspects, with TC5 at 345 kPa."""
-        return _of(self.explanations, names)
-
-    def of_other(self, *names: str) -> GainExplanation:
-        """The explanation with these suspects, with TC5 at 690 kPa."""
-        return _of(self.other, names)
-
-
-def _of(explanations: Sequence[GainExplanation], names: Sequence[str]) -> GainExplanation:
-    return next(a for a in explanations if set(a.names) == set(names))
+    def of(self, *names: str, other: bool = False) -> GainExplanation:
+        """The explanation with these suspects; with TC5 at 345 kPa, or at the `other` supply."""
+        explanations = self.other if other else self.explanations
+        return next(each for each in explanations if set(each.names) == set(names))
 
 
 def explain(
@@ -170,26 +164,21 @@ def explain(
         again: suspects that are also tested with the other supply pressure of TC5.
     """
     by_name = {suspect.name: suspect for suspect in suspects}
+    tested: dict[tuple[str, ...], Benches] = {(): {(): setup(BASE)}}
+    tested |= {(each.name,): {(value,): each.on(value) for value in each.values} for each in suspects}
+    for name in with_tube:
+        both = product(by_name[name].values, by_name["tube"].values)
+        tested[name, "tube"] = {(v, r): _with_tube(by_name[name].on(v), r) for v, r in both}
+    runs = [(names, SUPPLY_KPA) for names in tested]
+    runs += [(names, OTHER_SUPPLY_KPA) for names in [(), *((name,) for name in again)]]
+    found: list[GainExplanation] = []
     with threadpool_limits(1):
-        found = _explained((), {(): setup(BASE)}, SUPPLY_KPA)
-        for done, suspect in enumerate(suspects):
-            progress(f"frequency response: {suspect.name}", 0.6 * done / len(suspects))
-            found += _explained((suspect.name,), _benches(suspect), SUPPLY_KPA)
-        tube = by_name["tube"]
-        for name in with_tube:
-            progress(f"frequency response: {name} with a tube", 0.6)
-            both = product(by_name[name].values, tube.values)
-            pairs: Benches = {(v, r): _with_tube(by_name[name].on(BASE, v), r) for v, r in both}
-            found += _explained((name, tube.name), pairs, SUPPLY_KPA)
-        progress("frequency response: the other supply", 0.8)
-        other = _explained((), {(): setup(BASE)}, OTHER_SUPPLY_KPA)
-        for suspect in (by_name[name] for name in again):
-            other += _explained((suspect.name,), _benches(suspect), OTHER_SUPPLY_KPA)
-    return Responses(_ordered(found), _ordered(other))
-
-
-def _benches(suspect: Suspect) -> Benches:
-    return {(value,): suspect.on(BASE, value) for value in suspect.values}
+        for done, (names, supply_kPa) in enumerate(runs):
+            progress(f"frequency response: {' + '.join(names) or NONE}", done / len(runs))
+            found += _explained(names, tested[names], supply_kPa)
+    # Two explanations of each run: without and with a floor.
+    first = 2 * len(tested)
+    return Responses(_ordered(found[:first]), _ordered(found[first:]))
 
 
 def _ordered(explanations: list[GainExplanation]) -> tuple[GainExplanation, ...]:
@@ -213,21 +202,20 @@ def _explained(
 def _explanation(
     names: tuple[str, ...], simulated: Mapping[tuple[float, ...], list[Array]]
 ) -> GainExplanation:
-    measured = [curve(f"frequency_measured_{test}") for test in TESTS]
-    bands = [m.x <= BAND * stated()[f"{t}.cutoff_drawn"].value for t, m in zip(TESTS, measured, strict=True)]
-    left = {
-        values: [decibel(g / m.y) for g, m in zip(found, measured, strict=True)]
-        for values, found in simulated.items()
-    }
-    best = min(left, key=lambda values: sum(rms(e) ** 2 for e in left[values]))
+    measured, tests = [measured_gains(test) for test in TESTS], range(len(TESTS))
+
+    def off_dB(values: tuple[float, ...], test: int, cutoffs: float = inf) -> float:
+        return measured[test].rms_dB(simulated[values][test], cutoffs)
+
+    best = min(simulated, key=lambda values: sum(off_dB(values, test) ** 2 for test in tests))
     # `reversed` below: each test is predicted with the best values of the other.
-    best_of = [min(left, key=lambda values: rms(left[values][test])) for test in range(len(TESTS))]
+    best_of = [min(simulated, key=partial(off_dB, test=test)) for test in tests]
     return GainExplanation(
         names=names,
         best=dict(zip(names, best, strict=True)),
-        rms_dB=tuple(rms(e) for e in left[best]),
-        band_rms_dB=tuple(rms(e[band]) for e, band in zip(left[best], bands, strict=True)),
-        unseen_dB=tuple(rms(left[values][test]) for test, values in enumerate(reversed(best_of))),
+        rms_dB=tuple(off_dB(best, test) for test in tests),
+        band_rms_dB=tuple(off_dB(best, test, BAND) for test in tests),
+        unseen_dB=tuple(off_dB(values, test) for test, values in enumerate(reversed(best_of))),
         gains=tuple(simulated[best]),
     )
 

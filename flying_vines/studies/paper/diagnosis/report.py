@@ -1,10 +1,14 @@
-"""The findings in words with their numbers, and as plain numbers for other programs."""
+"""The diagnosis of the paper's data: in words, on a terminal, and as plain data."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
 
+from rich.console import Console
+from rich.table import Table
+
+from flying_vines.identification.show import show as show_verdict
 from flying_vines.studies.paper.data import stated
 from flying_vines.studies.paper.diagnosis import PaperDiagnosis
 from flying_vines.studies.paper.diagnosis.discharge import RIG, Discharges, LawFit
@@ -15,6 +19,11 @@ from flying_vines.studies.paper.diagnosis.response import (
     GainExplanation,
     Responses,
 )
+from flying_vines.studies.paper.report import item
+
+MAX_EXPLANATIONS = 6
+SHOWN = {("gain_floor",), ("tube",), ("cv_heating",), ("evp_restriction",), ()}
+"""Explanations that are shown whatever their rank is."""
 
 
 def findings(diagnosis: PaperDiagnosis) -> tuple[str, ...]:
@@ -83,7 +92,7 @@ def _responses(responses: Responses) -> tuple[str, ...]:
     null, floor, tube = responses.of(), responses.of(FLOOR), responses.of("tube")
     alone = [a for a in responses.explanations if len(a.names) == 1 and a.names[0] not in (FLOOR, "tube")]
     best = min(alone, key=lambda explanation: explanation.unseen)
-    other_floor, other_tube = responses.of_other(FLOOR), responses.of_other("tube")
+    other_floor, other_tube = (responses.of(name, other=True) for name in (FLOOR, "tube"))
     better = sum(explanation.unseen < floor.unseen for explanation in responses.explanations)
     return (
         "Frequency responses: the baseline under the paper's regulator is "
@@ -130,3 +139,39 @@ def _explanation(explanation: GainExplanation, tc5_supply_kPa: float) -> dict[st
         "band_rms_dB": list(explanation.band_rms_dB),
         "unseen_dB": list(explanation.unseen_dB),
     }
+
+
+def show(diagnosis: PaperDiagnosis, console: Console) -> None:
+    """Print the findings, the verdict on the discharges, and the gains."""
+    console.print("What the baseline gets wrong, by the paper's measurements", style="bold")
+    for number, text in enumerate(findings(diagnosis), 1):
+        item(console, f"{number}.", text)
+    console.print("\nDischarges", style="bold")
+    show_verdict(diagnosis.discharges.verdict, console)
+    console.print(_explanations(diagnosis.responses))
+
+
+def _explanations(responses: Responses) -> Table:
+    table = Table(
+        box=None,
+        padding=(0, 1),
+        pad_edge=False,
+        title="\nFrequency responses: TC4, and TC5 on 345 kPa, dB rms",
+        title_justify="left",
+    )
+    table.add_column("what")
+    for heading in ("unseen", "all points", "in band", "at"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    shown = {explanation.names for explanation in responses.explanations[:MAX_EXPLANATIONS]} | SHOWN
+    for explanation in responses.explanations:
+        if explanation.names in shown:
+            table.add_row(
+                explanation.label,
+                " ".join(f"{value:.2f}" for value in explanation.unseen_dB),
+                " ".join(f"{value:.2f}" for value in explanation.rms_dB),
+                " ".join(f"{value:.2f}" for value in explanation.band_rms_dB),
+                " ".join(f"{value:g}" for value in explanation.best.values()),
+            )
+    table.caption = "unseen: each test with the values that are best for the other"
+    table.caption_justify = "left"
+    return table
