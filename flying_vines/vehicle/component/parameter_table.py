@@ -93,7 +93,7 @@ SETTINGS = (
         "VINE_RESERVE_KPA",
         "interlocks",
         "reserve_kPa",
-        "minimum pressure in the bottle, gauge kPa",
+        "minimum pressure in the reservoir, gauge kPa",
         "min",
     ),
     ParameterRow("VINE_RATE_HZ", "telemetry", "rate_Hz", "rate of each named value, Hz", in_flight=True),
