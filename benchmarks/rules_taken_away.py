@@ -93,6 +93,7 @@ MODULES = (
         ("tests/supply/test_physics_checks.py", "tests/core/test_board_does_not_follow.py"),
     ),
     Module("flying_vines/core/board_mode.py", CORE_TESTS),
+    Module("flying_vines/core/vine_motion.py", CORE_TESTS),
     Module(
         "flying_vines/core/core.py",
         CORE_TESTS,

@@ -18,7 +18,6 @@ from firmware_link import host as fw
 from firmware_link import protocol
 from flying_vines.config.config import Config
 from flying_vines.core.asked import trigger_of
-from flying_vines.core.board_mode import BoardMode, BoardSetpoint
 from flying_vines.core.events import (
     UNREQUESTED,
     Action,
@@ -44,12 +43,12 @@ from flying_vines.core.events import (
 )
 from flying_vines.core.instability import STABLE_AFTER_S, Lateness, OwnLines, Restarts
 from flying_vines.core.isolated_parts import IsolatedParts
-from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.pending_bend import PendingBend, PendingBendTracker, source
 from flying_vines.core.request_lines import RequestLines
 from flying_vines.core.safety import BOARD_SETTINGS, LossEnded, ResponseNeeded, Ruling, Safety, SafetyInputs
 from flying_vines.core.snapshot import Snapshot
 from flying_vines.core.supply_monitor import SupplyMonitor
+from flying_vines.core.vine_motion import VineMotion
 from flying_vines.supply import Features, RigPrior, nominal
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.component.parameters import Changed
@@ -87,9 +86,6 @@ BENCH_S = 300.0
 
 AT_ONCE_S = 0.05
 """Requests within this time of each other count as simultaneous."""
-
-STRAIGHTENS_WITHIN_S = 10.0
-"""A vine of 2 L needs 5 s without the Venturi. Later the device is told to vent."""
 
 VENTING = (VentVine, DisarmPneumatics, StopBench)
 MOVING = (StartProfile, BendTo, SetPressure)
@@ -146,14 +142,12 @@ class Core:
         self._vehicle = Vehicle(base, mission, stored.parameters)
         self._link_loss = LinkLoss(self._vehicle)
         config = self.config
-        self._bent_kPa = 0.0
-        self._planner = MotionPlanner(config)
         self._rc_in_use = False
         self._firmware = fw.HostSession(repeat_s=TICK_S)
+        self._vine = VineMotion(config, self._firmware, TICK_S)
         self._firmware_was_ready = False
         self._ready_text = ""
         """The latest text about a handshake. After a restart of the same firmware it is only logged."""
-        self._firmware_limit_kPa = math.inf
         self._firmware_problem = "not connected"
         self._safety = Safety(config, stored.latched)
         self._kept_latched = set(stored.latched)
@@ -164,17 +158,12 @@ class Core:
         self._supply = SupplyMonitor(config, prior or nominal(config.pneumatics), stored.learned, self._parts)
         self._actuator = config.firmware.name
         self._silent_since: float | None = None
-        self._motion: Motion | None = None
         self._pending_bend = PendingBendTracker()
         self._waiting_reported: PendingBend | None = None
         """The waiting bend in the latest text to the ground station."""
-        self._triggered_at = 0.0
-        """When the present motion was last requested. A hold by safety is no request."""
         self._pneumatics_armed = config.interlocks.armed_at_start and not stored.disarmed
         self._bench_until = -math.inf
         self._requested_at = -math.inf
-        self._board_mode = BoardMode()
-        self._board_setpoint = BoardSetpoint()
         self._request_lines = RequestLines()
         self._motion_before: Motion | None = None
         """The motion before the latest request."""
@@ -197,17 +186,13 @@ class Core:
         """The configuration with the parameters that are in force."""
         return self._vehicle.config
 
-    @property
-    def _max_kPa(self) -> float:
-        return min(self.config.limits.max_kPa, self._firmware_limit_kPa)
-
     def handle(self, event: Event) -> list[Action]:
         """The actions that follow from `event`."""
         self._actions = []
         self._lateness.note(event.t)
         match event:
             case VehicleMessage():  # the most frequent event; a pattern with fields takes twice as long
-                self._handle_outputs(event.t, self._vehicle.handle(event.t, event.message, self._vented))
+                self._handle_outputs(event.t, self._vehicle.handle(event.t, event.message, self._vine.vented))
                 if self._vehicle.own_triggers:
                     self._ask_own_triggers(event.t, event.message)
             case FirmwareMessage(t, message):
@@ -269,15 +254,14 @@ class Core:
 
     def _configure(self, change: Changed) -> None:
         self._safety.configure(change.config)
-        self._planner = MotionPlanner(change.config)
+        self._vine.configure(change.config)
         self._vehicle.configure()
         self._actions.append(KeepParameters(change.t, dict(self._vehicle.component.parameters.values)))
 
     # The firmware.
 
     def _on_firmware_link(self, t: float, up: bool) -> None:
-        self._board_mode.restart()
-        self._board_setpoint.restart()
+        self._vine.restart()
         self._restart_noted = False
         if up:
             self._firmware.opened(t)
@@ -293,7 +277,7 @@ class Core:
                 case fw.Ready(welcome):
                     self._firmware_was_ready = True
                     self._restart_noted = False
-                    self._firmware_limit_kPa = welcome.setpoint_limit_kPa
+                    self._vine.firmware_limit_kPa = welcome.setpoint_limit_kPa
                     ready = f"{self._actuator} ready ({welcome.firmware_build})"
                     is_new, self._ready_text = ready != self._ready_text, ready
                     self._notice(t, Severity.INFO if is_new else Severity.DEBUG, ready)
@@ -302,8 +286,7 @@ class Core:
                     self._actions.append(Measured(t, telemetry))
                     features = self._supply.read(t, telemetry, self._vehicle.state.armed)
                     made_at = t - self._firmware.telemetry_age(t)
-                    self._board_mode.note(t, made_at, telemetry, self._commanded_mode)
-                    self._note_setpoint(made_at, telemetry)
+                    self._vine.note(t, made_at, telemetry)
                     if telemetry.faults or features.cv_lower_kPa > self.config.limits.overpressure_kPa:
                         self._check_safety(t)
                     self._estimate(t, features)
@@ -345,27 +328,17 @@ class Core:
             return  # the board's clock in telemetry has already shown this restart; now comes its new boot id
         self._restart_noted = True
         self._firmware_problem = "restarted"
-        self._board_mode.restart()
-        self._board_setpoint.restart()
+        self._vine.restart()
         self._restarts.note(t)
         why = f"{self._actuator} restarted: {reason}"
         latched = self._safety.latch(t, "firmware_reset", self._restarts.looping(t) or why)
         self._enter(t, replace(latched, reason=why))
 
-    def _note_setpoint(self, made_at: float, telemetry: protocol.Telemetry) -> None:
-        if self._motion is None or telemetry.mode is not protocol.Mode.REGULATE:
-            self._board_setpoint.restart()
-            return
-        welcome = self._firmware.welcome
-        board_rate_kPa_per_s = welcome.rate_limit_kPa_per_s if welcome else math.inf
-        rate_kPa_per_s = min(self._motion.rate_kPa_per_s, board_rate_kPa_per_s)
-        self._board_setpoint.note(made_at, telemetry.setpoint_kPa, rate_kPa_per_s)
-
     def _estimate(self, t: float, features: Features) -> None:
         """Update the estimates, and run the physics checks."""
-        bent_kPa, cv_kPa = self._planner.curve.bent_kPa, features.telemetry.cv_kPa
-        self._bent_kPa = self._parts.run(
-            t, "bend", lambda: bent_kPa(cv_kPa, self._bent_kPa), self._bent_kPa, needed=True
+        vine, cv_kPa = self._vine, features.telemetry.cv_kPa
+        vine.bent_kPa = self._parts.run(
+            t, "bend", lambda: vine.planner.curve.bent_kPa(cv_kPa, vine.bent_kPa), vine.bent_kPa, needed=True
         )
         findings = self._supply.find(t, features)
         for finding in findings:
@@ -382,16 +355,12 @@ class Core:
         else:
             self._notice(failed.t, Severity.WARNING, f"{failed.part} failed, flight goes on")
 
-    @property
-    def _commanded_mode(self) -> protocol.Mode:
-        return protocol.Mode.VENT if self._motion is None else protocol.Mode.REGULATE
-
     # Deciding.
 
     def _decide(self, t: float, trigger: Trigger) -> Decision:
         """Let safety judge a trigger. Carry out its intent, or refuse it with a reason."""
         now = self._check_safety(t)
-        self._motion_before = self._motion
+        self._motion_before = self._vine.motion
         intent = trigger.intent
         if trigger.by_person and self._on_bench:
             self._bench_until = t + BENCH_S
@@ -404,9 +373,9 @@ class Core:
         without_air = self._carry_out_without_air(t, intent, trigger)
         if without_air is not None:
             return self._record(t, trigger, without_air)
-        if problem := self._planner.problem(intent):
+        if problem := self._vine.planner.problem(intent):
             return self._record(t, trigger, Ruling("refused", problem))
-        motion = self._plan(t, intent)
+        motion = self._vine.plan(t, intent)
         air = self._supply.air_needed(t, motion.rise_kPa, motion.rate_kPa_per_s)
         if trigger.by_person and motion.only_deflates:
             self._clear_faults(t, trigger.seen_at)
@@ -414,15 +383,15 @@ class Core:
         if ruling.verdict == "refused":
             return self._record(t, trigger, ruling)
         if ruling.rate_scale < 1.0:
-            motion = self._plan(t, intent, ruling.rate_scale)
-        if motion.only_deflates and self._motion is None:
+            motion = self._vine.plan(t, intent, ruling.rate_scale)
+        if motion.only_deflates and self._vine.motion is None:
             self._vent(t, trigger)
         else:
             self._note_trigger(t)
             self._pending_bend.began(trigger.kind)
             if motion.only_deflates:
                 self._note_cut_off(t)
-            self._motion = motion
+            self._vine.motion = motion
             self._drive(t)
         return self._record(t, trigger, ruling)
 
@@ -436,15 +405,15 @@ class Core:
         overtaken = self._requested_at > t - trigger.age_s + AT_ONCE_S
         if isinstance(intent, VENTING) or not (late or overtaken):
             return ""
-        moves = isinstance(intent, MOVING) and not self._planner.problem(intent)
-        if moves and not overtaken and self._plan(t, intent).only_deflates:
+        moves = isinstance(intent, MOVING) and not self._vine.planner.problem(intent)
+        if moves and not overtaken and self._vine.plan(t, intent).only_deflates:
             return ""
         # Without the autopilot's clock the age is only how long the autopilot has been silent.
         why_late = self._safety.reasons.get("autopilot") or f"came {trigger.age_s:.1f} s late"
         return why_late if late else "a newer request came first"
 
     def _note_trigger(self, t: float) -> None:
-        self._triggered_at = t
+        self._vine.triggered_at = t
         self._safety.triggered()
 
     def _carry_out_without_air(self, t: float, intent: Intent, trigger: Trigger) -> Ruling | None:
@@ -487,13 +456,8 @@ class Core:
                 return Ruling("accepted")
         return None
 
-    def _plan(self, t: float, intent: Intent, rate_scale: float = 1.0) -> Motion:
-        """The motion from the present setpoint."""
-        start_kPa, limit_kPa = self._setpoint_kPa(t), self._firmware_limit_kPa
-        return self._planner.plan(intent, start_kPa, self._bent_kPa, limit_kPa, rate_scale, started_at=t)
-
     def _hold(self, t: float, trigger: Trigger) -> Ruling:
-        if self._motion is None:
+        if self._vine.motion is None:
             return Ruling("refused", "the vine is vented")
         if self._safety.reasons:
             return Ruling("refused", "; ".join(self._safety.reasons.values()))
@@ -505,7 +469,7 @@ class Core:
 
     def _freeze(self, t: float) -> None:
         """Stay at the present setpoint. This does not restart the time limit `limits.max_bent_s`."""
-        self._motion = replace(self._plan(t, SetPressure(self._setpoint_kPa(t))), name="hold")
+        self._vine.freeze(t)
         self._drive(t)
 
     def _clear_faults(self, t: float, seen_at: float = math.inf, *, on_request: bool = False) -> bool:
@@ -532,7 +496,7 @@ class Core:
         return had_faults
 
     def _record(self, t: float, trigger: Trigger, ruling: Ruling, shown: bool = True) -> Decision:
-        motion = self._motion
+        motion = self._vine.motion
         # A request without effect must not invalidate a switch move that still waits for its confirmation.
         is_newer = ruling.verdict != "refused" and ruling.has_effect
         if is_newer:
@@ -576,48 +540,25 @@ class Core:
         pilot = self._vehicle.pilot
         if not isinstance(intent, (*VENTING, *MOVING)):
             pilot.drop_waiting()
-        elif self._motion is None or self._motion.only_deflates:
+        elif self._vine.only_deflates:
             pilot.vented("other")
         else:
             pilot.bent_by_other()
 
     # Motions.
 
-    def _setpoint_kPa(self, t: float) -> float:
-        """The present setpoint; without a motion, the measured pressure."""
-        if self._motion is not None:
-            return self._motion.setpoint_kPa(t)
-        telemetry = self._firmware.telemetry
-        return min(max(0.0, telemetry.cv_kPa), self._max_kPa) if telemetry else 0.0
-
     def _drive(self, t: float) -> None:
         """Send the firmware the command for the time until the next tick."""
-        motion = self._motion
-        if motion is not None and motion.is_over(t) and motion.final_kPa <= 0.0:
-            is_late = motion.is_over(t - STRAIGHTENS_WITHIN_S)
-            if is_late or self._near_zero():
-                self._pending_bend.ended(motion.name, self._vehicle.switch.position)
-                self._motion = None
-                if not self._near_zero():
-                    cv_kPa = self._setpoint_kPa(t)
-                    self._notice(t, Severity.WARNING, f"still at {cv_kPa:.1f} kPa, vent commanded")
-        command: fw.HostCommand = fw.VENTING
-        if self._motion is not None:
-            command = fw.Regulate(self._motion.setpoint_kPa(t + TICK_S), self._motion.rate_kPa_per_s)
-            self._board_setpoint.command(t, command.target_kPa)
-        self._to_firmware(self._firmware.command(t, command))
-
-    @property
-    def _vented(self) -> bool:
-        return self._motion is None and self._near_zero()
-
-    def _near_zero(self) -> bool:
-        telemetry = self._firmware.telemetry
-        return telemetry is None or telemetry.cv_kPa < 1.0
+        if ended := self._vine.ended(t):
+            self._pending_bend.ended(ended.name, self._vehicle.switch.position)
+            if not self._vine.near_zero:
+                left_kPa = self._vine.setpoint_kPa(t)
+                self._notice(t, Severity.WARNING, f"still at {left_kPa:.1f} kPa, vent commanded")
+        self._to_firmware(self._vine.command(t))
 
     def _vent(self, t: float, trigger: Trigger) -> None:
         """Vent because of a trigger."""
-        moved = self._motion is not None
+        moved = self._vine.motion is not None
         if trigger.kind != "link":
             by = f"{trigger.intent} by {source(trigger.kind, trigger.what)}"
             self._pending_bend.withdrawn(by, moved)
@@ -627,20 +568,19 @@ class Core:
 
     def _note_unrequested_vent(self, why: str) -> None:
         """If a motion runs: it is about to be vented, and nobody asked for that. Its bend stays requested."""
-        if self._motion is not None:
+        if self._vine.motion is not None:
             self._pending_bend.stopped(why)
-            if not self._motion.only_deflates:
+            if not self._vine.motion.only_deflates:
                 self._vehicle.pilot.vented("safety")
 
     def _note_cut_off(self, t: float) -> None:
         """If the present motion still runs: tell the reservoir estimate that it ends early."""
-        if self._motion is not None and not self._motion.is_over(t):
+        if self._vine.motion is not None and not self._vine.motion.is_over(t):
             self._supply.reservoir.cut_off()
 
     def _stop_moving(self, t: float) -> None:
         self._note_cut_off(t)
-        self._motion = None
-        self._to_firmware(self._firmware.command(t, fw.VENTING))
+        self._to_firmware(self._vine.stop(t))
 
     # Bench mode.
 
@@ -688,7 +628,7 @@ class Core:
     @property
     def _waiting(self) -> PendingBend | None:
         """The bend that is requested but not carried out; None while a motion runs, or nothing may bend."""
-        if self._motion is not None or not self._pneumatics_armed:
+        if self._vine.motion is not None or not self._pneumatics_armed:
             return None
         return self._pending_bend.waiting(self._vehicle.switch.position, self._vehicle.pilot.fresh_move)
 
@@ -715,7 +655,7 @@ class Core:
         armed = self._vehicle.state.armed
         if self._vehicle.rc.problem(t) is None:
             self._rc_in_use |= armed or self._on_bench or self.config.interlocks.bench_mode
-        elif not armed and self._motion is None:
+        elif not armed and self._vine.motion is None:
             self._rc_in_use = False
 
     def _conditions(self, t: float) -> SafetyInputs:
@@ -739,12 +679,12 @@ class Core:
             sensor_problem=self._sensor_problem,
             cv_kPa=features.cv_lower_kPa if features else math.nan,
             reservoir_kPa=supply.reservoir.reservoir_kPa if supply.has_reservoir else math.inf,
-            mode_mismatch_s=self._board_mode.mismatch_s(self._commanded_mode),
-            wrong_setpoint_kPa=self._board_setpoint.wrong if self._motion else None,
+            mode_mismatch_s=self._vine.mode_mismatch_s,
+            wrong_setpoint_kPa=self._vine.wrong_setpoint_kPa,
             restarting=self._restarts.looping(t),
             bench=self._on_bench,
-            moving=self._motion is not None,
-            moving_s=t - self._triggered_at if self._motion else 0.0,
+            moving=self._vine.motion is not None,
+            moving_s=t - self._vine.triggered_at if self._vine.motion else 0.0,
             physics=supply.faults,
             internal_error=self.internal_error,
         )
@@ -774,9 +714,9 @@ class Core:
         return now
 
     def _enter(self, t: float, change: ResponseNeeded) -> None:
-        deflates = self._motion is None or self._motion.only_deflates
+        deflates = self._vine.only_deflates
         hold = change.response == "hold" and not deflates
-        moved = self._motion is not None
+        moved = self._vine.motion is not None
         response = "holding" if hold else _RESPONSE_TEXTS.get(change.name, "vented")
         is_restart = change.name == "serial" and self._restart_noted  # the restart has a text of its own
         dead = self._link_loss.dead(t, change.name)
@@ -853,7 +793,7 @@ class Core:
             self._actions.append(KeepLatched(t, latched))
 
     def _report(self, t: float) -> None:
-        status = mavlink.MAV_STATE_ACTIVE if self._motion else mavlink.MAV_STATE_STANDBY
+        status = mavlink.MAV_STATE_ACTIVE if self._vine.motion else mavlink.MAV_STATE_STANDBY
         if self._safety.reasons:
             status = mavlink.MAV_STATE_CRITICAL
         values: Mapping[str, float] = {}
@@ -906,13 +846,10 @@ class Core:
             left.expected if left else math.nan,
             left.minutes if left else math.nan,
             telemetry.cv_kPa,
-            self._commanded_kPa(t),
-            self._planner.curve.angle_deg(self._bent_kPa),
+            self._vine.commanded_kPa(t),
+            self._vine.bend_deg,
         )
         return dict(zip(VALUE_NAMES, values, strict=True))
-
-    def _commanded_kPa(self, t: float) -> float:
-        return self._motion.setpoint_kPa(t) if self._motion else 0.0
 
     def snapshot(self, t: float) -> Snapshot:
         """The state at time `t`, for displays and logs."""
@@ -933,13 +870,13 @@ class Core:
             telemetry_gaps=self._firmware.telemetry_gaps,
             reservoir_kPa=telemetry.reservoir_kPa if telemetry and self._supply.has_reservoir else math.nan,
             cv_kPa=telemetry.cv_kPa if telemetry else math.nan,
-            command_kPa=self._commanded_kPa(t),
-            bend_deg=self._planner.curve.angle_deg(self._bent_kPa) if telemetry else math.nan,
+            command_kPa=self._vine.commanded_kPa(t),
+            bend_deg=self._vine.bend_deg if telemetry else math.nan,
             evp_opening=telemetry.evp_opening if telemetry else math.nan,
             dvp_opening=telemetry.dvp_opening if telemetry else math.nan,
             solenoid=telemetry.solenoid if telemetry else None,
             cycles=self._supply.cycles_left if telemetry else None,
-            doing=self._motion.name if self._motion else self._resting(telemetry),
+            doing=self._vine.motion.name if self._vine.motion else self._resting(telemetry),
             safe_state=self._safety.reasons,
             unstable=self._unstable(t),
             findings=self._supply.findings,
@@ -956,7 +893,7 @@ class Core:
             if not sent and not self._firmware_was_ready:
                 return "not known"
             return "vent sent, not confirmed" if sent else "dead-man vents, not confirmed"
-        if not self._near_zero():
+        if not self._vine.near_zero:
             return "venting"
         return "vented" if self._pneumatics_armed else "pneumatics disarmed"
 

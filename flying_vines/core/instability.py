@@ -85,7 +85,7 @@ class OwnLines:
             return True
         changed = notice.ended is not condition.latest.ended
         # A loss with another text is the same loss: a silent link that then comes late, for example.
-        is_same = bool(notice.condition) and not changed and notice.text != condition.latest.text
+        is_same = not changed and notice.text != condition.latest.text
         # How often a text came matters only if it reports a problem.
         is_same |= not notice.condition and notice.severity > Severity.WARNING
         condition.losses += not notice.ended and not is_same

@@ -47,13 +47,13 @@ class ResumesAfterRcLoss(Core):
     _before: Motion | None = None
 
     def _enter(self, t: float, change: ResponseNeeded) -> None:
-        if self._motion is not None:
-            self._before = self._motion
+        if self._vine.motion is not None:
+            self._before = self._vine.motion
         super()._enter(t, change)
 
     def _leave(self, t: float, change: LossEnded) -> None:
         super()._leave(t, change)
-        self._motion = self._before
+        self._vine.motion = self._before
 
 
 class MovesWithoutRequest(Core):
@@ -85,13 +85,13 @@ class ResumesAfterReset(Core):
     """Gives a restarted board its former command."""
 
     def _on_firmware(self, t: float, message: protocol.Message) -> None:
-        before = self._motion
+        before = self._vine.motion
         super()._on_firmware(t, message)
         if before is not None and "firmware_reset" in self._safety.reasons:
             self._again = before
         if self._firmware.state is host.SessionState.READY and hasattr(self, "_again"):
             self._safety._latched.clear()
-            self._motion = self._again
+            self._vine.motion = self._again
 
 
 class FinishesItsMotion(Core):
