@@ -14,11 +14,10 @@ import numpy as np
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.identification.case import Case
 from flying_vines.identification.diagnose import diagnose
-from flying_vines.identification.extended import extended_rig
 from flying_vines.identification.from_log import read_flight
 from flying_vines.identification.report import write_report
 from flying_vines.identification.search import Progress
-from flying_vines.identification.verdict import Verdict
+from flying_vines.identification.verdict import Verdict, extended_rig
 from flying_vines.physics.plant.true_rig import true_rig_text
 from flying_vines.supply.rig_file_prior import load_rig_file_prior
 

@@ -24,7 +24,7 @@ from flying_vines.identification.intervals import LikelihoodProfile, profile, wi
 from flying_vines.identification.next_experiment import after_doubts, after_remainder, with_one_more
 from flying_vines.identification.noise import Noise, SensorNoise, measured_noise, stated_noise
 from flying_vines.identification.search import Progress, Search, SearchResult, silent
-from flying_vines.identification.threads import mapped
+from flying_vines.identification.simulate import mapped
 from flying_vines.identification.verdict import (
     NONE,
     UNEXPLAINED,

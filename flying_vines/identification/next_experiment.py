@@ -16,9 +16,8 @@ import numpy as np
 
 from flying_vines.identification.candidate import Candidate
 from flying_vines.identification.case import Case
-from flying_vines.identification.plan import RecordingPlanError, recommend
+from flying_vines.identification.plan import MAX_S, RecordingPlanError, recommend
 from flying_vines.identification.plan.library import FULL_KPA, MAX_KPA, OUTLETS
-from flying_vines.identification.plan.planning import MAX_S
 from flying_vines.identification.search import SearchResult
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, Values

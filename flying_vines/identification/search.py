@@ -29,9 +29,8 @@ from flying_vines.identification.fit import (
     FitProblem,
     Tangents,
 )
-from flying_vines.identification.prediction_error import HeldOutErrors
-from flying_vines.identification.simulate import rig_number_keys
-from flying_vines.identification.threads import mapped
+from flying_vines.identification.held_out import HeldOutErrors
+from flying_vines.identification.simulate import mapped, rig_number_keys
 from flying_vines.physics.cause import Cause
 
 CLAIM_LEFT = 10.0

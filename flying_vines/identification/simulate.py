@@ -1,12 +1,14 @@
-"""Simulates the runs of a case with some causes in the rig."""
+"""Simulates the runs of a case with some causes in the rig, several simulations at a time in threads."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextvars import ContextVar
 from dataclasses import replace
 from functools import cache, lru_cache
 from math import floor, log2, sqrt
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +20,7 @@ from flying_vines.physics.cause import Cause, ModelReadings, Values
 from flying_vines.physics.compiler import compiled, record
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.plant.commands import Commands, followed, steps_of, together
-from flying_vines.physics.plant.compiled import weather_at
+from flying_vines.physics.plant.compiled import batch, weather_at
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Opening
 from flying_vines.physics.plant.leak import Leak
@@ -295,3 +297,23 @@ def _resolved_heat_per_s(time_s: float) -> float:
     only has to be stable.
     """
     return _STEP / max(_STEP * time_s, min(time_s, QUICK_S))
+
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+THREADS: ContextVar[int] = ContextVar("THREADS", default=0)
+"""Threads for one case; 0 means one for each core. With many cases, each process gets its share of cores."""
+
+
+def cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def mapped(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
+    """The function of each item, in the order of the items, computed in threads.
+
+    Compiled code takes most of the time, and it releases the GIL.
+    """
+    return batch(function, items, threads=THREADS.get() or cores())

@@ -13,12 +13,12 @@ from flying_vines.identification.bend_curve import (
     Law,
     Pairs,
     PairsError,
+    _curve,
+    bent_kPa,
     fit,
     load_pairs,
     parse_pairs,
 )
-from flying_vines.identification.bend_curve.law import _curve
-from flying_vines.identification.bend_curve.sequence import bent_kPa
 from flying_vines.physics.arrays import Array
 from flying_vines.vine.curve import BendCurve
 

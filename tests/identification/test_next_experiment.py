@@ -19,7 +19,7 @@ from flying_vines.identification.fit import FitProblem
 from flying_vines.identification.noise import stated_noise
 from flying_vines.identification.plan import recommend
 from flying_vines.identification.plan.library import library
-from flying_vines.identification.report.page import page
+from flying_vines.identification.report import page
 from flying_vines.identification.show import show
 from flying_vines.physics.cause import Cause
 from flying_vines.physics.effects import causes_of

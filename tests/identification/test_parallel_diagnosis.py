@@ -22,8 +22,8 @@ from flying_vines.identification.case import Case, read_case
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.parallel_diagnosis import CaseOutcome, ClusterError, diagnose_all
 from flying_vines.identification.recording import CaseError
-from flying_vines.identification.show_verdicts import show_all
-from flying_vines.identification.threads import THREADS
+from flying_vines.identification.show import show_all
+from flying_vines.identification.simulate import THREADS
 from flying_vines.identification.verdict import Verdict
 
 RIG = "[reservoir]\nvolume_L = 2.0\n[sensors]\nreservoir_noise_std_kPa = 1.2\n"

@@ -23,14 +23,10 @@ from hidden_truth import draw, write
 from flying_vines.cli.main import main
 from flying_vines.identification.case import Case, read_case
 from flying_vines.identification.diagnose import diagnose
-from flying_vines.identification.report import figures
+from flying_vines.identification.report import figures, page, svg
 from flying_vines.identification.report.figures import curve, draw_ranking, shown_runs
-from flying_vines.identification.report.page import page
-from flying_vines.identification.report.residual_figures import draw_residuals
-from flying_vines.identification.report.runs import draw_run
-from flying_vines.identification.report.words import label_and_unit, numbers, share
-from flying_vines.identification.report.write import svg
-from flying_vines.identification.show import in_words
+from flying_vines.identification.report.readings import draw_residuals, draw_run
+from flying_vines.identification.show import in_words, label_and_unit, numbers, share
 from flying_vines.identification.verdict import (
     NONE,
     UNEXPLAINED,

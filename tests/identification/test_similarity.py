@@ -10,9 +10,9 @@ import pytest
 from hidden_truth import draw, write
 
 from flying_vines.identification.case import Case, read_case
+from flying_vines.identification.evidence import Similarity, similarity
 from flying_vines.identification.fit import FitProblem
 from flying_vines.identification.noise import SensorNoise
-from flying_vines.identification.similarity import Similarity, similarity
 from flying_vines.identification.simulate import rig_number_keys
 from flying_vines.physics.cause import Cause
 from flying_vines.physics.effects import catalogue

@@ -35,11 +35,9 @@ from flying_vines.identification.importing.columns import (
 )
 from flying_vines.identification.importing.filling import guessed_pump, guessed_valve
 from flying_vines.identification.importing.layout import ForeignTable, read_foreign
-from flying_vines.identification.importing.spikes import is_spike
 from flying_vines.identification.importing.units import parse_unit, psi_instead
-from flying_vines.identification.noise import MIN_KPA, measured_noise, rounded_noise, rounding_step
-from flying_vines.identification.recording import CaseError, counted
-from flying_vines.identification.table import has_header
+from flying_vines.identification.noise import MIN_KPA, is_spike, measured_noise, rounded_noise, rounding_step
+from flying_vines.identification.recording import CaseError, counted, has_header
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.rig import rig_from

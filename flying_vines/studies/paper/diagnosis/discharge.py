@@ -20,9 +20,9 @@ from threadpoolctl import threadpool_limits
 from flying_vines.identification.case import Case, RecordedRun
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.fit import FitPoint, FitProblem
+from flying_vines.identification.held_out import Errors, errors, gain, nrmse, split
 from flying_vines.identification.noise import stated_noise
 from flying_vines.identification.plan import Recommendation, recommend
-from flying_vines.identification.prediction_error import Errors, errors, gain, nrmse, split
 from flying_vines.identification.search import Progress, silent
 from flying_vines.identification.simulate import rig_number_keys
 from flying_vines.identification.verdict import Verdict
