@@ -154,7 +154,7 @@ def _verdict(found: SearchResult, progress: Progress) -> Verdict:
     if not chosen.causes:
         if not chosen.adequate:
             return replace(nothing, next_experiment=after_remainder(found, null))
-        others = [found.score(c) - found.score(chosen) for c in found.tried if c.causes and c.possible]
+        others = [found.score(c) - found.score(chosen) for c in found.tried if c.causes and c.within_bounds]
         doubt = sum(exp(-0.5 * max(0.0, d)) for d in others[:5]) * 0.05
         return replace(known, cause=NONE, confidence=1.0 / (1.0 + doubt + _UNKNOWN_CAUSE))
     if not chosen.adequate and not (errors.gain[0] > 0.0 and errors.explained > _HELPS):

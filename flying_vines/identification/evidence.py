@@ -96,7 +96,7 @@ class Similarity:
 
 def similarity(problem: FitProblem, fit: Fit, causes: Sequence[Cause], keys: Sequence[str]) -> Similarity:
     """The similarity of these causes around a fit, with the rig numbers of `keys` free."""
-    jacobian = problem.jacobian(replace(fit, point=fit.point.freed(keys)))
+    jacobian = problem.jacobian(replace(fit, point=fit.point.with_free(keys)))
     spreads = np.array([problem.prior_std(key) for key in keys])
     f = jacobian.reduced[: len(keys)] * spreads[:, None]
 

@@ -284,7 +284,7 @@ def _refitted(problem: FitProblem, point: FitPoint, jacobian: Jacobian) -> FitPo
     Args:
         jacobian: derivatives at `point`, of all data.
     """
-    start = problem.start().freed(tuple(point.deviation))
+    start = problem.start().with_free(tuple(point.deviation))
     for cause, values in zip(point.causes, point.values, strict=True):
         start = start.with_cause(cause, cause.nearest_seed(values))
     fit, near = problem.fit(start), problem.fit(point, known=jacobian.where(problem.used))

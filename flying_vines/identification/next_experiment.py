@@ -42,7 +42,7 @@ def after_remainder(found: SearchResult, base: Candidate) -> str:
     candidates = with_one_more(found, base.names)
     if not candidates:
         more = found.search.further([base])
-        candidates = {c.names[-1]: c for c in more if c.possible}
+        candidates = {c.names[-1]: c for c in more if c.within_bounds}
     over = base.excess
     nearest = sorted(candidates, key=lambda name: candidates[name].score_at(over))[:CANDIDATES]
     if not nearest:
@@ -51,11 +51,11 @@ def after_remainder(found: SearchResult, base: Candidate) -> str:
 
 
 def with_one_more(found: SearchResult, rest: Collection[str]) -> dict[str, Candidate]:
-    """For each cause: the best `possible` candidate that contains this cause and those in `rest`."""
+    """For each cause: the best candidate `within_bounds` that contains this cause and those in `rest`."""
     best: dict[str, Candidate] = {}
     for candidate in found.tried:
         others = set(candidate.names) - set(rest)
-        if candidate.possible and set(rest) <= set(candidate.names) and len(others) == 1:
+        if candidate.within_bounds and set(rest) <= set(candidate.names) and len(others) == 1:
             (name,) = others
             if name not in best or found.score(candidate) < found.score(best[name]):
                 best[name] = candidate

@@ -137,7 +137,7 @@ class FullFits:
         """Δχ² if `there` is in the rig and `fitted` is fitted; both are column numbers of the matrix."""
         layout = self._layout
         problem = FitProblem(self._case(there), layout.noise)
-        start = replace(problem.start().freed(layout.keys), initial=np.concatenate(self._initial))
+        start = replace(problem.start().with_free(layout.keys), initial=np.concatenate(self._initial))
         for known, values in layout.known:
             start = start.with_cause(known, values)
         if fitted < len(layout.causes):

@@ -209,9 +209,9 @@ def flow_laws(settings_ratio: float, first_exact: bool) -> LawFit:
 
 def _fitted(problem: FitProblem, names: Sequence[str], free: bool = True) -> FitPoint:
     known = {cause.name: cause for cause in causes()}
-    point = problem.start().freed(rig_number_keys(problem.case.rig) if free else ())
+    point = problem.start().with_free(rig_number_keys(problem.case.rig) if free else ())
     for name in names:
-        point = problem.begun(point, known[name]).point
+        point = problem.first_fit(point, known[name]).point
     # Precise: predictions that differ by 0.01 % are compared.
     return problem.fit(point, min_gain=1e-4).point
 
