@@ -13,13 +13,7 @@ from flying_vines.identification.candidate import CLAIM, Candidate
 from flying_vines.identification.case import Case
 from flying_vines.identification.evidence import evidence
 from flying_vines.identification.fit import FitProblem
-from flying_vines.identification.held_out import (
-    HeldOut,
-    Prediction,
-    held_out,
-    predictions_for,
-    unseen_error,
-)
+from flying_vines.identification.held_out import HeldOut, Prediction, held_out, predictions_for, unseen_error
 from flying_vines.identification.intervals import LikelihoodProfile, profile, widening
 from flying_vines.identification.next_experiment import after_doubts, after_remainder, with_one_more
 from flying_vines.identification.noise import Noise, SensorNoise, measured_noise, stated_noise

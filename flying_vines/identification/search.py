@@ -20,14 +20,7 @@ from functools import partial
 from math import inf, log
 
 from flying_vines.identification.candidate import CLAIM, Candidate
-from flying_vines.identification.fit import (
-    MAX_SEEDS,
-    MAX_STEPS,
-    ROUGH_GAIN,
-    Fit,
-    FitPoint,
-    FitProblem,
-)
+from flying_vines.identification.fit import MAX_SEEDS, MAX_STEPS, ROUGH_GAIN, Fit, FitPoint, FitProblem
 from flying_vines.identification.held_out import HeldOutErrors
 from flying_vines.identification.jacobian import Tangents
 from flying_vines.identification.simulate import mapped, rig_number_keys

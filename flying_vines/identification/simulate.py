@@ -112,11 +112,7 @@ class Simulation:
         self._switchings = lru_cache(64)(self._switch)
 
     def readings(
-        self,
-        index: int,
-        moved: Mapping[str, float],
-        causes: Sequence[tuple[Cause, Values]],
-        initial: Array,
+        self, index: int, moved: Mapping[str, float], causes: Sequence[tuple[Cause, Values]], initial: Array
     ) -> ModelReadings:
         """Simulated readings of a run.
 
@@ -217,9 +213,7 @@ def _steady(sensor: Sensor) -> Transfer:
 def _inputs(run: RecordedRun) -> RunInputs:
     time_s = run.time_s
     commands = Commands(
-        steps_of(time_s, run.evp_opening),
-        steps_of(time_s, run.dvp_opening),
-        steps_of(time_s, run.solenoid),
+        steps_of(time_s, run.evp_opening), steps_of(time_s, run.dvp_opening), steps_of(time_s, run.solenoid)
     )
     ambient = np.full(len(time_s), ALPHA_KPA) if run.ambient_kPa is None else run.ambient_kPa
     weather = np.column_stack((ambient, np.ones(len(time_s))))
@@ -274,10 +268,7 @@ def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> f
     if n.has_tubing:
         line = n.line_SL_per_s_kPa
         through = line * at_the_valves / (line + at_the_valves)
-        rates += [
-            evp * n.line_kPa_per_SL,
-            n.gamma * ALPHA_KPA * (through + leak) / n.cv.flat_L,
-        ]
+        rates += [evp * n.line_kPa_per_SL, n.gamma * ALPHA_KPA * (through + leak) / n.cv.flat_L]
     elif n.has_cv:
         rates.append(n.gamma * ALPHA_KPA * (at_the_valves + leak) / n.cv.flat_L)
     reservoir_L = 1.0 / n.reservoir_per_L

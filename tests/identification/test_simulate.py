@@ -210,9 +210,7 @@ def test_a_saturated_sensor_reads_its_limit_while_it_drifts() -> None:
 
 
 def hose(flow_resistance_kPa_s_per_SL: float, volume_L: float) -> Own:
-    return {
-        "hose": {"flow_resistance_kPa_s_per_SL": flow_resistance_kPa_s_per_SL, "volume_L": volume_L},
-    }
+    return {"hose": {"flow_resistance_kPa_s_per_SL": flow_resistance_kPa_s_per_SL, "volume_L": volume_L}}
 
 
 @pytest.mark.parametrize(

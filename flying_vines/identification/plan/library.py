@@ -150,11 +150,7 @@ def _commands(most_kPa: float, supplies: Supplies) -> Iterator[CandidateRun]:
     visits = [(drawn.random(), round(drawn.uniform(0.3, 1.5), 2)) for _ in range(40)]
     for word, supply_kPa in supplies.items():
         yield profile(
-            f"random_{word}",
-            f"random pressures, from a {word} reservoir",
-            supply_kPa,
-            visits,
-            (10, 20, 40),
+            f"random_{word}", f"random pressures, from a {word} reservoir", supply_kPa, visits, (10, 20, 40)
         )
 
 
@@ -302,12 +298,7 @@ def _regulated(rig: Rig, kind: RunKind, time_s: Array) -> Array:
 
 
 def regulate_held(
-    numbers: PlantNumbers,
-    state: Floats,
-    regulator: int,
-    wanted_kPa: Array,
-    ticks: int,
-    openings: Array,
+    numbers: PlantNumbers, state: Floats, regulator: int, wanted_kPa: Array, ticks: int, openings: Array
 ) -> None:
     """Fill `openings` (n, 3): the valve commands of each sample, which hold for `ticks` ticks."""
     air = Air(ALPHA_KPA, 0.0, 1.0, 0.0)
