@@ -23,6 +23,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf
+from typing import TypeVar
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -34,6 +35,8 @@ from flying_vines.identification.simulate import Simulation, prior_std
 from flying_vines.physics.arrays import Array, BoolArray
 from flying_vines.physics.cause import Cause, Values
 from flying_vines.physics.rig import number
+
+T = TypeVar("T")
 
 MAX_STEPS = 30
 FIRST_STEPS = 3
@@ -98,23 +101,29 @@ class FitPoint:
 
     def without(self, index: int) -> FitPoint:
         """This point without one of the causes."""
-        causes, values = list(self.causes), list(self.values)
-        del causes[index], values[index]
-        return replace(self, causes=tuple(causes), values=tuple(values))
+        causes = self.causes[:index] + self.causes[index + 1 :]
+        return replace(self, causes=causes, values=self.values[:index] + self.values[index + 1 :])
+
+    def with_values(self, index: int, values: Values) -> FitPoint:
+        """This point with other values of one of the causes."""
+        return replace(self, values=_exchanged(self.values, index, values))
 
     def pinned(self, index: int, number: int, value: float) -> FitPoint:
         """This point, with one parameter of one cause fixed at a value."""
-        cause, values = self.causes[index], list(self.values[index])
-        values[number] = value
-        parameters = list(cause.parameters)
-        parameters[number] = replace(parameters[number], low=value, high=value, typical=None)
-        causes, every = list(self.causes), list(self.values)
-        causes[index], every[index] = replace(cause, parameters=tuple(parameters)), tuple(values)
-        return replace(self, causes=tuple(causes), values=tuple(every))
+        cause = self.causes[index]
+        fixed = replace(cause.parameters[number], low=value, high=value, typical=None)
+        cause = replace(cause, parameters=_exchanged(cause.parameters, number, fixed))
+        moved = self.with_values(index, _exchanged(self.values[index], number, value))
+        return replace(moved, causes=_exchanged(self.causes, index, cause))
 
     def with_free(self, keys: Sequence[str]) -> FitPoint:
         """This point, with these rig numbers free and no others."""
         return replace(self, deviation={key: self.deviation.get(key, 0.0) for key in keys})
+
+
+def _exchanged(items: tuple[T, ...], index: int, item: T) -> tuple[T, ...]:
+    """The items, with another one at an index."""
+    return (*items[:index], item, *items[index + 1 :])
 
 
 @dataclass(frozen=True)
@@ -174,10 +183,6 @@ class FitProblem:
                 initial.append((reservoir_kPa, _first(data[0, i:], weight[0, i:], few, 0.0)))
         return FitPoint((), (), {}, np.array(initial))
 
-    def tolerance(self, key: str) -> float:
-        """Tolerance of a rig number, as a share of it."""
-        return self.case.rig.tolerance(key) / 100.0
-
     def prior_std(self, key: str) -> float:
         """See `prior_std`."""
         return prior_std(self.case.rig, key)
@@ -198,10 +203,6 @@ class FitProblem:
         with np.errstate(invalid="ignore"):  # The simulation may have diverged.
             return [(self.data[i] - s) * self.weights[i] for i, s in zip(every, simulated, strict=True)]
 
-    def chi2(self, point: FitPoint) -> float:
-        """The sum of squared residuals at a point."""
-        return chi2_of(self.residuals(point))
-
     def at(self, point: FitPoint) -> Fit:
         """The fit at a point, without a step."""
         space = _Space(self, point)
@@ -217,8 +218,8 @@ class FitProblem:
     def tangents(self, fit: Fit) -> Tangents:
         """The directions in which this fit can change its residuals."""
         space = _Space(self, fit.point)
-        place = space.to_search(fit.point)
-        return Tangents(space.jacobian(place, fit.residuals), fit.residuals, space.inside(place))
+        inside = space.inside(space.to_search(fit.point))
+        return Tangents(self.jacobian(fit), fit.residuals, inside)
 
     def jacobian(self, fit: Fit) -> Jacobian:
         """Derivatives of the residuals by everything that is free, at a fit."""
@@ -398,7 +399,7 @@ class _Space:
         self._parameters = [parameter for cause in start.causes for parameter in cause.parameters]
         self._common = len(self._keys) + len(self._parameters)
         self._starts = problem.starts
-        tolerances = [problem.tolerance(key) for key in self._keys]
+        tolerances = [problem.case.rig.tolerance(key) / 100.0 for key in self._keys]
         low = [-t for t in tolerances] + [p.to_search(p.low) for p in self._parameters]
         high = [*tolerances] + [p.to_search(p.high) for p in self._parameters]
         self._nudges = [_DEVIATION] * len(self._keys)
@@ -422,16 +423,12 @@ class _Space:
 
     def to_model(self, place: Array) -> FitPoint:
         keys = len(self._keys)
-        values = [
-            p.to_model(x) for p, x in zip(self._parameters, place[keys : self._common].tolist(), strict=True)
-        ]
-        grouped = []
-        for cause in self._start.causes:
-            grouped.append(tuple(values[: len(cause.parameters)]))
-            del values[: len(cause.parameters)]
+        searched = iter(place[keys : self._common].tolist())
         return replace(
             self._start,
-            values=tuple(grouped),
+            values=tuple(
+                tuple(p.to_model(next(searched)) for p in cause.parameters) for cause in self._start.causes
+            ),
             deviation=dict(zip(self._keys, place[:keys].tolist(), strict=True)),
             initial=place[self._common :].reshape(-1, 2),
         )

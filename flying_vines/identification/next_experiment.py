@@ -15,7 +15,6 @@ from math import inf, sqrt
 import numpy as np
 
 from flying_vines.identification.candidate import Candidate
-from flying_vines.identification.case import Case
 from flying_vines.identification.plan import MAX_S, RecordingPlanError, recommend
 from flying_vines.identification.plan.library import FULL_KPA, MAX_KPA, OUTLETS
 from flying_vines.identification.search import SearchResult
@@ -70,21 +69,24 @@ def _in_words(
     fitted = {name: _values(candidate, name) for name, candidate in candidates.items()}
     problem = base.problem
     excess = min(candidates.values(), key=lambda candidate: candidate.fit.chi2).excess
-    noise = [
-        sensor._replace(std_kPa=sqrt(over) * sensor.std_kPa if read else inf)
-        for sensor, over, read in zip(problem.noise, excess, _read(problem.case), strict=True)
-    ]
+    case = problem.case
+    noise = []
+    for sensor, over, row in zip(problem.noise, excess, (0, 1), strict=True):
+        read = any(used[row].any() for used in problem.used)
+        noise.append(sensor._replace(std_kPa=sqrt(over) * sensor.std_kPa if read else inf))
+    # A reservoir alone counts as one without valves if no run has opened it.
+    opened = any(run.evp_opening.any() or run.dvp_opening.any() for run in case.runs)
     try:
         found_runs = recommend(
-            with_numbers(problem.case.rig, problem.moved(base.fit.point)),
+            with_numbers(case.rig, problem.moved(base.fit.point)),
             doubt if len(doubt) > 1 else [*doubt, NONE],
             [_known(base, index) for index, name in enumerate(base.names) if name in known],
             fitted,
             (noise[0], noise[1]),
-            most_kPa=_highest([run.cv_kPa for run in problem.case.runs], MAX_KPA),
-            full_kPa=_highest([run.reservoir_kPa for run in problem.case.runs], FULL_KPA),
-            max_s=max(MAX_S, *(float(np.ptp(run.time_s)) for run in problem.case.runs)),
-            outlets=_outlets(problem.case),
+            most_kPa=_highest([run.cv_kPa for run in case.runs], MAX_KPA),
+            full_kPa=_highest([run.reservoir_kPa for run in case.runs], FULL_KPA),
+            max_s=max(MAX_S, *(float(np.ptp(run.time_s)) for run in case.runs)),
+            outlets=OUTLETS if opened or case.rig.cv is not None else (),
         )
     except RecordingPlanError:  # The rig cannot do any run of the library.
         return doubt[0].experiment
@@ -112,20 +114,6 @@ def _known(base: Candidate, index: int) -> tuple[Cause, Values]:
         for parameter, value, own in zip(cause.parameters, values, variance.tolist(), strict=True)
     )
     return replace(cause, parameters=parameters), values
-
-
-def _read(case: Case) -> tuple[bool, bool]:
-    """For control volume and reservoir: True if its sensor was read."""
-    return (
-        any(np.isfinite(run.cv_kPa).any() for run in case.runs),
-        any(np.isfinite(run.reservoir_kPa).any() for run in case.runs),
-    )
-
-
-def _outlets(case: Case) -> tuple[str, ...]:
-    """Valves that a run may open. A reservoir alone counts as one without valves if no run has opened it."""
-    opened = any(run.evp_opening.any() or run.dvp_opening.any() for run in case.runs)
-    return OUTLETS if opened or case.rig.cv is not None else ()
 
 
 def _highest(readings: Sequence[Array], otherwise: float) -> float:

@@ -102,10 +102,6 @@ class Search:
         """The first steps of a fit of the base with a further cause."""
         return Candidate(self.problem, self.problem.first_fit(base.fit.point, cause))
 
-    def singles(self) -> list[Candidate]:
-        """Fits of each cause alone, the best first."""
-        return self._finished([(self.nulls[1], cause) for cause in self.catalogue])
-
     def _finished(self, pairs: Sequence[tuple[Candidate, Cause]], most: int = LEADERS) -> list[Candidate]:
         """Fits of each base with its further cause, the best first; at most `most` fits are completed.
 
@@ -223,7 +219,7 @@ class Search:
     def best(self, progress: Progress = silent) -> SearchResult:
         """Run the search."""
         progress("single causes", 0.1)
-        bases = self.singles()
+        bases = self._finished([(self.nulls[1], cause) for cause in self.catalogue])
         leaders = self._leaders(bases)
         return self._grown([*self.nulls, *bases, *leaders], bases[:FIRSTS], leaders, progress)
 
@@ -403,7 +399,7 @@ class Search:
 def _at_other_seeds(point: FitPoint, indices: Iterable[int]) -> list[FitPoint]:
     """The point with each seed of each of these causes; a cause with many seeds is left out."""
     return [
-        replace(point, values=(*point.values[:index], seed, *point.values[index + 1 :]))
+        point.with_values(index, seed)
         for index in indices
         if len(point.causes[index].seeds()) <= MAX_SEEDS
         for seed in point.causes[index].seeds()

@@ -11,10 +11,10 @@ use the backlash model of `BendCurve`, as the service does.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import accumulate, product
 from typing import NamedTuple
 
 import numpy as np
@@ -74,10 +74,8 @@ class Explanation(NamedTuple):
 
 def bent_kPa(pressure_kPa: Array, hysteresis_kPa: float) -> Array:
     """`BendCurve.bent_kPa` along a sequence that starts on the way up."""
-    bent = pressure_kPa.tolist()
-    for i in range(1, len(bent)):
-        bent[i] = min(max(bent[i - 1], bent[i]), bent[i] + hysteresis_kPa)
-    return np.array(bent)
+    steps = accumulate(pressure_kPa.tolist(), lambda bent, kPa: min(max(bent, kPa), kPa + hysteresis_kPa))
+    return np.array(list(steps))
 
 
 def pairs_per_independent(residual: Array) -> float:
@@ -140,7 +138,7 @@ def fit_law(pairs: Pairs) -> tuple[Law, list[CurveEstimate], Explanation]:
         return Law(*numbers).angles_deg(kPa) - deg
 
     best: OptimizeResult | None = None
-    for dead, scale, width in itertools.product((0.0, 0.3), (0.3, 1.0), (0.05, 0.3)):
+    for dead, scale, width in product((0.0, 0.3), (0.3, 1.0), (0.05, 0.3)):
         start = np.array([1.2 * top, dead * np.max(kPa), scale * span, min(width * span, 0.9 * widest)])
         found = least_squares(
             errors_deg, np.clip(start, lower, upper), bounds=(lower, upper), x_scale=[top, span, span, span]

@@ -353,11 +353,6 @@ def _all_parts(
     return parts
 
 
-def _longest(parts: Sequence[CandidatePart]) -> list[CandidatePart]:
-    """The longest part of each candidate."""
-    return list({part.candidate.name: part for part in parts}.values())
-
-
 def _evaluated(layout: Layout, parts: list[CandidatePart]) -> _Evaluation:
     """Evaluate some runs; full fits replace lower bounds below `_FULL_FIT`."""
     matrix = cause_distances(layout, gram_of(layout, parts))
@@ -376,20 +371,16 @@ def _evaluated(layout: Layout, parts: list[CandidatePart]) -> _Evaluation:
 
 def _open(layout: Layout, matrix: Array) -> tuple[CausePair, ...]:
     """Pairs below `SETTLED`; a cause that does not show is only paired with `none`."""
-    names, none = layout.names, len(layout.names)
-    shown = [index for index in range(none) if matrix[index, none] >= SETTLED]
-    pairs = [CausePair(name, NONE) for index, name in enumerate(names) if index not in shown]
-    for a, b in combinations(shown, 2):
-        if min(matrix[a, b], matrix[b, a]) < SETTLED:
-            pairs.append(CausePair(names[a], names[b]))
-    return tuple(pairs)
+    open_ = [pair for pair, found in _separations(layout, matrix).items() if found < SETTLED]
+    hidden = {pair.first for pair in open_ if pair.second == NONE}
+    return tuple(pair for pair in open_ if pair.second == NONE or hidden.isdisjoint(pair))
 
 
 def _open_in_all(
     layout: Layout, parts: Sequence[CandidatePart], pairs: Sequence[CausePair]
 ) -> tuple[CausePair, ...]:
     """The pairs that stay open even with all runs, each at its longest."""
-    whole = _longest(parts)
+    whole = list({part.candidate.name: part for part in parts}.values())
     bounds, check = cause_distances(layout, gram_of(layout, whole)), FullFits(layout, whole)
     columns = (*layout.names, NONE)
 
@@ -408,24 +399,13 @@ def _recording(layout: Layout, budget: RecordingBudget, evaluation: _Evaluation)
         others = [*evaluation.parts[:index], *evaluation.parts[index + 1 :]]
         without = cause_distances(layout, gram_of(layout, others))
         opened = [pair for pair in _open(layout, without) if pair not in evaluation.open]
-        pairs = opened or [_sharpened(layout, evaluation.matrix, without)]
-        found = [
-            PairSeparation(
-                pair, *(round(_sigmas(layout, matrix, pair), 2) for matrix in (without, evaluation.matrix))
-            )
-            for pair in pairs
-        ]
+        before, after = _separations(layout, without), _separations(layout, evaluation.matrix)
+        found = []
+        for pair in opened or [_sharpened(layout, evaluation.matrix, without)]:
+            known = pair if pair in before else CausePair(pair.second, pair.first)
+            found.append(PairSeparation(pair, round(sqrt(before[known]), 2), round(sqrt(after[known]), 2)))
         runs.append(_planned(part, sorted(found, key=lambda one: one.without)))
     return Recording(tuple(runs), budget.air_SL(evaluation.parts), evaluation.open)
-
-
-def _sigmas(layout: Layout, matrix: Array, pair: CausePair) -> float:
-    """Separation of a pair, in its worse direction."""
-    there = layout.names.index(pair.first)
-    if pair.second == NONE:
-        return sqrt(matrix[there, -1])
-    other = layout.names.index(pair.second)
-    return sqrt(min(matrix[there, other], matrix[other, there]))
 
 
 def _sharpened(layout: Layout, matrix: Array, without: Array) -> CausePair:
@@ -470,10 +450,16 @@ def _left(pairs: Sequence[tuple[CausePair, float]]) -> float:
     return sum(1.0 / (1.0 + separation / SETTLED) for _, separation in pairs)
 
 
-def _pairs(layout: Layout, matrix: Array, with_none: bool) -> list[tuple[CausePair, float]]:
-    """Each pair with its Δχ² in the worse direction, the lowest first."""
+def _separations(layout: Layout, matrix: Array) -> dict[CausePair, float]:
+    """Δχ² of each pair in its worse direction; those with `none` come first."""
     names = layout.names
-    pairs = [(CausePair(name, NONE), float(matrix[i, -1])) for i, name in enumerate(names) if with_none]
+    found = {CausePair(name, NONE): float(matrix[i, -1]) for i, name in enumerate(names)}
     for a, b in combinations(range(len(names)), 2):
-        pairs.append((CausePair(names[a], names[b]), float(min(matrix[a, b], matrix[b, a]))))
-    return sorted(pairs, key=lambda pair: pair[1])
+        found[CausePair(names[a], names[b])] = float(min(matrix[a, b], matrix[b, a]))
+    return found
+
+
+def _pairs(layout: Layout, matrix: Array, with_none: bool) -> list[tuple[CausePair, float]]:
+    """Each pair with its Δχ², the lowest first."""
+    found = _separations(layout, matrix).items()
+    return sorted((one for one in found if with_none or one[0].second != NONE), key=lambda one: one[1])
