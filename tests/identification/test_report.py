@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from hidden_truth import draw, write
+from hidden_truth import draw
 
 from flying_vines.cli.main import main
 from flying_vines.identification.case import Case, read_case
@@ -52,11 +52,8 @@ def diagnosed(case: Case, *names: str) -> Diagnosed:
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> Diagnosed:
-    """One short run of a rig whose control volume is larger than nominal."""
-    folder = tmp_path_factory.mktemp("short") / "workshop"
-    write(folder, draw("short", 1))
-    return diagnosed(read_case(folder), "dead_volume", "cv_compliance", "evp_lag")
+def found(short_case: Case) -> Diagnosed:
+    return diagnosed(short_case, "dead_volume", "cv_compliance", "evp_lag")
 
 
 @pytest.fixture(scope="module")
