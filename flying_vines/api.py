@@ -45,7 +45,7 @@ _MODULES = {
     "Parameter": "physics.cause:Parameter",
     "curve_of": "physics.plant.curve:curve_of",
     "read_causes": "physics.own_causes:read_causes",
-    "extended_rig": "identification.extended:extended_rig",
+    "extended_rig": "identification.verdict:extended_rig",
     "write_report": "identification.report:write_report",
     "plan": "identification.plan:plan",
     "recommend": "identification.plan:recommend",

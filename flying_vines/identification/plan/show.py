@@ -147,10 +147,8 @@ def figures(plan: RecordingPlan) -> dict[str, Any]:
     bar = figure.colorbar(image, ax=axis, extend="min", pad=0.01)
     bar.set_label(f"standard deviations; red: not separated, below {lowest:g}")
     seconds, air_SL = plan.best.seconds, plan.best.air_SL
-    finished = finish(
-        figure,
-        f"Separation by {len(plan.best.runs)} runs: {seconds:.0f} s, {air_SL:.1f} standard litres of air",
-    )
+    title = f"Separation by {len(plan.best.runs)} runs: {seconds:.0f} s, {air_SL:.1f} standard litres of air"
+    finished = finish(figure, title)
     axis.grid(False)
     return {"matrix": finished}
 
@@ -198,9 +196,9 @@ def _lines(table: dict[str, Any]) -> list[str]:
 
 
 def _value(value: Any) -> str:
+    """A value as TOML: each item of a list on its own line, and the point of a float is kept."""
     if isinstance(value, dict):
-        entries = [f"{key} = {_value(item)}" for key, item in value.items() if item is not None]
-        return "{ " + ", ".join(entries) + " }"
+        return f"{{ {', '.join(_lines(value))} }}"
     if isinstance(value, list | tuple):
         return "\n".join(["[", *(f"    {_value(item)}," for item in value), "]"])
     return json.dumps(value)
