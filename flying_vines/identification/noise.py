@@ -14,6 +14,7 @@ from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from flying_vines.physics.arrays import Array, BoolArray
 from flying_vines.physics.rig import Rig
@@ -197,8 +198,7 @@ def is_spike(readings: Array) -> BoolArray:
     few, nearest = _MAX_SHARE * len(there), np.inf
     while len(there) >= 4 * _WIDTH:
         x = readings[there]
-        padded = np.pad(x, _WIDTH // 2, mode="edge")
-        middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, _WIDTH), axis=1)
+        middle = median_filter(x, _WIDTH, mode="nearest")
         distance = np.abs(x - middle)
         noise = 1.48 * float(np.median(distance[distance > 0.0])) if (distance > 0.0).any() else 0.0
         far = distance > max(_MIN_SPAN * float(np.ptp(middle)), _MIN_NOISE * noise)

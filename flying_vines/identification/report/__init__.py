@@ -101,7 +101,7 @@ def page(verdict: Verdict, case: Case, pictures: Mapping[str, bytes]) -> str:
         ranking=[(tried, set(tried.causes) == chosen) for tried in verdict.ranking],
         alike=alike_pairs(similarity),
         unseen=[name for name, seen in zip(similarity.causes, similarity.seen, strict=True) if seen < SEEN],
-        rig=[*_numbers(verdict, case), *_noise(verdict, case)],
+        rig=list(_rig_rows(verdict, case)),
         versions=", ".join(
             [f"Python {python_version()}", *(f"{name} {version(name)}" for name in _LIBRARIES)]
         ),
@@ -136,8 +136,8 @@ def _sizes(pattern: Pattern, verdict: Verdict) -> list[tuple[str, str]]:
     return sizes
 
 
-def _numbers(verdict: Verdict, case: Case) -> Iterator[dict[str, str]]:
-    """Rows of the rig numbers, nominal and fitted."""
+def _rig_rows(verdict: Verdict, case: Case) -> Iterator[tuple[str, str, str, str, str]]:
+    """Group, label, nominal value, tolerance and fitted value of each rig number, then of the noise."""
     for key in rig_number_keys(case.rig):
         group, name = key.split(".")
         nominal = getattr(getattr(case.rig, group), name)
@@ -146,26 +146,12 @@ def _numbers(verdict: Verdict, case: Case) -> Iterator[dict[str, str]]:
         if key in verdict.numbers and nominal != 0.0:
             moved = signed(f"{100.0 * (verdict.numbers[key] / nominal - 1.0):+.2f}")
             fitted = f"{verdict.numbers[key]:,.5g} ({moved} %)"
-        yield {
-            "group": group,
-            "label": labelled(name),
-            "nominal": f"{nominal:,.5g}",
-            "tolerance": f"± {case.rig.tolerance(key):g} %",
-            "fitted": fitted,
-        }
-
-
-def _noise(verdict: Verdict, case: Case) -> Iterator[dict[str, str]]:
+        yield group, labelled(name), f"{nominal:,.5g}", f"± {case.rig.tolerance(key):g} %", fitted
     for group, used in zip(("cv", "reservoir"), verdict.evidence.noise_kPa, strict=True):
         if group == "reservoir" or case.rig.cv is not None:
             stated = getattr(case.rig.sensors, f"{group}_noise_std_kPa")
-            yield {
-                "group": group,
-                "label": "noise of its readings, kPa",
-                "nominal": f"{stated:g}",
-                "tolerance": "",
-                "fitted": "nominal" if used == stated else f"{used:.3g} in the data",
-            }
+            fitted = "nominal" if used == stated else f"{used:.3g} in the data"
+            yield group, "noise of its readings, kPa", f"{stated:g}", "", fitted
 
 
 def filled(template: Path, pictures: Mapping[str, bytes], **content: Any) -> str:
