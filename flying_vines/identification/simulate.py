@@ -31,6 +31,11 @@ from flying_vines.physics.plant.simulator import TICK_S
 from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
 from flying_vines.physics.rig import ControlVolume, Rig, with_numbers
 
+T = TypeVar("T")
+R = TypeVar("R")
+
+THREADS: ContextVar[int] = ContextVar("THREADS", default=0)
+"""Threads for one case; 0 means one for each core. With many cases, each process gets its share of cores."""
 MAX_STEP_S = 0.05
 MAX_SMOOTH_S = 0.25
 """Maximum step from sample to sample, and over several samples between which no valve moves."""
@@ -286,13 +291,6 @@ def _resolved_heat_per_s(time_s: float) -> float:
     only has to be stable.
     """
     return _STEP / max(_STEP * time_s, min(time_s, QUICK_S))
-
-
-T = TypeVar("T")
-R = TypeVar("R")
-
-THREADS: ContextVar[int] = ContextVar("THREADS", default=0)
-"""Threads for one case; 0 means one for each core. With many cases, each process gets its share of cores."""
 
 
 def cores() -> int:

@@ -34,7 +34,7 @@ from flying_vines.identification.plan.library import (
     CandidateRun,
     library,
 )
-from flying_vines.identification.plan.traces import CandidatePart, Layout, layout_of, parts_of
+from flying_vines.identification.plan.traces import NO_VALUES, CandidatePart, Layout, layout_of, parts_of
 from flying_vines.identification.search import Progress, silent
 from flying_vines.identification.verdict import NONE
 from flying_vines.physics.arrays import Array
@@ -54,7 +54,6 @@ MAX_S = 60.0
 MAX_RUNS = 3
 MIN_FALL = 0.2
 """A further run is recommended if it reduces the number of open pairs (`_left`) by at least this."""
-_NOTHING: Mapping[str, Values] = {}
 _FULL_FIT = 2.0 * SETTLED
 """Below this Δχ² a full fit replaces the lower bound from the traces."""
 
@@ -292,7 +291,7 @@ def recommend(
     rig: Rig,
     doubt: Sequence[Cause],
     known: Sequence[tuple[Cause, Values]] = (),
-    fitted: Mapping[str, Values] = _NOTHING,
+    fitted: Mapping[str, Values] = NO_VALUES,
     noise: Noise | None = None,
     *,
     most_kPa: float = MAX_KPA,

@@ -40,8 +40,7 @@ from flying_vines.simulation.scenario.run_kinds import RunKind
 
 Causes = Sequence[tuple[Cause, Values]]
 
-_NOMINAL: Mapping[str, float] = {}
-_NOTHING: Mapping[str, Values] = {}
+NO_VALUES: Mapping[str, Values] = {}
 _RESERVOIR_KPA, _CV_KPA = 1.0, 0.1
 """Finite-difference steps of the initial pressures."""
 TYPICAL = {
@@ -172,7 +171,7 @@ def layout_of(
     rig: Rig,
     causes: Sequence[Cause],
     known: Causes = (),
-    fitted: Mapping[str, Values] = _NOTHING,
+    fitted: Mapping[str, Values] = NO_VALUES,
     noise: Noise | None = None,
 ) -> Layout:
     """The layout for these causes.
@@ -229,21 +228,21 @@ def _traces(layout: Layout, run: RecordedRun, reservoir_kPa: float) -> tuple[Arr
     if run.to_atmosphere:
         noise[0] = np.inf
 
-    def readings(moved: Mapping[str, float] = _NOMINAL, causes: Causes = (), initial: Array = start) -> Array:
-        return np.stack(simulation.readings(0, moved, causes, initial))
+    def readings(causes: Causes, initial: Array = start, moved: Mapping[str, float] | None = None) -> Array:
+        return np.stack(simulation.readings(0, moved or {}, causes, initial))
 
     known = list(layout.known)
-    baseline = readings(causes=known)
+    baseline = readings(known)
     rows = [
-        readings(causes=[*known, (cause, (value, *rest))])
+        readings([*known, (cause, (value, *rest))])
         for cause, values, rest in zip(layout.causes, layout.values, layout.rest, strict=True)
         for value in values
     ]
     for key in layout.keys:
         moved = number(layout.rig, key) * (1.0 + prior_std(layout.rig, key))
-        rows.append(readings({key: moved}, known))
-    rows += [readings(causes=others) for others in _moved(known)]
-    rows += [readings(causes=known, initial=start + move) for move in ((_RESERVOIR_KPA, 0.0), (0.0, _CV_KPA))]
+        rows.append(readings(known, moved={key: moved}))
+    rows += [readings(others) for others in _moved(known)]
+    rows += [readings(known, start + move) for move in ((_RESERVOIR_KPA, 0.0), (0.0, _CV_KPA))]
     traces = (np.array(rows) - baseline) / noise
     return np.nan_to_num(traces, nan=0.0, posinf=0.0, neginf=0.0), baseline[1]
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, NullFormatter
 
 from flying_vines.identification.evidence import Compared
-from flying_vines.identification.residuals import CHANNELS, Pattern
+from flying_vines.identification.residuals import CHANNELS, IN_STRETCHES, Pattern
 from flying_vines.identification.simulate import GAP
 from flying_vines.identification.verdict import UNEXPLAINED, Verdict
 from flying_vines.physics.arrays import Array, BoolArray
@@ -39,8 +39,6 @@ _NARROW = 15.0
 """In wider panels the normal distribution would be too narrow to see."""
 _LAGS = 60
 _PER_CHANNEL = 3
-_OVER_TIME = "time in stretches"
-"""First words of features that the residuals over time already show."""
 _SINCE = "time since"
 _LINE = 26
 """Characters per line of an axis label."""
@@ -304,7 +302,8 @@ def strongest(verdict: Verdict) -> list[Pattern]:
     ranked = sorted(leading, key=lambda p: (-min(p.log_p, 300.0), -float(p.count @ p.mean**2)))
     kinds: dict[tuple[str, str], Pattern] = {}
     for pattern in ranked:
-        if not pattern.feature.startswith(_OVER_TIME):
+        # The residuals over time already show stretches of time.
+        if not pattern.feature.startswith(IN_STRETCHES):
             kinds.setdefault((pattern.channel, _kind(pattern.feature)), pattern)
     return [
         pattern
