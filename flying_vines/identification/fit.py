@@ -266,93 +266,113 @@ class FitProblem:
             known: derivatives by the same numbers at a point near `start`.
         """
         space = _Space(self, start, moving)
-        place = space.clipped(space.to_search(start))
-        residuals = self.residuals(space.to_model(place))
-        cost = chi2_of(residuals) + space.prior(place)
-        if not np.isfinite(cost):
-            return Fit(start, inf, inf, tuple(residuals))
+        descent = _Descent(self, space, space.clipped(space.to_search(start)), min_gain)
+        if not np.isfinite(descent.cost):
+            return Fit(start, inf, inf, tuple(descent.residuals))
         # Initial pressures are corrected first. Their step is not damped: if it were large, each later step
         # would curve too much.
-        initial_only = known or _Space(self, start, moving=0).jacobian(place, residuals)
-        place, residuals = self._corrected(space, place, residuals, initial_only, MIN_GAIN)
-        cost = chi2_of(residuals) + space.prior(place)
-        damping = DAMPING
-        jacobian = known.at(residuals) if known else None
+        initial_only = known or _Space(self, start, moving=0).jacobian(descent.place, descent.residuals)
+        descent.move(*descent.corrected(descent.place, descent.residuals, initial_only, MIN_GAIN))
+        jacobian = known.at(descent.residuals) if known else None
         for _ in range(max_steps):
-            fresh, enough = jacobian is None, min_gain * max(1.0, cost / self.readings) ** 0.5
-            jacobian = jacobian or space.jacobian(place, residuals)
-            found = self._stepped(
-                space, place, residuals, jacobian, damping, min_gain, enough, MAX_TRIALS if fresh else 1
-            )
-            if found is None:
+            fresh, enough = jacobian is None, min_gain * max(1.0, descent.cost / self.readings) ** 0.5
+            jacobian = jacobian or space.jacobian(descent.place, descent.residuals)
+            place, cost = descent.place, descent.cost
+            if not descent.step(jacobian, enough, MAX_TRIALS if fresh else 1):
                 if fresh:
                     break
                 jacobian = None
                 continue
-            there, tried, damping = found
-            lower = chi2_of(tried) + space.prior(there)
-            gained, cost, damping = cost - lower, lower, damping * EASIER
-            off_linear = jacobian.nonlinearity(there - place, tried)
-            place, residuals = there, tried
+            gained = cost - descent.cost
+            off_linear = jacobian.nonlinearity(descent.place - place, descent.residuals)
             if gained < enough and (fresh or off_linear < min_gain):
                 break
-            linear = damping <= DAMPING and off_linear < max(min_gain, LINEAR * gained)
-            jacobian = jacobian.at(tried) if linear else None
-        return Fit(space.to_model(place), chi2_of(residuals), cost, tuple(residuals))
+            linear = descent.damping <= DAMPING and off_linear < max(min_gain, LINEAR * gained)
+            jacobian = jacobian.at(descent.residuals) if linear else None
+        chi2 = chi2_of(descent.residuals)
+        return Fit(space.to_model(descent.place), chi2, descent.cost, tuple(descent.residuals))
 
-    def _stepped(
-        self,
-        space: _Space,
-        place: Array,
-        residuals: list[Array],
-        jacobian: Jacobian,
-        damping: float,
-        min_gain: float,
-        enough: float,
-        trials: int,
-    ) -> tuple[Array, list[Array], float] | None:
-        """A better place, its residuals, and the damping of the step; None if every trial failed.
+    def _with_first_readings(self, point: FitPoint) -> tuple[float, FitPoint]:
+        """χ² and the point, after a reset of initial pressures to the first readings where that lowers χ².
 
-        It returns `place` itself if a step with little damping should lower the cost by less than `min_gain`.
+        A fit without the true cause may have distorted the initial pressures.
         """
-        cost = chi2_of(residuals) + space.prior(place)
+        there = self.by_start(self.residuals(point))
+        read = self.by_start(self.residuals(replace(point, initial=self._read)))
+        chi2 = float(np.where(read < there, read, there).sum())
+        initial = np.where((read < there)[:, None], self._read, point.initial)
+        return chi2 if np.isfinite(chi2) else inf, replace(point, initial=initial)
+
+    def by_start(self, residuals: Sequence[Array]) -> Array:
+        """(starts,) χ² of each stretch, which has one pair of initial pressures."""
+        runs = zip(residuals, self.simulation.runs, strict=True)
+        with np.errstate(over="ignore"):  # The simulation may have diverged.
+            return np.concatenate([np.add.reduceat(np.sum(r**2, axis=0), run.start) for r, run in runs])
+
+
+class _Descent:
+    """A fit on its way: the present place, its residuals and cost, and the damping of the next step."""
+
+    def __init__(self, problem: FitProblem, space: _Space, place: Array, min_gain: float) -> None:
+        self._problem, self._space, self._min_gain = problem, space, min_gain
+        self.damping = DAMPING
+        self.move(place, self._residuals(place))
+
+    def move(self, place: Array, residuals: list[Array]) -> None:
+        self.place, self.residuals = place, residuals
+        self.cost = self._cost(place, residuals)
+
+    def _residuals(self, place: Array) -> list[Array]:
+        return self._problem.residuals(self._space.to_model(place))
+
+    def _cost(self, place: Array, residuals: Sequence[Array]) -> float:
+        return chi2_of(residuals) + self._space.prior(place)
+
+    def step(self, jacobian: Jacobian, enough: float, trials: int) -> bool:
+        """Go to a better place; False if every trial failed.
+
+        The place stays if a step with little damping should lower the cost by less than the minimum gain.
+        """
+        space, place, damping = self._space, self.place, self.damping
         little_damped = space.best_step(place, jacobian, min(damping, DAMPING))
-        if cost - space.expected_cost(place, jacobian, little_damped) < min_gain:
-            return place, residuals, damping
-        own, shares = self._by_start(residuals), np.ones(len(self._read))
+        if self.cost - space.expected_cost(place, jacobian, little_damped) < self._min_gain:
+            self.damping *= EASIER
+            return True
+        own = self._problem.by_start(self.residuals)
+        shares = np.ones(len(own))
         for _ in range(trials):
             straight = space.best_step(place, jacobian, damping)
-            step = self._curved(space, place, jacobian, straight, damping)
+            step = self._curved(jacobian, straight, damping)
             if step is not None:
                 there = space.clipped(place + space.shortened(step, shares))
-                tried = self.residuals(space.to_model(there))
-                there, tried = self._corrected(space, there, tried, jacobian, enough)
-                if chi2_of(tried) + space.prior(there) <= cost:
-                    return there, tried, damping
-                shares[~(self._by_start(tried) <= own)] *= SHORTER
+                there, tried = self.corrected(there, self._residuals(there), jacobian, enough)
+                if self._cost(there, tried) <= self.cost:
+                    self.move(there, tried)
+                    self.damping = damping * EASIER
+                    return True
+                shares[~(self._problem.by_start(tried) <= own)] *= SHORTER
             damping = HARDER * max(damping, LEAST_DAMPING)
-        return None
+        return False
 
-    def _curved(
-        self, space: _Space, place: Array, jacobian: Jacobian, straight: Array, damping: float
-    ) -> Array | None:
+    def _curved(self, jacobian: Jacobian, straight: Array, damping: float) -> Array | None:
         """The straight step, corrected for the model's curvature; None if that is too large or diverges."""
         if not len(jacobian.reduced):
             return straight
-        along = space.clipped(place + straight) - place
-        probe = self.residuals(space.to_model(place + PROBE * along))
+        along = self._space.clipped(self.place + straight) - self.place
+        probe = self._residuals(self.place + PROBE * along)
         if not np.isfinite(chi2_of(probe)):
             return None
-        curved = space.best_step(place, jacobian.curved(along, probe, PROBE), damping)
+        curved = self._space.best_step(self.place, jacobian.curved(along, probe, PROBE), damping)
         return curved if jacobian.step_change(straight, curved) <= MAX_STEP_CHANGE else None
 
-    def _corrected(
-        self, space: _Space, place: Array, residuals: list[Array], jacobian: Jacobian, enough: float
+    def corrected(
+        self, place: Array, residuals: list[Array], jacobian: Jacobian, enough: float
     ) -> tuple[Array, list[Array]]:
         """The place and its residuals, after corrections of the initial pressures that lower χ² of a stretch.
 
         After a long step of the shared numbers, the best initial pressures differ from the linear prediction.
         """
+        problem, space = self._problem, self._space
         for _ in range(CORRECTIONS):
             if not np.isfinite(chi2_of(residuals)):
                 break
@@ -360,33 +380,17 @@ class FitProblem:
             if gain < enough:
                 break
             moved = space.with_initial_step(place, step)
-            tried = self.residuals(space.to_model(moved))
-            better = self._by_start(tried) < self._by_start(residuals)
+            tried = self._residuals(moved)
+            better = problem.by_start(tried) < problem.by_start(residuals)
             if not better.any():
                 break
             place = np.where(space.of_starts(better), moved, place)
+            runs = zip(problem.starts, problem.simulation.runs, tried, residuals, strict=True)
             residuals = [
                 np.where(np.repeat(better[starts], np.diff(np.append(run.start, r.shape[1]))), t, r)
-                for starts, run, t, r in zip(self.starts, self.simulation.runs, tried, residuals, strict=True)
+                for starts, run, t, r in runs
             ]
         return place, residuals
-
-    def _with_first_readings(self, point: FitPoint) -> tuple[float, FitPoint]:
-        """χ² and the point, after a reset of initial pressures to the first readings where that lowers χ².
-
-        A fit without the true cause may have distorted the initial pressures.
-        """
-        there = self._by_start(self.residuals(point))
-        read = self._by_start(self.residuals(replace(point, initial=self._read)))
-        chi2 = float(np.where(read < there, read, there).sum())
-        initial = np.where((read < there)[:, None], self._read, point.initial)
-        return chi2 if np.isfinite(chi2) else inf, replace(point, initial=initial)
-
-    def _by_start(self, residuals: Sequence[Array]) -> Array:
-        """(starts,) χ² of each stretch, which has one pair of initial pressures."""
-        runs = zip(residuals, self.simulation.runs, strict=True)
-        with np.errstate(over="ignore"):  # The simulation may have diverged.
-            return np.concatenate([np.add.reduceat(np.sum(r**2, axis=0), run.start) for r, run in runs])
 
 
 class _Space:
