@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from flying_vines.identification.diagnose import diagnose
-    from flying_vines.identification.extended import extended_rig
     from flying_vines.identification.parallel_diagnosis import read_any as read_case
     from flying_vines.identification.plan import plan, recommend
     from flying_vines.identification.report import write_report
+    from flying_vines.identification.verdict import extended_rig
     from flying_vines.physics.cause import Cause, Parameter
     from flying_vines.physics.effects import add_causes, causes_of
     from flying_vines.physics.own_causes import read_causes
@@ -45,7 +45,7 @@ _MODULES = {
     "Parameter": "physics.cause:Parameter",
     "curve_of": "physics.plant.leak:curve_of",
     "read_causes": "physics.own_causes:read_causes",
-    "extended_rig": "identification.extended:extended_rig",
+    "extended_rig": "identification.verdict:extended_rig",
     "write_report": "identification.report:write_report",
     "plan": "identification.plan:plan",
     "recommend": "identification.plan:recommend",

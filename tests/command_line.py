@@ -20,3 +20,10 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, st
     ended = status(*arguments)
     out, err = capsys.readouterr()
     return ended, out, err
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """The one line with which a command ends at once: status 2, and nothing on standard output."""
+    ended, out, line = run(capsys, *arguments)
+    assert (ended, out, line.count("\n")) == (2, "", 1), line
+    return line

@@ -10,9 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from flying_vines.calibration.findings import Chart, Findings, Series
-from flying_vines.identification.report.canvas import INK, blank, quiet, typeset
-from flying_vines.identification.report.templates import filled
-from flying_vines.identification.report.write import svg
+from flying_vines.identification.report import filled, svg
+from flying_vines.identification.report.readings import INK, blank, quiet, typeset
 from flying_vines.plots.style import BLUE, GREEN, ORANGE, PURPLE, RED
 
 POINTS = (BLUE, ORANGE, GREEN, PURPLE)

@@ -149,10 +149,10 @@ def _diagnose(
     command = f"flying-vines diagnose --from-log {flight} --rig {rig_file}"
     try:
         from flying_vines.identification.diagnose import diagnose
-        from flying_vines.identification.extended import extended_rig
         from flying_vines.identification.from_log import read_flight
         from flying_vines.identification.recording import CaseError
         from flying_vines.identification.report import write_report
+        from flying_vines.identification.verdict import extended_rig
     except ModuleNotFoundError as error:
         terminal.warn(f"No diagnosis: {lacks(error)}. Then: {command}")
         return None

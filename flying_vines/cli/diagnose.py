@@ -65,10 +65,10 @@ def _diagnose(arguments: argparse.Namespace) -> int:
     with needs_analysis():
         from flying_vines.identification.case import CaseError
         from flying_vines.identification.diagnose import diagnose
-        from flying_vines.identification.extended import extended_rig
         from flying_vines.identification.from_log import read_flight
         from flying_vines.identification.parallel_diagnosis import read_any
         from flying_vines.identification.show import show
+        from flying_vines.identification.verdict import extended_rig
         from flying_vines.physics.plant.true_rig import true_rig_text
         from flying_vines.physics.rig import RigError
 
@@ -112,9 +112,7 @@ def _plan(arguments: argparse.Namespace) -> int:
         fail("--plan needs one CASE: the rig.toml of the assumed rig")
     with needs_analysis():
         from flying_vines.identification.plan import RecordingPlanError, plan
-        from flying_vines.identification.plan.picture import figures
-        from flying_vines.identification.plan.show import show
-        from flying_vines.identification.plan.write import write_plan
+        from flying_vines.identification.plan.show import figures, show, write_plan
         from flying_vines.physics.rig import RigError, load_rig
         from flying_vines.plots.style import save
 
@@ -142,7 +140,7 @@ def _diagnose_all(arguments: argparse.Namespace) -> int:
         fail("diagnose needs a CASE, or a flight log: --from-log LOG")
     with needs_analysis():
         from flying_vines.identification.parallel_diagnosis import ClusterError, diagnose_all
-        from flying_vines.identification.show_verdicts import show_all
+        from flying_vines.identification.show import show_all
     from rich.console import Console
 
     outcomes = diagnose_all(arguments.case, scheduler=arguments.scheduler, rig=arguments.rig)

@@ -56,8 +56,7 @@ def _proposal(path: Path, first: Proposal | None, options: argparse.Namespace, f
     from rich.console import Console
 
     from flying_vines.identification.importing import answers_file
-    from flying_vines.identification.importing.runs import answers_of_similar, propose
-    from flying_vines.identification.importing.show import show
+    from flying_vines.identification.importing.runs import answers_of_similar, propose, show
 
     saved = answers_file.answers_path(path)
     if not saved.exists() and (folder / saved.name).exists():
@@ -108,7 +107,7 @@ def _draw(proposal: Proposal, folder: Path) -> None:
     """Draw the runs into the folder of the data, or into the case folder if that is not possible."""
     if find_spec("matplotlib") is None:
         return
-    from flying_vines.identification.importing.show import draw
+    from flying_vines.identification.importing.runs import draw
 
     try:
         path = draw(proposal, proposal.path.parent)

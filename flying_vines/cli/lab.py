@@ -192,14 +192,12 @@ def _vine_fit(arguments: argparse.Namespace) -> int:
     folder: Path | None = arguments.out
     with needs_analysis():
         from flying_vines.identification.bend_curve import PairsError, fit, load_pairs
-        from flying_vines.identification.bend_curve.show import as_json, show
-
-        if folder:
-            from flying_vines.identification.bend_curve.figures import draw
+        from flying_vines.identification.bend_curve.show import as_json, draw, show
     figures: Sequence[Path] = ()
     with file_errors(folder, PairsError):
         found = fit(load_pairs(arguments.pairs))
         if folder:
             folder.mkdir(parents=True, exist_ok=True)
-            figures = draw(found, folder, f"{arguments.pairs.name}: bend against pressure")
+            with needs_analysis():
+                figures = draw(found, folder, f"{arguments.pairs.name}: bend against pressure")
     return show_found(arguments.json, lambda: as_json(found), lambda console: show(found, console), figures)

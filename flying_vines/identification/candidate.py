@@ -104,14 +104,14 @@ class Candidate:
         return tuple(parameter.name for _, parameter in self._bounded())
 
     @property
-    def impossible(self) -> list[int]:
+    def causes_on_bound(self) -> list[int]:
         """Indices of the causes with a parameter on a bound; parameters with a prior do not count."""
         return sorted({index for index, parameter in self._bounded() if parameter.typical is None})
 
     @property
-    def possible(self) -> bool:
-        """True if no cause is `impossible`."""
-        return not self.impossible
+    def within_bounds(self) -> bool:
+        """False if a cause is one of `causes_on_bound`: no real rig has such a cause."""
+        return not self.causes_on_bound
 
     def _bounded(self) -> Iterator[tuple[int, Parameter]]:
         point = self.fit.point

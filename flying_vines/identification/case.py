@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flying_vines.identification import plausible
-from flying_vines.identification.recording import CaseError, RecordedRun, counted
-from flying_vines.identification.table import TIME, RunTable, read_table
+from flying_vines.identification.recording import TIME, CaseError, RecordedRun, RunTable, counted, read_table
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.rig import Rig, RigError, load_rig
 

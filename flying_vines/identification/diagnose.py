@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from math import exp, isfinite, sqrt
 
@@ -13,18 +13,12 @@ from flying_vines.identification.candidate import CLAIM, Candidate
 from flying_vines.identification.case import Case
 from flying_vines.identification.evidence import evidence
 from flying_vines.identification.fit import FitProblem
-from flying_vines.identification.held_out import (
-    HeldOut,
-    Prediction,
-    held_out,
-    predictions_for,
-    unseen_error,
-)
+from flying_vines.identification.held_out import HeldOut, Prediction, held_out, predictions_for, unseen_error
 from flying_vines.identification.intervals import LikelihoodProfile, profile, widening
 from flying_vines.identification.next_experiment import after_doubts, after_remainder, with_one_more
-from flying_vines.identification.noise import Noise, SensorNoise, measured_noise, stated_noise
+from flying_vines.identification.noise import Noise, measured_noise, stated_noise
 from flying_vines.identification.search import Progress, Search, SearchResult, silent
-from flying_vines.identification.threads import mapped
+from flying_vines.identification.simulate import mapped
 from flying_vines.identification.verdict import (
     NONE,
     UNEXPLAINED,
@@ -65,9 +59,8 @@ def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progre
         progress: called with the current step, and the share of the work that is done.
     """
     largest_kPa = _largest_kPa(case)
-    every = [
-        cause.within_readings(largest_kPa) for cause in (possible_causes(case) if causes is None else causes)
-    ]
+    tested = possible_causes(case) if causes is None else causes
+    every = [cause.within_readings(largest_kPa) for cause in tested]
     # The fits already use all cores: more BLAS threads would only slow the small matrices down.
     with threadpool_limits(1):
         stated = stated_noise(case.rig, [np.stack((run.cv_kPa, run.reservoir_kPa)) for run in case.runs])
@@ -79,10 +72,8 @@ def diagnose(case: Case, causes: Sequence[Cause] | None = None, progress: Progre
             search = Search(FitProblem(case, noise), every)
         found = search.best(progress)
         left = _noise_left(found.chosen, stated, may_correlate=True)
-        if any(
-            abs(a.slow_std_kPa / b.slow_std_kPa - 1.0) > _OTHER_NOISE
-            for a, b in zip(left, noise, strict=True)
-        ):
+        ratios = [a.slow_std_kPa / b.slow_std_kPa for a, b in zip(left, noise, strict=True)]
+        if any(abs(ratio - 1.0) > _OTHER_NOISE for ratio in ratios):
             progress("again, with the noise of the data", 0.0)
             found = Search(FitProblem(case, left), every).resumed(found, progress)
         if not found.chosen.adequate:
@@ -98,13 +89,14 @@ def possible_causes(case: Case) -> list[Cause]:
 
 def _largest_kPa(case: Case) -> dict[Vessel, float]:
     """The largest reading of each sensor, positive or negative, as a size in kPa; 0 if there is none."""
-    cv_kPa = np.concatenate([run.cv_kPa for run in case.runs])
-    reservoir_kPa = np.concatenate([run.reservoir_kPa for run in case.runs])
-    return {"cv": _largest(cv_kPa), "reservoir": _largest(reservoir_kPa)}
 
+    def largest(readings: Array) -> float:
+        return float(np.max(np.abs(readings[np.isfinite(readings)]), initial=0.0))
 
-def _largest(readings: Array) -> float:
-    return float(np.max(np.abs(readings[np.isfinite(readings)]), initial=0.0))
+    return {
+        "cv": largest(np.concatenate([run.cv_kPa for run in case.runs])),
+        "reservoir": largest(np.concatenate([run.reservoir_kPa for run in case.runs])),
+    }
 
 
 def _noise_left(candidate: Candidate, stated: Noise, *, may_correlate: bool) -> Noise:
@@ -146,16 +138,11 @@ def _verdict(found: SearchResult, progress: Progress) -> Verdict:
         remarks=(*problem.case.remarks, *_noise_remarks(problem)),
         evidence=evidence(found, profiles),
     )
-    known = replace(
-        nothing,
-        numbers=problem.moved(chosen.fit.point),
-        next_experiment="",
-        remainder=_remainder(chosen, null),
-    )
+    known = replace(nothing, numbers=problem.moved(chosen.fit.point), remainder=_remainder(chosen, null))
     if not chosen.causes:
         if not chosen.adequate:
             return replace(nothing, next_experiment=after_remainder(found, null))
-        others = [found.score(c) - found.score(chosen) for c in found.tried if c.causes and c.possible]
+        others = [found.score(c) - found.score(chosen) for c in found.tried if c.causes and c.within_bounds]
         doubt = sum(exp(-0.5 * max(0.0, d)) for d in others[:5]) * 0.05
         return replace(known, cause=NONE, confidence=1.0 / (1.0 + doubt + _UNKNOWN_CAUSE))
     if not chosen.adequate and not (errors.gain[0] > 0.0 and errors.explained > _HELPS):
@@ -164,6 +151,11 @@ def _verdict(found: SearchResult, progress: Progress) -> Verdict:
     main, *further = sorted(shares, key=lambda name: -shares[name])
     doubts = _doubts(chosen, (main, *further), found)
     named = {cause.name: _measured(cause.name, profiles) for cause in chosen.causes}
+    experiment = ""
+    if doubts:
+        experiment = after_doubts(found, doubts)
+    elif not chosen.adequate:
+        experiment = after_remainder(found, chosen)
     return replace(
         known,
         cause=main,
@@ -172,7 +164,7 @@ def _verdict(found: SearchResult, progress: Progress) -> Verdict:
         parameters=named[main],
         share=shares[main],
         also=tuple(Named(name, named[name], shares[name]) for name in further),
-        next_experiment=_next_experiment(found, doubts),
+        next_experiment=experiment,
     )
 
 
@@ -208,21 +200,14 @@ def _remainder(chosen: Candidate, null: Candidate) -> Remainder | None:
 
 def _noise_remarks(problem: FitProblem) -> list[str]:
     """Remarks where the data contradict the stated noise."""
-    sensors = problem.case.rig.sensors
-    stated = {
-        "cv_noise_std_kPa": sensors.cv_noise_std_kPa,
-        "reservoir_noise_std_kPa": sensors.reservoir_noise_std_kPa,
-    }
-    return [
-        f"{key} is {value:g} in the rig file; the data give {used.std_kPa:.3g}{_correlated(used)}, "
-        "which is used"
-        for (key, value), used in zip(stated.items(), problem.noise, strict=True)
-        if abs(used.std_kPa - value) > 0.05 * value or used.correlation
-    ]
-
-
-def _correlated(noise: SensorNoise) -> str:
-    return f" with a correlation of {noise.correlation:.2f} between readings" if noise.correlation else ""
+    remarks = []
+    for key, used in zip(("cv_noise_std_kPa", "reservoir_noise_std_kPa"), problem.noise, strict=True):
+        stated, rho = getattr(problem.case.rig.sensors, key), used.correlation
+        if abs(used.std_kPa - stated) > 0.05 * stated or rho:
+            how = f" with a correlation of {rho:.2f} between readings" if rho else ""
+            found = f"the data give {used.std_kPa:.3g}{how}, which is used"
+            remarks.append(f"{key} is {stated:g} in the rig file; {found}")
+    return remarks
 
 
 def _ranking(found: SearchResult, predictions: Sequence[Prediction], errors: HeldOut) -> tuple[Tried, ...]:
@@ -293,13 +278,6 @@ def _confidence(chosen: Candidate, main: str, found: SearchResult, left: Remaind
     inside = sum(weight[name] for name, by in worse.items() if name != NONE and by < INDISTINGUISHABLE)
     known = 1.0 - _UNKNOWN_CAUSE if left is None else _LEADS_WITH_REMAINDER * (1.0 - sqrt(left.share))
     return inside / sum(weight.values()) * known
-
-
-def _next_experiment(found: SearchResult, doubts: Mapping[str, Sequence[str]]) -> str:
-    """The recording to make next, in words; empty if nothing is left open."""
-    if doubts:
-        return after_doubts(found, doubts)
-    return "" if found.chosen.adequate else after_remainder(found, found.chosen)
 
 
 def _measured(cause: str, profiles: Sequence[LikelihoodProfile]) -> dict[str, ParameterEstimate]:

@@ -11,16 +11,16 @@ the noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import exp, inf, isfinite, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import special
 
 from flying_vines.identification.candidate import Candidate
 from flying_vines.identification.jacobian import Jacobian
-from flying_vines.identification.prediction_error import blocks
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Parameter
 
@@ -36,6 +36,12 @@ WALL = 5.0
 OF_A_RUN = 10
 """Minimum number of blocks in a run. It is low, so that blocks are long: the misfit of a model is correlated
 over a longer time than prediction errors are."""
+BLOCK_S = 4.0
+MIN_BLOCKS = 25
+"""Minimum number of blocks in all runs together: a short recording has shorter blocks. If there were only
+ten blocks and the misfit were in two of them, one draw in ten would contain neither."""
+BLOCK_SAMPLES = 4
+"""Blocks are at least this long, in median sampling intervals."""
 PLATEAU = 3.0
 """The likelihood profile has a plateau if, at twice the distance of the interval's end from the estimate, it
 is below this many times the limit. A parabola is at four times the limit there."""
@@ -65,6 +71,19 @@ class LikelihoodProfile:
     """(n,) rise of the cost above its minimum."""
     limit: float
     """Rise at the ends of the interval."""
+
+
+def blocks(times_s: Sequence[Array], at_least: int = MIN_BLOCKS) -> list[NDArray[np.intp]]:
+    """For each run (n,) the block numbers of its samples.
+
+    All runs together have `at_least` blocks or more, if the readings are dense enough.
+    """
+    longest_s = min(BLOCK_S, sum(float(time_s[-1] - time_s[0]) for time_s in times_s) / at_least)
+    found = []
+    for time_s in times_s:
+        length_s = max(longest_s, BLOCK_SAMPLES * float(np.median(np.diff(time_s))))
+        found.append(((time_s - time_s[0]) // length_s).astype(np.intp))
+    return found
 
 
 def widening(candidate: Candidate, jacobian: Jacobian) -> Array:

@@ -4,7 +4,8 @@ The simulation of a run starts anew after each gap, with two initial pressures. 
 almost only on the stretch up to the next start; only temperatures and the lag of a sensor are carried over to
 the next stretch. So the residuals of each stretch, and their derivatives by all other numbers, are projected
 orthogonally to the effect of its two initial pressures (variable projection, Golub & Pereyra 2003). A fit
-with hundreds of starts stays a small problem.
+with hundreds of starts stays a small problem. `Tangents` are the directions in which a fit can still change
+its residuals.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ from numpy.typing import NDArray
 from flying_vines.physics.arrays import Array, BoolArray
 
 _RIDGE = 1e-12
+_PARALLEL = 1e-5
+"""A trace is nearly parallel to the fitted directions if less than this share of its squares is orthogonal to
+them. It gains nothing: its orthogonal part is only the curvature of a finite step."""
 
 
 class RunJacobian:
@@ -202,3 +206,39 @@ class Jacobian:
         return np.concatenate(
             [run.orthogonal_part(t[None])[0] for run, t in zip(self.runs, trace, strict=True)]
         )
+
+
+class Tangents:
+    """The directions in which a fit can change its residuals, and the residuals' part orthogonal to them.
+
+    Args:
+        free: (numbers,) False where a number is on its bound.
+    """
+
+    def __init__(self, jacobian: Jacobian, residuals: Sequence[Array], free: BoolArray) -> None:
+        self._jacobian = jacobian
+        directions = jacobian.reduced[free].T
+        scale = np.linalg.norm(directions, axis=0)
+        self._basis, _ = np.linalg.qr(directions / np.where(scale > 0.0, scale, 1.0))
+        self._residual = self.orthogonal_part(residuals)
+
+    def gain(self, trace: Sequence[Array], backwards: bool) -> float:
+        """Reduction of χ² if the fit could also add a multiple of this trace to the residuals.
+
+        Args:
+            trace: for each run (2, n), a change of the residuals.
+            backwards: True if the multiple may be negative.
+        """
+        own = self.orthogonal_part(trace)
+        length = float(own @ own)
+        whole = sum(float(np.vdot(t, t)) for t in trace)
+        slope = float(own @ self._residual)
+        if length <= _PARALLEL * whole or (slope > 0.0 and not backwards):
+            return 0.0
+        return slope**2 / length
+
+    def orthogonal_part(self, trace: Sequence[Array]) -> Array:
+        """The part of a trace, (2, n) for each run, orthogonal to all fitted directions; flattened."""
+        left = self._jacobian.orthogonal_part(trace)
+        orthogonal: Array = left - self._basis @ (self._basis.T @ left)
+        return orthogonal

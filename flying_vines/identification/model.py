@@ -11,7 +11,8 @@ DVP the valve that supplies the Venturi.
 
 from __future__ import annotations
 
-from math import ceil
+from math import ceil, inf
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.exponential_integrator import exponential_runge_kutta, tubing_per_s
 from flying_vines.physics.plant.numbers import PlantNumbers, ValveNumbers
-from flying_vines.physics.plant.plant import Conditions, Held
+from flying_vines.physics.plant.plant import Held
 from flying_vines.physics.plant.rates import Floats, conditions, edges, rates
 from flying_vines.physics.plant.sensors import SensorMemory, Transfer, lagged_kPa, transferred
 from flying_vines.physics.plant.tick import runge_kutta
@@ -159,11 +160,9 @@ def _latest(switch_s: Array, at: int, now: float) -> int:
     return at
 
 
-def _sample_before(time_s: Array, i: int, last: int, until_s: float) -> int:
-    """The last sample that is not after `until_s`, at least `i` and at most `last`."""
-    while i < last and time_s[i + 1] <= until_s:
-        i += 1
-    return i
+def _next_switch_s(switch_s: Array, at: int) -> float:
+    """The next switching time after the one with this number; infinite if there is none."""
+    return switch_s[at + 1] if at + 1 < len(switch_s) else inf
 
 
 def _smooth(numbers: PlantNumbers, air: Air, state: Floats, held: Held, h: float, since_s: float) -> bool:
@@ -175,55 +174,163 @@ def _smooth(numbers: PlantNumbers, air: Air, state: Floats, held: Held, h: float
     return not (evp_moves or dvp_moves)
 
 
-def _seen_after(
-    sensor: Transfer,
-    seen: SensorMemory,
-    rate: float,
-    end_kPa: float,
-    end_rate: float,
-    h: float,
-    since_s: float,
+class Sensors(NamedTuple):
+    """The numbers of both sensors."""
+
+    cv: Transfer
+    reservoir: Transfer
+
+
+class Seen(NamedTuple):
+    """States of both sensors."""
+
+    cv: SensorMemory
+    reservoir: SensorMemory
+
+
+def _seen_at(
+    sensor: Transfer, seen: SensorMemory, rate: float, kPa: float, kPa_rate: float, h: float
 ) -> SensorMemory:
-    """The sensor's state `since_s` after the start of a step of `h`.
+    """The sensor's state after a step of `h` to a pressure; `rate` and `kPa_rate` are its rates, kPa/s."""
+    lagged = lagged_kPa(sensor.time_constant_s, seen.lagged_kPa, seen.true_kPa, rate, kPa, kPa_rate, h)
+    return SensorMemory(kPa, lagged, 0.0)
+
+
+def _seen_within(
+    sensor: Transfer, seen: SensorMemory, rate: float, end_kPa: float, end_rate: float, h: float, at_s: float
+) -> SensorMemory:
+    """The sensor's state `at_s` after the start of a step of `h`.
 
     The pressure is a cubic of time, with the rates `rate` and `end_rate` (kPa/s) at the ends of the step.
     """
-    x = since_s / h
+    x = at_s / h
     change = end_kPa - seen.true_kPa
     first, last = rate * h, end_rate * h
     square, cube = 3.0 * change - 2.0 * first - last, first + last - 2.0 * change
     kPa = seen.true_kPa + x * (first + x * (square + x * cube))
     kPa_per_s = (first + x * (2.0 * square + x * 3.0 * cube)) / h
-    lagged = lagged_kPa(sensor.time_constant_s, seen.lagged_kPa, seen.true_kPa, rate, kPa, kPa_per_s, since_s)
-    return SensorMemory(kPa, lagged, 0.0)
+    return _seen_at(sensor, seen, rate, kPa, kPa_per_s, at_s)
 
 
-def _read_within(
-    cv_sensor: Transfer,
-    reservoir_sensor: Transfer,
-    cv_seen: SensorMemory,
-    reservoir_seen: SensorMemory,
-    time_s: Array,
-    first: tuple[float, float],
-    end: Conditions,
-    last: tuple[float, float],
-    out: Array,
-) -> tuple[SensorMemory, SensorMemory]:
-    """Fill the readings at the samples of a step, except the first. Returns both sensors' states at its end.
+def _started(
+    numbers: PlantNumbers,
+    air: Air,
+    state: Floats,
+    seen: Seen,
+    initial_kPa: Array,
+    reservoir_K: float,
+    cv_K: float,
+) -> tuple[Floats, Seen]:
+    """State and sensors at a start, with these pressures (reservoir, control volume) and gas temperatures.
 
-    `first` and `last` are the rates of both pressures (kPa/s) at the ends of the step.
+    A lagging sensor keeps its difference from the true pressure.
     """
-    h = time_s[-1] - time_s[0]
-    cv, reservoir = cv_seen, reservoir_seen
-    for k in range(1, len(time_s)):
-        since_s = time_s[k] - time_s[0]
-        cv = _seen_after(cv_sensor, cv_seen, first[0], end.line_kPa, last[0], h, since_s)
-        reservoir = _seen_after(
-            reservoir_sensor, reservoir_seen, first[1], end.reservoir_kPa, last[1], h, since_s
+    state = pressurised(numbers, air, state, initial_kPa[0], initial_kPa[1], reservoir_K, cv_K)
+    found = conditions(numbers, air, state)
+    cv_late = seen.cv.lagged_kPa - seen.cv.true_kPa
+    reservoir_late = seen.reservoir.lagged_kPa - seen.reservoir.true_kPa
+    return state, Seen(
+        SensorMemory(found.line_kPa, found.line_kPa + cv_late, 0.0),
+        SensorMemory(found.reservoir_kPa, found.reservoir_kPa + reservoir_late, 0.0),
+    )
+
+
+def _over_samples(
+    numbers: PlantNumbers,
+    sensors: Sensors,
+    air: Air,
+    state: Floats,
+    seen: Seen,
+    held: Held,
+    time_s: Array,
+    until_s: float,
+    since_s: float,
+    out: Array,
+) -> tuple[int, Floats, Seen]:
+    """One step over several samples, if the gas allows it. Fills their readings, except the first.
+
+    Args:
+        time_s: from the sample at which the step begins to the last one to which it may lead.
+        until_s: the step does not lead beyond this time.
+        since_s: time since the last switching, at the beginning of the step.
+
+    Returns:
+        the number of samples that the step leads ahead, 0 if it is not possible; state and sensors.
+    """
+    ahead = 0
+    while ahead < len(time_s) - 1 and time_s[ahead + 1] <= until_s:
+        ahead += 1
+    h = time_s[ahead] - time_s[0]
+    if ahead < 2 or not _smooth(numbers, air, state, held, h, since_s):
+        return 0, state, seen
+    end = step(numbers, air, 0.0, state, held, h)
+    if _crossed(numbers, air, 0.0, h, state, end):
+        return 0, state, seen
+    first, last = _pressure_rates(numbers, air, state, held, h), _pressure_rates(numbers, air, end, held, h)
+    found = conditions(numbers, air, end)
+    cv, reservoir = seen.cv, seen.reservoir
+    for k in range(1, ahead + 1):
+        after_s = time_s[k] - time_s[0]
+        cv = _seen_within(sensors.cv, seen.cv, first[0], found.line_kPa, last[0], h, after_s)
+        reservoir = _seen_within(
+            sensors.reservoir, seen.reservoir, first[1], found.reservoir_kPa, last[1], h, after_s
         )
-        out[k, 0] = transferred(cv_sensor, cv, 0.0)
-        out[k, 1] = transferred(reservoir_sensor, reservoir, 0.0)
-    return cv, reservoir
+        out[k, 0] = transferred(sensors.cv, cv, 0.0)
+        out[k, 1] = transferred(sensors.reservoir, reservoir, 0.0)
+    return ahead, end, Seen(cv, reservoir)
+
+
+def _in_steps(
+    numbers: PlantNumbers,
+    sensors: Sensors,
+    air: Air,
+    state: Floats,
+    seen: Seen,
+    held: Held,
+    span_s: float,
+    since_s: float,
+    longest_s: float,
+    is_read: bool,
+) -> tuple[Air, Floats, Seen]:
+    """Air, state and sensors after `span_s`, in which no valve switches and no sample is read.
+
+    Args:
+        since_s: time since the last switching, at the beginning.
+        longest_s: maximum step.
+        is_read: the sensors are read at the end. Sensors without a lag are only followed then.
+    """
+    lagging = sensors.cv.time_constant_s > 0.0 or sensors.reservoir.time_constant_s > 0.0
+    line_per_s, _ = tubing_per_s(numbers, air, state, held)
+    then, rate = air, (0.0, 0.0)
+    if lagging:
+        rate = _pressure_rates(numbers, air, state, held, span_s)
+    done, left = 0.0, span_s
+    while left > 0.0:
+        allowed = longest_s
+        if line_per_s > 0.0:
+            allowed = min(longest_s, max(_FIRST / line_per_s, _GROWTH * (since_s + done)))
+        h = left / max(1, ceil(left / allowed - 1e-9))
+        h = _allowed(numbers.evp, state[7], held.evp_target, h)
+        h = _allowed(numbers.dvp, state[8], held.dvp_target, h)
+        end = step(numbers, air, done, state, held, h)
+        if lagging and h > longest_s / _PARTS and _crossed(numbers, air, done, h, state, end):
+            h /= _PARTS
+            end = step(numbers, air, done, state, held, h)
+        state = end
+        done += h
+        left = left - h if left - h > 1e-12 else 0.0
+        then = Air(
+            air.kPa + air.kPa_per_s * done, air.kPa_per_s, air.ratio + air.ratio_per_s * done, air.ratio_per_s
+        )
+        if lagging or (left <= 0.0 and is_read):
+            found, before = conditions(numbers, then, state), rate
+            if lagging:
+                rate = _pressure_rates(numbers, then, state, held, h)
+            seen = Seen(
+                _seen_at(sensors.cv, seen.cv, before[0], found.line_kPa, rate[0], h),
+                _seen_at(sensors.reservoir, seen.reservoir, before[1], found.reservoir_kPa, rate[1], h),
+            )
+    return then, state, seen
 
 
 NOT_INLINED = (gas_after, runge_kutta, exponential_runge_kutta, rates, conditions)
@@ -232,8 +339,7 @@ NOT_INLINED = (gas_after, runge_kutta, exponential_runge_kutta, rates, condition
 
 def run(
     numbers: PlantNumbers,
-    cv_sensor: Transfer,
-    reservoir_sensor: Transfer,
+    sensors: Sensors,
     time_s: Array,
     switch_s: Array,
     openings: Array,
@@ -256,113 +362,53 @@ def run(
             over several samples.
         out: (n, 2) receives the readings of control volume and reservoir, kPa gauge.
     """
-    now = time_s[0]
     air = Air(weather[0, 0], 0.0, weather[0, 1], 0.0)
     ambient_K = air.ratio * STANDARD_TEMPERATURE_K
     state: Floats = (1.0, 1.0, ambient_K, 1.0, 1.0, ambient_K, 0.0, 0.0, 0.0, 0.0)
-    reservoir_K = cv_K = ambient_K
-    cv_seen = reservoir_seen = SensorMemory(0.0, 0.0, 0.0)
-    lagging = cv_sensor.time_constant_s > 0.0 or reservoir_sensor.time_constant_s > 0.0
+    seen = Seen(SensorMemory(0.0, 0.0, 0.0), SensorMemory(0.0, 0.0, 0.0))
     constant = _constant(weather)
     i = started = at = 0
     last = len(time_s) - 1
     while True:
         if started < len(start) and start[started] == i:
+            reservoir_K = cv_K = ambient_K
             if started > 0:
                 found = conditions(numbers, air, state)
                 reservoir_K, cv_K = found.reservoir_K, found.cv_K
-            state = pressurised(
-                numbers, air, state, initial[started, 0], initial[started, 1], reservoir_K, cv_K
-            )
-            found = conditions(numbers, air, state)
-            # At a new start, a lagging sensor keeps its difference from the true pressure.
-            cv_late = cv_seen.lagged_kPa - cv_seen.true_kPa
-            reservoir_late = reservoir_seen.lagged_kPa - reservoir_seen.true_kPa
-            cv_seen = SensorMemory(found.line_kPa, found.line_kPa + cv_late, 0.0)
-            reservoir_seen = SensorMemory(found.reservoir_kPa, found.reservoir_kPa + reservoir_late, 0.0)
+            state, seen = _started(numbers, air, state, seen, initial[started], reservoir_K, cv_K)
             started += 1
-        out[i, 0] = transferred(cv_sensor, cv_seen, 0.0)
-        out[i, 1] = transferred(reservoir_sensor, reservoir_seen, 0.0)
+        out[i, 0] = transferred(sensors.cv, seen.cv, 0.0)
+        out[i, 1] = transferred(sensors.reservoir, seen.reservoir, 0.0)
         if i == last:
             break
+        now = time_s[i]
         at = _latest(switch_s, at, now)
-        held = Held(openings[at, 0], openings[at, 1], openings[at, 2] > 0.0, False)
         # With an open outlet the flow is not smooth: no air flows back in while the Venturi runs.
-        if constant and not held.solenoid_open:
-            until = now + longest_s[2]
-            if at + 1 < len(switch_s):
-                until = min(until, switch_s[at + 1])
+        if constant and not openings[at, 2] > 0.0:
+            held = Held(openings[at, 0], openings[at, 1], False, False)
+            until = min(now + longest_s[2], _next_switch_s(switch_s, at))
+            since_s = now - max(switch_s[at], time_s[0])
             next_start = start[started] if started < len(start) else last
-            ahead = _sample_before(time_s, i, next_start, until)
-            h = time_s[ahead] - now
-            if ahead > i + 1 and _smooth(numbers, air, state, held, h, now - max(switch_s[at], time_s[0])):
-                end = step(numbers, air, 0.0, state, held, h)
-                if not _crossed(numbers, air, 0.0, h, state, end):
-                    cv_seen, reservoir_seen = _read_within(
-                        cv_sensor,
-                        reservoir_sensor,
-                        cv_seen,
-                        reservoir_seen,
-                        time_s[i : ahead + 1],
-                        _pressure_rates(numbers, air, state, held, h),
-                        conditions(numbers, air, end),
-                        _pressure_rates(numbers, air, end, held, h),
-                        out[i : ahead + 1],
-                    )
-                    state = end
-                    now, i = time_s[ahead], ahead
-                    continue
-        between_s = time_s[i + 1] - time_s[i]
+            ahead, state, seen = _over_samples(
+                numbers, sensors, air, state, seen, held, time_s[i : next_start + 1], until,
+                since_s, out[i:],
+            )  # fmt: skip
+            if ahead > 0:
+                i += ahead
+                continue
+        between_s = time_s[i + 1] - now
         climb = (weather[i + 1, 0] - weather[i, 0]) / between_s
         warming = (weather[i + 1, 1] - weather[i, 1]) / between_s
         while now < time_s[i + 1]:
             at = _latest(switch_s, at, now)
-            switched_s = max(switch_s[at], time_s[0])
-            until = time_s[i + 1]
-            if at + 1 < len(switch_s) and switch_s[at + 1] < until:
-                until = switch_s[at + 1]
-            since_s = now - time_s[i]
-            air = Air(weather[i, 0] + climb * since_s, climb, weather[i, 1] + warming * since_s, warming)
+            until = min(time_s[i + 1], _next_switch_s(switch_s, at))
+            after_s = now - time_s[i]
+            air = Air(weather[i, 0] + climb * after_s, climb, weather[i, 1] + warming * after_s, warming)
             held = Held(openings[at, 0], openings[at, 1], openings[at, 2] > 0.0, False)
-            then = air
-            longest = longest_s[1] if held.solenoid_open else longest_s[0]
-            line_per_s, _ = tubing_per_s(numbers, air, state, held)
-            cv_rate = reservoir_rate = 0.0
-            if lagging:
-                cv_rate, reservoir_rate = _pressure_rates(numbers, air, state, held, until - now)
-            done, left = 0.0, until - now
-            while left > 0.0:
-                allowed = longest
-                if line_per_s > 0.0:
-                    allowed = min(longest, max(_FIRST / line_per_s, _GROWTH * (now - switched_s + done)))
-                h = left / max(1, ceil(left / allowed - 1e-9))
-                h = _allowed(numbers.evp, state[7], held.evp_target, h)
-                h = _allowed(numbers.dvp, state[8], held.dvp_target, h)
-                end = step(numbers, air, done, state, held, h)
-                if lagging and h > longest / _PARTS and _crossed(numbers, air, done, h, state, end):
-                    h /= _PARTS
-                    end = step(numbers, air, done, state, held, h)
-                state = end
-                done += h
-                left = left - h if left - h > 1e-12 else 0.0
-                then = Air(air.kPa + climb * done, climb, air.ratio + warming * done, warming)
-                # A sensor without a lag is only read at the samples.
-                if lagging or (left <= 0.0 and until >= time_s[i + 1]):
-                    found = conditions(numbers, then, state)
-                    cv_kPa, reservoir_kPa = found.line_kPa, found.reservoir_kPa
-                    if lagging:
-                        before_cv, before_reservoir = cv_rate, reservoir_rate
-                        cv_rate, reservoir_rate = _pressure_rates(numbers, then, state, held, h)
-                        cv_kPa = lagged_kPa(
-                            cv_sensor.time_constant_s, cv_seen.lagged_kPa,
-                            cv_seen.true_kPa, before_cv, cv_kPa, cv_rate, h,
-                        )  # fmt: skip
-                        reservoir_kPa = lagged_kPa(
-                            reservoir_sensor.time_constant_s, reservoir_seen.lagged_kPa,
-                            reservoir_seen.true_kPa, before_reservoir, reservoir_kPa, reservoir_rate, h,
-                        )  # fmt: skip
-                    cv_seen = SensorMemory(found.line_kPa, cv_kPa, 0.0)
-                    reservoir_seen = SensorMemory(found.reservoir_kPa, reservoir_kPa, 0.0)
-            air = then
+            air, state, seen = _in_steps(
+                numbers, sensors, air, state, seen, held, until - now,
+                now - max(switch_s[at], time_s[0]), longest_s[1] if held.solenoid_open else longest_s[0],
+                until >= time_s[i + 1],
+            )  # fmt: skip
             now = until
         i += 1

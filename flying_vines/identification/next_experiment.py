@@ -15,10 +15,8 @@ from math import inf, sqrt
 import numpy as np
 
 from flying_vines.identification.candidate import Candidate
-from flying_vines.identification.case import Case
-from flying_vines.identification.plan import RecordingPlanError, recommend
+from flying_vines.identification.plan import MAX_S, RecordingPlanError, recommend
 from flying_vines.identification.plan.library import FULL_KPA, MAX_KPA, OUTLETS
-from flying_vines.identification.plan.planning import MAX_S
 from flying_vines.identification.search import SearchResult
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, Values
@@ -43,7 +41,7 @@ def after_remainder(found: SearchResult, base: Candidate) -> str:
     candidates = with_one_more(found, base.names)
     if not candidates:
         more = found.search.further([base])
-        candidates = {c.names[-1]: c for c in more if c.possible}
+        candidates = {c.names[-1]: c for c in more if c.within_bounds}
     over = base.excess
     nearest = sorted(candidates, key=lambda name: candidates[name].score_at(over))[:CANDIDATES]
     if not nearest:
@@ -52,11 +50,11 @@ def after_remainder(found: SearchResult, base: Candidate) -> str:
 
 
 def with_one_more(found: SearchResult, rest: Collection[str]) -> dict[str, Candidate]:
-    """For each cause: the best `possible` candidate that contains this cause and those in `rest`."""
+    """For each cause: the best candidate `within_bounds` that contains this cause and those in `rest`."""
     best: dict[str, Candidate] = {}
     for candidate in found.tried:
         others = set(candidate.names) - set(rest)
-        if candidate.possible and set(rest) <= set(candidate.names) and len(others) == 1:
+        if candidate.within_bounds and set(rest) <= set(candidate.names) and len(others) == 1:
             (name,) = others
             if name not in best or found.score(candidate) < found.score(best[name]):
                 best[name] = candidate
@@ -71,21 +69,24 @@ def _in_words(
     fitted = {name: _values(candidate, name) for name, candidate in candidates.items()}
     problem = base.problem
     excess = min(candidates.values(), key=lambda candidate: candidate.fit.chi2).excess
-    noise = [
-        sensor._replace(std_kPa=sqrt(over) * sensor.std_kPa if read else inf)
-        for sensor, over, read in zip(problem.noise, excess, _read(problem.case), strict=True)
-    ]
+    case = problem.case
+    noise = []
+    for sensor, over, row in zip(problem.noise, excess, (0, 1), strict=True):
+        read = any(used[row].any() for used in problem.used)
+        noise.append(sensor._replace(std_kPa=sqrt(over) * sensor.std_kPa if read else inf))
+    # A reservoir alone counts as one without valves if no run has opened it.
+    opened = any(run.evp_opening.any() or run.dvp_opening.any() for run in case.runs)
     try:
         found_runs = recommend(
-            with_numbers(problem.case.rig, problem.moved(base.fit.point)),
+            with_numbers(case.rig, problem.moved(base.fit.point)),
             doubt if len(doubt) > 1 else [*doubt, NONE],
             [_known(base, index) for index, name in enumerate(base.names) if name in known],
             fitted,
             (noise[0], noise[1]),
-            most_kPa=_highest([run.cv_kPa for run in problem.case.runs], MAX_KPA),
-            full_kPa=_highest([run.reservoir_kPa for run in problem.case.runs], FULL_KPA),
-            max_s=max(MAX_S, *(float(np.ptp(run.time_s)) for run in problem.case.runs)),
-            outlets=_outlets(problem.case),
+            most_kPa=_highest([run.cv_kPa for run in case.runs], MAX_KPA),
+            full_kPa=_highest([run.reservoir_kPa for run in case.runs], FULL_KPA),
+            max_s=max(MAX_S, *(float(np.ptp(run.time_s)) for run in case.runs)),
+            outlets=OUTLETS if opened or case.rig.cv is not None else (),
         )
     except RecordingPlanError:  # The rig cannot do any run of the library.
         return doubt[0].experiment
@@ -113,20 +114,6 @@ def _known(base: Candidate, index: int) -> tuple[Cause, Values]:
         for parameter, value, own in zip(cause.parameters, values, variance.tolist(), strict=True)
     )
     return replace(cause, parameters=parameters), values
-
-
-def _read(case: Case) -> tuple[bool, bool]:
-    """For control volume and reservoir: True if its sensor was read."""
-    return (
-        any(np.isfinite(run.cv_kPa).any() for run in case.runs),
-        any(np.isfinite(run.reservoir_kPa).any() for run in case.runs),
-    )
-
-
-def _outlets(case: Case) -> tuple[str, ...]:
-    """Valves that a run may open. A reservoir alone counts as one without valves if no run has opened it."""
-    opened = any(run.evp_opening.any() or run.dvp_opening.any() for run in case.runs)
-    return OUTLETS if opened or case.rig.cv is not None else ()
 
 
 def _highest(readings: Sequence[Array], otherwise: float) -> float:

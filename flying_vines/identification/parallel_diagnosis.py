@@ -21,7 +21,7 @@ from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.from_log import read_flight
 from flying_vines.identification.importing.runs import is_foreign, read_imported
 from flying_vines.identification.recording import CaseError
-from flying_vines.identification.threads import THREADS, cores
+from flying_vines.identification.simulate import THREADS, cores
 from flying_vines.identification.verdict import Verdict
 from flying_vines.record.reader import is_flight
 

@@ -47,6 +47,15 @@ class _Channel(NamedTuple):
     """A run whose highest pressure is lower is not tested for psi, bar and MPa: it is probably a weak run in
     kPa."""
 
+    def of(self, run: RecordedRun) -> Array:
+        """The readings of a run, with NaN where there is none."""
+        readings: Array = getattr(run, self.field)
+        return readings
+
+    def noise_kPa(self, rig: Rig) -> float:
+        """Standard deviation in the rig file."""
+        return rig.sensors.cv_noise_std_kPa if self is _CV else rig.sensors.reservoir_noise_std_kPa
+
 
 _CV = _Channel("cv_pressure_kPa", "cv_kPa", -130.0, 280.0, 0.0)
 _RESERVOIR = _Channel("reservoir_pressure_kPa", "reservoir_kPa", -130.0, 1200.0, 200.0)
@@ -132,8 +141,7 @@ def _check_levels(path: Path, run: RecordedRun, rig: Rig) -> None:
     for channel in _CHANNELS:
         time_s, readings = _readings(run, channel)
         highest_kPa = channel.highest_kPa
-        sensors = rig.sensors
-        noise_kPa = sensors.cv_noise_std_kPa if channel is _CV else sensors.reservoir_noise_std_kPa
+        noise_kPa = channel.noise_kPa(rig)
         if highest_kPa < _top(readings) <= _CYLINDER_KPA and _noise(run, channel).std < 3.0 * noise_kPa:
             # Such low noise means kPa: a chamber at 300 kPa, or a cylinder. In hPa the noise would be larger.
             highest_kPa = _CYLINDER_KPA
@@ -158,16 +166,15 @@ def _check_levels(path: Path, run: RecordedRun, rig: Rig) -> None:
 
 
 def _check_ambient(path: Path, run: RecordedRun) -> None:
-    if run.ambient_kPa is not None and not 40.0 <= (level := float(np.nanmedian(run.ambient_kPa))) <= 115.0:
-        raise CaseError(
-            f"{path}: ambient_pressure_kPa: is about {level:.4g}; real values are 40 to 115 kPa absolute; "
-            "check the unit, or remove the column"
-        )
-    if run.ambient_C is not None and not -60.0 <= (level := float(np.nanmedian(run.ambient_C))) <= 80.0:
-        raise CaseError(
-            f"{path}: ambient_temperature_C: is about {level:.4g}; real values are -60 to 80 °C; "
-            "check the unit, or remove the column"
-        )
+    for column, values, lowest, highest, unit in (
+        ("ambient_pressure_kPa", run.ambient_kPa, 40.0, 115.0, "kPa absolute"),
+        ("ambient_temperature_C", run.ambient_C, -60.0, 80.0, "°C"),
+    ):
+        if values is not None and not lowest <= (level := float(np.nanmedian(values))) <= highest:
+            raise CaseError(
+                f"{path}: {column}: is about {level:.4g}; real values are {lowest:g} to {highest:g} {unit}; "
+                "check the unit, or remove the column"
+            )
 
 
 def check_discharge(path: Path, run: RecordedRun, rig: Rig) -> None:
@@ -184,11 +191,11 @@ def check_discharge(path: Path, run: RecordedRun, rig: Rig) -> None:
 
 def _check_small_units(rig: Rig, runs: Mapping[Path, RecordedRun]) -> None:
     """Numbers in psi, bar or MPa look like low pressures in kPa, but with too little noise."""
-    noise_kPa = {_CV: rig.sensors.cv_noise_std_kPa, _RESERVOIR: rig.sensors.reservoir_noise_std_kPa}
+    noise_kPa = {channel: channel.noise_kPa(rig) for channel in _CHANNELS}
     for channel in _CHANNELS:
         # Readings that are too high for psi are in kPa. Their noise with shut valves replaces the rig file's.
         level = channel.highest_kPa * _PSI.per_kPa
-        sure = [run for run in runs.values() if _top(getattr(run, channel.field)) > level]
+        sure = [run for run in runs.values() if _top(channel.of(run)) > level]
         seen_kPa = [_noise(run, channel, only_quiet=True).std for run in sure]
         if np.isfinite(seen_kPa).any():
             noise_kPa[channel] = float(np.nanmedian(seen_kPa))
@@ -201,15 +208,13 @@ def _check_small_units(rig: Rig, runs: Mapping[Path, RecordedRun]) -> None:
             cv = cv if flow < 1.0 / 3.5 else None
         for channel, unit in ((_RESERVOIR, reservoir), (_CV, cv)):
             if unit:
-                top = _top(getattr(run, channel.field))
-                what = (
-                    f"reads up to {top:.3g}, with about {1.0 / unit.per_kPa:.3g} times less noise than in kPa"
-                )
+                top, times = _top(channel.of(run)), 1.0 / unit.per_kPa
+                what = f"reads up to {top:.3g}, with about {times:.3g} times less noise than in kPa"
                 raise _other_unit(f"{path}: {channel.column}", what, unit)
 
 
 def _small_unit(run: RecordedRun, channel: _Channel, noise_kPa: float) -> _Unit | None:
-    top, noise = _top(getattr(run, channel.field)), _noise(run, channel)
+    top, noise = _top(channel.of(run)), _noise(run, channel)
     if not (top > 0.0 and noise.std > 0.0 and noise_kPa > 0.0):
         return None
     for unit in _SMALL:
@@ -304,9 +309,8 @@ def _check_stuck(path: Path, run: RecordedRun, rig: Rig) -> None:
 
 def _check_anything_moves(rig: Rig, runs: Mapping[Path, RecordedRun]) -> list[str]:
     still = [path for path, run in runs.items() if not _moves(run)]
-    noise_kPa = {_CV: rig.sensors.cv_noise_std_kPa, _RESERVOIR: rig.sensors.reservoir_noise_std_kPa}
     drifts = any(
-        abs(_lost(readings)) > 5.0 * noise_kPa[channel]
+        abs(_lost(readings)) > 5.0 * channel.noise_kPa(rig)
         for path in still
         for channel, readings in _all_readings(runs[path]).items()
     )
@@ -336,7 +340,7 @@ def is_ambient(kPa: float) -> bool:
 
 def _readings(run: RecordedRun, channel: _Channel) -> tuple[Array, Array]:
     """Times and values where there is a reading."""
-    values: Array = getattr(run, channel.field)
+    values = channel.of(run)
     there = np.isfinite(values)
     return run.time_s[there], values[there]
 
@@ -398,7 +402,7 @@ def _noise(run: RecordedRun, channel: _Channel, *, only_quiet: bool = False) -> 
     t, x = _readings(run, channel)
     later = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
     off = (x[1:-1] - x[:-2] * (1.0 - later) - x[2:] * later) / np.sqrt(1.0 + later**2 + (1.0 - later) ** 2)
-    busy = (run.evp_opening + run.dvp_opening + run.solenoid)[np.isfinite(getattr(run, channel.field))] > 0.0
+    busy = (run.evp_opening + run.dvp_opening + run.solenoid)[np.isfinite(channel.of(run))] > 0.0
     quiet = off[~(busy[:-2] | busy[1:-1])]
     step = resolution(x)
     parts = (quiet,) if only_quiet else (quiet, off)

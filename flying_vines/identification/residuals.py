@@ -113,12 +113,13 @@ def _features(problem: FitProblem, fit: Fit) -> Iterator[tuple[str, str, Array, 
     slow_s = STRETCH_SAMPLES * float(np.median(np.concatenate([np.diff(time_s) for time_s in times])))
     for stretch_s in (*STRETCHES_S, slow_s) if slow_s > STRETCHES_S[-1] else STRETCHES_S:
         yield f"{IN_STRETCHES} {stretch_s:g} s", "s", since_start, offsets + (since_start // stretch_s)
-    for name in ("evp_opening", "dvp_opening", "solenoid"):
-        label = {"evp_opening": "inflation valve", "dvp_opening": "Venturi's valve"}.get(name, name)
+    for label, openings in (
+        ("inflation valve", [run.evp_opening for run in case.runs]),
+        ("Venturi's valve", [run.dvp_opening for run in case.runs]),
+        ("solenoid", [run.solenoid for run in case.runs]),
+    ):
         for what, sign in (("opened", 1.0), ("closed", -1.0)):
-            since = np.concatenate(
-                [_since(t, getattr(run, name), sign) for t, run in zip(times, case.runs, strict=True)]
-            )
+            since = np.concatenate([_since(t, u, sign) for t, u in zip(times, openings, strict=True)])
             group = np.digitize(since, SINCE_S) - 1.0
             yield f"time since the {label} {what}", "s", since, np.where(np.isfinite(since), group, -1.0)
     evp = np.concatenate([_before(run.evp_opening) for run in case.runs])
@@ -131,11 +132,8 @@ def _features(problem: FitProblem, fit: Fit) -> Iterator[tuple[str, str, Array, 
     for row, label in enumerate(("control volume's pressure", "reservoir's pressure")):
         value = np.concatenate([pressures[row] for pressures in simulated])
         yield label, "kPa", value, _classes(value)
-    slopes = [
-        np.diff(p[0], prepend=p[0, :1]) / np.diff(t, prepend=-1.0)
-        for p, t in zip(simulated, times, strict=True)
-    ]
-    slope = np.concatenate(slopes)
+    runs = zip(simulated, times, strict=True)
+    slope = np.concatenate([np.diff(p[0], prepend=p[0, :1]) / np.diff(t, prepend=-1.0) for p, t in runs])
     yield "rate of the control volume's pressure", "kPa/s", slope, _classes(slope)
 
 

@@ -20,18 +20,10 @@ from functools import partial
 from math import inf, log
 
 from flying_vines.identification.candidate import CLAIM, Candidate
-from flying_vines.identification.fit import (
-    MAX_SEEDS,
-    MAX_STEPS,
-    ROUGH_GAIN,
-    Fit,
-    FitPoint,
-    FitProblem,
-    Tangents,
-)
-from flying_vines.identification.prediction_error import HeldOutErrors
-from flying_vines.identification.simulate import rig_number_keys
-from flying_vines.identification.threads import mapped
+from flying_vines.identification.fit import MAX_SEEDS, MAX_STEPS, ROUGH_GAIN, Fit, FitPoint, FitProblem
+from flying_vines.identification.held_out import HeldOutErrors
+from flying_vines.identification.jacobian import Tangents
+from flying_vines.identification.simulate import mapped, rig_number_keys
 from flying_vines.physics.cause import Cause
 
 CLAIM_LEFT = 10.0
@@ -57,9 +49,9 @@ share."""
 ROUNDS, LOWER = 5, 0.75
 """Maximum number of changes of a set that leaves more than noise. Each change must lower χ² to this share or
 less."""
-IMPOSSIBLE = 1.1
-"""Factor for the χ² of a fit with an `impossible` cause, to compare it with other fits."""
-BEGUN_STEPS = 5
+ON_BOUND_FACTOR = 1.1
+"""Factor for the χ² of a fit that is not `within_bounds`, to compare it with other fits."""
+NEW_START_STEPS = 5
 """If a fit starts again from several points: number of steps from each point, before one is chosen."""
 IDLE = 1.01
 """A cause is idle if χ² rises by at most this factor without it."""
@@ -97,18 +89,18 @@ class Search:
         self.keys = rig_number_keys(problem.case.rig)
         start = problem.start()
         exact = problem.fit(start)
-        moved = problem.fit(exact.point.freed(self.keys))
+        moved = problem.fit(exact.point.with_free(self.keys))
         self.nulls = (Candidate(problem, exact), Candidate(problem, moved))
         self.null = min(self.nulls, key=lambda c: c.score)
         self.held_out_errors = HeldOutErrors(problem)
 
-    def _fit(self, start: FitPoint, max_steps: int = MAX_STEPS) -> Fit:
+    def _fitted(self, start: FitPoint, max_steps: int = MAX_STEPS) -> Candidate:
         """A fit that is precise enough to be compared with others."""
-        return self.problem.fit(start, max_steps, min_gain=ROUGH_GAIN)
+        return Candidate(self.problem, self.problem.fit(start, max_steps, min_gain=ROUGH_GAIN))
 
-    def singles(self) -> list[Candidate]:
-        """Fits of each cause alone, the best first."""
-        return self._finished([(self.nulls[1], cause) for cause in self.catalogue])
+    def _begun(self, base: Candidate, cause: Cause) -> Candidate:
+        """The first steps of a fit of the base with a further cause."""
+        return Candidate(self.problem, self.problem.first_fit(base.fit.point, cause))
 
     def _finished(self, pairs: Sequence[tuple[Candidate, Cause]], most: int = LEADERS) -> list[Candidate]:
         """Fits of each base with its further cause, the best first; at most `most` fits are completed.
@@ -118,35 +110,30 @@ class Search:
         """
         if not pairs:
             return []
-        begun = mapped(lambda pair: self.problem.begun(pair[0].fit.point, pair[1]), pairs)
-        first, *others = sorted(begun, key=lambda fit: fit.chi2)
-        first = self._fit(first.point)
-        best = Candidate(self.problem, first)
+        first, *others = sorted(mapped(lambda pair: self._begun(*pair), pairs), key=_chi2)
+        best = self._fitted(first.fit.point)
         reach = self._reach(best)
         leaders = LEADERS if best.adequate or len(best.causes) == 1 else LEADERS_LEFT
-        near = [fit for fit in others[: min(leaders, most) - 1] if fit.chi2 < reach]
-        fits = [first, *mapped(lambda fit: self._fit(fit.point), near), *others[len(near) :]]
-        complete = 1 + len(near)
-        fits[:complete] = mapped(self._off_bounds, fits[:complete])
-        return [Candidate(self.problem, fit) for fit in sorted(fits, key=lambda fit: fit.chi2)]
+        near = [c for c in others[: min(leaders, most) - 1] if c.fit.chi2 < reach]
+        complete = [best, *mapped(lambda c: self._fitted(c.fit.point), near)]
+        return sorted([*mapped(self._off_bounds, complete), *others[len(near) :]], key=_chi2)
 
-    def _off_bounds(self, fit: Fit) -> Fit:
-        """The fit, or a better one from another start if one of several causes has a parameter on its bound.
+    def _off_bounds(self, candidate: Candidate) -> Candidate:
+        """The candidate, or a better one if one of several causes has a parameter on its bound.
 
         A parameter that was fitted without the later causes may have moved to its bound. One new start adds
-        the causes in reverse order, the others use the seeds of each `impossible` cause. Only the fit from
-        the best start is completed.
+        the causes in reverse order, the others use the seeds of each cause on a bound. Only the fit from the
+        best start is completed.
         """
-        candidate = Candidate(self.problem, fit)
-        if len(fit.point.causes) < 2 or not candidate.on_bound:
-            return fit
-        again = self.nulls[1].fit
-        for cause in reversed(fit.point.causes):
-            again = self.problem.begun(again.point, cause)
-        starts = [again.point, *_at_other_seeds(fit.point, candidate.impossible)]
-        begun = [Candidate(self.problem, self._fit(start, BEGUN_STEPS)) for start in starts]
-        best = Candidate(self.problem, self._fit(min(begun, key=_chi2_if_possible).fit.point))
-        return min(candidate, best, key=_chi2_if_possible).fit
+        if len(candidate.causes) < 2 or not candidate.on_bound:
+            return candidate
+        again = self.nulls[1]
+        for cause in reversed(candidate.causes):
+            again = self._begun(again, cause)
+        starts = [again.fit.point, *_at_other_seeds(candidate.fit.point, candidate.causes_on_bound)]
+        begun = [self._fitted(start, NEW_START_STEPS) for start in starts]
+        best = self._fitted(min(begun, key=_chi2_within_bounds).fit.point)
+        return min(candidate, best, key=_chi2_within_bounds)
 
     def _reach(self, first: Candidate) -> float:
         """Maximum χ² of an unfinished fit that can still win."""
@@ -155,22 +142,23 @@ class Search:
         return first.fit.chi2 + REACH + REACH_SHARE * (self.null.fit.chi2 - first.fit.chi2)
 
     def _leaders(self, bases: Sequence[Candidate]) -> list[Candidate]:
-        """The best few of these candidates, each `settled`, the best first."""
+        """The best few of these candidates, each `at_nominal_if_as_good`, the best first."""
         reach = self._reach(bases[0]) if bases else inf
-        settled = mapped(self.settled, [base for base in bases[:FIRSTS] if base.fit.chi2 < reach])
-        if not settled:
+        near = [base for base in bases[:FIRSTS] if base.fit.chi2 < reach]
+        leaders = mapped(self.at_nominal_if_as_good, near)
+        if not leaders:
             return []
-        over = min(settled, key=lambda c: c.fit.chi2).excess
-        return sorted(settled, key=lambda c: (not c.possible, c.score_at(over)))
+        over = min(leaders, key=_chi2).excess
+        return sorted(leaders, key=lambda c: (not c.within_bounds, c.score_at(over)))
 
-    def settled(self, candidate: Candidate) -> Candidate:
+    def at_nominal_if_as_good(self, candidate: Candidate) -> Candidate:
         """The same causes, with nominal rig numbers if they do not raise the score.
 
         A candidate that leaves more than noise keeps its rig numbers free.
         """
         if not candidate.adequate:
             return candidate
-        exact = Candidate(self.problem, self._fit(candidate.fit.point.freed(())))
+        exact = self._fitted(candidate.fit.point.with_free(()))
         over = candidate.excess
         return min(exact, candidate, key=lambda c: c.score_at(over))
 
@@ -231,17 +219,16 @@ class Search:
     def best(self, progress: Progress = silent) -> SearchResult:
         """Run the search."""
         progress("single causes", 0.1)
-        bases = self.singles()
+        bases = self._finished([(self.nulls[1], cause) for cause in self.catalogue])
         leaders = self._leaders(bases)
         return self._grown([*self.nulls, *bases, *leaders], bases[:FIRSTS], leaders, progress)
 
     def resumed(self, earlier: SearchResult, progress: Progress = silent) -> SearchResult:
         """Continue an earlier search of the same data that assumed another sensor noise."""
         tried = [*self.nulls, *(c.in_units_of(self.problem) for c in earlier.tried if c.causes)]
-        begun = self._fit(earlier.chosen.fit.point.freed(self.keys))
-        chosen = self.settled(Candidate(self.problem, begun))
-        while chosen.impossible:
-            chosen = self._without(chosen, chosen.impossible[0])
+        chosen = self.at_nominal_if_as_good(self._fitted(earlier.chosen.fit.point.with_free(self.keys)))
+        while chosen.causes_on_bound:
+            chosen = self._without(chosen, chosen.causes_on_bound[0])
         return self._grown([*tried, chosen], [chosen], [chosen], progress)
 
     def together(self, earlier: SearchResult, progress: Progress = silent) -> SearchResult:
@@ -250,15 +237,15 @@ class Search:
         The set with the lowest χ² gets a further cause, or one of its causes is replaced by another. This is
         repeated until the set explains everything, or χ² no longer falls to `LOWER`.
         """
-        best = self._without_idle(min((c for c in earlier.tried if c.possible), key=_chi2))
+        best = self._without_idle(min((c for c in earlier.tried if c.within_bounds), key=_chi2))
         for _ in range(ROUNDS):
             progress("many causes together", 0.8)
-            lowest = min((c for c in self._exchanged(best) if c.possible), key=_chi2, default=best)
+            lowest = min((c for c in self._exchanged(best) if c.within_bounds), key=_chi2, default=best)
             if lowest.fit.chi2 > LOWER * best.fit.chi2:
                 break
             best = self._without_idle(lowest)
             if best.adequate:
-                best = self.settled(best)
+                best = self.at_nominal_if_as_good(best)
                 if not self._pays(best, earlier.chosen):
                     break
                 return self._grown([*earlier.tried, best], [best], [best], progress)
@@ -291,13 +278,8 @@ class Search:
                     tried += [chosen, *leaders]
                     continue
                 lowest = chosen
-            if better is None and len(chosen.causes) > 1:
-                exchanged = self._leaders(self.further(self._with_one_removed(chosen)))
-                tried += exchanged
-                better = self._first_that_pays(exchanged, chosen)
-                leaders = sorted([*leaders, *exchanged], key=lambda c: (not c.possible, c.fit.chi2))
-            if better is None and not chosen.adequate:
-                better, leaders = self._ahead(chosen, leaders, tried)
+            if better is None:
+                better, leaders = self._exchanged_or_ahead(chosen, leaders, tried)
             if better is None:
                 break
             chosen, fewer = self._pruned(better)
@@ -312,28 +294,33 @@ class Search:
         if len(chosen.causes) > 1 and chosen is not lowest:
             chosen = self._reseeded(chosen)
         chosen = replace(chosen, fit=self.problem.fit(chosen.fit.point))
-        tried.append(chosen)
         several = range(len(chosen.causes)) if len(chosen.causes) > 1 else ()
         without = mapped(partial(self._without, chosen), several)
-        return SearchResult(self, [*tried, *without], chosen, tuple(without))
+        return SearchResult(self, [*tried, chosen, *without], chosen, tuple(without))
 
-    def _ahead(
+    def _exchanged_or_ahead(
         self, chosen: Candidate, leaders: Sequence[Candidate], tried: list[Candidate]
-    ) -> tuple[Candidate | None, list[Candidate]]:
-        """Add up to `AHEAD` causes of which not each has to pay.
+    ) -> tuple[Candidate | None, Sequence[Candidate]]:
+        """Exchange one cause. If that does not pay, add up to `AHEAD` causes, of which not each has to pay.
 
         Returns the set that pays, or None, and the leaders.
         """
-        bases = [*self._with_flow_laws(chosen), *_distinct(leaders)[:BEAM]]
-        better, found = None, list[Candidate]()
-        for _ in range(AHEAD):
-            found = self._leaders(self.further(bases))
-            tried += found
-            better = self._first_that_pays(filter(self._explains_nearly_all, found), chosen)
-            if better is not None:
-                break
-            bases = _distinct(found)[:BEAM]
-        return better, found
+        better = None
+        if len(chosen.causes) > 1:
+            exchanged = self._leaders(self.further(self._with_one_removed(chosen)))
+            tried += exchanged
+            better = self._first_that_pays(exchanged, chosen)
+            leaders = sorted([*leaders, *exchanged], key=lambda c: (not c.within_bounds, c.fit.chi2))
+        if better is None and not chosen.adequate:
+            bases = [*self._with_flow_laws(chosen), *_distinct(leaders)[:BEAM]]
+            for _ in range(AHEAD):
+                leaders = self._leaders(self.further(bases))
+                tried += leaders
+                better = self._first_that_pays(filter(self._explains_nearly_all, leaders), chosen)
+                if better is not None:
+                    break
+                bases = _distinct(leaders)[:BEAM]
+        return better, leaders
 
     def _with_flow_laws(self, candidate: Candidate) -> list[Candidate]:
         """The candidate with all flow laws that it lacks; empty if it has them all.
@@ -343,17 +330,17 @@ class Search:
         laws = [cause for cause in self.catalogue if cause.is_flow_law and cause not in candidate.causes]
         if not laws or len(candidate.causes) + len(laws) > MAX_CAUSES:
             return []
-        fit = self.problem.at(candidate.fit.point.freed(self.keys))
+        fit = self.problem.at(candidate.fit.point.with_free(self.keys))
         for cause in laws:
-            fit = self.problem.begun(fit.point, cause)
-        return [Candidate(self.problem, self._fit(fit.point))]
+            fit = self.problem.first_fit(fit.point, cause)
+        return [self._fitted(fit.point)]
 
     def _explains_nearly_all(self, candidate: Candidate) -> bool:
         """True if little is left of the null model's slow residuals, or if two causes predict much better."""
         left, whole = (sum(c.excess) - 2.0 for c in (candidate, self.null))
         if left <= LEFT_TOGETHER * whole:
             return True
-        pair = candidate.possible and len(candidate.causes) == 2
+        pair = candidate.within_bounds and len(candidate.causes) == 2
         return pair and self.held_out_errors.gain(self.null.fit.point, candidate.fit.point)[0] > SURE_OF_TWO
 
     def _first_that_pays(self, leaders: Iterable[Candidate], chosen: Candidate) -> Candidate | None:
@@ -362,7 +349,7 @@ class Search:
 
     def _pays(self, more: Candidate, less: Candidate) -> bool:
         """True if `more` pays in comparison with `less`; if more than noise remains, also on unseen data."""
-        if not more.possible:
+        if not more.within_bounds:
             return False
         gain = less.score_at(more.excess) - more.score_at(more.excess)
         if more.adequate:
@@ -378,7 +365,7 @@ class Search:
             tried += fewer
             over, claim = candidate.excess, CLAIM if candidate.adequate else CLAIM_LEFT
             allowed = candidate.score_at(over) + claim
-            fewer = [c for c in fewer if c.possible and (candidate.on_bound or not c.on_bound)]
+            fewer = [c for c in fewer if c.within_bounds and (candidate.on_bound or not c.on_bound)]
             as_good = [c for c in fewer if c.score_at(over) <= allowed]
             if not as_good:
                 break
@@ -391,30 +378,28 @@ class Search:
         A seed was chosen when other causes were still missing.
         """
         starts = _at_other_seeds(candidate.fit.point, range(len(candidate.causes)))
-        again = mapped(self._fit, starts)
-        best = min(again, key=lambda fit: fit.cost, default=candidate.fit)
-        gained = candidate.fit.cost - best.cost
+        best = min(mapped(self._fitted, starts), key=lambda c: c.fit.cost, default=candidate)
+        gained = candidate.fit.cost - best.fit.cost
         if gained < max(1.0, candidate.fit.cost / self.problem.readings):
             return candidate
-        return self.settled(Candidate(self.problem, best))
+        return self.at_nominal_if_as_good(best)
 
     def _with_one_removed(self, candidate: Candidate) -> list[Candidate]:
         """The candidate without each of its causes in turn, not refitted, to add another cause instead."""
-        point = candidate.fit.point.freed(self.keys)
+        point = candidate.fit.point.with_free(self.keys)
         every = range(len(candidate.causes))
         return [Candidate(self.problem, self.problem.at(point.without(index))) for index in every]
 
     def _without(self, candidate: Candidate, index: int) -> Candidate:
         """The candidate refitted without one of its causes."""
-        return self.settled(
-            Candidate(self.problem, self._fit(candidate.fit.point.freed(self.keys).without(index)))
-        )
+        point = candidate.fit.point.with_free(self.keys).without(index)
+        return self.at_nominal_if_as_good(self._fitted(point))
 
 
 def _at_other_seeds(point: FitPoint, indices: Iterable[int]) -> list[FitPoint]:
     """The point with each seed of each of these causes; a cause with many seeds is left out."""
     return [
-        replace(point, values=(*point.values[:index], seed, *point.values[index + 1 :]))
+        point.with_values(index, seed)
         for index in indices
         if len(point.causes[index].seeds()) <= MAX_SEEDS
         for seed in point.causes[index].seeds()
@@ -425,9 +410,9 @@ def _chi2(candidate: Candidate) -> float:
     return candidate.fit.chi2
 
 
-def _chi2_if_possible(candidate: Candidate) -> float:
-    """χ², multiplied by `IMPOSSIBLE` if a cause is `impossible`."""
-    return candidate.fit.chi2 * (1.0 if candidate.possible else IMPOSSIBLE)
+def _chi2_within_bounds(candidate: Candidate) -> float:
+    """χ², multiplied by `ON_BOUND_FACTOR` if a cause has a parameter on a bound."""
+    return candidate.fit.chi2 * (1.0 if candidate.within_bounds else ON_BOUND_FACTOR)
 
 
 def _distinct(candidates: Sequence[Candidate]) -> list[Candidate]:

@@ -1,21 +1,53 @@
-"""Prints a verdict on a terminal."""
+"""Verdicts on a terminal and in words: one in detail, or many in one line each. Formats their numbers."""
 
 from __future__ import annotations
 
-from rich.console import Console
-from rich.table import Table
+import json
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from math import floor, isfinite, log10
+from pathlib import Path
 
-from flying_vines.identification.verdict import NONE, UNEXPLAINED, ParameterEstimate, Remainder, Verdict
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
+from rich.table import Column, Table
+from rich.text import Text
+
+from flying_vines.identification.candidate import STRUCTURE
+from flying_vines.identification.parallel_diagnosis import CaseOutcome
+from flying_vines.identification.recording import CaseError
+from flying_vines.identification.residuals import Pattern
+from flying_vines.identification.verdict import NONE, UNEXPLAINED, ParameterEstimate, Verdict
 from flying_vines.physics.effects import catalogue
 
 RANKED = 8
+"""Number of candidates that are printed."""
+_CAPTION = (
+    "evidence: natural logarithm, relative to the best; unseen: error on data that the fit has not seen"
+)
+FAILED = "no verdict"
+_UNITS = {
+    "_kPa2_s_per_SL": "kPa²·s/SL",
+    "_SL_per_s_kPa": "SL/(s·kPa)",
+    "_kPa_per_min": "kPa/min",
+    "_SL_per_s": "SL/s",
+    "_kPa_s_per_SL": "kPa·s/SL",
+    "_kPa_per_s": "kPa/s",
+    "_per_kPa": "1/kPa",
+    "_kPa": "kPa",
+    "_L": "L",
+    "_s": "s",
+}
+"""Unit by the ending of a name. The first that fits counts, so `_kPa_per_s` stands before `_s`."""
+_HUGE = 1e6
+_RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+_CHANCE = 1.3
+"""−log₁₀ of 1 in 20."""
 
 
 def show(verdict: Verdict, console: Console) -> None:
     """Print the verdict in words, its numbers, and the best candidates."""
-    facts = Table.grid(padding=(0, 2))
-    facts.add_column(style="bold")
-    facts.add_column(overflow="fold")
+    facts = Table.grid(Column(style="bold"), Column(overflow="fold"), padding=(0, 2))
     facts.add_row("Verdict", in_words(verdict))
     several = len(verdict.named) > 1
     for named in verdict.named:
@@ -58,11 +90,8 @@ def in_words(verdict: Verdict) -> str:
         shares = [f"{named.cause} ({_percent(named.share or 0.0)})" for named in verdict.named]
         mostly = (main.share or 0.0) >= 0.5
         text = f"Mostly {', then '.join(shares)}." if mostly else f"Several causes: {', '.join(shares)}."
-    return text + (f" {_sentence(verdict.remainder)}" if verdict.remainder else "")
-
-
-def _sentence(remainder: Remainder) -> str:
-    return f"{_percent(remainder.share).capitalize()} of the error remains."
+    left = verdict.remainder
+    return text + (f" {_percent(left.share).capitalize()} of the error remains." if left else "")
 
 
 def _what(name: str) -> str:
@@ -93,11 +122,16 @@ def _estimate(estimate: ParameterEstimate) -> str:
 
 
 def _ranking(verdict: Verdict) -> Table:
-    table = Table(box=None, padding=(0, 2, 0, 0), title="Candidates, the best first", title_justify="left")
-    table.add_column("cause and parameters", overflow="fold")
-    table.add_column("χ²/n", justify="right")
-    table.add_column("unseen", justify="right")
-    table.add_column("evidence", justify="right")
+    table = Table(
+        Column("cause and parameters", overflow="fold"),
+        *(Column(heading, justify="right") for heading in ("χ²/n", "unseen", "evidence")),
+        box=None,
+        padding=(0, 2, 0, 0),
+        title="Candidates, the best first",
+        title_justify="left",
+        caption=_CAPTION,
+        caption_justify="left",
+    )
     for tried in verdict.ranking[:RANKED]:
         measures = [
             f"  {name} {_estimate(estimate)}" + (", on its bound" if name in tried.on_bound else "")
@@ -110,8 +144,126 @@ def _ranking(verdict: Verdict) -> Table:
             "" if tried.unseen_nrmse is None else f"{tried.unseen_nrmse:.2%}",
             f"{-tried.score / 2.0:,.1f}" if tried.score else "best",
         )
-    table.caption = (
-        "evidence: natural logarithm, relative to the best; unseen: error on data that the fit has not seen"
-    )
-    table.caption_justify = "left"
     return table
+
+
+def show_all(
+    outcomes: Iterable[tuple[Path, CaseOutcome]], total: int, as_json: bool, console: Console
+) -> bool:
+    """Print outcomes as they arrive. True if every case has a verdict."""
+    seen: list[tuple[Path, CaseOutcome]] = []
+    # A redirected output must not contain the progress bar.
+    screen = console if console.is_terminal else Console(markup=False, stderr=True)
+    bar = Progress(
+        *(BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()),
+        console=screen,
+        transient=True,
+        redirect_stdout=False,
+        redirect_stderr=False,
+        disable=not screen.is_terminal or (as_json and console.is_terminal),
+    )
+    with bar:
+        for path, outcome in bar.track(outcomes, total=total):
+            seen.append((path, outcome))
+            if as_json:
+                print(json.dumps(as_object(path, outcome), allow_nan=False), flush=True)
+            else:
+                console.print(line(path, outcome), highlight=False, soft_wrap=True)
+    if not as_json:
+        console.print(summary(seen))
+    return not any(isinstance(outcome, CaseError) for _, outcome in seen)
+
+
+def as_object(path: Path, outcome: CaseOutcome) -> dict[str, object]:
+    """The verdict in the rig-data format with the path of the case; or `error` if there is no verdict."""
+    if isinstance(outcome, CaseError):
+        return {"case": str(path), "error": str(outcome)}
+    return {"case": str(path), **outcome.as_json()}
+
+
+def line(path: Path, outcome: CaseOutcome) -> Text:
+    """One case in one line."""
+    if isinstance(outcome, CaseError):
+        error = str(outcome)
+        return Text.assemble((f"{FAILED}  ", "bold red"), error if str(path) in error else f"{path}: {error}")
+    style = {NONE: "green", UNEXPLAINED: "yellow"}.get(outcome.cause, "bold")
+    text = Text.assemble(f"{path}  ", (_causes(outcome), style), f"  {outcome.confidence:.0%}")
+    for name, value in outcome.parameters.items():
+        text.append(f"  {name} {_estimate(value)}")
+    if outcome.indistinguishable:
+        text.append(f"  or {', '.join(outcome.indistinguishable)}")
+    return text
+
+
+def summary(outcomes: Sequence[tuple[Path, CaseOutcome]]) -> Table:
+    """A table of the number of cases for each verdict."""
+    counts = Counter(FAILED if isinstance(o, CaseError) else _causes(o) for _, o in outcomes)
+    columns = "verdict", Column("cases", justify="right")
+    table = Table(
+        *columns, box=None, padding=(0, 2, 0, 0), title=f"{len(outcomes)} cases", title_justify="left"
+    )
+    for name, count in counts.most_common():
+        table.add_row(name, str(count))
+    return table
+
+
+def _causes(verdict: Verdict) -> str:
+    return " + ".join((verdict.cause, *(named.cause for named in verdict.also)))
+
+
+def label_and_unit(name: str) -> tuple[str, str]:
+    """Label and unit of a name: `volume_L` gives (volume, L)."""
+    for ending, unit in _UNITS.items():
+        if f"_{name}".endswith(ending):
+            return f"_{name}".removesuffix(ending).replace("_", " ").strip() or "change", unit
+    return name.replace("_", " "), ""
+
+
+def labelled(name: str) -> str:
+    """The label with its unit, for an axis."""
+    label, unit = label_and_unit(name)
+    return f"{label}, {unit}" if unit else label
+
+
+def numbers(estimate: ParameterEstimate) -> tuple[str, str, str]:
+    """The estimate and the ends of its interval, rounded to two digits of the interval's half width."""
+    half = 0.5 * (estimate.high - estimate.low)
+    values = (estimate.estimate, estimate.low, estimate.high)
+    if max(map(abs, values)) >= _HUGE:
+        first, low, high = map(_in_powers, values)
+        return first, low, high
+    form = f",.{max(0, 1 - floor(log10(half)))}f" if isfinite(half) and half > 0.0 else ".4g"
+    first, low, high = (signed(format(value, form)) for value in values)
+    return first, low, high
+
+
+def _in_powers(value: float) -> str:
+    """The number, with a power of ten if it is large."""
+    if abs(value) < _HUGE:
+        return rounded(value)
+    mantissa, exponent = f"{value:.2e}".split("e+")
+    return f"{signed(mantissa)}\N{NO-BREAK SPACE}×\N{NO-BREAK SPACE}10{str(int(exponent)).translate(_RAISED)}"
+
+
+def chance(pattern: Pattern) -> str:
+    """How often noise alone gives such a pattern, in words."""
+    if pattern.log_p < _CHANCE:
+        return "noise alone gives this"
+    if pattern.log_p < STRUCTURE:
+        return f"noise gives this once in {10.0**pattern.log_p:,.0f} cases"
+    return "noise practically never gives this"
+
+
+def signed(number: str) -> str:
+    """The number with a minus sign instead of a hyphen."""
+    return number.replace("-", "−")
+
+
+def share(value: float) -> str:
+    """Percent with three significant digits."""
+    return f"{100.0 * value:.3g} %"
+
+
+def rounded(value: float) -> str:
+    """Three significant digits, and whole numbers from 100."""
+    return signed(f"{value:,.0f}" if abs(value) >= 100.0 else f"{value:.3g}")

@@ -1,24 +1,26 @@
-"""Simulates the runs of a case with some causes in the rig."""
+"""Simulates the runs of a case with some causes in the rig, several simulations at a time in threads."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextvars import ContextVar
 from dataclasses import replace
 from functools import cache, lru_cache
 from math import floor, log2, sqrt
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flying_vines.identification.case import Case, RecordedRun
-from flying_vines.identification.model import NOT_INLINED, run
+from flying_vines.identification.model import NOT_INLINED, Sensors, run
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, ModelReadings, Values
 from flying_vines.physics.compiler import compiled, record
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.plant.commands import Commands, followed, steps_of, together
-from flying_vines.physics.plant.compiled import weather_at
+from flying_vines.physics.plant.compiled import batch, weather_at
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Opening
 from flying_vines.physics.plant.leak import Leak
@@ -29,6 +31,11 @@ from flying_vines.physics.plant.simulator import TICK_S
 from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
 from flying_vines.physics.rig import ControlVolume, Rig, with_numbers
 
+T = TypeVar("T")
+R = TypeVar("R")
+
+THREADS: ContextVar[int] = ContextVar("THREADS", default=0)
+"""Threads for one case; 0 means one for each core. With many cases, each process gets its share of cores."""
 MAX_STEP_S = 0.05
 MAX_SMOOTH_S = 0.25
 """Maximum step from sample to sample, and over several samples between which no valve moves."""
@@ -76,8 +83,8 @@ def prior_std(rig: Rig, key: str) -> float:
     return rig.tolerance(key) / 100.0 / sqrt(3.0)
 
 
-class Prepared(NamedTuple):
-    """A run, ready to be simulated."""
+class RunInputs(NamedTuple):
+    """What a run gives the model."""
 
     time_s: Array
     commands: Commands
@@ -87,14 +94,13 @@ class Prepared(NamedTuple):
     """Samples with unknown initial pressures; see `_starts`."""
 
 
-class Made(NamedTuple):
-    """A rig with causes in it, ready to be simulated."""
+class CompiledRig(NamedTuple):
+    """A rig with causes in it, as the compiled model takes it."""
 
     numbers: np.void
-    cv_sensor: np.void
-    reservoir_sensor: np.void
+    sensors: np.void
     effects: Effects
-    sensors: tuple[Transfer, Transfer]
+    drifting: tuple[Transfer, Transfer]
     """Sensors of control volume and reservoir, with their drift and limits."""
     longest_s: tuple[float, float, float]
     """Maximum step with the solenoid shut, with it open, and over several samples."""
@@ -105,17 +111,13 @@ class Simulation:
 
     def __init__(self, case: Case) -> None:
         self.rig = case.rig
-        self.runs = tuple(_prepared(run) for run in case.runs)
+        self.runs = tuple(_inputs(run) for run in case.runs)
         # Derivatives by initial pressures use the same rig many times.
-        self._made = lru_cache(64)(self._make)
+        self._compiled_rig = lru_cache(64)(self._compile)
         self._switchings = lru_cache(64)(self._switch)
 
     def readings(
-        self,
-        index: int,
-        moved: Mapping[str, float],
-        causes: Sequence[tuple[Cause, Values]],
-        initial: Array,
+        self, index: int, moved: Mapping[str, float], causes: Sequence[tuple[Cause, Values]], initial: Array
     ) -> ModelReadings:
         """Simulated readings of a run.
 
@@ -126,7 +128,7 @@ class Simulation:
             initial: (starts, 2) gauge pressures of reservoir and CV at each start of the run, kPa.
         """
         run = self.runs[index]
-        made = self._made(tuple(moved.items()), tuple(causes), run.to_atmosphere)
+        made = self._compiled_rig(tuple(moved.items()), tuple(causes), run.to_atmosphere)
         own = tuple((cause.commands, x) for cause, x in causes if cause.commands is not None)
         e = made.effects
         switch_s, openings = self._switchings(index, e.evp_motion, e.dvp_motion, e.solenoid_timing, own)
@@ -137,8 +139,7 @@ class Simulation:
         out = np.empty((len(run.time_s), 2))
         _compiled()(
             made.numbers,
-            made.cv_sensor,
-            made.reservoir_sensor,
+            made.sensors,
             run.time_s,
             switch_s,
             openings,
@@ -148,7 +149,7 @@ class Simulation:
             made.longest_s,
             out,
         )
-        for column, sensor in zip(out.T, made.sensors, strict=True):
+        for column, sensor in zip(out.T, made.drifting, strict=True):
             if sensor.drift_kPa_per_s:
                 column += sensor.gain * sensor.drift_kPa_per_s * (run.time_s - run.time_s[0])
             np.clip(column, sensor.lowest_kPa, sensor.highest_kPa, out=column)
@@ -172,12 +173,12 @@ class Simulation:
             commands = change(commands, values)
         return together(commands)
 
-    def _make(
+    def _compile(
         self,
         moved: tuple[tuple[str, float], ...],
         causes: tuple[tuple[Cause, Values], ...],
         to_atmosphere: bool,
-    ) -> Made:
+    ) -> CompiledRig:
         rig = with_numbers(self.rig, dict(moved))
         # A discharge has no control volume. Causes that need one are applied to a default, without effect.
         setup = perfect(rig if rig.cv is not None else replace(rig, cv=ControlVolume()))
@@ -196,9 +197,9 @@ class Simulation:
         # The number of samples in a step must not change with each small change of a parameter.
         smooth_s = 2.0 ** floor(log2(min(MAX_SMOOTH_S, shut_s)))
         longest_s = min(MAX_STEP_S, shut_s), min(MAX_STEP_S, open_s), smooth_s
-        records = _sensor(setup.cv_sensor), _sensor(setup.reservoir_sensor)
-        sensors = setup.cv_sensor.numbers, setup.reservoir_sensor.numbers
-        return Made(record(numbers), *records, effects, sensors, longest_s)
+        drifting = setup.cv_sensor.numbers, setup.reservoir_sensor.numbers
+        steady = record(Sensors(_steady(setup.cv_sensor), _steady(setup.reservoir_sensor)))
+        return CompiledRig(record(numbers), steady, effects, drifting, longest_s)
 
 
 @cache
@@ -207,23 +208,21 @@ def _compiled() -> Callable[..., None]:
     return simulate
 
 
-def _sensor(sensor: Sensor) -> np.void:
+def _steady(sensor: Sensor) -> Transfer:
     # The steps of an A/D converter have no derivative, and the noise hides them. The compiled model does not
     # know the time since the start of the run: `readings` adds the drift, and then applies the limits.
     plain = replace(sensor, adc=None, drift_kPa_per_min=0.0, lowest_share=None, highest_share=None)
-    return record(plain.numbers)
+    return plain.numbers
 
 
-def _prepared(run: RecordedRun) -> Prepared:
+def _inputs(run: RecordedRun) -> RunInputs:
     time_s = run.time_s
     commands = Commands(
-        steps_of(time_s, run.evp_opening),
-        steps_of(time_s, run.dvp_opening),
-        steps_of(time_s, run.solenoid),
+        steps_of(time_s, run.evp_opening), steps_of(time_s, run.dvp_opening), steps_of(time_s, run.solenoid)
     )
     ambient = np.full(len(time_s), ALPHA_KPA) if run.ambient_kPa is None else run.ambient_kPa
     weather = np.column_stack((ambient, np.ones(len(time_s))))
-    return Prepared(time_s, commands, weather, run.to_atmosphere, _starts(run))
+    return RunInputs(time_s, commands, weather, run.to_atmosphere, _starts(run))
 
 
 def _starts(run: RecordedRun) -> NDArray[np.intp]:
@@ -274,10 +273,7 @@ def _quickest_per_s(numbers: PlantNumbers, setup: Setup, solenoid: Opening) -> f
     if n.has_tubing:
         line = n.line_SL_per_s_kPa
         through = line * at_the_valves / (line + at_the_valves)
-        rates += [
-            evp * n.line_kPa_per_SL,
-            n.gamma * ALPHA_KPA * (through + leak) / n.cv.flat_L,
-        ]
+        rates += [evp * n.line_kPa_per_SL, n.gamma * ALPHA_KPA * (through + leak) / n.cv.flat_L]
     elif n.has_cv:
         rates.append(n.gamma * ALPHA_KPA * (at_the_valves + leak) / n.cv.flat_L)
     reservoir_L = 1.0 / n.reservoir_per_L
@@ -295,3 +291,16 @@ def _resolved_heat_per_s(time_s: float) -> float:
     only has to be stable.
     """
     return _STEP / max(_STEP * time_s, min(time_s, QUICK_S))
+
+
+def cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def mapped(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
+    """The function of each item, in the order of the items, computed in threads.
+
+    Compiled code takes most of the time, and it releases the GIL.
+    """
+    return batch(function, items, threads=THREADS.get() or cores())

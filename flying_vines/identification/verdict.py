@@ -1,4 +1,4 @@
-"""The verdict of a diagnosis, and its JSON."""
+"""The verdict of a diagnosis, its JSON, and the rig that it describes."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import Any
 
 from flying_vines.identification.evidence import Evidence
 from flying_vines.identification.held_out import HeldOut
+from flying_vines.physics.plant.true_rig import TrueRig
+from flying_vines.physics.rig import Rig, with_numbers
 
 NONE = "none"
 UNEXPLAINED = "unexplained"
@@ -30,6 +32,10 @@ class Named:
     parameters: dict[str, ParameterEstimate]
     share: float | None = None
     """See `Verdict.share`; None if it was not computed."""
+
+    def as_json(self) -> dict[str, Any]:
+        share = None if self.share is None else round(self.share, 4)
+        return {"cause": self.cause, "parameters": parameters_json(self.parameters), "share": share}
 
 
 @dataclass(frozen=True)
@@ -60,6 +66,16 @@ class Tried:
     def causes(self) -> tuple[str, ...]:
         """Names of the causes."""
         return tuple(named.cause for named in self.named)
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "cause": "+".join(self.causes) or NONE,
+            "score": round(self.score, 2),
+            "chi2_per_reading": round(self.chi2_per_reading, 4),
+            "unseen_nrmse": self.unseen_nrmse,
+            "parameters": {named.cause: parameters_json(named.parameters) for named in self.named},
+            "on_bound": list(self.on_bound),
+        }
 
 
 @dataclass(frozen=True)
@@ -104,17 +120,12 @@ class Verdict:
             "cause": self.cause,
             "confidence": round(self.confidence, 4),
             "indistinguishable": list(self.indistinguishable),
-            "also": [_named(named) for named in self.also],
+            "also": [named.as_json() for named in self.also],
             "parameters": parameters_json(self.parameters),
             "share": round(self.share, 4),
             "numbers": self.numbers,
-            "held_out": {
-                "nrmse_before": self.held_out.nrmse_before,
-                "nrmse_after": self.held_out.nrmse_after,
-                "noise_floor": self.held_out.noise_floor,
-                "gain": list(self.held_out.gain),
-            },
-            "ranking": [_tried(tried) for tried in self.ranking],
+            "held_out": {**vars(self.held_out), "gain": list(self.held_out.gain)},
+            "ranking": [tried.as_json() for tried in self.ranking],
             "next_experiment": self.next_experiment,
             "remainder": None if self.remainder is None else vars(self.remainder),
             "remarks": list(self.remarks),
@@ -123,20 +134,20 @@ class Verdict:
 
 def parameters_json(parameters: Mapping[str, ParameterEstimate]) -> dict[str, dict[str, float]]:
     """Estimate and interval of each parameter."""
-    return {name: {"estimate": e.estimate, "low": e.low, "high": e.high} for name, e in parameters.items()}
+    return {name: dict(vars(estimate)) for name, estimate in parameters.items()}
 
 
-def _named(named: Named) -> dict[str, Any]:
-    share = None if named.share is None else round(named.share, 4)
-    return {"cause": named.cause, "parameters": parameters_json(named.parameters), "share": share}
+def extended_rig(rig: Rig, verdict: Verdict) -> TrueRig:
+    """The nominal rig with the fitted numbers and the named causes of the verdict.
 
-
-def _tried(tried: Tried) -> dict[str, Any]:
-    return {
-        "cause": "+".join(tried.causes) or NONE,
-        "score": round(tried.score, 2),
-        "chi2_per_reading": round(tried.chi2_per_reading, 4),
-        "unseen_nrmse": tried.unseen_nrmse,
-        "parameters": {named.cause: parameters_json(named.parameters) for named in tried.named},
-        "on_bound": list(tried.on_bound),
-    }
+    `simulate` and the fakes read it as a rig file. An `unexplained` verdict leaves the rig
+    nominal. `none_found` records a verdict of `none`.
+    """
+    return TrueRig(
+        nominal=with_numbers(rig, verdict.numbers),
+        causes={
+            named.cause: {name: estimate.estimate for name, estimate in named.parameters.items()}
+            for named in verdict.named
+        },
+        none_found=verdict.cause == NONE,
+    )

@@ -13,12 +13,12 @@ from flying_vines.identification.bend_curve import (
     Law,
     Pairs,
     PairsError,
+    _curve,
+    bent_kPa,
     fit,
     load_pairs,
     parse_pairs,
 )
-from flying_vines.identification.bend_curve.law import _curve
-from flying_vines.identification.bend_curve.sequence import bent_kPa
 from flying_vines.physics.arrays import Array
 from flying_vines.vine.curve import BendCurve
 
@@ -201,10 +201,7 @@ def test_a_file_with_times_blank_lines_and_more_columns_is_read() -> None:
         (rows(LOOP, -3 * LOOP), "the angle falls while the pressure rises"),
         (rows(LOOP, 20 + 1.5 * LOOP - 19.0 * (np.arange(len(LOOP)) > 24)), "start with the straight vine"),
         (rows(LOOP, 3 * LOOP - 60), "start with the straight vine"),
-        (
-            "time_s,pressure_kPa,angle_deg\n" + "1,2,3\n" * 9,
-            "time_s does not rise",
-        ),
+        ("time_s,pressure_kPa,angle_deg\n" + "1,2,3\n" * 9, "time_s does not rise"),
     ],
 )
 def test_a_file_that_cannot_be_meant_is_one_line(text: str, says: str) -> None:

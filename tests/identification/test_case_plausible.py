@@ -172,12 +172,7 @@ seeds = st.integers(0, 10**6)
 )
 @example(  # The noise of few readings, stated three times too large, looked like readings in psi.
     rig=Worn(
-        reservoir_L=0.5,
-        cv_L=0.05,
-        leak_R=300.0,
-        gain=(0.8125, 1.0),
-        noise_stated=3.0,
-        ambient_kPa=60.0,
+        reservoir_L=0.5, cv_L=0.05, leak_R=300.0, gain=(0.8125, 1.0), noise_stated=3.0, ambient_kPa=60.0
     ),
     seed=297878,
     reservoir_kPa=20.0,

@@ -47,19 +47,10 @@ def recorded(found: Found) -> Case:
         record_every=EVERY_MS,
     ).table
     evp, dvp, solenoid = openings[::EVERY_MS].T.copy()
-    run = RecordedRun(
-        "run",
-        table["time_s"].copy(),
-        None,
-        evp,
-        dvp,
-        solenoid,
-        table["cv_reading_kPa"].copy(),
-        table["reservoir_reading_kPa"].copy(),
-        None,
-        None,
-        False,
+    time_s, cv_kPa, reservoir_kPa = (
+        table[name].copy() for name in ("time_s", "cv_reading_kPa", "reservoir_reading_kPa")
     )
+    run = RecordedRun("run", time_s, None, evp, dvp, solenoid, cv_kPa, reservoir_kPa, None, None, False)
     return Case(Path("memory"), found.rig, (run,), ())
 
 
@@ -68,6 +59,7 @@ LEAKS = ("cv_leak", "viscous_leak", "orifice_leak")
 RESERVOIR_LEAKS = ("reservoir_leak", "reservoir_viscous_leak", "reservoir_orifice_leak")
 DRIFTS = ("cv_sensor_drift", "reservoir_sensor_drift", "ambient_drop", "cv_sensor_offset", "cv_leak")
 PUMPS = ("pump_flow", "pump_stall", "cv_leak", "dead_volume")
+CHOKED = (*PUMPS, "pump_curve", "choked_outlet")
 PUMPED = [(2.0, 1.0, 0.0, 0.0), (2.0, 0.0, 0.0, 1.0), (8.0, 0.7, 0.0, 0.0), (2.0, 0.0, 0.0, 0.0)]
 PUMP_RIG = Rig(cv=ControlVolume(0.3), pump=Pump(0.05, 40.0))
 SUPPLIED = [(0.6, 1.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (2.0, 0.0, 0.0, 1.0), (1.5, 0.5, 0.0, 0.0)] * 3
@@ -88,20 +80,8 @@ FOUND = (
     ),
     Found("pump_flow", {"scale": 0.8}, PUMPS, PUMPED, PUMP_RIG),
     Found("pump_stall", {"scale": 1.2}, PUMPS, PUMPED, PUMP_RIG),
-    Found(
-        "pump_curve",
-        {"critical_pressure_ratio": 0.4},
-        (*PUMPS, "pump_curve", "choked_outlet"),
-        SUPPLIED,
-        SUPPLIED_RIG,
-    ),
-    Found(
-        "choked_outlet",
-        {"critical_pressure_ratio": 0.4},
-        (*PUMPS, "pump_curve", "choked_outlet"),
-        SUPPLIED,
-        SUPPLIED_RIG,
-    ),
+    Found("pump_curve", {"critical_pressure_ratio": 0.4}, CHOKED, SUPPLIED, SUPPLIED_RIG),
+    Found("choked_outlet", {"critical_pressure_ratio": 0.4}, CHOKED, SUPPLIED, SUPPLIED_RIG),
     Found(
         "hose",
         {"flow_resistance_kPa_s_per_SL": 60.0, "volume_L": 0.05},

@@ -6,8 +6,14 @@ import tomllib
 from dataclasses import fields
 from typing import Any
 
-from flying_vines.identification.extended import extended_rig
-from flying_vines.identification.verdict import NONE, UNEXPLAINED, Named, ParameterEstimate, Verdict
+from flying_vines.identification.verdict import (
+    NONE,
+    UNEXPLAINED,
+    Named,
+    ParameterEstimate,
+    Verdict,
+    extended_rig,
+)
 from flying_vines.physics.plant.true_rig import TrueRig, true_rig_from, true_rig_text
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
 

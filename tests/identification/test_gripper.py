@@ -15,9 +15,9 @@ import pytest
 
 from flying_vines.identification.case import read_case
 from flying_vines.identification.diagnose import diagnose
+from flying_vines.identification.held_out import in_odd_stretch
 from flying_vines.identification.importing.answers_file import Answers
 from flying_vines.identification.importing.runs import propose, write_case
-from flying_vines.identification.prediction_error import in_odd_stretch
 
 ATMOSPHERE_KPA = 101.325
 

@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from examples import examples
-from flying_vines.identification.case import read_case
+from flying_vines.identification.case import Case, read_case
 from flying_vines.identification.diagnose import possible_causes
 from flying_vines.identification.importing.answers_file import (
     Answers,
@@ -28,7 +28,8 @@ from flying_vines.identification.importing.answers_file import (
 )
 from flying_vines.identification.importing.columns import ImportedColumn, guess_columns
 from flying_vines.identification.importing.layout import read_foreign
-from flying_vines.identification.importing.runs import Proposal, Run, is_foreign, propose, write_case
+from flying_vines.identification.importing.rig_guess import Run
+from flying_vines.identification.importing.runs import Proposal, is_foreign, propose, write_case
 from flying_vines.identification.importing.units import UNITS, Unit, parse_unit, psi_instead, unit_in
 from flying_vines.identification.parallel_diagnosis import read_any
 from flying_vines.identification.recording import CaseError
@@ -50,6 +51,13 @@ def meanings(proposal: Proposal) -> dict[str, str]:
 def proposed(path: Path, text: str | bytes, said: Answers | None = None) -> Proposal:
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return propose(path, said or Answers(), BOTH)
+
+
+def written_case(proposal: Proposal) -> Case:
+    """The case that the proposal becomes, beside its file."""
+    folder = proposal.path.parent / "case"
+    write_case([proposal], folder)
+    return read_case(folder)
 
 
 def one_run(proposal: Proposal) -> Run:
@@ -215,8 +223,7 @@ def test_the_written_case_has_the_same_numbers(tmp_path: Path) -> None:
         rows.append(";".join(f"{x:.8g}" for x in row).replace(".", ",") + (";on" if vent else ";off"))
     proposal = proposed(tmp_path / "lab.txt", "\n".join(rows))
     assert meanings(proposal)["time"] == "ms"
-    write_case([proposal], tmp_path / "case")
-    (recorded,) = read_case(tmp_path / "case").runs
+    (recorded,) = written_case(proposal).runs
     np.testing.assert_allclose(recorded.time_s, run["time"], atol=1e-6)
     np.testing.assert_allclose(recorded.cv_kPa, run["cv_pressure"], atol=1e-3)
     np.testing.assert_allclose(recorded.reservoir_kPa, run["reservoir_pressure"], atol=1e-3)
@@ -346,6 +353,16 @@ HEADINGS: dict[str, tuple[str, Callable[[int], str], dict[str, str]]] = {
         {"time": "s", "reservoir_pressure": "mbar abs"},
     ),
     "Dutch": ("tijd,druk (mb)", lambda i: f"{i},{7000 - i}", {"time": "s", "reservoir_pressure": "mbar"}),
+    "a barometer may have another unit": (
+        "t,tank pressure,barometer",
+        lambda i: f"{i / 10},{400.0 * 0.99**i:.2f},{1013.0 + i % 3}",
+        {"time": "s", "reservoir_pressure": "kPa", "ambient_pressure": "mbar"},
+    ),
+    "a chamber that rests at 14 kPa is not in psi": (
+        "t,chamber pressure",
+        lambda i: f"{i / 10},{14.0 + 26.0 * 0.97**i:.3f}",
+        {"time": "s", "reservoir_pressure": "kPa"},
+    ),
     "a volume is no pressure": (
         "time(sec) pressure net_flow volume",
         lambda i: f"{i / 50} {600 - i / 10:.1f} {i % 9} {i % 50}",
@@ -400,8 +417,7 @@ def test_spikes_of_a_disturbed_sensor_are_left_out(tmp_path: Path) -> None:
 
 def test_the_ambient_pressure_of_a_laboratory_is_constant(tmp_path: Path) -> None:
     rows = "\n".join(f"{i / 10},{600.0 * 0.99**i:.2f}" for i in range(300))
-    write_case([proposed(tmp_path / "a.csv", f"t,tank kPa\n{rows}")], tmp_path / "case")
-    case = read_case(tmp_path / "case")
+    case = written_case(proposed(tmp_path / "a.csv", f"t,tank kPa\n{rows}"))
     assert case.runs[0].ambient_kPa == pytest.approx(101.325, abs=0.1)
     assert "ambient_drop" not in {cause.name for cause in possible_causes(case)}
 
@@ -410,31 +426,19 @@ def test_the_resistance_of_a_valve_that_is_partly_open(tmp_path: Path) -> None:
     fall = 100.0 * np.log(np.array([500.0 * np.exp(-max(0, i - 20) / 100) for i in range(120)]))
     rows = [f"{i / 10},{np.exp(at / 100):.2f},{50 if i >= 20 else 0}" for i, at in enumerate(fall)]
     rows[60] = "6.0,nan,50"
-    write_case([proposed(tmp_path / "a.csv", "\n".join(["t,tank kPa,valve %", *rows]))], tmp_path / "case")
-    resistance = tomllib.loads((tmp_path / "case" / "rig.toml").read_text())["evp"]
+    found = proposed(tmp_path / "a.csv", "\n".join(["t,tank kPa,valve %", *rows]))
     # R V / alpha = 10 s at half the opening, of 2 L.
-    assert resistance["flow_resistance_kPa_s_per_SL"] == pytest.approx(10.0 * 0.5 * 101.3 / 2.0, rel=0.02)
+    assert written_case(found).rig.evp.flow_resistance_kPa_s_per_SL == pytest.approx(
+        10.0 * 0.5 * 101.3 / 2.0, rel=0.02
+    )
 
 
 def test_a_cylinder_at_100_bar_is_read(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     p = 1e4 * 0.98 ** np.arange(200) + rng.normal(0.0, 5.0, 200)
     rows = "\n".join(f"{i / 10},{kPa / 100:.3f}" for i, kPa in enumerate(p))
-    write_case([proposed(tmp_path / "a.csv", f"t,tank bar\n{rows}")], tmp_path / "case")
-    assert np.max(read_case(tmp_path / "case").runs[0].reservoir_kPa) > 9000.0
-
-
-def test_a_barometer_may_have_another_unit(tmp_path: Path) -> None:
-    rows = "\n".join(f"{i / 10},{400.0 * 0.99**i:.2f},{1013.0 + i % 3}" for i in range(300))
-    found = meanings(proposed(tmp_path / "a.csv", f"t,tank pressure,barometer\n{rows}"))
-    assert (found["reservoir_pressure"], found["ambient_pressure"]) == ("kPa", "mbar")
-
-
-def test_a_chamber_that_rests_at_14_kPa_is_not_in_psi(tmp_path: Path) -> None:
-    rows = "\n".join(f"{i / 10},{14.0 + 26.0 * 0.97**i:.3f}" for i in range(300))
-    assert (
-        meanings(proposed(tmp_path / "a.csv", f"t,chamber pressure\n{rows}"))["reservoir_pressure"] == "kPa"
-    )
+    found = written_case(proposed(tmp_path / "a.csv", f"t,tank bar\n{rows}"))
+    assert np.max(found.runs[0].reservoir_kPa) > 9000.0
 
 
 def test_several_runs_in_a_file(tmp_path: Path) -> None:
@@ -461,8 +465,7 @@ def test_the_two_valves_of_a_gripper_are_told_apart_by_the_pressure(tmp_path: Pa
         "evp_opening",
         "solenoid",
     ]
-    write_case([found], tmp_path / "case")
-    rig = read_case(tmp_path / "case").rig
+    rig = written_case(found).rig
     assert rig.solenoid.flow_resistance_kPa_s_per_SL == pytest.approx(300.0, rel=0.02)
     assert rig.pump is not None and rig.pump.stall_pressure_kPa == pytest.approx(150.0, rel=0.02)
     assert rig.tolerance("solenoid.flow_resistance_kPa_s_per_SL") == 80.0
@@ -477,8 +480,7 @@ def test_the_valves_between_a_tank_and_a_chamber_are_estimated(tmp_path: Path) -
         tank_kPa -= 0.02 * 101.325 / 5.0 * flow
         kPa += 0.02 * 101.325 / 0.5 * (flow - vents * kPa / 150.0)
     (tmp_path / "a.csv").write_text("\n".join(["t (s),tank kPa,chamber kPa,inlet valve,vent", *rows]))
-    write_case([propose(tmp_path / "a.csv", Answers(), {"cv": 0.5, "reservoir": 5.0})], tmp_path / "case")
-    rig = read_case(tmp_path / "case").rig
+    rig = written_case(propose(tmp_path / "a.csv", Answers(), {"cv": 0.5, "reservoir": 5.0})).rig
     assert rig.evp.flow_resistance_kPa_s_per_SL == pytest.approx(500.0, rel=0.03)
     assert rig.solenoid.flow_resistance_kPa_s_per_SL == pytest.approx(150.0, rel=0.03)
 
@@ -489,8 +491,7 @@ def test_a_chamber_of_which_only_the_outlet_was_recorded(tmp_path: Path) -> None
         rows.append(f"{i / 50},{kPa:.3f},{int(100 <= i < 200)}")
         kPa -= (100 <= i < 200) * 0.02 * 101.325 / 0.2 * kPa / 600.0
     (tmp_path / "a.csv").write_text("\n".join(["t,chamber kPa,vent", *rows]))
-    write_case([propose(tmp_path / "a.csv", Answers(), {"": 0.2})], tmp_path / "case")
-    case = read_case(tmp_path / "case")
+    case = written_case(propose(tmp_path / "a.csv", Answers(), {"": 0.2}))
     assert case.rig.reservoir.volume_L == 0.2 and np.isfinite(case.runs[0].reservoir_kPa).all()
     assert case.rig.evp.flow_resistance_kPa_s_per_SL == pytest.approx(600.0, rel=0.03)
 
@@ -499,8 +500,7 @@ def test_an_evacuated_vessel_that_leaks(tmp_path: Path) -> None:
     rows = "\n".join(f"{i / 10},{-62.0 * 0.9982**i:.2f}" for i in range(900))
     found = proposed(tmp_path / "cup.csv", f"t(s),vacuum (kPa)\n{rows}")
     assert found.missing == () and found.answers.setup.outlet == "shut"
-    write_case([found], tmp_path / "case")
-    run = read_case(tmp_path / "case").runs[0]
+    run = written_case(found).runs[0]
     assert run.reservoir_kPa[0] == pytest.approx(-62.0) and not run.evp_opening.any()
 
 
@@ -526,8 +526,7 @@ def test_a_valve_needs_the_volume_of_its_reservoir(tmp_path: Path) -> None:
     path = copied(tmp_path, "pump_and_chamber.csv")
     pump = propose(path, Answers(), {"cv": 0.1})
     assert pump.missing == () and [question.key for question in pump.questions] == ["setup.source"]
-    write_case([pump], tmp_path / "case")
-    rig = read_case(tmp_path / "case").rig
+    rig = written_case(pump).rig
     assert rig.pump is not None and 20.0 < rig.pump.stall_pressure_kPa < 120.0
     assert rig.tolerance("pump.free_flow_SL_per_s") == 80.0
     set_answer(pump.answers, "setup.source", "reservoir")
@@ -539,8 +538,9 @@ def test_the_gas_is_that_of_the_rig_file(tmp_path: Path) -> None:
         tmp_path / "a.csv", "t (s),tank kPa\n" + "\n".join(f"{i},{600 - i}" for i in range(40))
     )
     set_answer(proposal.answers, "setup.gas", "CO2")
-    write_case([propose(tmp_path / "a.csv", proposal.answers, BOTH)], tmp_path / "case")
-    assert read_case(tmp_path / "case").rig.gas.properties == GASES["CO2"]
+    assert (
+        written_case(propose(tmp_path / "a.csv", proposal.answers, BOTH)).rig.gas.properties == GASES["CO2"]
+    )
     (tmp_path / "b.import.toml").write_text('[setup]\ngas = "laughing"\n')
     with pytest.raises(CaseError, match="'laughing' is not a known gas"):
         read_answers(tmp_path / "b.import.toml")
@@ -550,8 +550,7 @@ def test_the_outlet_of_a_vessel_alone(tmp_path: Path) -> None:
     t, p = fall(600.0)
     rows = "\n".join(f"{a:.2f},{b},1" for a, b in zip(t, p, strict=True))
     found = proposed(tmp_path / "a.csv", f"t (s),tank kPa,vent\n{rows[:-1]}0")
-    write_case([found], tmp_path / "case")
-    assert read_case(tmp_path / "case").runs[0].evp_opening[0] == 1.0
+    assert written_case(found).runs[0].evp_opening[0] == 1.0
 
 
 @pytest.mark.parametrize("late", [0.0, 0.2, 0.5, 0.8])
@@ -591,8 +590,8 @@ def test_voltage_needs_a_calibration(tmp_path: Path) -> None:
     proposal = proposed(tmp_path / "a.csv", text)
     (question,) = proposal.missing
     set_answer(proposal.answers, question.key, "V (0.5=0, 4.5=1000)")
-    write_case([propose(tmp_path / "a.csv", proposal.answers, BOTH)], tmp_path / "case")
-    assert read_case(tmp_path / "case").runs[0].reservoir_kPa[0] == pytest.approx(1000.0)
+    found = written_case(propose(tmp_path / "a.csv", proposal.answers, BOTH))
+    assert found.runs[0].reservoir_kPa[0] == pytest.approx(1000.0)
 
 
 def test_a_file_without_time_needs_a_rate(tmp_path: Path) -> None:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flying_vines.identification.fit import Tangents
-from flying_vines.identification.jacobian import Jacobian, RunJacobian
+from flying_vines.identification.jacobian import Jacobian, RunJacobian, Tangents
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Parameter
 

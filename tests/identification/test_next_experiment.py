@@ -8,41 +8,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hidden_truth import draw, write
+from hidden_truth import draw
 from rich.console import Console
 
 from flying_vines.identification import next_experiment
 from flying_vines.identification.candidate import Candidate
-from flying_vines.identification.case import Case, read_case
+from flying_vines.identification.case import Case
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.fit import FitProblem
 from flying_vines.identification.noise import stated_noise
 from flying_vines.identification.plan import recommend
 from flying_vines.identification.plan.library import library
-from flying_vines.identification.report.page import page
+from flying_vines.identification.report import page
 from flying_vines.identification.show import show
 from flying_vines.physics.cause import Cause
-from flying_vines.physics.effects import causes_of
+from flying_vines.physics.effects import cause_named, causes_of
 from flying_vines.physics.rig import Pump, Rig
-
-
-@pytest.fixture(scope="module")
-def case(tmp_path_factory: pytest.TempPathFactory) -> Case:
-    """One short run of a rig with one cause."""
-    folder = tmp_path_factory.mktemp("short") / "case"
-    write(folder, draw("short", 1))
-    return read_case(folder)
-
-
-def others(case: Case, *also_without: str) -> list[Cause]:
-    """The catalogue without the hidden cause, which is then an unknown effect."""
-    hidden = {draw("short", 1).hidden[0].name, *also_without}
-    return [cause for cause in causes_of(case.rig) if cause.name not in hidden]
 
 
 @pytest.mark.long
 def test_unexplained_data_ask_for_the_runs_that_separate_the_nearest_causes(
-    case: Case, monkeypatch: pytest.MonkeyPatch
+    short_case: Case, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = []
 
@@ -51,20 +37,21 @@ def test_unexplained_data_ask_for_the_runs_that_separate_the_nearest_causes(
         return recommend(rig, doubt, *more, **limits)  # type: ignore[arg-type]
 
     monkeypatch.setattr(next_experiment, "recommend", spy)
-    verdict = diagnose(case, [cause for cause in others(case) if cause.name in ("evp_lag", "line_delay")])
+    # Without the hidden cause, which is then an unknown effect.
+    verdict = diagnose(short_case, [cause_named("evp_lag"), cause_named("line_delay")])
     assert verdict.cause == "unexplained"
     ((doubt, limits),) = asked
     assert {cause.name for cause in doubt} <= {"evp_lag", "line_delay", "none"}
     assert all(cause.name in verdict.next_experiment for cause in doubt)
     # The rig has already been at these pressures.
-    assert limits["full_kPa"] == max(run.reservoir_kPa.max() for run in case.runs)
-    assert limits["most_kPa"] == max(run.cv_kPa.max() for run in case.runs)
+    assert limits["full_kPa"] == max(run.reservoir_kPa.max() for run in short_case.runs)
+    assert limits["most_kPa"] == max(run.cv_kPa.max() for run in short_case.runs)
 
     printed = io.StringIO()
     show(verdict, Console(file=printed, width=2000))
     assert verdict.next_experiment in printed.getvalue()
     assert json.loads(json.dumps(verdict.as_json()))["next_experiment"] == verdict.next_experiment
-    assert verdict.next_experiment in page(verdict, case, {})
+    assert verdict.next_experiment in page(verdict, short_case, {})
 
 
 def test_no_recommended_run_goes_above_the_pressures_of_the_rig() -> None:
@@ -94,11 +81,11 @@ def test_leaks_of_two_laws_are_separated_by_what_the_pump_can_do() -> None:
     assert "kPa (" not in found.in_words() and "reservoir" not in found.in_words()
 
 
-def test_the_error_of_a_known_parameter_is_at_most_that_of_its_range(case: Case) -> None:
+def test_the_error_of_a_known_parameter_is_at_most_that_of_its_range(short_case: Case) -> None:
     """A scale that the data do not determine once moved by e^18, and its simulation did not end."""
     hidden = draw("short", 1).hidden[0].name
-    problem = FitProblem(case, stated_noise(case.rig))
-    (cause,) = [cause for cause in causes_of(case.rig) if cause.name == hidden]
+    problem = FitProblem(short_case, stated_noise(short_case.rig))
+    cause = cause_named(hidden)
     unsure = Candidate(problem, problem.at(problem.start().with_cause(cause, cause.seeds()[0])))
     huge = 1e6 * np.eye(len(cause.parameters))
     vars(unsure)["covariance"] = huge  # Instead of the cached property.

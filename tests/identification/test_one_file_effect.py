@@ -11,7 +11,7 @@ import pytest
 
 from flying_vines.identification.case import Case, RecordedRun, read_case
 from flying_vines.identification.diagnose import diagnose
-from flying_vines.identification.extended import extended_rig
+from flying_vines.identification.verdict import extended_rig
 from flying_vines.physics import effects
 from flying_vines.physics.effects import catalogue, cause_named, setup
 from flying_vines.physics.plant.true_rig import TrueRig, load_true_rig, true_rig_text

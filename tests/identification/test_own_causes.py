@@ -13,7 +13,7 @@ import pytest
 from flying_vines.config.config import default_text
 from flying_vines.identification.case import read_case
 from flying_vines.identification.diagnose import diagnose
-from flying_vines.identification.extended import extended_rig
+from flying_vines.identification.verdict import extended_rig
 from flying_vines.physics import effects, own_causes
 from flying_vines.physics.cause import CauseError
 from flying_vines.physics.effects import add_causes, catalogue, cause_named

@@ -22,8 +22,8 @@ from flying_vines.identification.case import Case, read_case
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.parallel_diagnosis import CaseOutcome, ClusterError, diagnose_all
 from flying_vines.identification.recording import CaseError
-from flying_vines.identification.show_verdicts import show_all
-from flying_vines.identification.threads import THREADS
+from flying_vines.identification.show import show_all
+from flying_vines.identification.simulate import THREADS
 from flying_vines.identification.verdict import Verdict
 
 RIG = "[reservoir]\nvolume_L = 2.0\n[sensors]\nreservoir_noise_std_kPa = 1.2\n"
@@ -97,9 +97,8 @@ def test_without_dask_a_scheduler_is_refused(
     cases: list[Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    status, out, err = run(capsys, *map(str, cases), "--scheduler", "tcp://127.0.0.1:8786")
-    assert (status, out) == (2, "") and err.count("\n") == 1
-    assert "needs distributed" in err and install_command("cluster") in err
+    line = command_line.refused(capsys, "diagnose", *cases, "--scheduler", "tcp://127.0.0.1:8786")
+    assert "needs distributed" in line and install_command("cluster") in line
 
 
 def replace_diagnose(monkeypatch: pytest.MonkeyPatch, diagnose: Callable[[Case], Verdict]) -> None:
@@ -214,6 +213,6 @@ def test_on_a_terminal_there_are_lines_and_a_progress_bar(cases: list[Path]) -> 
 def test_options_for_one_case_are_refused_with_several(
     cases: list[Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    status, out, err = run(capsys, str(cases[0]), str(cases[2]), "--write-rig", "x.toml")
-    assert (status, out) == (2, "") and err.count("\n") == 1 and "--write-rig" in err
+    two = command_line.refused(capsys, "diagnose", cases[0], cases[2], "--write-rig", "x.toml")
+    assert "--write-rig" in two
     assert run(capsys)[::2] == (2, "flying-vines: diagnose needs a CASE, or a flight log: --from-log LOG\n")

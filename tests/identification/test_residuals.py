@@ -11,8 +11,8 @@ import pytest
 from flying_vines.identification.candidate import STRUCTURE
 from flying_vines.identification.case import Case, RecordedRun
 from flying_vines.identification.fit import Fit, FitProblem
+from flying_vines.identification.intervals import blocks
 from flying_vines.identification.noise import SensorNoise
-from flying_vines.identification.prediction_error import blocks
 from flying_vines.identification.residuals import excess, patterns
 from flying_vines.identification.simulate import Simulation
 from flying_vines.physics.arrays import Array

@@ -10,7 +10,7 @@ import pytest
 
 from flying_vines.identification.case import read_case
 from flying_vines.identification.diagnose import diagnose
-from flying_vines.identification.importing.filling import guessed_pump
+from flying_vines.identification.importing.rig_guess import guessed_pump
 from flying_vines.physics.effects import cause_named
 from flying_vines.physics.plant.true_rig import true_rig_from
 from flying_vines.simulation.scenario import parse_scenario, simulate_scenario, write_case

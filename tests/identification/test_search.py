@@ -54,9 +54,9 @@ def test_a_fit_of_six_causes_reaches_the_noise_in_any_order(tmp_path: Path) -> N
     keys = Search(problem, ()).keys
     causes = [cause_named(hidden.effect.name) for hidden in truth.hidden]
     for order in (causes, causes[1:] + causes[:1]):
-        point = problem.fit(problem.start().freed(keys)).point
+        point = problem.fit(problem.start().with_free(keys)).point
         for cause in order:
-            point = problem.begun(point, cause).point
+            point = problem.first_fit(point, cause).point
         assert problem.fit(point).chi2 < 1.05 * problem.readings
 
 
@@ -105,7 +105,7 @@ def test_the_laws_of_a_leak_exclude_each_other() -> None:
 def test_a_lower_minimum_of_the_chosen_set_leaves_a_confidence() -> None:
     """The search may first have ended at a far higher minimum of the same causes."""
     higher, chosen, null = (
-        SimpleNamespace(names=names, score=score, possible=True)
+        SimpleNamespace(names=names, score=score, within_bounds=True)
         for names, score in ((("a", "b"), 5000.0), (("a", "b"), 0.0), ((), 9000.0))
     )
     found: Any = SimpleNamespace(
@@ -136,7 +136,9 @@ def test_a_fit_with_known_derivatives_ends_at_the_same_cost_with_fewer_simulatio
     write(tmp_path / "case", truth)
     problem = problem_of(read_case(tmp_path / "case"))
     keys = Search(problem, ()).keys
-    best = problem.fit(problem.begun(problem.start().freed(keys), cause_named(truth.hidden[0].name)).point)
+    best = problem.fit(
+        problem.first_fit(problem.start().with_free(keys), cause_named(truth.hidden[0].name)).point
+    )
     (parameter, *_), (value, *_) = best.point.causes[0].parameters, best.point.values[0]
     pinned = best.point.pinned(0, 0, parameter.within(parameter.to_search(value) + 1e-3 * parameter.range))
     counted = Counted(problem)
@@ -152,7 +154,7 @@ def test_derivatives_of_a_part_of_the_readings_are_a_part_of_the_derivatives(tmp
     problem = problem_of(read_case(tmp_path / "case"))
     (run,) = problem.case.runs
     shown = FitProblem(problem.case, problem.noise, [run.time_s < 10.0])
-    point = problem.start().freed(Search(problem, ()).keys)
+    point = problem.start().with_free(Search(problem, ()).keys)
     part = problem.jacobian(problem.at(point)).where(shown.used)
     anew = shown.jacobian(shown.at(point))
     assert part.reduced == pytest.approx(anew.reduced)

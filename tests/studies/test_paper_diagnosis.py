@@ -110,7 +110,7 @@ def test_no_second_cause_is_sure(found: Discharges) -> None:
 
 def test_no_discharge_separates_the_valve_from_the_volume(problem: FitProblem) -> None:
     flow, volume = (
-        problem.fit(problem.begun(problem.start(), cause_named(name)).point)
+        problem.fit(problem.first_fit(problem.start(), cause_named(name)).point)
         for name in ("evp_restriction", SAME_AS_FLOW)
     )
     assert flow.chi2 == pytest.approx(volume.chi2, rel=1e-6)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from command_line import status
 
-from flying_vines.identification.bend_curve.law import Law
+from flying_vines.identification.bend_curve import Law
 
 LOOP = np.concatenate([np.linspace(0.0, 20.7, 20), np.linspace(20.7, 0.0, 20)])
 

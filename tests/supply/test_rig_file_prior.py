@@ -20,7 +20,7 @@ from flying_vines.config import config
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.identification.case import read_case
 from flying_vines.identification.diagnose import diagnose
-from flying_vines.identification.extended import extended_rig
+from flying_vines.identification.verdict import extended_rig
 from flying_vines.physics.effects import catalogue
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.plant import at_rest

@@ -13,7 +13,6 @@ import msgspec
 import numpy as np
 
 from flying_vines.identification.importing.layout import ForeignTable
-from flying_vines.identification.importing.spikes import is_spike
 from flying_vines.identification.importing.units import (
     AMBIENT_KPA,
     STROKES,
@@ -28,7 +27,7 @@ from flying_vines.identification.importing.units import (
     unit_in,
     words_of,
 )
-from flying_vines.identification.noise import resolution
+from flying_vines.identification.noise import is_spike, resolution
 from flying_vines.identification.recording import CaseError
 from flying_vines.physics.arrays import Array
 

@@ -18,8 +18,7 @@ import msgspec
 import numpy as np
 
 from flying_vines.files.bounded import TABLE_BYTES, read_bytes
-from flying_vines.identification.recording import CaseError, counted
-from flying_vines.identification.table import MISSING
+from flying_vines.identification.recording import MISSING, CaseError, counted
 from flying_vines.physics.arrays import Array
 
 Separator = Literal[",", ";", "\t", " ", "|"]

@@ -13,10 +13,11 @@ from itertools import pairwise
 from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import msgspec
 import numpy as np
+from rich.console import Console
+from rich.table import Table
 
 from flying_vines.config.toml_edit import table_lines
 from flying_vines.identification.case import MIN_S, MIN_SAMPLES, RIG, Case, read_case
@@ -27,22 +28,14 @@ from flying_vines.identification.importing.answers_file import (
     missing_line,
     read_answers,
 )
-from flying_vines.identification.importing.columns import (
-    IGNORED,
-    QUANTITIES,
-    ImportedColumn,
-    guess_columns,
-)
-from flying_vines.identification.importing.filling import guessed_pump, guessed_valve
+from flying_vines.identification.importing.columns import IGNORED, QUANTITIES, ImportedColumn, guess_columns
 from flying_vines.identification.importing.layout import ForeignTable, read_foreign
-from flying_vines.identification.importing.spikes import is_spike
+from flying_vines.identification.importing.rig_guess import PRESSURES, Run, fall_s, from_ambient, rig_tables
 from flying_vines.identification.importing.units import parse_unit, psi_instead
-from flying_vines.identification.noise import MIN_KPA, measured_noise, rounded_noise, rounding_step
-from flying_vines.identification.recording import CaseError, counted
-from flying_vines.identification.table import has_header
+from flying_vines.identification.noise import is_spike
+from flying_vines.identification.recording import CaseError, counted, has_header
 from flying_vines.physics.arrays import Array
-from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA
-from flying_vines.physics.rig import rig_from
+from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
 
 _CASE_COLUMNS = {
     "time": "time_s",
@@ -56,22 +49,14 @@ _CASE_COLUMNS = {
     "ambient_temperature": "ambient_temperature_C",
     "after_gap": "after_gap",
 }
-_PRESSURES = {"cv_pressure": "cv", "reservoir_pressure": "reservoir"}
 _VALVES = ("evp_opening", "dvp_opening", "solenoid")
-_OUTLET_TOLERANCE_PERCENT = 50.0
-"""Tolerance of the flow resistance of a vessel's outlet, estimated from the fall of the pressure."""
-_CHAMBER_TOLERANCE_PERCENT = 80.0
-"""Tolerance of guesses about what fills and empties a chamber. Leaks, hoses, the sensor and the gas's
-temperature change rise and fall as well."""
 _MAX_VALVE_S = 3.0
 """Maximum time constant of a fall through an opened outlet; a slower fall is a leak."""
 _VACUUM_KPA = 130.0
 """No reading is further below ambient pressure, even with a sensor offset."""
+_SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks", "|": "bars"}
 _EPOCH_S = 1e8
 """If the first time is larger, it is a date, and the run's time then starts at 0."""
-
-Run = dict[str, Array]
-"""Converted columns of a run, by meaning."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +96,7 @@ def propose(path: Path, said: Answers, volume_L: Mapping[str, float] | None = No
     for meaning in meanings:
         if meanings.count(meaning) > 1:
             raise CaseError(f"{path}: two columns are {meaning}; write {IGNORED} for one of them")
-    if not set(_PRESSURES) & set(meanings):
+    if not set(PRESSURES) & set(meanings):
         raise CaseError(
             f"{path}: no column looks like a pressure; name the column: --column N=cv_pressure:kPa"
             f"{_read_as(columns)}"
@@ -186,7 +171,7 @@ def write_case(proposals: Sequence[Proposal], folder: Path) -> list[Path]:
 
     Raises CaseError if the files disagree about the rig, or the folder has other runs.
     """
-    rigs = [_rig_tables(proposal) for proposal in proposals]
+    rigs = [rig_tables(proposal.answers, list(proposal.runs.values())) for proposal in proposals]
     for proposal, rig in zip(proposals, rigs, strict=True):
         for vessel in ("cv", "reservoir", "gas"):
             if rig.get(vessel) != rigs[0].get(vessel):
@@ -231,7 +216,7 @@ def _runs(table: ForeignTable, answers: Answers, notes: list[str]) -> Iterator[t
     for count, rows in enumerate(kept, start=1):
         run = {meaning: column[rows] for meaning, column in values.items()}
         run["time"] = _in_order(run, notes)
-        for meaning in _PRESSURES:
+        for meaning in PRESSURES:
             if meaning in run:
                 run[meaning] = _without_spikes(run[meaning], meaning, notes)
         yield (table.path.stem if len(kept) == 1 else f"{table.path.stem}_{count}"), run
@@ -281,7 +266,7 @@ def _doubtful_units(answers: Answers, said: Answers, runs: Mapping[str, Run]) ->
     """Questions for pressures with kPa in the heading that behave like psi, unless the user gave a unit."""
     sure = {column.number for column in said.columns if column.unit}
     for column in answers.columns:
-        if column.meaning not in _PRESSURES or column.number in sure or column.unit != "kPa":
+        if column.meaning not in PRESSURES or column.number in sure or column.unit != "kPa":
             continue
         reasons = [psi_instead(run["time"], run[column.meaning]) for run in runs.values()]
         if all(reasons):
@@ -335,7 +320,7 @@ def _renamed(run: Run, meaning: str, new: str) -> Run:
 
 
 def _rises(pressure_kPa: Array) -> bool:
-    p = _from_ambient(pressure_kPa[np.isfinite(pressure_kPa)])
+    p = from_ambient(pressure_kPa[np.isfinite(pressure_kPa)])
     gain_kPa = float(np.median(np.sort(p)[-5:]) - np.median(p[:5])) if len(p) else 0.0
     return gain_kPa > 1.0 + 0.15 * float(np.ptp(p))
 
@@ -377,8 +362,8 @@ def _from(run: Run, start_s: float) -> Run:
 def _only_leaks(run: Run, opens_s: float | None) -> bool:
     """True if the pressure falls too slowly for an outlet that opens at this time."""
     open_after = np.where(run["time"] >= (opens_s or 0.0), 1.0, 0.0)
-    fall_s = _fall_s(run["time"], run["reservoir_pressure"], open_after)
-    return opens_s is None or fall_s is None or fall_s > _MAX_VALVE_S
+    time_constant_s = fall_s(run["time"], run["reservoir_pressure"], open_after)
+    return opens_s is None or time_constant_s is None or time_constant_s > _MAX_VALVE_S
 
 
 def _with_outlet(run: Run, opens_s: float) -> Run:
@@ -396,7 +381,7 @@ def _filled_time(time_s: Array, pressure_kPa: Array) -> float | None:
     It is filled if the first pressure is below half of the highest.
     """
     there = np.isfinite(pressure_kPa)
-    t, p = time_s[there], _from_ambient(pressure_kPa[there])
+    t, p = time_s[there], from_ambient(pressure_kPa[there])
     if len(p) < MIN_SAMPLES:
         return None
     top = int(np.argmax(p))
@@ -409,7 +394,7 @@ def _opening_time(time_s: Array, pressure_kPa: Array, *, late: bool) -> float | 
     With `late`, a smaller first step also belongs to the fall: the outlet opened shortly before a reading.
     """
     there = np.isfinite(pressure_kPa)
-    t, p = time_s[there], _from_ambient(pressure_kPa[there])
+    t, p = time_s[there], from_ambient(pressure_kPa[there])
     if len(p) < MIN_SAMPLES or float(p[0] - np.min(p)) < 0.5 * abs(float(p[0])):
         return None
     rates = np.diff(p) / np.maximum(np.diff(t), 1e-9)
@@ -423,7 +408,7 @@ def _opening_time(time_s: Array, pressure_kPa: Array, *, late: bool) -> float | 
 
 def _missing_volumes(answers: Answers, runs: Mapping[str, Run]) -> Iterator[ImportQuestion]:
     measured = set(next(iter(runs.values())))
-    needed = {vessel for pressure, vessel in _PRESSURES.items() if pressure in measured}
+    needed = {vessel for pressure, vessel in PRESSURES.items() if pressure in measured}
     if answers.setup.source == "reservoir":
         needed.add("reservoir")
     for vessel in sorted(needed):
@@ -452,92 +437,6 @@ def _guessed_setup(said: Answers, answers: Answers) -> Iterator[ImportQuestion]:
         yield ImportQuestion("setup.source", text, "", answers.setup.source)
 
 
-def _rig_tables(proposal: Proposal) -> dict[str, Any]:
-    """The tables of rig.toml: the answers, the noise of the readings, and guesses about pump and valves.
-
-    The valves of a rig with a Venturi have their defaults: its vacuum changes the fall.
-    """
-    tables: dict[str, Any] = {name: dict(table) for name, table in proposal.answers.rig.items()}
-    if proposal.answers.setup.gas:
-        tables.setdefault("gas", {"name": proposal.answers.setup.gas})
-    if "tolerance_percent" in tables:
-        tables["tolerance_percent"] = dict(rig_from(proposal.answers.rig).tolerance_percent)
-    runs = list(proposal.runs.values())
-    if proposal.answers.setup.source == "pump":
-        _add_guess(tables, "pump", guessed_pump(runs, tables["cv"]["volume_L"]), _CHAMBER_TOLERANCE_PERCENT)
-    sensors = tables.setdefault("sensors", {})
-    for pressure, vessel in _PRESSURES.items():
-        readings = [run[pressure] for run in runs if pressure in run]
-        if readings and f"{vessel}_noise_std_kPa" not in sensors:
-            sensors[f"{vessel}_noise_std_kPa"] = float(f"{_noise_kPa(readings):.3g}")
-    if all("cv_pressure" not in run for run in runs):
-        tables.pop("cv", None)
-        opening = [run.get("evp_opening", np.ones_like(run["time"])) for run in runs]
-        falls = zip(runs, opening, strict=True)
-        seconds = [_fall_s(run["time"], run["reservoir_pressure"], opened) for run, opened in falls]
-        _add_resistance(tables, "evp", seconds, "reservoir", _OUTLET_TOLERANCE_PERCENT)
-    elif all("dvp_opening" not in run for run in runs):
-        seconds = [_fall_s(run["time"], run["cv_pressure"], _only_outlet(run)) for run in runs]
-        _add_resistance(tables, "solenoid", seconds, "cv", _CHAMBER_TOLERANCE_PERCENT)
-        if {"reservoir_pressure", "evp_opening"} <= set(runs[0]):
-            guessed = guessed_valve(runs, tables["cv"]["volume_L"])
-            _add_guess(tables, "evp", guessed, _CHAMBER_TOLERANCE_PERCENT)
-    return tables
-
-
-def _only_outlet(run: Run) -> Array:
-    """Opening of a chamber's outlet while nothing fills the chamber; else 0."""
-    shut = np.zeros_like(run["time"])
-    outlet, inflation = (np.nan_to_num(run.get(valve, shut)) for valve in ("solenoid", "evp_opening"))
-    return np.where(inflation > 0.0, 0.0, outlet)
-
-
-def _add_resistance(
-    tables: dict[str, Any], valve: str, seconds: Sequence[float | None], vessel: str, tolerance_percent: float
-) -> None:
-    """Add the flow resistance of a valve that empties a vessel, from the time constant of each run."""
-    if known := [s for s in seconds if s is not None]:
-        R = float(np.median(known)) * ALPHA_KPA / tables[vessel]["volume_L"]
-        guessed = {"flow_resistance_kPa_s_per_SL": float(f"{R:.4g}")}
-        _add_guess(tables, valve, guessed, tolerance_percent)
-
-
-def _add_guess(
-    tables: dict[str, Any], name: str, guessed: Mapping[str, float], tolerance_percent: float
-) -> None:
-    """Add guessed numbers to a table, with their tolerance. Known numbers stay."""
-    known = tables.get(name, {})
-    tolerance = {f"{name}.{key}": tolerance_percent for key in guessed if key not in known}
-    tables[name] = {**guessed, **known}
-    tables["tolerance_percent"] = {**tolerance, **tables.get("tolerance_percent", {})}
-
-
-def _noise_kPa(readings: Sequence[Array]) -> float:
-    """Standard deviation of a sensor's noise, at least that of its resolution."""
-    least = rounded_noise(MIN_KPA, rounding_step(np.concatenate(readings)))
-    return measured_noise(readings, least, may_correlate=False).std_kPa
-
-
-def _from_ambient(pressure_kPa: Array) -> Array:
-    """The pressure; that of an evacuated vessel with the other sign, so that it also falls to ambient."""
-    evacuated = -np.nanmin(pressure_kPa, initial=0.0) > np.nanmax(pressure_kPa, initial=0.0)
-    return -pressure_kPa if evacuated else pressure_kPa
-
-
-def _fall_s(time_s: Array, pressure_kPa: Array, opening: Array) -> float | None:
-    """Time constant through the fully open outlet; None if the outlet is shut or the fall is too short."""
-    there = np.isfinite(pressure_kPa)
-    time_s, p, opening = time_s[there], _from_ambient(pressure_kPa[there]), opening[there]
-    use = (opening > 0.0) & (p > 0.1 * np.max(p, initial=0.0))
-    first_gap = np.flatnonzero(np.diff(use.astype(int)) < 0)
-    if len(first_gap):
-        use[first_gap[0] + 1 :] = False
-    if use.sum() < 5 or p[use][-1] > 0.7 * p[use][0]:
-        return None
-    slope = float(np.polyfit(time_s[use], np.log(p[use]), 1)[0])
-    return -float(opening[use].mean()) / slope if slope < 0.0 else None
-
-
 def _csv(run: Run) -> str:
     # A constant ambient pressure excludes the cause `ambient_drop`: a laboratory stays at one altitude.
     run = {"ambient_pressure": np.full(len(run["time"]), STANDARD_PRESSURE_KPA), **run}
@@ -553,3 +452,70 @@ def _cell(meaning: str, value: float) -> str:
     if meaning in ("solenoid", "after_gap"):
         return str(int(value >= 0.5))
     return f"{value:.6f}" if meaning == "time" else f"{value:.7g}"
+
+
+def show(proposal: Proposal, console: Console) -> None:
+    """Print how a file is read: layout, columns, runs, and notes."""
+    text, table = proposal.table.layout, Table(box=None, pad_edge=False, header_style="bold")
+    header = f"header in line {text.header_line}" if text.header_line else "no header"
+    rows = len(proposal.table.cells[0])
+    console.print(f"{proposal.path.name}  {rows} rows, {_SEPARATORS[text.separator]}, "
+                  f"decimal “{text.decimal}”, {text.encoding}, {header}", highlight=False)  # fmt: skip
+    for title in ("column", "meaning", "unit", "factor", "first values, converted", "why"):
+        table.add_column(title, overflow="fold", no_wrap=title == "meaning")
+    for column in proposal.answers.columns:
+        unit = parse_unit(column.unit) if column.unit else None
+        values = proposal.table.numbers(column.number - 1)[:3]
+        if unit:
+            values = values * unit.factor + unit.offset
+        first = ", ".join(f"{value:.5g}" for value in values.tolist())
+        factor = f"{unit.factor:.5g}" + (f" {unit.offset:+.6g}" if unit.offset else "") if unit else ""
+        name = f"{column.number} {column.name}"
+        style = "dim" if column.meaning == IGNORED else ""
+        table.add_row(name, column.meaning, column.unit, factor, first, column.why, style=style)
+    console.print(table, highlight=False, markup=False)
+    for name, run in proposal.runs.items():
+        console.print(f"Run   {name}: {len(run['time'])} rows, {np.ptp(run['time']):.4g} s", highlight=False)
+    for note in proposal.notes:
+        console.print(f"Note  {note}", highlight=False, markup=False)
+    for question in proposal.questions:
+        if question.guess:
+            console.print(
+                f"Guess {question.key} = {question.guess}: {question.text}", highlight=False, markup=False
+            )
+
+
+def draw(proposal: Proposal, folder: Path) -> Path:
+    """Draw pressures and valve signals of all runs, converted. Returns the path. Needs matplotlib."""
+    from matplotlib import pyplot as plt
+
+    from flying_vines.plots.style import BLUE, GREEN, GREY, ORANGE, PURPLE, finish, save
+
+    figure, axes = plt.subplots(2, 1, figsize=(8, 5), sharex=True, layout="constrained", height_ratios=(2, 1))
+    kinds = (
+        (0, {"reservoir_pressure": ORANGE, "cv_pressure": BLUE, "command_kPa": GREY}, "kPa gauge"),
+        (1, {"evp_opening": BLUE, "dvp_opening": PURPLE, "solenoid": GREEN}, "opening, 0…1"),
+    )
+    for row, colours, unit in kinds:
+        axes[row].set_ylabel(unit)
+        style = "steps-post" if row else "default"  # a command holds until the next one
+        for run in proposal.runs.values():
+            for meaning, colour in colours.items():
+                if meaning in run and (row == 0 or np.any(run[meaning])):
+                    axes[row].plot(
+                        run["time"],
+                        run[meaning],
+                        color=colour,
+                        lw=1,
+                        label=meaning.removesuffix("_kPa"),
+                        drawstyle=style,
+                    )
+        handles = dict(zip(*reversed(axes[row].get_legend_handles_labels()), strict=True))
+        if handles:
+            axes[row].legend(handles.values(), handles.keys(), fontsize=8)
+        elif row:
+            axes[row].set_title("no valve ever opens", fontsize=9, loc="left")
+    axes[1].set_ylim(-0.05, 1.05)
+    axes[1].set_xlabel("time, s")
+    finish(figure, f"{proposal.path.name} as it is imported")
+    return save({"import": figure}, folder, proposal.path.stem)[0]

@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from flying_vines.identification.importing.spikes import without_spikes
+from flying_vines.identification.noise import without_spikes
 from flying_vines.identification.recording import CaseError
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import STANDARD_PRESSURE_KPA

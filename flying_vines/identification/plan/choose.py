@@ -1,4 +1,15 @@
-"""Chooses the runs of a plan within limits of time and air.
+"""Distance of two causes on the runs of a plan, and the choice of runs by it, within limits of time and air.
+
+The distance is the χ² that remains if the wrong cause is fitted. Cause A is in the rig at its typical
+strength. Cause B is fitted to the noiseless readings: its strength, the rig numbers within their tolerances,
+and the initial pressures. The remaining Δχ² is the evidence for A; its square root is the distance in
+standard deviations. It can be computed from traces (`traces`) instead of
+simulations: from A's trace a, the polyline b through B's traces, and the best change ν of the rig numbers,
+
+    Δχ² = min |a − b − Nν|² + |ν|²   within   |νᵢ| ≤ √3    (ν in standard deviations of a uniform prior)
+
+For any w ≥ 0 the unbounded minimum of |a − b − Nν|² + |ν|² + w Σ(νᵢ² − 3) is a lower bound of Δχ², and
+follows from a linear equation. The code uses the maximum of these bounds over a few w. `FullFits` checks it.
 
 Runs are added one by one. Each time, the run with the largest gain for its use of the scarcer limit (time or
 air) is added. Then runs are exchanged while that improves the plan. The gain is the reduction of
@@ -7,17 +18,147 @@ air) is added. Then runs are exchanged while that improves the plan. The gain is
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
 
-from flying_vines.identification.plan.cause_distance import cause_distances, open_pairs
+import numpy as np
+
+from flying_vines.identification.case import Case
+from flying_vines.identification.fit import FitProblem
+from flying_vines.identification.plan.library import nominal_run
 from flying_vines.identification.plan.traces import CandidatePart, Layout
+from flying_vines.identification.simulate import Simulation
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.constants import ALPHA_KPA
 
+SETTLED = 25.0
+"""Δχ² from which two causes count as separated: five standard deviations, as for a claim of the diagnosis."""
+_WEIGHTS = (0.0, 10.0, 100.0, 1000.0)
+_BOUND = 3.0
 MIN_GAIN = 0.03
 """A run that reduces `open_pairs` by less is not added."""
 _MAX_EXCHANGES = 20
 _ROUNDING = 1e-6
+
+
+class _Products(NamedTuple):
+    """Inner products of traces, without the part that the rig numbers can imitate."""
+
+    own: Array
+    """(traces,) each with itself."""
+    cross: Array
+    """(causes, traces) each trace of typical strength with every trace."""
+    following: Array
+    """(traces - 1,) each with the next one."""
+    slack: float
+    """Subtracted from distances: 3 w for each rig number."""
+
+
+def cause_distances(layout: Layout, gram: Array) -> Array:
+    """(causes, causes + 1) Δχ² between the cause in the rig (row) and the fitted one; last column: `none`."""
+    left = np.full((len(layout.causes), layout.traces), -np.inf)
+    alone = np.zeros(len(layout.causes))
+    for products in _weighted(layout, gram):
+        left = np.maximum(left, _distances(layout, products))
+        alone = np.maximum(alone, products.own[layout.usual] - products.slack)
+    found = np.minimum.reduceat(np.maximum(left, 0.0), layout.first, axis=1)
+    return np.column_stack((found, alone))
+
+
+def nearest(layout: Layout, gram: Array, there: int, fitted: int) -> float:
+    """The value of the first parameter of `fitted` at which this cause is most similar to `there`."""
+    values, first = layout.values[fitted], layout.first[fitted]
+    rows = slice(first, first + len(values))
+    distance = np.full(len(values), -np.inf)
+    for own, cross, _, slack in _weighted(layout, gram):
+        distance = np.maximum(
+            distance, own[rows] - 2.0 * cross[there, rows] + own[layout.usual[there]] - slack
+        )
+    # A fit that starts where the cause has no effect would not move.
+    idle = [value == layout.causes[fitted].parameters[0].neutral for value in values]
+    return values[int(np.argmin(np.where(idle, np.inf, distance)))]
+
+
+def open_pairs(found: Array) -> float:
+    """Approximate number of pairs that are not separated.
+
+    A pair counts 1 / (1 + Δχ² / SETTLED): 1 if nothing separates it, ½ at `SETTLED`.
+    """
+    others = ~np.eye(*found.shape, dtype=np.bool_)
+    return float((1.0 / (1.0 + found[others] / SETTLED)).sum())
+
+
+def _weighted(layout: Layout, gram: Array) -> Iterator[_Products]:
+    n = layout.traces
+    traces, numbers, between = gram[:n, :n], gram[n:, n:], gram[n:, :n]
+    count = len(numbers)
+    for weight in _WEIGHTS:
+        lower = np.linalg.cholesky(numbers + (1.0 + weight) * np.eye(count))
+        shared = np.linalg.solve(lower, between)
+        yield _Products(
+            np.diag(traces) - (shared**2).sum(axis=0),
+            traces[layout.usual] - shared[:, layout.usual].T @ shared,
+            np.diag(traces, 1) - (shared[:, :-1] * shared[:, 1:]).sum(axis=0),
+            weight * _BOUND * count,
+        )
+
+
+def _distances(layout: Layout, products: _Products) -> Array:
+    """(causes, traces) distance from each typical trace to the line from each trace to the next one."""
+    own, cross, following, slack = products
+    length = own[:-1] + own[1:] - 2.0 * following
+    along = cross[:, 1:] - cross[:, :-1] - following + own[:-1]
+    share = np.clip(along / np.maximum(length, 1e-12), 0.0, 1.0)
+    # There is no line from the last strength of a cause to the first of the next cause.
+    share[:, layout.first[1:] - 1] = 0.0
+    left = own[layout.usual, None] + own - 2.0 * cross
+    left[:, :-1] += share * (share * length - 2.0 * along)
+    distances: Array = left - slack
+    return distances
+
+
+class FullFits:
+    """Distances by full fits, as in a diagnosis, to the simulated readings of one plan.
+
+    The runs are simulated with cause A in the rig, without noise, with the inputs of the nominal rig. Cause B
+    is fitted to them: its strength, the rig numbers within their tolerances, and all initial pressures. The
+    fit starts at the strength at which B's trace is most similar to A's. The remaining cost is Δχ².
+    """
+
+    def __init__(self, layout: Layout, parts: Sequence[CandidatePart]) -> None:
+        self._layout = layout
+        self._runs = tuple(nominal_run(layout.rig, part.kind) for part in parts)
+        self._initial = [np.array([[part.kind.reservoir_kPa, 0.0]]) for part in parts]
+        self._gram = gram_of(layout, parts)
+
+    def distance(self, there: int, fitted: int) -> float:
+        """Δχ² if `there` is in the rig and `fitted` is fitted; both are column numbers of the matrix."""
+        layout = self._layout
+        problem = FitProblem(self._case(there), layout.noise)
+        start = replace(problem.start().with_free(layout.keys), initial=np.concatenate(self._initial))
+        for known, values in layout.known:
+            start = start.with_cause(known, values)
+        if fitted < len(layout.causes):
+            cause = layout.causes[fitted]
+            value = nearest(layout, self._gram, there, fitted)
+            start = start.with_cause(cause, (value, *layout.rest[fitted]))
+        return problem.fit(start).cost
+
+    def _case(self, there: int) -> Case:
+        layout = self._layout
+        cause = layout.causes[there]
+        value = layout.values[there][layout.usual[there] - layout.first[there]]
+        causes = [*layout.known, (cause, (value, *layout.rest[there]))]
+        bare = Case(Path("plan"), layout.rig, self._runs, ())
+        simulation = Simulation(bare)
+        runs = []
+        for index, (run, initial) in enumerate(zip(self._runs, self._initial, strict=True)):
+            readings = simulation.readings(index, {}, causes, initial)
+            cv_kPa = np.full_like(run.time_s, np.nan) if run.to_atmosphere else readings.cv_kPa
+            runs.append(replace(run, cv_kPa=cv_kPa, reservoir_kPa=readings.reservoir_kPa))
+        return replace(bare, runs=tuple(runs))
 
 
 class RecordingBudget:
@@ -63,14 +204,12 @@ def choose(layout: Layout, parts: Sequence[CandidatePart], budget: RecordingBudg
 
 def _chosen(layout: Layout, parts: Sequence[CandidatePart], budget: RecordingBudget) -> list[CandidatePart]:
     chosen: list[CandidatePart] = []
-    other: list[CandidatePart] | None = chosen
     for _ in range(_MAX_EXCHANGES):
-        if other is None:
-            break
-        chosen = other
         while (longer := _one_more(layout, parts, chosen, budget)) is not None:
             chosen = longer
-        other = _exchanged(layout, parts, chosen, budget)
+        if (other := _exchanged(layout, parts, chosen, budget)) is None:
+            break
+        chosen = other
     return chosen
 
 

@@ -1,21 +1,40 @@
-"""Prints a plan on a terminal."""
+"""A plan on a terminal, as a figure, and as files: a scenario for the simulator, profiles for the service."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from math import sqrt
+from pathlib import Path
+from typing import Any
 
+import msgspec
+import numpy as np
+from matplotlib import pyplot as plt
+from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
-from flying_vines.identification.plan.cause_distance import SETTLED
-from flying_vines.identification.plan.planning import CausePair, PlannedRun, Recording, RecordingPlan
+from flying_vines.identification.plan import CausePair, PlannedRun, Recording, RecordingPlan
+from flying_vines.identification.plan.choose import SETTLED
 from flying_vines.identification.recording import counted
 from flying_vines.identification.verdict import NONE
+from flying_vines.plots.style import BLUE, RED, finish
+from flying_vines.simulation.scenario.run_kinds import ProfileRun
 
 _NAMED = 2
 _WORST = 8
+_MAX_SIGMAS = 1000.0
+_DARK = 30.0
+"""From this number of standard deviations on, a cell is dark and its number is white."""
+SCENARIO, PROFILES = "scenario.toml", "profiles.toml"
+_FIRST_NUMBER = 101
+_HEADER = """\
+# Append this to the service's configuration, and check it: flying-vines config check FILE
+# For each run: vent the vine, bring the reservoir to the pressure in the run's comment, and wait 2 s. Start
+# the run with the command USER_1 and its number as param1. After the run vent, and wait 6 s.
+"""
 
 
 def show(plan: RecordingPlan, console: Console) -> None:
@@ -42,15 +61,15 @@ def in_words(pairs: Sequence[CausePair]) -> str:
 
 
 def _runs(recording: Recording) -> Table:
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    table.add_column("run")
-    table.add_column("reservoir,\nkPa gauge", justify="right")
-    table.add_column("s", justify="right")
-    table.add_column("air,\nSL", justify="right")
     mixed = len({run.commanded for run in recording.runs}) > 1
-    if mixed:
-        table.add_column("by")
-    table.add_column("purpose", overflow="fold")
+    table = Table(
+        "run",
+        *(Column(heading, justify="right") for heading in ("reservoir,\nkPa gauge", "s", "air,\nSL")),
+        *(("by",) if mixed else ()),
+        Column("purpose", overflow="fold"),
+        box=None,
+        padding=(0, 2, 0, 0),
+    )
     for run in recording.runs:
         table.add_row(
             run.name,
@@ -73,10 +92,8 @@ def _why(run: PlannedRun) -> str:
 
 def _worst(plan: RecordingPlan) -> Table:
     """The pairs with the lowest separation, without causes that do not show."""
-    table = Table(box=None, padding=(0, 2, 0, 0), title="Lowest separation", title_justify="left")
-    table.add_column("in the rig")
-    table.add_column("fitted")
-    table.add_column("σ", justify="right")
+    columns = "in the rig", "fitted", Column("σ", justify="right")
+    table = Table(*columns, box=None, padding=(0, 2, 0, 0), title="Lowest separation", title_justify="left")
     fitted = (*plan.names, NONE)
     cells = [
         (float(plan.matrix[row, column]), name, fitted[column])
@@ -105,3 +122,83 @@ def _left(plan: RecordingPlan) -> list[str]:
         else:
             lines.append("The service alone cannot do any of these runs.")
     return lines
+
+
+def figures(plan: RecordingPlan) -> dict[str, Any]:
+    """By name: `matrix`, the separation of each cause in the rig from each fitted cause."""
+    sigmas = plan.sigmas.copy()
+    np.fill_diagonal(sigmas, np.nan)
+    lowest = sqrt(SETTLED)
+    figure, axis = plt.subplots(figsize=(11.0, 9.0), layout="constrained")
+    shades = LinearSegmentedColormap.from_list("settled", ["#eef3fa", BLUE, "#0f2a4d"])
+    colours = shades.with_extremes(under=RED)
+    style: dict[str, Any] = {"cmap": colours, "norm": LogNorm(lowest, _MAX_SIGMAS), "aspect": "auto"}
+    image = axis.imshow(np.maximum(sigmas, 1e-3), interpolation="none", **style)
+    for (row, column), value in np.ndenumerate(sigmas):
+        if np.isfinite(value):
+            colour = "white" if value > _DARK or value < lowest else "black"
+            text = f"{value:.0f}" if value < 999.5 else f"{value / 1000.0:.0f}k"
+            axis.text(column, row, text, ha="center", va="center", fontsize=7, color=colour)
+    fitted = [*plan.names, NONE]
+    axis.set_xticks(range(len(fitted)), fitted, rotation=55, ha="right", rotation_mode="anchor", fontsize=8)
+    axis.set_yticks(range(len(plan.names)), plan.names, fontsize=8)
+    axis.set_xlabel("fitted")
+    axis.set_ylabel("cause in the rig, at its typical strength")
+    bar = figure.colorbar(image, ax=axis, extend="min", pad=0.01)
+    bar.set_label(f"standard deviations; red: not separated, below {lowest:g}")
+    seconds, air_SL = plan.best.seconds, plan.best.air_SL
+    title = f"Separation by {len(plan.best.runs)} runs: {seconds:.0f} s, {air_SL:.1f} standard litres of air"
+    finished = finish(figure, title)
+    axis.grid(False)
+    return {"matrix": finished}
+
+
+def write_plan(plan: RecordingPlan, folder: Path) -> list[Path]:
+    """Write the best runs as a scenario, and those that the service can do as profiles. Returns the paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    texts = {SCENARIO: scenario_text(plan.best)}
+    if plan.by_commands.runs:
+        texts[PROFILES] = profiles_text(plan.by_commands)
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return [folder / name for name in texts]
+
+
+def scenario_text(recording: Recording) -> str:
+    """A scenario file."""
+    lines = [f"name = {_value(recording.scenario.name)}"]
+    for run in recording.runs:
+        lines += ["", f"# {run.shows}", "[[runs]]", *_lines(msgspec.to_builtins(run.kind))]
+    return "\n".join([*lines, ""])
+
+
+def profiles_text(recording: Recording) -> str:
+    """Profiles of the service's configuration, and the commands that start them."""
+    lines = [_HEADER.rstrip()]
+    for number, run in enumerate(recording.runs, start=_FIRST_NUMBER):
+        name = f"plan-{number}-{run.name.replace('_', '-')}"
+        lines += ["", f"# {run.shows}; {run.seconds:.0f} s, reservoir at {run.kind.reservoir_kPa:g} kPa"]
+        lines += ["[[items]]", 'command = "user_1"', f"match = {{ param1 = {number} }}"]
+        lines += [f"profile = {_value(name)}", "", f"[profiles.{name}]", *_segments(run)]
+    return "\n".join([*lines, ""])
+
+
+def _segments(run: PlannedRun) -> list[str]:
+    assert isinstance(run.kind, ProfileRun)
+    segments = list(msgspec.to_builtins(run.kind.segments))
+    if segments[-2:-1] != (end := [{"kind": "step", "to_kPa": 0.0}]):
+        segments += end
+    return _lines({"segments": segments, "rate_kPa_per_s": run.kind.rate_kPa_per_s})
+
+
+def _lines(table: dict[str, Any]) -> list[str]:
+    return [f"{key} = {_value(value)}" for key, value in table.items() if value is not None]
+
+
+def _value(value: Any) -> str:
+    """A value as TOML: each item of a list on its own line, and the point of a float is kept."""
+    if isinstance(value, dict):
+        return f"{{ {', '.join(_lines(value))} }}"
+    if isinstance(value, list | tuple):
+        return "\n".join(["[", *(f"    {_value(item)}," for item in value), "]"])
+    return json.dumps(value)

@@ -13,26 +13,25 @@ from scipy.cluster.hierarchy import leaves_list, linkage
 from scipy.spatial.distance import squareform
 
 from flying_vines.identification.candidate import CLAIM
+from flying_vines.identification.evidence import Similarity
 from flying_vines.identification.intervals import ABOVE, LikelihoodProfile
-from flying_vines.identification.report.canvas import (
+from flying_vines.identification.report.readings import (
     AFTER,
     BEFORE,
     INK,
     blank,
     channels,
-    models,
-    quiet,
-    typeset,
-)
-from flying_vines.identification.report.residual_figures import (
     draw_autocorrelation,
     draw_dependence,
     draw_residuals,
+    draw_run,
+    model_difference,
+    models,
+    quiet,
     strongest,
+    typeset,
 )
-from flying_vines.identification.report.runs import draw_run, model_difference
-from flying_vines.identification.report.words import label_and_unit, labelled, numbers, share
-from flying_vines.identification.similarity import Similarity
+from flying_vines.identification.show import label_and_unit, labelled, numbers, share
 from flying_vines.identification.verdict import ParameterEstimate, Tried, Verdict
 from flying_vines.physics.arrays import Array
 from flying_vines.plots.style import GREY, PURPLE
@@ -148,15 +147,9 @@ def draw_ranking(verdict: Verdict) -> Figure:
         axis.plot([0.0, x], [y, y], color=color, lw=1.4, alpha=0.45, solid_capstyle="butt")
         axis.plot(x, y, "o", ms=5, color=color, mfc="white" if tried.on_bound else color, mew=1.2)
         if tried.unseen_nrmse is not None:
+            style: dict[str, Any] = {"textcoords": "offset points", "va": "center", "annotation_clip": False}
             axis.annotate(
-                f"unseen {100.0 * tried.unseen_nrmse:.3g} %",
-                (x, y),
-                (7, 0),
-                textcoords="offset points",
-                va="center",
-                fontsize=7.5,
-                color=INK,
-                annotation_clip=False,
+                f"unseen {share(tried.unseen_nrmse)}", (x, y), (7, 0), fontsize=7.5, color=INK, **style
             )
     axis.set_xscale("symlog", linthresh=10.0, linscale=0.8)
     axis.set_xlim(-0.5, max(100.0, 200.0 * behind.max(initial=0.0)))

@@ -20,9 +20,9 @@ from threadpoolctl import threadpool_limits
 from flying_vines.identification.case import Case, RecordedRun
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.fit import FitPoint, FitProblem
+from flying_vines.identification.held_out import Errors, errors, gain, nrmse, split
 from flying_vines.identification.noise import stated_noise
 from flying_vines.identification.plan import Recommendation, recommend
-from flying_vines.identification.prediction_error import Errors, errors, gain, nrmse, split
 from flying_vines.identification.search import Progress, silent
 from flying_vines.identification.simulate import rig_number_keys
 from flying_vines.identification.verdict import Verdict
@@ -280,9 +280,9 @@ def flow_laws(settings_ratio: float, first_exact: bool) -> LawFit:
 
 def _fitted(problem: FitProblem, names: Sequence[str], free: bool = True) -> FitPoint:
     known = {cause.name: cause for cause in causes()}
-    point = problem.start().freed(rig_number_keys(problem.case.rig) if free else ())
+    point = problem.start().with_free(rig_number_keys(problem.case.rig) if free else ())
     for name in names:
-        point = problem.begun(point, known[name]).point
+        point = problem.first_fit(point, known[name]).point
     # Precise: predictions that differ by 0.01 % are compared.
     return problem.fit(point, min_gain=1e-4).point
 
