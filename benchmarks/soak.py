@@ -119,7 +119,8 @@ class Outcome:
 
 def simulated(kind: AutopilotKind, seed: int, until_s: float, sample_every_s: float = HOUR_S) -> Outcome:
     """Fly in simulated time until `until_s`, and land."""
-    autopilot = FakeAutopilot(kind, links=("companion", "gcs"))
+    autopilot = FakeAutopilot(kind)
+    autopilot.add_link("gcs")
     phlosar = SimulatedPhlosar(effects=Effects())
     flight = SimulatedFlight(config.default(), autopilot, phlosar)
     ground = MavlinkCodec(SYSTEM_ID, COMPONENT_ID)

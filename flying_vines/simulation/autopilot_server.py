@@ -9,7 +9,7 @@ from typing import cast
 
 from flying_vines.config.address import NetworkAddress, parse_address
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.autopilot.port import COMPANION, GCS
+from flying_vines.simulation.autopilot.links import COMPANION, GCS
 
 SocketAddress = tuple[str, int]
 Script = Sequence[tuple[float, Callable[[FakeAutopilot], None]]]

@@ -21,7 +21,7 @@ from flying_vines.core.events import (
 )
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.autopilot.port import COMPANION
+from flying_vines.simulation.autopilot.links import COMPANION
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.supply import RigPrior
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec

@@ -27,7 +27,7 @@ from flying_vines.doctor.look import configuration as look
 from flying_vines.doctor.look.configuration import ServiceConfiguration
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.autopilot.port import COMPANION
+from flying_vines.simulation.autopilot.links import COMPANION
 from flying_vines.simulation.phlosar.firmware import Firmware
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec

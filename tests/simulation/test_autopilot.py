@@ -227,7 +227,7 @@ def test_px4_stops_rc_channels_when_rc_is_lost_and_flies_on() -> None:
     world.autopilot.lose_rc()
     world.on(3.0)
     assert world.companion.of("RC_CHANNELS") == []
-    assert world.autopilot.mode_name == "TAKEOFF"
+    assert world.autopilot.mode.name == "TAKEOFF"
     world.autopilot.set_rc(9, 2000)
     world.autopilot.return_rc()
     world.on(0.1)
@@ -517,7 +517,7 @@ def test_parameters_of_ardupilot_hide_a_loss(parameters: dict[str, float], how: 
     world.request_streams()
     world.autopilot.lose_rc(how)
     world.on(3.0)
-    assert world.autopilot.reports_rc_loss is told
+    assert world.autopilot.rc.reports_loss is told
     assert bool(world.companion.texts()) is told
     assert rc_health(world.companion.of("SYS_STATUS")[-1]) is not told
 
@@ -530,6 +530,15 @@ def test_ardupilot_may_ignore_overrides() -> None:
     assert {message.chan9_raw for message in world.companion.of("RC_CHANNELS")} == {1000}
 
 
+def test_a_joystick_gives_no_channels_also_after_a_loss() -> None:
+    world = World(FakeAutopilot("px4", receiver="joystick"))
+    world.request_streams()
+    world.autopilot.lose_rc()
+    world.autopilot.return_rc()
+    world.on(1.0)
+    assert world.companion.of("RC_CHANNELS") == []
+
+
 def test_stimuli_that_make_no_sense_are_refused() -> None:
     autopilot = FakeAutopilot("ardupilot")
     stimuli: list[Callable[[], None]] = [
@@ -538,7 +547,7 @@ def test_stimuli_that_make_no_sense_are_refused() -> None:
         lambda: autopilot.set_rc(1, -1),
         lambda: autopilot.set_current(1),
         lambda: autopilot.lose_rc("silent"),
-        lambda: autopilot.set_parameter("NONSENSE", 1.0),
+        lambda: autopilot.parameters.change("NONSENSE", 1.0),
     ]
     for nonsense in stimuli:
         with pytest.raises(ValueError):
@@ -552,7 +561,7 @@ def test_auto_without_a_mission_is_refused() -> None:
     world.gcs.command(176, 1, 3)
     world.on(0.1)
     assert world.gcs.of("COMMAND_ACK")[0].result == 4
-    assert world.autopilot.mode_name == "STABILIZE"
+    assert world.autopilot.mode.name == "STABILIZE"
 
 
 @pytest.mark.parametrize("kind", ["ardupilot", "px4"])
@@ -564,7 +573,7 @@ def test_a_ground_station_flies_it_by_command(kind: AutopilotKind) -> None:
     world.gcs.command(400, 1)
     world.gcs.command(22, 0, 0, 0, 0, 0, 0, 10)
     world.on(8.0)
-    assert world.autopilot.height_m == pytest.approx(10.0)
+    assert world.autopilot.flight.height_m == pytest.approx(10.0)
     world.gcs.command(21)
     world.on(15.0)
     assert not world.autopilot.armed

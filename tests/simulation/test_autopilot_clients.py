@@ -248,7 +248,7 @@ def test_with_a_key_unsigned_messages_are_ignored_except_on_usb() -> None:
     hello = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(mavlink.MAVLink(None, 255, 190))
     for link in ("other", "usb"):
         world.autopilot.receive(world.t, link, bytes(hello))
-    ports = world.autopilot._ports
+    ports = world.autopilot._links.ports
     assert (ports["other"].active, ports["usb"].active) == (False, True)
 
 

@@ -340,7 +340,7 @@ def test_ardupilot_losses_reported_and_hidden_as_recorded() -> None:
         )
     ]
     script += [(at_s, autopilot.return_rc) for at_s in (0.36, 10.92, 20.5, 29.07, 37.95, 48.17)]
-    script += [(41.59, lambda: autopilot.set_parameter("FS_THR_ENABLE", 0.0))]
+    script += [(41.59, lambda: autopilot.parameters.change("FS_THR_ENABLE", 0.0))]
     play(world, [(offset_s + at_s, stimulus) for at_s, stimulus in script], offset_s + 54.0)
     fake = [(t - offset_s, message) for t, message in world.companion.received]
     until_54 = [h for h in real if h[0] < 54.0]

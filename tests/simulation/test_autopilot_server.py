@@ -204,7 +204,7 @@ async def test_tcp_clients_have_a_port_each_and_leave_it_to_the_next() -> None:
         await one.close()
         third = await connect(server)
         await third.receive("HEARTBEAT")
-        assert sorted(name for name in autopilot._ports if name.startswith("tcp")) == ["tcp1", "tcp2"]
+        assert sorted(name for name in autopilot._links.ports if name.startswith("tcp")) == ["tcp1", "tcp2"]
         for client in (other, third):
             await client.close()
 
