@@ -47,8 +47,7 @@ from flying_vines.record.reader import FlightLog, flights_in
 from flying_vines.record.restore import restored
 from flying_vines.record.topics import DECISION
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.autopilot_server import AutopilotServer
-from flying_vines.simulation.ground_station import COMPONENT_ID, SYSTEM_ID, GroundStation
+from flying_vines.simulation.autopilot_server import COMPONENT_ID, SYSTEM_ID, AutopilotServer, GroundStation
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage

@@ -28,11 +28,9 @@ from flying_vines.physics.plant.effects import Effects
 from flying_vines.simulation.autopilot import FakeAutopilot, RcLoss, RcSource
 from flying_vines.simulation.autopilot.links import PX4_BUFFER
 from flying_vines.simulation.autopilot.rc_input import REPORTS_APART_S
-from flying_vines.simulation.phlosar.board import Board
-from flying_vines.simulation.phlosar.firmware import Firmware
+from flying_vines.simulation.phlosar.firmware import SAFE, Board, Firmware
 from flying_vines.simulation.phlosar.mishaps import Hanging, Kinked, MishapKind, StuckAt, Unpowered
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
-from flying_vines.simulation.phlosar.regulator import SAFE
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mission.item import MissionItem

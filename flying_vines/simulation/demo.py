@@ -29,8 +29,7 @@ from flying_vines.record.reader import FlightLog
 from flying_vines.record.recorder import FlightStart, Recorder
 from flying_vines.service.service import Service
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.autopilot_server import FIRST_CLIENT, AutopilotServer
-from flying_vines.simulation.ground_station import GroundStation
+from flying_vines.simulation.autopilot_server import FIRST_CLIENT, AutopilotServer, GroundStation
 from flying_vines.simulation.phlosar.mishaps import Hole
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 from flying_vines.terminal import vine_sketch as sketch

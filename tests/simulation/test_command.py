@@ -9,14 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flying_vines.physics.baseline import Inputs
-from flying_vines.simulation.scenario.command import (
+from flying_vines.simulation.scenario.run import (
     SetpointOverTime,
     ValveCommand,
     chirp_cycles,
     command_of,
     valves_of,
 )
-from flying_vines.simulation.scenario.run_kinds import (
+from flying_vines.simulation.scenario.scenario import (
     BendsRun,
     ChirpRun,
     DischargeRun,

@@ -33,9 +33,8 @@ from firmware_link.protocol import (
     Welcome,
 )
 from flying_vines.physics.baseline import Inputs
-from flying_vines.simulation.phlosar.firmware import Firmware, setting_rows
-from flying_vines.simulation.phlosar.regulator import SAFE, standard_tuning
-from flying_vines.simulation.phlosar.regulator import Regulator as CoreRegulator
+from flying_vines.simulation.phlosar.firmware import SAFE, Firmware, setting_rows, standard_tuning
+from flying_vines.simulation.phlosar.firmware import Regulator as CoreRegulator
 
 RELIEF = Inputs(0.0, 1.0, True)
 """Above the limit the Venturi helps."""

@@ -19,6 +19,7 @@ from flying_vines.physics.plant.volume import Pouch
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Rig, Sensors
 from flying_vines.simulation.phlosar import mishaps
+from flying_vines.simulation.phlosar.firmware import SAFE
 from flying_vines.simulation.phlosar.mishaps import (
     PLACES,
     Blocked,
@@ -44,7 +45,6 @@ from flying_vines.simulation.phlosar.mishaps import (
     WatchdogReset,
 )
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
-from flying_vines.simulation.phlosar.regulator import SAFE
 
 SHUT, INFLATING = Inputs(0.0, 0.0, False), Inputs(1.0, 0.0, False)
 AMBIENT_KPA = 101.325

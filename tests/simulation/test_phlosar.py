@@ -23,8 +23,8 @@ from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Rig, Sensors
+from flying_vines.simulation.phlosar.firmware import SAFE
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
-from flying_vines.simulation.phlosar.regulator import SAFE
 
 
 class Flight:

@@ -24,7 +24,7 @@ from flying_vines.simulation.scenario import (
     simulate,
     simulate_scenario,
 )
-from flying_vines.simulation.scenario.run_kinds import (
+from flying_vines.simulation.scenario.scenario import (
     BendsRun,
     ChirpRun,
     DischargeRun,

@@ -10,7 +10,7 @@ import pytest
 
 from flying_vines.physics.plant.true_rig import true_rig_from
 from flying_vines.simulation.scenario import ScenarioError, load_scenario, parse_scenario
-from flying_vines.simulation.scenario.run_kinds import (
+from flying_vines.simulation.scenario.scenario import (
     BendsRun,
     ChirpRun,
     DischargeRun,
@@ -19,8 +19,8 @@ from flying_vines.simulation.scenario.run_kinds import (
     ProfileRun,
     SineRun,
     StepsRun,
+    examples,
 )
-from flying_vines.simulation.scenario.scenario import examples
 
 EVERY_KIND = """
 [[runs]]

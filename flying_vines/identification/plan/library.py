@@ -15,7 +15,7 @@ from math import ceil, log
 
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.rig import ControlVolume, Rig
-from flying_vines.simulation.scenario.run_kinds import (
+from flying_vines.simulation.scenario.scenario import (
     MOST_KPA,
     OpeningsRun,
     ProfileRun,

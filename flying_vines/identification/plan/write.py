@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from flying_vines.identification.plan.planning import PlannedRun, Recording, RecordingPlan
-from flying_vines.simulation.scenario.run_kinds import ProfileRun
+from flying_vines.simulation.scenario.scenario import ProfileRun
 
 SCENARIO, PROFILES = "scenario.toml", "profiles.toml"
 _FIRST_NUMBER = 101
