@@ -41,15 +41,15 @@ class AutopilotServer:
         gcs: str | SocketAddress | None = None,
         script: Script = (),
         *,
-        listen: Sequence[str | SocketAddress] = (),
+        listen: Sequence[SocketAddress] = (),
         speed: float = 1.0,
     ) -> None:
         """`companion` and `gcs` are (host, port) or "udpout:host:port"; otherwise raises `ValueError`.
 
         A `companion` that is `FIRST_CLIENT` is the first TCP client.
 
-        `script`: times (s since the start of `run`) and stimuli, in any order. `listen`: TCP ports as
-        "tcpin:host:port" or (host, port); port 0 is any free port. `speed`: 10 is ten times real time.
+        `script`: times (s since the start of `run`) and stimuli, in any order. `listen`: TCP ports;
+        port 0 is any free port. `speed`: 10 is ten times real time.
         """
         self.autopilot = autopilot
         self._peers: dict[str, SocketAddress] = {}
@@ -62,7 +62,7 @@ class AutopilotServer:
         if gcs is not None:
             self._peers[GCS] = _host_and_port(gcs)
         self._script = sorted(script, key=lambda entry: entry[0])
-        self._listen = [_listening(address) for address in listen]
+        self._listen = listen
         self._speed = speed
         self._start_s = 0.0
         self._ends: dict[str, _UdpPeer | _TcpClient] = {}
@@ -280,15 +280,4 @@ def _host_and_port(peer: str | SocketAddress) -> SocketAddress:
     address = parse_address(peer)
     if not isinstance(address, NetworkAddress) or address.kind != "udpout":
         raise ValueError(f"a simulated autopilot sends to udpout:HOST:PORT, not to {peer!r}")
-    return address.host, address.port
-
-
-def _listening(at: str | SocketAddress) -> SocketAddress:
-    if not isinstance(at, str):
-        return at
-    kind, _, place = at.partition(":")
-    if kind != "tcpin":
-        raise ValueError(f"a simulated autopilot listens at tcpin:HOST:PORT, not at {at!r}")
-    address = parse_address(f"tcp:{place}")
-    assert isinstance(address, NetworkAddress)
     return address.host, address.port
