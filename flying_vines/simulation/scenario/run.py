@@ -14,7 +14,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -115,7 +115,7 @@ def simulate(rig: Rig | TrueRig, run: RunKind, seed: int = 1, *, index: int = 0)
             f"runs[{index}]: {run.label} needs the regulator of the valves, and the rig has a pump; "
             'use runs of kind "openings"'
         )
-    controller: _Controller
+    controller: _OpenLoop | _ClosedLoop
     if command is None or nominal.cv is None:
         valves = valves_of(run, pattern)
         assert valves is not None, "a run either regulates or moves the valves"
@@ -131,37 +131,28 @@ def simulate(rig: Rig | TrueRig, run: RunKind, seed: int = 1, *, index: int = 0)
     for sample in range(max(1, round(run.length_s * run.sample_rate_Hz))):
         first = sample * steps
         t_s = first / FIRMWARE_HZ
-        wanted_kPa, command_drive = controller.sample(t_s, reading)
-        drive = Inputs(
-            round(command_drive.evp, OPENING_DIGITS),
-            round(command_drive.dvp, OPENING_DIGITS),
-            command_drive.solenoid,
-        )
-        rows.append((t_s, wanted_kPa, *drive, *reading, true.cv_kPa, true.reservoir_kPa))
-        inputs = Inputs(*drive)
+        wanted_kPa, drive = controller.sample(t_s, reading)
+        openings = round(drive.evp, OPENING_DIGITS), round(drive.dvp, OPENING_DIGITS)
+        inputs = Inputs(*openings, drive.solenoid)
+        rows.append((t_s, wanted_kPa, *inputs, *reading, true.cv_kPa, true.reservoir_kPa))
         for step in range(first + 1, first + steps + 1):
             plant.advance(inputs)
             true = plant.conditions
             reading = sense(true)
             if step < first + steps:
-                controller.watch(step / FIRMWARE_HZ, reading)
-    return _recorded(run, nominal, np.array(rows, dtype=np.float64).T, controller.faults)
+                controller.watch(reading)
+    time_s, wanted, evp, dvp, solenoid, cv, reservoir, true_cv, true_reservoir = np.array(rows).T
+    if nominal.cv is None:
+        cv = true_cv = np.full_like(time_s, np.nan)
+    if nominal.pump is not None:
+        reservoir = true_reservoir = np.full_like(time_s, np.nan)
+    pressures = cv, reservoir, true_cv, true_reservoir
+    return ScenarioRun(run.label, time_s, wanted, evp, dvp, solenoid > 0.5, *pressures, controller.faults)
 
 
 def simulate_scenario(rig: Rig | TrueRig, scenario: Scenario, seed: int = 1) -> tuple[ScenarioRun, ...]:
     """Simulate all runs of a scenario, each from rest."""
     return tuple(simulate(rig, run, seed, index=i) for i, run in enumerate(scenario.runs))
-
-
-def _recorded(run: RunKind, rig: Rig, columns: Array, faults: str) -> ScenarioRun:
-    time_s, command, evp, dvp, solenoid, cv, reservoir, true_cv, true_reservoir = columns
-    if rig.cv is None:
-        cv = true_cv = np.full_like(time_s, np.nan)
-    if rig.pump is not None:
-        reservoir = true_reservoir = np.full_like(time_s, np.nan)
-    return ScenarioRun(
-        run.label, time_s, command, evp, dvp, solenoid > 0.5, cv, reservoir, true_cv, true_reservoir, faults
-    )
 
 
 class _Reading(NamedTuple):
@@ -187,18 +178,9 @@ class _Sensors:
         return _Reading(cv_kPa, reservoir_kPa)
 
 
-class _Controller(Protocol):
-    """Commands the valves once per sample, and sees each reading in between."""
-
-    @property
-    def faults(self) -> str: ...
-
-    def sample(self, t_s: float, reading: _Reading) -> tuple[float, Inputs]: ...
-
-    def watch(self, t_s: float, reading: _Reading) -> None: ...
-
-
 class _OpenLoop:
+    """Commands the valves once per sample (`sample`), and sees each reading in between (`watch`)."""
+
     faults = ""
 
     def __init__(self, valves: ValveCommand) -> None:
@@ -207,7 +189,7 @@ class _OpenLoop:
     def sample(self, t_s: float, reading: _Reading) -> tuple[float, Inputs]:
         return float("nan"), self._valves(t_s, reading.cv_kPa)
 
-    def watch(self, t_s: float, reading: _Reading) -> None:
+    def watch(self, reading: _Reading) -> None:
         pass
 
 
@@ -225,12 +207,9 @@ class _ClosedLoop:
         wanted_kPa = self._command(t_s)
         # The serial protocol sends setpoints in single precision.
         self._wanted_kPa = float(np.float32(wanted_kPa))
-        return wanted_kPa, self._step(reading)
+        return wanted_kPa, self.watch(reading)
 
-    def watch(self, t_s: float, reading: _Reading) -> None:
-        self._step(reading)
-
-    def _step(self, reading: _Reading) -> Inputs:
+    def watch(self, reading: _Reading) -> Inputs:
         self._readings_over = self._readings_over + 1 if reading.cv_kPa > _LIMIT_KPA else 0
         if self._readings_over >= _READINGS_OVER:
             self.faults = "cv overpressure"
