@@ -546,7 +546,7 @@ class MonitoredFlight:
     def lose_rc(self, how: RcLoss | None = None, preset: Mapping[int, int] | None = None) -> None:
         """Lose the pilot's transmitter or its link. Values that the receiver makes up are no request."""
         self.autopilot.lose_rc(how, preset)
-        self._rc_lost, self._rc_lost_s = self.autopilot.rc.receiver.lost, self.now_s
+        self._rc_lost, self._rc_lost_s = self.autopilot.rc.lost, self.now_s
         # PX4 with a receiver of its own reports a loss only later. Frozen values never show a loss if
         # ArduPilot's parameters hide it.
         self._rc_shown = not self.setup.has_real_receiver and (

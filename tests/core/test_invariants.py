@@ -436,7 +436,7 @@ class AnyFlight(RuleBasedStateMachine):
         if self.rc_lost:
             self.flight.return_rc()
         else:
-            how = LOSSES[self.flight.autopilot.rc.receiver.source][-1 if jumps else 0]
+            how = LOSSES[self.flight.autopilot.rc.source][-1 if jumps else 0]
             # On ArduPilot, nobody sees a preset that does not change the throttle.
             unseen = self.flight.setup.autopilot == "ardupilot" or preset_us is None
             self.flight.lose_rc(how, None if unseen else {SWITCH: preset_us or 0})

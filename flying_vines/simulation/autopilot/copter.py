@@ -31,7 +31,6 @@ from flying_vines.simulation.autopilot.rc_input import (
     RcInput,
     RcLoss,
     RcSource,
-    Receiver,
 )
 from flying_vines.simulation.autopilot.scheduler import ScheduledCallback, Scheduler
 from flying_vines.vehicle.mission import item as mission_item
@@ -103,7 +102,10 @@ class Copter:
         self.parameters = ParameterServer(
             kind, {**(parameters or {}), **own}, scheduler, links.send_to, links.tell, self.text
         )
-        rc = Receiver(kind, rc_present, receiver), scheduler, self._rc_failsafe_changed
+        source = receiver or ("pulses" if kind == "ardupilot" else "overrides")
+        if (kind == "ardupilot") != (source == "pulses"):
+            raise ValueError(f"the simulated {kind} has no receiver {source!r}")
+        rc = source, rc_present, scheduler, self._rc_failsafe_changed
         self.rc: RcInput = (
             ArduPilotRc(*rc, self.parameters.__getitem__) if kind == "ardupilot" else Px4Rc(*rc, Random(seed))
         )
@@ -228,7 +230,7 @@ class Copter:
 
     def set_rc(self, channel: int, us: int) -> None:
         """Move a stick or switch (channels from 1)."""
-        self.rc.receiver.move(channel, us)
+        self.rc.move(channel, us)
 
     def lose_rc(self, how: RcLoss | None = None, preset: Mapping[int, int] | None = None) -> None:
         """Lose the RC link; default: the receiver's most common kind of loss.
@@ -306,14 +308,7 @@ class Copter:
         if self.kind == "ardupilot":
             runtime_s = self.scheduler.now_s - self._boot_s
             self.scheduler.after(_RUNTIME_EVERY_S - runtime_s % _RUNTIME_EVERY_S, self._count_runtime)
-        self._ticks = 0
-        self._first_tick_s = self.scheduler.now_s
-        self._schedule_tick()
-
-    def _schedule_tick(self) -> None:
-        # Computed from a count, so that rounding errors do not add up.
-        self._ticks += 1
-        self.scheduler.at(self._first_tick_s + self._ticks * _TICK_S, self._tick)
+        self.scheduler.every(_TICK_S, self._tick)
 
     def _send_once(self, *message_ids: int) -> None:
         """Send these messages now, to all links."""
@@ -340,7 +335,6 @@ class Copter:
         self.parameters.change("STAT_RUNTIME", int(self.scheduler.now_s - self._boot_s))
 
     def _tick(self) -> None:
-        self._schedule_tick()
         self.flight.step(_TICK_S)
         if self.mode == self._mission_mode:
             self._runner.update()

@@ -9,7 +9,6 @@ from random import Random
 from typing import Literal
 
 from flying_vines.simulation.autopilot.scheduler import ScheduledCallback, Scheduler
-from flying_vines.vehicle.mission.storage import AutopilotKind
 
 RcLoss = Literal["frozen", "jump", "silent"]
 RcSource = Literal["pulses", "sbus", "crsf", "overrides", "joystick"]
@@ -43,30 +42,41 @@ _PX4_OVERRIDE_S = 0.5
 _RSSI_GONE_S, _RSSI_BACK_S = 0.5, 0.03
 
 
-class Receiver:
-    """Converts sticks and overrides to channel values.
+class RcInput:
+    """Sticks, a receiver and overrides become channel values.
 
     `values_us` are the autopilot's channels: the sticks; during a loss the last values ("frozen") or the
     receiver's failsafe values ("jump"); empty before the first pulse and in a "silent" loss. Channels that a
-    ground station overrides (RC_CHANNELS_OVERRIDE) have the values of the override. PX4 with a receiver on
-    its own driver ignores overrides (see `Px4Rc`).
+    ground station overrides (RC_CHANNELS_OVERRIDE) have the values of the override.
+    `failsafe_changed(on)` is called when the autopilot's failsafe begins and ends.
     """
 
-    def __init__(self, kind: AutopilotKind, present: bool = True, source: RcSource | None = None) -> None:
-        self.source: RcSource = source or ("pulses" if kind == "ardupilot" else "overrides")
-        if (kind == "ardupilot") != (self.source == "pulses"):
-            raise ValueError(f"the simulated {kind} has no receiver {self.source!r}")
+    reported_good = False
+    """PX4's last health report said that RC is good."""
+
+    def __init__(
+        self,
+        source: RcSource,
+        present: bool,
+        scheduler: Scheduler,
+        failsafe_changed: Callable[[bool], None],
+    ) -> None:
+        self.source: RcSource = source
         self.sticks_us = list(_AT_REST_US)
         self.lost: RcLoss | None = None
+        self.failsafe = False
         self.overridden = False
         self.updates = 0
         """Number of received overrides. While overridden, PX4 sends RC_CHANNELS at most once per override."""
         self.has_rssi = True
         """CRSF reports the link quality, but not during a loss."""
+        self._scheduler = scheduler
+        self._failsafe_changed = failsafe_changed
         self._received_us: tuple[int, ...] = tuple(self.sticks_us)
         self._overrides_us: dict[int, int] = {}
-        if not present or self.source == "joystick":
-            self.lost = LOSSES[self.source][0]
+        self._override_ends: ScheduledCallback | None = None
+        if not present or source == "joystick":
+            self.lost = LOSSES[source][0]
             self._received_us = ()
 
     @property
@@ -81,6 +91,16 @@ class Receiver:
             values_us[index] = us
         return tuple(values_us)
 
+    @property
+    def throttle_us(self) -> int:
+        """The received throttle; 0 if nothing was received."""
+        return self._received_us[_THROTTLE - 1] if self._received_us else 0
+
+    @property
+    def reports_loss(self) -> bool:
+        """True if the autopilot reports an RC loss."""
+        raise NotImplementedError
+
     def move(self, channel: int, us: int) -> None:
         """Move a stick or switch. During a loss the autopilot gets the new value when RC returns."""
         if not 1 <= channel <= _CHANNELS:
@@ -91,23 +111,8 @@ class Receiver:
         if self.lost is None:
             self._received_us = tuple(self.sticks_us)
 
-    def override(self, channels_us: Sequence[int]) -> None:
-        """Apply RC_CHANNELS_OVERRIDE, from channel 1."""
-        for index, us in enumerate(channels_us[:_CHANNELS]):
-            if us == _RELEASED_US:
-                self._overrides_us.pop(index, None)
-            elif us not in _UNCHANGED_US:
-                self._overrides_us[index] = us
-        self.overridden = bool(self._overrides_us)
-        self.updates += 1
-
-    def release(self) -> None:
-        """End all overrides."""
-        self._overrides_us.clear()
-        self.overridden = False
-
-    def lose(self, how: RcLoss | None, preset: Mapping[int, int] | None) -> RcLoss:
-        """Lose the link; returns how. Raises `ValueError` if this receiver has no such loss.
+    def lose(self, how: RcLoss | None, preset: Mapping[int, int] | None) -> None:
+        """Lose the link. Raises `ValueError` if this receiver has no such loss.
 
         In a "jump" the channels of `preset` get its values, and the others stay. Without `preset` all
         channels get usual failsafe values.
@@ -115,56 +120,17 @@ class Receiver:
         possible = LOSSES[self.source]
         if how is not None and how not in possible:
             raise ValueError(f"with {self.source!r} lose_rc accepts {' or '.join(map(repr, possible))}")
-        self.lost = how = how or possible[0]
-        if how == "jump" and preset is None:
+        self.lost = how or possible[0]
+        if self.lost == "jump" and preset is None:
             self._received_us = _JUMP_US
-        elif how == "jump" and preset is not None:
+        elif self.lost == "jump" and preset is not None:
             values_us = enumerate(self._received_us, start=1)
             self._received_us = tuple(preset.get(channel, us) for channel, us in values_us)
-        return how
-
-    @property
-    def throttle_us(self) -> int:
-        """The received throttle; 0 if nothing was received."""
-        return self._received_us[_THROTTLE - 1] if self._received_us else 0
 
     def restore(self) -> None:
+        """The link returns."""
         self.lost = None
         self._received_us = tuple(self.sticks_us)
-
-    def reboot(self) -> None:
-        """The autopilot reboots and forgets received values."""
-        self.release()
-        if self.lost != "jump":
-            self._received_us = () if self.lost else tuple(self.sticks_us)
-
-
-class RcInput:
-    """RC input of an autopilot. `failsafe_changed(on)` is called when the failsafe begins and ends."""
-
-    reported_good = False
-    """PX4's last health report said that RC is good."""
-
-    def __init__(
-        self, receiver: Receiver, scheduler: Scheduler, failsafe_changed: Callable[[bool], None]
-    ) -> None:
-        self.receiver = receiver
-        self.failsafe = False
-        self._scheduler = scheduler
-        self._failsafe_changed = failsafe_changed
-        self._override_ends: ScheduledCallback | None = None
-
-    @property
-    def reports_loss(self) -> bool:
-        """True if the autopilot reports an RC loss."""
-        raise NotImplementedError
-
-    def lose(self, how: RcLoss | None, preset: Mapping[int, int] | None) -> None:
-        """Lose the link as `Receiver.lose` does."""
-        raise NotImplementedError
-
-    def restore(self) -> None:
-        self.receiver.restore()
 
     def override(self, channels_us: Sequence[int]) -> None:
         """RC_CHANNELS_OVERRIDE, from channel 1."""
@@ -174,15 +140,29 @@ class RcInput:
         """PX4 reports its health now, or as soon as the minimum time since the last report is over."""
 
     def reboot(self) -> None:
-        self.receiver.reboot()
+        """The autopilot reboots and forgets received values."""
+        self._release()
+        if self.lost != "jump":
+            self._received_us = () if self.lost else tuple(self.sticks_us)
         self.failsafe = False
         self._override_ends = None
 
     def _override(self, channels_us: Sequence[int], holds_s: float, end: Callable[[], None]) -> None:
-        self.receiver.override(channels_us)
+        for index, us in enumerate(channels_us[:_CHANNELS]):
+            if us == _RELEASED_US:
+                self._overrides_us.pop(index, None)
+            elif us not in _UNCHANGED_US:
+                self._overrides_us[index] = us
+        self.overridden = bool(self._overrides_us)
+        self.updates += 1
         if self._override_ends is not None:
             self._override_ends.cancel()
         self._override_ends = self._scheduler.after(holds_s, end) if holds_s >= 0.0 else None
+
+    def _release(self) -> None:
+        """End all overrides."""
+        self._overrides_us.clear()
+        self.overridden = False
 
     def _set_failsafe(self, on: bool) -> None:
         if self.failsafe != on:
@@ -199,12 +179,13 @@ class ArduPilotRc(RcInput):
 
     def __init__(
         self,
-        receiver: Receiver,
+        source: RcSource,
+        present: bool,
         scheduler: Scheduler,
         failsafe_changed: Callable[[bool], None],
         parameter: Callable[[str], float],
     ) -> None:
-        super().__init__(receiver, scheduler, failsafe_changed)
+        super().__init__(source, present, scheduler, failsafe_changed)
         self._parameter = parameter
         self._failsafe_due: ScheduledCallback | None = None
 
@@ -213,10 +194,10 @@ class ArduPilotRc(RcInput):
         return self.failsafe
 
     def lose(self, how: RcLoss | None, preset: Mapping[int, int] | None) -> None:
-        how = self.receiver.lose(how, preset)
+        super().lose(how, preset)
         if not self.failsafe:
             self._cancel_failsafe()
-            delay_s = _JUMP_FAILSAFE_S if how == "jump" else self._parameter("RC_FS_TIMEOUT")
+            delay_s = _JUMP_FAILSAFE_S if self.lost == "jump" else self._parameter("RC_FS_TIMEOUT")
             self._failsafe_due = self._scheduler.after(delay_s, self._fail)
 
     def restore(self) -> None:
@@ -228,7 +209,7 @@ class ArduPilotRc(RcInput):
         if self._option(_IGNORE_OVERRIDES):
             return
         self._override(channels_us, self._parameter("RC_OVERRIDE_TIME"), self._end_override)
-        if self.receiver.overridden:
+        if self.overridden:
             self._recover()
 
     def reboot(self) -> None:
@@ -240,16 +221,16 @@ class ArduPilotRc(RcInput):
         """True if ArduPilot's parameters let it detect this loss."""
         if not self._parameter("FS_THR_ENABLE"):
             return False
-        if self.receiver.lost == "jump":
-            return self.receiver.throttle_us < _THROTTLE_FAILSAFE_US
+        if self.lost == "jump":
+            return self.throttle_us < _THROTTLE_FAILSAFE_US
         return not self._option(_IGNORE_RECEIVER_FAILSAFE)
 
     def _option(self, bit: int) -> bool:
         return bool(int(self._parameter("RC_OPTIONS")) & bit)
 
     def _end_override(self) -> None:
-        self.receiver.release()
-        if self.receiver.lost:
+        self._release()
+        if self.lost:
             self._fail()
 
     def _fail(self) -> None:
@@ -279,15 +260,16 @@ class Px4Rc(RcInput):
 
     def __init__(
         self,
-        receiver: Receiver,
+        source: RcSource,
+        present: bool,
         scheduler: Scheduler,
         failsafe_changed: Callable[[bool], None],
         random: Random,
     ) -> None:
-        super().__init__(receiver, scheduler, failsafe_changed)
+        super().__init__(source, present, scheduler, failsafe_changed)
         self._random = random
-        self._has_driver = receiver.source in ("sbus", "crsf")
-        self._good = self.reported_good = self._has_driver and receiver.lost is None
+        self._has_driver = source in ("sbus", "crsf")
+        self._good = self.reported_good = self._has_driver and self.lost is None
         self._reported_s = -math.inf
         self._due: list[ScheduledCallback] = []
         self._report_due: ScheduledCallback | None = None
@@ -297,7 +279,7 @@ class Px4Rc(RcInput):
         return self._has_driver and not self.reported_good
 
     def lose(self, how: RcLoss | None, preset: Mapping[int, int] | None) -> None:
-        self.receiver.lose(how, preset)
+        super().lose(how, preset)
         if self._has_driver:
             detects_s = self._random.uniform(*self._DETECTS_S)
             self._then((_RSSI_GONE_S, partial(self._set_rssi, False)), (detects_s, self._detect))
@@ -314,14 +296,14 @@ class Px4Rc(RcInput):
 
     def override(self, channels_us: Sequence[int]) -> None:
         if not self._has_driver:
-            self._override(channels_us, _PX4_OVERRIDE_S, self.receiver.release)
+            self._override(channels_us, _PX4_OVERRIDE_S, self._release)
 
     def reboot(self) -> None:
         super().reboot()
         self._due, self._report_due = [], None
-        self._good = self.reported_good = self._has_driver and self.receiver.lost is None
+        self._good = self.reported_good = self._has_driver and self.lost is None
         if self._has_driver:
-            self.receiver.has_rssi = self._good
+            self.has_rssi = self._good
 
     def report(self) -> None:
         if self._report_due is not None:
@@ -344,7 +326,7 @@ class Px4Rc(RcInput):
         self._due = [self._scheduler.after(delay_s, step) for delay_s, step in steps]
 
     def _set_rssi(self, on: bool) -> None:
-        self.receiver.has_rssi = on
+        self.has_rssi = on
 
     def _detect(self) -> None:
         self._good = False

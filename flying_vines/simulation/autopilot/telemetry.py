@@ -164,7 +164,7 @@ def _sys_status(now: AutopilotSnapshot) -> Any:
         present, enabled, health = _ARDUPILOT_PRESENT, _ARDUPILOT_ENABLED, _ARDUPILOT_HEALTH
         if not now.armed:
             enabled &= ~_ARDUPILOT_DISARMED
-        if now.rc.failsafe or not now.rc.receiver.values_us:
+        if now.rc.failsafe or not now.rc.values_us:
             health &= ~RC_RECEIVER
     current_ca = 3000 if now.flight.airborne else 0
     return mavlink.MAVLink_sys_status_message(
@@ -213,14 +213,14 @@ def _mission_current(now: AutopilotSnapshot) -> Any:
 
 
 def _rc_channels(now: AutopilotSnapshot) -> Any | None:
-    receiver = now.rc.receiver
-    values = receiver.values_us
+    rc = now.rc
+    values = rc.values_us
     count, rssi, unused = len(values), _NO_RSSI, 0
     if now.kind == "px4":
         if not values:
             return None
-        count, rssi, unused = _PX4_RC["overrides" if receiver.overridden else receiver.source]
-        rssi = rssi if receiver.has_rssi else _NO_RSSI
+        count, rssi, unused = _PX4_RC["overrides" if rc.overridden else rc.source]
+        rssi = rssi if rc.has_rssi else _NO_RSSI
     channels = (*values, *(unused,) * (18 - len(values)))
     return mavlink.MAVLink_rc_channels_message(now.boot_ms, count, *channels, rssi)
 
@@ -385,19 +385,9 @@ class StreamSender:
             stream.next.cancel()
         if interval_s <= 0.0:
             return
-
         begin_s = self._scheduler.now_s + (interval_s if first_s is None else first_s)
-        self._schedule(port, message_id, interval_s, begin_s, 0)
-
-    def _schedule(self, port: Port, message_id: int, interval_s: float, begin_s: float, count: int) -> None:
-        # Computed from a count, so that rounding errors do not add up.
-        t_s = begin_s + count * interval_s
-        entry = self._scheduler.at(t_s, partial(self._repeat, port, message_id, interval_s, begin_s, count))
+        entry = self._scheduler.every(interval_s, partial(self.once, port, message_id), begin_s)
         port.streams[message_id] = PortStream(interval_s, entry)
-
-    def _repeat(self, port: Port, message_id: int, interval_s: float, begin_s: float, count: int) -> None:
-        self._schedule(port, message_id, interval_s, begin_s, count + 1)
-        self.once(port, message_id)
 
     def once(self, port: Port, message_id: int) -> None:
         """Send a message now, if it has content."""
@@ -407,11 +397,10 @@ class StreamSender:
             self._echo(port)
             return
         now = self._snapshot()
-        receiver = now.rc.receiver
-        if message_id == RC_CHANNELS and self._kind == "px4" and receiver.overridden:
-            if port.rc_updates == receiver.updates:
+        if message_id == RC_CHANNELS and self._kind == "px4" and now.rc.overridden:
+            if port.rc_updates == now.rc.updates:
                 return
-            port.rc_updates = receiver.updates
+            port.rc_updates = now.rc.updates
         make = _MAKERS.get(message_id)
         if make is not None and (message := make(now)) is not None:
             self._send(port, message)
