@@ -201,16 +201,6 @@ def test_px4_repeats_named_values_as_its_own_with_a_shorter_name() -> None:
         assert len(values) == len(expected)
 
 
-@pytest.mark.parametrize(("kind", "arrives"), [("ardupilot", False), ("px4", True)])
-def test_only_px4_forwards_fuel_status(kind: AutopilotKind, arrives: bool) -> None:
-    world = meeting(FakeAutopilot(kind))
-    frame = bytearray(b"\xfd\x1a\0\0\x07\x01\xbf\x73\x01\0" + bytes(range(26)))
-    frame += struct.pack("<H", mavlink.x25crc(bytes(frame[1:]) + b"\x0a").crc)
-    world.autopilot.receive(world.t, "companion", bytes(frame))
-    world.on(0.1)
-    assert (bytes(frame) in world.gcs.frames) is arrives
-
-
 # Signing
 
 

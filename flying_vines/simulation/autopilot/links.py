@@ -15,11 +15,10 @@ from flying_vines.vehicle.mission.storage import AutopilotKind
 
 COMPANION, GCS, USB = "companion", "gcs", "usb"
 """Names of links."""
-KNOWN = frozenset(message_class.msgname for message_class in mavlink.mavlink_map.values())
 PX4_BUFFER = 2
+"""Number of messages that wait to be forwarded to one link."""
+_KNOWN = frozenset(message_class.msgname for message_class in mavlink.mavlink_map.values())
 _PX4_EVERY_S = 0.01
-_PX4_EXTRA_MESSAGES = frozenset({"UNKNOWN_371"})
-"""FUEL_STATUS, which PX4 forwards. It is in PX4's dialect, but not in ardupilotmega."""
 _SIGNING_EPOCH_S = 1_420_070_400
 _RADIO_STATUS = {109, 166}
 _AUTOPILOT_COMPONENT = 1
@@ -49,7 +48,6 @@ class Port:
     system_id: int
     number: int
     key: bytes | None
-    known: frozenset[str]
     forwards: bool = True
     active: bool = False
     has_gcs: bool = False
@@ -93,7 +91,7 @@ class Port:
         messages = self._decoder.parse_buffer(data) or []
         # Accepted signatures advance the signing clock.
         self._advance_signing(self._decoder.signing.timestamp)
-        return [message for message in messages if message.get_type() in self.known]
+        return [message for message in messages if message.get_type() in _KNOWN]
 
     def _may_be_unsigned(self, mav: Any, message_id: int) -> bool:
         return self.name == USB or message_id in _RADIO_STATUS
@@ -142,9 +140,7 @@ class Links:
         return self._unix_s + self._scheduler.now_s
 
     def add(self, name: str) -> Port:
-        known = KNOWN if self._kind == "ardupilot" else KNOWN | _PX4_EXTRA_MESSAGES
-        port = Port(name, self._system_id, len(self.ports) % _MAX_PORTS, self._key, known)
-        self.ports[name] = port
+        port = self.ports[name] = Port(name, self._system_id, len(self.ports) % _MAX_PORTS, self._key)
         return port
 
     def reboot(self) -> None:
@@ -181,12 +177,9 @@ class Links:
 
     def route(self, source: Port, message: Any) -> bool:
         """Forward a received message. True if the autopilot handles it itself."""
-        kind, frame = message.get_type(), bytes(message.get_msgbuf())
-        if kind not in KNOWN:
-            self._forward(source, self.ports, frame)
-            return False
+        frame = bytes(message.get_msgbuf())
         self._learn(message.get_srcSystem(), message.get_srcComponent(), source.name)
-        if kind == "HEARTBEAT":
+        if message.get_type() == "HEARTBEAT":
             source.has_gcs |= message.type == _GCS_TYPE
             self._forward(source, self.ports, frame)
             return False
