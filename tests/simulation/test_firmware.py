@@ -33,7 +33,7 @@ from firmware_link.protocol import (
     Welcome,
 )
 from flying_vines.physics.baseline import Inputs
-from flying_vines.simulation.phlosar.firmware import SAFE, Firmware, setting_rows
+from flying_vines.simulation.phlosar.firmware import SAFE, Firmware, setting_rows, standard_tuning
 from flying_vines.simulation.phlosar.firmware import Regulator as CoreRegulator
 
 RELIEF = Inputs(0.0, 1.0, True)
@@ -787,6 +787,14 @@ def test_within_the_dead_band_nothing_moves() -> None:
     regulator = Regulator(10.0, 10.0)
     for cv_kPa in (10.0, 10.25, 9.9):
         assert {regulator.step(cv_kPa) for _ in range(5000)} == {Inputs(0.0, 0.0, False)}
+
+
+def test_the_integral_does_not_wind_up() -> None:
+    regulator = Regulator(10.0, 10.8)
+    for _ in range(10_000):
+        drive = regulator.step(10.0)
+    assert drive.evp == pytest.approx(standard_tuning()["integral_most"] + 0.8 * 0.03)
+    assert [regulator.step(10.9) for _ in range(20)][-1] == Inputs(0.0, 0.0, False)
 
 
 @pytest.mark.parametrize(("excess_kPa", "wait_ms"), [(0.5, 300), (3.0, 22)])
