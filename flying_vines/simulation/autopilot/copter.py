@@ -19,10 +19,10 @@ from flying_vines.simulation.autopilot.links import COMPANION, GCS, Links, Port
 from flying_vines.simulation.autopilot.mission_protocol import MissionStorage
 from flying_vines.simulation.autopilot.mission_runners import (
     ArduPilotMission,
-    CommandLong,
     CommandSender,
     Px4Mission,
     Runner,
+    SentCommand,
 )
 from flying_vines.simulation.autopilot.parameters import ParameterServer
 from flying_vines.simulation.autopilot.rc_input import (
@@ -413,7 +413,7 @@ class Copter:
             again = partial(self._send_reached, seq, times_left - 1)
             self._reached_again = self.scheduler.after(_REACHED_AGAIN_S, again)
 
-    def _send_command(self, command: CommandLong, confirmation: int) -> None:
+    def _send_command(self, command: SentCommand, confirmation: int) -> None:
         target = self.system_id, command.target_component
         self._links.tell(
             mavlink.MAVLink_command_long_message(*target, command.command, confirmation, *command.params)

@@ -26,6 +26,7 @@ from flying_vines.vehicle.mission.item import (
     is_nav,
 )
 from flying_vines.vehicle.mission.jumps import JUMP, Jumps
+from flying_vines.vehicle.mission.storage import Params
 
 _NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5
 
@@ -293,20 +294,13 @@ _START_PICTURES, _STOP_PICTURES, _CAMERA = 2000, 2001, 100
 _NAN = float("nan")
 
 
-@dataclass(frozen=True, slots=True)
-class CommandLong:
-    """A COMMAND_LONG that PX4 itself sends."""
+@dataclass(slots=True)
+class SentCommand:
+    """A COMMAND_LONG of PX4. Once acknowledged, it leaves the list when its next repeat would be due."""
 
     command: int
-    params: tuple[float, float, float, float, float, float, float]
+    params: Params
     target_component: int = 0
-
-
-@dataclass(slots=True)
-class _Sent:
-    """A sent command. Once acknowledged, it leaves the list when its next repeat would be due."""
-
-    command: CommandLong
     acknowledged: bool = False
 
 
@@ -319,31 +313,31 @@ class CommandSender:
     acknowledgement may end the repeats of a lost command.
     """
 
-    def __init__(self, scheduler: Scheduler, send: Callable[[CommandLong, int], None]) -> None:
+    def __init__(self, scheduler: Scheduler, send: Callable[[SentCommand, int], None]) -> None:
         self._scheduler = scheduler
         self._send = send
-        self._sent: list[_Sent] = []
+        self._sent: list[SentCommand] = []
 
-    def send(self, command: CommandLong, repeat: bool = True) -> None:
-        self._send(command, 0)
+    def send(self, command: int, params: Params, target_component: int = 0, repeat: bool = True) -> None:
+        sent = SentCommand(command, params, target_component)
+        self._send(sent, 0)
         if repeat:
-            sent = _Sent(command)
             self._sent.append(sent)
             self._wait(sent, 1)
 
     def acknowledged(self, command: int) -> None:
         for sent in self._sent:
-            if sent.command.command == command:
+            if sent.command == command:
                 sent.acknowledged = True
                 return
 
-    def _wait(self, sent: _Sent, confirmation: int) -> None:
+    def _wait(self, sent: SentCommand, confirmation: int) -> None:
         delay_s = (*_RETRIES_S, _FORGOTTEN_S)[confirmation - 1]
         self._scheduler.after(delay_s, partial(self._again, sent, confirmation))
 
-    def _again(self, sent: _Sent, confirmation: int) -> None:
+    def _again(self, sent: SentCommand, confirmation: int) -> None:
         if not sent.acknowledged and confirmation <= len(_RETRIES_S):
-            self._send(sent.command, confirmation)
+            self._send(sent, confirmation)
             self._wait(sent, confirmation + 1)
         else:
             self._sent.remove(sent)
@@ -488,7 +482,7 @@ class Px4Mission(_Runner):
         for item in burst[-_QUEUE:]:
             first = item.params[0]
             target = int(first) if item.command in _TO_PARAM1 and 0.0 <= first < 256.0 else 0
-            self._sender.send(CommandLong(item.command, item.params, target))
+            self._sender.send(item.command, item.params, target)
 
     def _keep_reported_seq(self) -> None:
         if self._stale_seq is None and self._state == _ACTIVE:
@@ -500,15 +494,15 @@ class Px4Mission(_Runner):
             self._wait = None
 
     def _release_gimbal(self) -> None:
-        self._sender.send(CommandLong(_GIMBAL_CONTROL, (1.0, 1.0, -1.0, -1.0, 0.0, 0.0, 0.0)))
-        self._sender.send(CommandLong(_GIMBAL, (_NAN, _NAN, _NAN, _NAN, 2.0, 0.0, 0.0)), repeat=False)
-        self._sender.send(CommandLong(_GIMBAL_CONTROL, (-3.0, -3.0, -1.0, -1.0, 0.0, 0.0, 0.0)), repeat=False)
+        self._sender.send(_GIMBAL_CONTROL, (1.0, 1.0, -1.0, -1.0, 0.0, 0.0, 0.0))
+        self._sender.send(_GIMBAL, (_NAN, _NAN, _NAN, _NAN, 2.0, 0.0, 0.0), repeat=False)
+        self._sender.send(_GIMBAL_CONTROL, (-3.0, -3.0, -1.0, -1.0, 0.0, 0.0, 0.0), repeat=False)
 
     def _stop_cameras(self) -> None:
-        self._sender.send(CommandLong(_STOP_CAMERA_TRIGGER, (-1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)))
+        self._sender.send(_STOP_CAMERA_TRIGGER, (-1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0))
         if self._pictures:
             self._pictures = False
-            self._sender.send(CommandLong(_STOP_PICTURES, (0.0,) * 7, _CAMERA), repeat=False)
+            self._sender.send(_STOP_PICTURES, (0.0,) * 7, _CAMERA, repeat=False)
 
 
 Runner = ArduPilotMission | Px4Mission
