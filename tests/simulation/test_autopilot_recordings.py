@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -56,7 +56,7 @@ Script = list[tuple[float, Callable[[], None]]]
 """Times (s) and stimuli."""
 
 
-def assert_same_changes(fake: list[Received], real: list[Received], views: dict[str, View]) -> None:
+def assert_same_changes(fake: list[Received], real: list[Received], views: Mapping[str, View]) -> None:
     """The same values of these messages in the same order."""
     for name, view in views.items():
         seen = [changes(view(m) for _, m in log if m.get_type() == name) for log in (fake, real)]
@@ -64,7 +64,7 @@ def assert_same_changes(fake: list[Received], real: list[Received], views: dict[
 
 
 def assert_same_times(
-    fake: list[Received], real: list[Received], views: dict[str, tuple[View, float]]
+    fake: list[Received], real: list[Received], views: Mapping[str, tuple[View, float]]
 ) -> None:
     """The same values of these messages in the same order, at about the same times: tolerance in s."""
     for name, (view, tolerance_s) in views.items():
@@ -250,8 +250,8 @@ def test_px4_sbus_losses_as_recorded() -> None:
     play(world, script, 120.3)
     fake, until_120 = world.companion.received, [h for h in real if h[0] < 120.3]
     assert_same_times(fake, until_120, {"RC_CHANNELS": (rc_values, 0.16), "SYS_STATUS": (rc_bits, 0.6)})
-    beats = [[entry for entry in log if entry[0] < 119.0] for log in (fake, real)]
-    assert_same_changes(*beats, {"HEARTBEAT": lambda m: m.system_status})
+    fake, until_119 = ([entry for entry in log if entry[0] < 119.0] for log in (fake, real))
+    assert_same_changes(fake, until_119, {"HEARTBEAT": lambda m: m.system_status})
 
 
 def test_px4_crsf_losses_as_recorded() -> None:
@@ -274,7 +274,10 @@ def test_px4_crsf_losses_as_recorded() -> None:
     fake = [h for h in world.companion.received if h[0] >= 6.0]
 
     # Chance decides if the first frame after a loss lacks its rssi, so it is tested separately.
-    views = {"RC_CHANNELS": (lambda m: rc_values(m)[:-1], 0.2), "SYS_STATUS": (rc_bits, 0.6)}
+    views: dict[str, tuple[View, float]] = {
+        "RC_CHANNELS": (lambda m: rc_values(m)[:-1], 0.2),
+        "SYS_STATUS": (rc_bits, 0.6),
+    }
     assert_same_times(fake, until_90, views)
     rssi = [timed_changes(log, "RC_CHANNELS", lambda m: m.rssi) for log in (fake, until_90)]
     assert [value for _, value in rssi[0]] == [value for _, value in rssi[1]] == [61, 255] * 4 + [61]
