@@ -30,6 +30,38 @@ from flying_vines.vehicle.mission.storage import Params
 
 _NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5
 
+# ArduPilot.
+_DO_SPACING_S = 0.006
+_YAW_S = 2.0
+_GRIPPER, _WINCH, _TAG = 211, 42600, 600
+_NAMES = {
+    16: "WP", 17: "LoitUnlim", 18: "LoitTurns", 19: "LoitTime", 20: "RTL", 21: "Land", 22: "Takeoff",
+    82: "SplineWP", 84: "VTOLTakeoff", 85: "VTOLLand", 92: "NavGuidedEnable", 93: "Delay", 94: "PayloadPlace",
+    112: "CondDelay", 114: "CondDist", 115: "CondYaw", 177: "Jump", 178: "ChangeSpeed", 179: "SetHome",
+    181: "SetRelay", 182: "RepeatRelay", 183: "SetServo", 184: "RepeatServo", 189: "LandStart",
+    193: "PauseContinue", 195: "SetROI", 201: "SetROI", 202: "DigiCamCfg", 203: "DigiCamCtrl",
+    205: "MountControl", 206: "SetCamTrigDst", 207: "FenceEnable", 208: "Parachute", 211: "Gripper",
+    215: "SetRepeatDist", 216: "Sprayer", 217: "Scripting", 218: "AuxFunction", 222: "GuidedLimits",
+    531: "SetCameraZoom", 600: "Tag", 601: "JumpTag", 1000: "GimbalPitchYaw", 2000: "ImageStartCapture",
+    2001: "ImageStopCapture", 2500: "VideoStartCapture", 2501: "VideoStopCapture", 42600: "Winch",
+    42702: "NavScriptTime",
+}  # fmt: skip
+_DO_REACHED = {112, 114, 115, 178, 179, 189, 193, 195, 201, 205, 207, 222, 42600}
+_REACHED_WITH_TEXT = {16, 17, 18, 19, 82}
+
+# PX4.
+_TOTAL_BEFORE_FIRST_UPLOAD = 65535
+_RETRIES_S = (1.0, 0.5, 0.5)
+_FORGOTTEN_S = 0.5
+_QUEUE = 8
+_SHORTEST_WAIT_S = 0.02
+_TO_PARAM1 = {530, 534, 2000, 2001}
+_WAITING = {211, 42600}
+_SUBMODE_IN_MISSION, _SUBMODE_SUSPENDED = 1, 2
+_GIMBAL, _GIMBAL_CONTROL, _STOP_CAMERA_TRIGGER = 1000, 1001, 2003
+_START_PICTURES, _STOP_PICTURES, _CAMERA = 2000, 2001, 100
+_NAN = float("nan")
+
 
 class MissionStatus(NamedTuple):
     """The content of MISSION_CURRENT."""
@@ -64,6 +96,8 @@ class Host(Protocol):
 
 
 class _Runner:
+    """The state of both runners."""
+
     def __init__(self, host: Host) -> None:
         self._host = host
         self._state = _NOT_STARTED
@@ -72,27 +106,6 @@ class _Runner:
 
     def _begin_leg(self, item: MissionItem) -> None:
         self._leg = Leg(self._host.flight, item, self._host.scheduler.now_s)
-
-
-_DO_SPACING_S = 0.006
-_YAW_S = 2.0
-_GRIPPER, _WINCH, _TAG = 211, 42600, 600
-
-_NAMES = {
-    16: "WP", 17: "LoitUnlim", 18: "LoitTurns", 19: "LoitTime", 20: "RTL", 21: "Land", 22: "Takeoff",
-    82: "SplineWP", 84: "VTOLTakeoff", 85: "VTOLLand", 92: "NavGuidedEnable", 93: "Delay", 94: "PayloadPlace",
-    112: "CondDelay", 114: "CondDist", 115: "CondYaw", 177: "Jump", 178: "ChangeSpeed", 179: "SetHome",
-    181: "SetRelay", 182: "RepeatRelay", 183: "SetServo", 184: "RepeatServo", 189: "LandStart",
-    193: "PauseContinue", 195: "SetROI", 201: "SetROI", 202: "DigiCamCfg", 203: "DigiCamCtrl",
-    205: "MountControl", 206: "SetCamTrigDst", 207: "FenceEnable", 208: "Parachute", 211: "Gripper",
-    215: "SetRepeatDist", 216: "Sprayer", 217: "Scripting", 218: "AuxFunction", 222: "GuidedLimits",
-    531: "SetCameraZoom", 600: "Tag", 601: "JumpTag", 1000: "GimbalPitchYaw", 2000: "ImageStartCapture",
-    2001: "ImageStopCapture", 2500: "VideoStartCapture", 2501: "VideoStopCapture", 42600: "Winch",
-    42702: "NavScriptTime",
-}  # fmt: skip
-
-_DO_REACHED = {112, 114, 115, 178, 179, 189, 193, 195, 201, 205, 207, 222, 42600}
-_REACHED_WITH_TEXT = {16, 17, 18, 19, 82}
 
 
 class ArduPilotMission(_Runner):
@@ -280,20 +293,6 @@ class ArduPilotMission(_Runner):
                 self._schedule_do()
 
 
-TOTAL_BEFORE_FIRST_UPLOAD = 65535
-
-_RETRIES_S = (1.0, 0.5, 0.5)
-_FORGOTTEN_S = 0.5
-_QUEUE = 8
-_SHORTEST_WAIT_S = 0.02
-_TO_PARAM1 = {530, 534, 2000, 2001}
-_WAITING = {211, 42600}
-_SUBMODE_IN_MISSION, _SUBMODE_SUSPENDED = 1, 2
-_GIMBAL, _GIMBAL_CONTROL, _STOP_CAMERA_TRIGGER = 1000, 1001, 2003
-_START_PICTURES, _STOP_PICTURES, _CAMERA = 2000, 2001, 100
-_NAN = float("nan")
-
-
 @dataclass(slots=True)
 class SentCommand:
     """A COMMAND_LONG of PX4. Once acknowledged, it leaves the list when its next repeat would be due."""
@@ -364,7 +363,7 @@ class Px4Mission(_Runner):
     def status(self, in_mission_mode: bool) -> MissionStatus:
         total = len(self._host.items)
         if not total and not self._uploaded:
-            total = TOTAL_BEFORE_FIRST_UPLOAD
+            total = _TOTAL_BEFORE_FIRST_UPLOAD
         state = self._state if self._host.items else _NO_MISSION
         mode = _SUBMODE_IN_MISSION if in_mission_mode else _SUBMODE_SUSPENDED
         # After a jump or a change of the current item, PX4 reports the old item until an item is reached.
