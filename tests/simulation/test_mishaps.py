@@ -233,16 +233,6 @@ def test_a_hose_that_comes_off_or_a_burst_empties_the_vine_and_it_is_not_fed(
     assert phlosar.state.vented_SL - before_SL > 0.1
 
 
-def test_a_hose_that_is_off_does_not_fill_the_pouch() -> None:
-    phlosar, _ = rigged(INFLATING)
-    phlosar.mishaps.hose = HoseOff()
-    phlosar.advance(2.0)
-    burst, _ = rigged(INFLATING)
-    burst.mishaps.actuator = Hole(6.0)
-    burst.advance(2.0)
-    assert phlosar.state.cv_air_SL < burst.state.cv_air_SL
-
-
 @pytest.mark.parametrize("own", [None, Ohm(20_000.0)])
 def test_a_slow_leak_comes_beside_the_rigs_own(own: Ohm | None) -> None:
     phlosar, _ = rigged(SHUT, Effects(cv_leak=own), cv_kPa=20.0)
@@ -303,17 +293,6 @@ def test_half_a_kink_slows_it(effects: Effects | None) -> None:
         reached_SL.append(phlosar.state.cv_air_SL)
     assert reached_SL == sorted(reached_SL, reverse=True)
     assert reached_SL[2] < 0.8 * reached_SL[0]
-
-
-@likely_and_ideal
-def test_the_firmware_is_content_with_what_is_before_a_kink(effects: Effects | None) -> None:
-    phlosar = SimulatedPhlosar(effects=effects)
-    phlosar.mishaps.hose = Kinked()
-    sent = hold(phlosar, greeted(phlosar), 0.4)
-    readings = [message.cv_kPa for message in Codec().decode(sent) if isinstance(message, Telemetry)]
-    assert 17.0 < max(readings) < 23.0
-    assert phlosar.firmware.mode is Mode.REGULATE
-    assert phlosar.cv_kPa < 0.1
 
 
 @likely_and_ideal

@@ -21,7 +21,6 @@ from firmware_link.protocol import Codec, Fault, Mode, Telemetry
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.true_rig import TrueRig
-from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Rig, Sensors
 from flying_vines.simulation.phlosar.firmware import SAFE
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
@@ -104,15 +103,6 @@ def test_a_reset_keeps_the_air() -> None:
     assert flight.session.welcome.boot_id == 2
 
 
-def test_added_air_comes_from_outside() -> None:
-    phlosar = SimulatedPhlosar(effects=Effects())
-    phlosar.fill(500.0)
-    phlosar.advance(1.0)
-    assert phlosar.reservoir_kPa == pytest.approx(500.0)
-    # 190 kPa of 2 litres.
-    assert phlosar.state.vented_SL == pytest.approx(2.0 * 190.0 / 101.325)
-
-
 def test_any_firmware_may_run_it() -> None:
     board = StillBoard(Inputs(0.5, 0.0, False))
     phlosar = SimulatedPhlosar(Rig(sensors=Sensors(0.0, 0.0)), board, effects=Effects())
@@ -124,15 +114,6 @@ def test_any_firmware_may_run_it() -> None:
     assert board.steps[100][1:] == (phlosar.cv_kPa, phlosar.reservoir_kPa)
     assert 10.0 < phlosar.cv_kPa < 690.0 > phlosar.reservoir_kPa
     assert board.resets == [True]
-
-
-def test_a_bottle_filled_by_hand_keeps_its_temperature() -> None:
-    wall = Effects(reservoir_wall=Wall(time_constant_s=1.0))
-    phlosar = SimulatedPhlosar(TrueRig(Rig(cv=None), effects=wall))
-    phlosar.fill(600.0)
-    assert phlosar.reservoir_kPa == pytest.approx(600.0)
-    phlosar.advance(1.0)
-    assert phlosar.reservoir_kPa == pytest.approx(600.0)
 
 
 def readings(phlosar: SimulatedPhlosar) -> list[float]:
