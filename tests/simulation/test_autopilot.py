@@ -444,6 +444,8 @@ def test_a_reboot_sends_nothing_and_then_knows_no_link() -> None:
     world.on(5.0)
     assert world.companion.frames[0][4] == 0
     assert {message.get_type() for _, message in world.companion.received} == {"HEARTBEAT"}
+    world.gcs.command(183, 9, 1900, to=(1, 191))
+    assert len(world.autopilot.performed) == 1, "the companion's route is forgotten"
     world.request_streams()
     world.on(1.0)
     assert world.companion.of("RC_CHANNELS")[0].time_boot_ms < before_ms
@@ -465,11 +467,11 @@ def test_interrupted_links_carry_nothing_either_way_and_the_gap_shows() -> None:
     last = world.companion.frames[-1][4]
     world.companion.forget()
     world.autopilot.mute(3.0)
-    world.companion.command(512, 148)
+    world.companion.command(183, 9, 1900)
     world.on(2.9)
     assert world.companion.frames == []
     world.on(1.0)
-    assert world.companion.of("COMMAND_ACK") == []
+    assert world.companion.of("COMMAND_ACK") == world.autopilot.performed == []
     assert (world.companion.frames[0][4] - last) % 256 > 20
 
 
