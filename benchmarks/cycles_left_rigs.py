@@ -19,7 +19,7 @@ from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotio
 from flying_vines.physics.plant.volume import Compliant, Pouch, Shape
 from flying_vines.physics.plant.wall import Wall
 from flying_vines.physics.rig import ControlVolume, Hose, Reservoir, Rig
-from flying_vines.simulation.phlosar.regulator import Tuning
+from flying_vines.simulation.phlosar.firmware import Tuning
 
 HOST_TICK_S = 0.02
 """Time between setpoints, as in the service."""

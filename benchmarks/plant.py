@@ -43,7 +43,7 @@ from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI,
 from flying_vines.physics.plant.simulator import TICK_S, Simulator
 from flying_vines.physics.rig import ControlVolume, Evp, Reservoir, Rig
 from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
-from flying_vines.simulation.phlosar.regulator import SAFE, Regulator
+from flying_vines.simulation.phlosar.firmware import SAFE, Regulator
 
 SECONDS = 60.0
 SETPOINTS = [SetpointChange(0.1 + 6.0 * cycle, 20.7, 60.0) for cycle in range(10)]

@@ -46,8 +46,7 @@ from flying_vines.physics.plant.effects import Effects
 from flying_vines.record.reader import FlightLog, flights_in, restored
 from flying_vines.record.topics import DECISION
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.autopilot_server import AutopilotServer
-from flying_vines.simulation.ground_station import COMPONENT_ID, SYSTEM_ID, GroundStation
+from flying_vines.simulation.autopilot_server import COMPONENT_ID, SYSTEM_ID, AutopilotServer, GroundStation
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
@@ -118,7 +117,8 @@ class Outcome:
 
 def simulated(kind: AutopilotKind, seed: int, until_s: float, sample_every_s: float = HOUR_S) -> Outcome:
     """Fly in simulated time until `until_s`, and land."""
-    autopilot = FakeAutopilot(kind, links=("companion", "gcs"))
+    autopilot = FakeAutopilot(kind)
+    autopilot.add_link("gcs")
     phlosar = SimulatedPhlosar(effects=Effects())
     flight = SimulatedFlight(config.default(), autopilot, phlosar)
     ground = MavlinkCodec(SYSTEM_ID, COMPONENT_ID)

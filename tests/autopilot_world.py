@@ -100,6 +100,15 @@ class World:
             self.companion.command(511, message_id, 1e6 / rate_hz)
 
 
+def meeting(autopilot: FakeAutopilot) -> World:
+    """Companion and ground station have said hello."""
+    world = World(autopilot)
+    world.gcs.hello()
+    world.companion.hello()
+    world.on(0.1)
+    return world
+
+
 def upload(items: Sequence[MissionItem]) -> Callable[[Peer, Any], None]:
     """Answers requests for items as a ground station does during an upload."""
 

@@ -26,13 +26,11 @@ from flying_vines.core.events import Action, Decision, Event, LinkChanged
 from flying_vines.core.safety import LANDING_MARGIN_M
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.simulation.autopilot import FakeAutopilot, RcLoss, RcSource
-from flying_vines.simulation.autopilot.forwarding import PX4_BUFFER
+from flying_vines.simulation.autopilot.links import PX4_BUFFER
 from flying_vines.simulation.autopilot.rc_input import REPORTS_APART_S
-from flying_vines.simulation.phlosar.board import Board
-from flying_vines.simulation.phlosar.firmware import Firmware
+from flying_vines.simulation.phlosar.firmware import SAFE, Board, Firmware
 from flying_vines.simulation.phlosar.mishaps import Hanging, Kinked, MishapKind, StuckAt, Unpowered
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
-from flying_vines.simulation.phlosar.regulator import SAFE
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mission.item import MissionItem
@@ -369,7 +367,7 @@ class MonitoredFlight:
             and self.monitor.pending_until_s < self.now_s + CONFIRMED_S + 0.1
             and self.phlosar.cv_kPa < RESTING_KPA
             and self.phlosar.reservoir_kPa > enough_kPa
-            and self.autopilot.height_m > self.config.interlocks.min_altitude_m + 4.0
+            and self.autopilot.flight.height_m > self.config.interlocks.min_altitude_m + 4.0
         )
 
     def _switch_asks(self, position: int, *, certain: bool, what: str | None = None) -> None:
@@ -548,7 +546,7 @@ class MonitoredFlight:
     def lose_rc(self, how: RcLoss | None = None, preset: Mapping[int, int] | None = None) -> None:
         """Lose the pilot's transmitter or its link. Values that the receiver makes up are no request."""
         self.autopilot.lose_rc(how, preset)
-        self._rc_lost, self._rc_lost_s = self.autopilot.receiver.lost, self.now_s
+        self._rc_lost, self._rc_lost_s = self.autopilot.rc.lost, self.now_s
         # PX4 with a receiver of its own reports a loss only later. Frozen values never show a loss if
         # ArduPilot's parameters hide it.
         self._rc_shown = not self.setup.has_real_receiver and (
@@ -576,13 +574,13 @@ class MonitoredFlight:
 
     def hide_rc_losses(self, name: str, value: float) -> None:
         """Set a parameter of the autopilot so that it hides RC losses."""
-        self.autopilot.set_parameter(name, value)
+        self.autopilot.parameters.change(name, value)
         parameters = {**self.setup.parameters, name: value}
         self.setup = dataclasses.replace(self.setup, parameters=parameters)
 
     def report_health(self) -> None:
         """Let PX4 report its health now for another reason, and then not for 2 s."""
-        self.autopilot.report_health()
+        self.autopilot.rc.report()
         self._health_reported_s = self.now_s
 
     def stall_vehicle_link(self, seconds: float, both_ways: bool = False) -> None:
@@ -831,9 +829,9 @@ class MonitoredFlight:
         if not autopilot.armed and self._rc_lost:
             self._rc_in_use = False
         lowest_m = config.interlocks.min_altitude_m - LANDING_MARGIN_M
-        self._rc_shown |= self._rc_lost is not None and autopilot.reports_rc_loss
+        self._rc_shown |= self._rc_lost is not None and autopilot.rc.reports_loss
         # A ground station's override ends ArduPilot's loss, or prevents its report.
-        replaced = self._override is not None and not autopilot.reports_rc_loss
+        replaced = self._override is not None and not autopilot.rc.reports_loss
         rc_lost = self._rc_lost is not None and self._rc_in_use and self._rc_shown and not replaced
         rc_lost_s = RC_SHOWN_S if now_s > self._rc_lost_s + 0.5 else RC_LOST_S
         silent = bool(self._unseen.keys() & {"silence", "link", "link stalled"})
@@ -843,7 +841,9 @@ class MonitoredFlight:
             self.monitor.hold_still(self._held_from_s)
         self._watch("disarmed", not autopilot.armed, _TOLD_BY_VEHICLE["disarmed"])
         told_height = ALTITUDE not in self.from_autopilot.without
-        self._watch("landing", told_height and autopilot.height_m < lowest_m, _TOLD_BY_VEHICLE["landing"])
+        self._watch(
+            "landing", told_height and autopilot.flight.height_m < lowest_m, _TOLD_BY_VEHICLE["landing"]
+        )
         self._watch("RC lost", rc_lost, rc_lost_s + held_s)
         self._watch("autopilot silent", silent, 1.3 if self._rc_in_use and not held_s else 2.5)
         self._watch("altitude lost", not told_height, 2.5)

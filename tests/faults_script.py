@@ -10,7 +10,7 @@ from faults_flight import ACTUATOR, LIMIT, PULSES_US, SCRIPT_MESSAGE, SWITCH, Mo
 from invariant_monitor import Violation
 from random_mishaps import draw_mishap
 
-from flying_vines.simulation.autopilot.receiver import LOSSES, RcLoss, RcSource
+from flying_vines.simulation.autopilot.rc_input import LOSSES, RcLoss, RcSource
 from flying_vines.simulation.phlosar.mishaps import Hole, StuckAt
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.storage import AutopilotKind

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from firmware_link.framing import FRAME_END
 from firmware_link.host import HostEvent, HostSession, Regulate, SessionState
 from firmware_link.protocol import Codec, HostMessage, Mode
-from flying_vines.simulation.phlosar.board import Board
-from flying_vines.simulation.phlosar.firmware import Firmware
+from flying_vines.simulation.phlosar.firmware import Board, Firmware
 
 TICK_MS = 10
 """Tick of the host, as in `FirmwareLink`."""

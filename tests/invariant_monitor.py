@@ -16,9 +16,8 @@ from wrapped_board import WrappedBoard
 
 from firmware_link.protocol import Codec, Hello, Setpoint, Vent
 from flying_vines.physics.baseline import Inputs
-from flying_vines.simulation.phlosar.firmware import Firmware
+from flying_vines.simulation.phlosar.firmware import SAFE, Firmware
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
-from flying_vines.simulation.phlosar.regulator import SAFE
 
 DEAD_MAN_S = 0.300
 SAFE_WITHIN_STEPS = 10

@@ -10,7 +10,7 @@ from heapq import heappop, heappush
 
 from flying_vines.config import config
 from flying_vines.simulation.autopilot import AutopilotKind, FakeAutopilot
-from flying_vines.simulation.autopilot.port import COMPANION
+from flying_vines.simulation.autopilot.links import COMPANION
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mission.execution import same_numbers

@@ -13,8 +13,7 @@ from ports import free_port
 
 from flying_vines.config import config
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.autopilot_server import AutopilotServer
-from flying_vines.simulation.ground_station import GroundStation
+from flying_vines.simulation.autopilot_server import AutopilotServer, GroundStation
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
 

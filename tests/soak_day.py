@@ -177,9 +177,9 @@ def _by_mission(world: World, dice: random.Random) -> Iterator[float]:
     autopilot.set_mission(mission(autopilot, [*angles_deg, 0.0], dice))
     yield 6.0
     autopilot.start_mission()
-    while not autopilot.airborne:
+    while not autopilot.flight.airborne:
         yield LOOK_S
-    while autopilot.airborne:
+    while autopilot.flight.airborne:
         yield LOOK_S
 
 
@@ -220,4 +220,4 @@ def _landed(world: World) -> Iterator[float]:
         if not world.autopilot.armed:
             return
         yield LOOK_S
-    raise SystemExit(f"The vehicle did not land within {_LANDED_WITHIN_S:g} s: {world.autopilot.mode_name}")
+    raise SystemExit(f"The vehicle did not land within {_LANDED_WITHIN_S:g} s: {world.autopilot.mode.name}")

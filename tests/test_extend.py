@@ -33,7 +33,7 @@ from flying_vines.doctor import vehicle
 from flying_vines.doctor.vehicle_probe import VehicleProbe
 from flying_vines.service.service import Service, line_to
 from flying_vines.simulation.autopilot import AutopilotKind, FakeAutopilot
-from flying_vines.simulation.autopilot.port import COMPANION
+from flying_vines.simulation.autopilot.links import COMPANION
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.own_triggers import own_triggers

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from firmware_link.protocol import Fault, Mode
 from flying_vines.physics.baseline import Inputs
-from flying_vines.simulation.phlosar.board import Board
+from flying_vines.simulation.phlosar.firmware import Board
 
 
 class WrappedBoard:

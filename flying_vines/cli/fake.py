@@ -33,13 +33,6 @@ def add(commands: Any) -> None:
     autopilot.add_argument(
         "--fly", action="store_true", help="after 3 s, fly the mission, or take off if there is none"
     )
-    autopilot.add_argument(
-        "--listen",
-        action="append",
-        default=[],
-        metavar="tcpin:HOST:PORT",
-        help="accept clients there; may be repeated",
-    )
     autopilot.set_defaults(run=_fake_autopilot)
     phlosar = fakes.add_parser("phlosar", help="simulate a phloSAR on a pseudo-terminal; prints its path")
     phlosar.add_argument("--link", type=Path, metavar="PATH", help="make this symbolic link to the port")
@@ -69,7 +62,7 @@ def _fake_autopilot(arguments: argparse.Namespace) -> int:
     try:
         autopilot = FakeAutopilot(arguments.kind, mission=mission, unix_s=time())
         gcs = f"udpout:{arguments.gcs}" if arguments.gcs else None
-        server = AutopilotServer(autopilot, f"udpout:{arguments.to}", gcs, script, listen=arguments.listen)
+        server = AutopilotServer(autopilot, f"udpout:{arguments.to}", gcs, script)
     except ValueError as error:
         fail(str(error))
 

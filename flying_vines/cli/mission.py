@@ -231,7 +231,7 @@ def _report(arguments: argparse.Namespace, flies: bool = False) -> Report:
     if not flies:
         return report
     from flying_vines.physics.plant.true_rig import load_true_rig
-    from flying_vines.simulation.mission_flight import with_flight
+    from flying_vines.simulation.simulated_world import with_flight
 
     return with_flight(report, config, reservoir_kPa, load_true_rig(known.path) if known else None)
 

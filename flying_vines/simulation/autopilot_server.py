@@ -1,4 +1,4 @@
-"""Runs a simulated autopilot on UDP and TCP."""
+"""Runs a simulated autopilot on UDP and TCP, and a ground station for it."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import cast
 
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
 from flying_vines.config.address import NetworkAddress, parse_address
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.autopilot.port import COMPANION, GCS
+from flying_vines.simulation.autopilot.links import COMPANION, GCS
+from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 
 SocketAddress = tuple[str, int]
 Script = Sequence[tuple[float, Callable[[FakeAutopilot], None]]]
@@ -19,6 +22,8 @@ MAX_CLIENTS = 8
 """Maximum number of TCP clients on all TCP ports together, because an autopilot has few ports."""
 MAX_QUEUED_BYTES = 64 * 1024
 FIRST_CLIENT = "the first TCP client"
+SYSTEM_ID, COMPONENT_ID = 255, 190
+"""The ground station's."""
 
 
 class AutopilotServer:
@@ -36,15 +41,15 @@ class AutopilotServer:
         gcs: str | SocketAddress | None = None,
         script: Script = (),
         *,
-        listen: Sequence[str | SocketAddress] = (),
+        listen: Sequence[SocketAddress] = (),
         speed: float = 1.0,
     ) -> None:
         """`companion` and `gcs` are (host, port) or "udpout:host:port"; otherwise raises `ValueError`.
 
         A `companion` that is `FIRST_CLIENT` is the first TCP client.
 
-        `script`: times (s since the start of `run`) and stimuli, in any order. `listen`: TCP ports as
-        "tcpin:host:port" or (host, port); port 0 is any free port. `speed`: 10 is ten times real time.
+        `script`: times (s since the start of `run`) and stimuli, in any order. `listen`: TCP ports;
+        port 0 is any free port. `speed`: 10 is ten times real time.
         """
         self.autopilot = autopilot
         self._peers: dict[str, SocketAddress] = {}
@@ -57,7 +62,7 @@ class AutopilotServer:
         if gcs is not None:
             self._peers[GCS] = _host_and_port(gcs)
         self._script = sorted(script, key=lambda entry: entry[0])
-        self._listen = [_listening(address) for address in listen]
+        self._listen = listen
         self._speed = speed
         self._start_s = 0.0
         self._ends: dict[str, _UdpPeer | _TcpClient] = {}
@@ -207,6 +212,58 @@ class _TcpClient(asyncio.Protocol):
             self._transport.close()
 
 
+class GroundStation(asyncio.DatagramProtocol):
+    """A simulated ground station: sends heartbeats and stores the vine's values and texts.
+
+    It listens on a UDP port of this computer; `values` and `texts` come from companions.
+    """
+
+    def __init__(self) -> None:
+        self.values: dict[str, float] = {}
+        self.texts: list[str] = []
+        self._codec = MavlinkCodec(SYSTEM_ID, COMPONENT_ID)
+        self._transport: asyncio.DatagramTransport | None = None
+        self._autopilot: tuple[str, int] | None = None
+
+    async def listen(self, host: str = "127.0.0.1") -> int:
+        """Open a free port and return its number."""
+        transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
+            lambda: self, local_addr=(host, 0)
+        )
+        self._transport = transport
+        port: int = transport.get_extra_info("sockname")[1]
+        return port
+
+    async def run(self) -> None:
+        """Send one heartbeat per second to the last sender, until cancelled."""
+        try:
+            while True:
+                self.send(
+                    mavlink.MAVLink_heartbeat_message(
+                        mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+                    )
+                )
+                await asyncio.sleep(1.0 if self._autopilot else 0.1)
+        finally:
+            if self._transport is not None:
+                self._transport.close()
+
+    def send(self, message: MavlinkMessage) -> None:
+        """Send a message to the last sender; it is lost if there was none."""
+        if self._transport is not None and self._autopilot is not None:
+            self._transport.sendto(self._codec.encode(message, SYSTEM_ID), self._autopilot)
+
+    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+        self._autopilot = addr
+        for message in self._codec.decode(data):
+            if message.get_srcComponent() == mavlink.MAV_COMP_ID_AUTOPILOT1:
+                continue
+            if message.get_type() == "NAMED_VALUE_FLOAT":
+                self.values[message.name] = message.value
+            elif message.get_type() == "STATUSTEXT":
+                self.texts.append(message.text)
+
+
 @contextmanager
 def _named(address: SocketAddress) -> Iterator[None]:
     """Let an `OSError` name the address."""
@@ -223,15 +280,4 @@ def _host_and_port(peer: str | SocketAddress) -> SocketAddress:
     address = parse_address(peer)
     if not isinstance(address, NetworkAddress) or address.kind != "udpout":
         raise ValueError(f"a simulated autopilot sends to udpout:HOST:PORT, not to {peer!r}")
-    return address.host, address.port
-
-
-def _listening(at: str | SocketAddress) -> SocketAddress:
-    if not isinstance(at, str):
-        return at
-    kind, _, place = at.partition(":")
-    if kind != "tcpin":
-        raise ValueError(f"a simulated autopilot listens at tcpin:HOST:PORT, not at {at!r}")
-    address = parse_address(f"tcp:{place}")
-    assert isinstance(address, NetworkAddress)
     return address.host, address.port

@@ -29,8 +29,7 @@ from flying_vines.record.reader import FlightLog
 from flying_vines.record.recorder import FlightStart, Recorder
 from flying_vines.service.service import Service
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.autopilot_server import FIRST_CLIENT, AutopilotServer
-from flying_vines.simulation.ground_station import GroundStation
+from flying_vines.simulation.autopilot_server import FIRST_CLIENT, AutopilotServer, GroundStation
 from flying_vines.simulation.phlosar.mishaps import Hole
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 from flying_vines.terminal import vine_sketch as sketch
@@ -156,6 +155,10 @@ def _switched(position: int, safety: str = "accepted", reason: str = "") -> Expe
     )
 
 
+def _shown(what: str, within_s: float, holds: Callable[[Snapshot], bool]) -> Expectation:
+    return Expectation(what, within_s, lambda w, since: w.snapshot is not None and holds(w.snapshot))
+
+
 def _bends_to(angle_deg: float) -> Expectation:
     return Expectation(f"vine at {angle_deg:g}°", 2.0, lambda w, since: abs(w.bend_deg - angle_deg) < 4.0)
 
@@ -180,20 +183,14 @@ def _pilot_reads(text: str, within_s: float) -> Expectation:
     return Expectation(f"pilot reads: “{text}”", within_s, lambda w, since: w.noticed(since, text))
 
 
-def _open_leak(w: World) -> None:
-    w.phlosar.mishaps.bottle = LEAK
-
-
 SCRIPT = (
     DemoStep(
         0.5,
         "Power on",
         lambda w: None,
         (
-            Expectation(
-                "phloSAR answers", 3.0, lambda w, _: bool(w.snapshot and w.snapshot.firmware == "ready")
-            ),
-            Expectation("RC received", 4.0, lambda w, _: bool(w.snapshot and w.snapshot.rc == "good")),
+            _shown("phloSAR answers", 3.0, lambda seen: seen.firmware == "ready"),
+            _shown("RC received", 4.0, lambda seen: seen.rc == "good"),
             Expectation(
                 "ground station sees all values", 5.0, lambda w, _: w.ground.values.keys() >= set(VALUE_NAMES)
             ),
@@ -204,8 +201,8 @@ SCRIPT = (
         "Arm and take off",
         lambda w: w.autopilot.takeoff(CRUISE_M),
         (
-            Expectation("armed", 2.0, lambda w, _: bool(w.snapshot and w.snapshot.armed)),
-            Expectation("above 4 m", 5.0, lambda w, _: bool(w.snapshot and w.snapshot.altitude_m > 4.0)),
+            _shown("armed", 2.0, lambda seen: seen.armed),
+            _shown("above 4 m", 5.0, lambda seen: seen.altitude_m > 4.0),
         ),
     ),
     DemoStep(7.0, "Switch to the middle", _switch(MIDDLE), (_switched(1), _bends_to(30.0))),
@@ -241,7 +238,7 @@ SCRIPT = (
     DemoStep(
         21.5,
         "The bottle gets a hole",
-        _open_leak,
+        lambda w: w.phlosar.inject("bottle", LEAK),
         (_lost("bottle_loss", 2.0), _vented(2.5), _pilot_reads("bottle loses", 2.0)),
     ),
     DemoStep(24.0, "Switch down", _switch(LOW), (_switched(0),)),
@@ -256,7 +253,7 @@ SCRIPT = (
         "Land",
         lambda w: w.autopilot.land(),
         (
-            Expectation("landed and disarmed", 12.0, lambda w, _: bool(w.snapshot and not w.snapshot.armed)),
+            _shown("landed and disarmed", 12.0, lambda seen: not seen.armed),
             _stays_vented(6.0),
             Expectation(
                 "ground station got the refusal",

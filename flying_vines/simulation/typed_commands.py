@@ -17,19 +17,20 @@ HELP = """\
 arm · disarm · takeoff METRES · land · mission · mode NAME · rc CHANNEL MICROSECONDS
 lose_rc · return_rc · mute SECONDS · reboot"""
 
-COMMANDS: dict[str, tuple[int, Callable[..., None]]] = {
-    "arm": (0, lambda a: a.arm()),
-    "disarm": (0, lambda a: a.disarm()),
-    "takeoff": (1, lambda a, height: a.takeoff(float(height))),
-    "land": (0, lambda a: a.land()),
-    "mission": (0, lambda a: a.start_mission()),
-    "mode": (1, lambda a, name: a.set_mode(name.upper())),
-    "rc": (2, lambda a, channel, pulse: a.set_rc(int(channel), int(pulse))),
-    "lose_rc": (0, lambda a: a.lose_rc()),
-    "return_rc": (0, lambda a: a.return_rc()),
-    "mute": (1, lambda a, seconds: a.mute(float(seconds))),
-    "reboot": (0, lambda a: a.reboot()),
+_COMMANDS: dict[str, tuple[Callable[..., None], *tuple[Callable[[str], object], ...]]] = {
+    "arm": (FakeAutopilot.arm,),
+    "disarm": (FakeAutopilot.disarm,),
+    "takeoff": (FakeAutopilot.takeoff, float),
+    "land": (FakeAutopilot.land,),
+    "mission": (FakeAutopilot.start_mission,),
+    "mode": (FakeAutopilot.set_mode, str.upper),
+    "rc": (FakeAutopilot.set_rc, int, int),
+    "lose_rc": (FakeAutopilot.lose_rc,),
+    "return_rc": (FakeAutopilot.return_rc,),
+    "mute": (FakeAutopilot.mute, float),
+    "reboot": (FakeAutopilot.reboot,),
 }
+"""Stimuli, and what reads their arguments."""
 
 
 def obey(autopilot: FakeAutopilot, line: str) -> str:
@@ -37,14 +38,12 @@ def obey(autopilot: FakeAutopilot, line: str) -> str:
     words = line.split()
     if not words:
         return ""
-    name, arguments = words[0], words[1:]
-    if name not in COMMANDS:
-        return HELP
-    count, act = COMMANDS[name]
-    if len(arguments) != count:
+    name, *arguments = words
+    act, *readers = _COMMANDS.get(name, (None,))
+    if act is None or len(arguments) != len(readers):
         return HELP
     try:
-        act(autopilot, *arguments)
+        act(autopilot, *(read(word) for read, word in zip(readers, arguments, strict=True)))
     except ValueError as error:
         return f"{name}: {error}"
     return ""

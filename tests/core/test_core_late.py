@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.config import config
 from flying_vines.core.events import Action, Decision
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.autopilot.receiver import RcSource
+from flying_vines.simulation.autopilot.rc_input import RcSource
 from flying_vines.simulation.phlosar.mishaps import Reset
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mission.item import MissionItem
@@ -63,7 +63,7 @@ def _flying(until_item_s: float) -> SimulatedFlight:
     flight = SimulatedFlight(config.default(), autopilot)
     flight.run(3.0)
     autopilot.start_mission()
-    while autopilot.height_m < 9.9:
+    while autopilot.flight.height_m < 9.9:
         flight.run(flight.world.now + 0.1)
     flight.run(flight.world.now + 8.0 - until_item_s)
     assert autopilot.payload_log == []

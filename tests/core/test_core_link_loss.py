@@ -12,7 +12,7 @@ from flying_vines.config import config
 from flying_vines.config.config import Config
 from flying_vines.core.events import Action, Decision, LinkChanged, VehicleMessage
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.autopilot.port import COMPANION
+from flying_vines.simulation.autopilot.links import COMPANION
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.state import HEARTBEAT_FRESH_S

@@ -31,7 +31,7 @@ from flying_vines.core.events import Action, Decision, Event, Tick
 from flying_vines.core.safety import LossEnded, ResponseNeeded, Ruling
 from flying_vines.physics.baseline import Inputs
 from flying_vines.simulation.autopilot import AutopilotKind, RcSource
-from flying_vines.simulation.autopilot.receiver import LOSSES
+from flying_vines.simulation.autopilot.rc_input import LOSSES
 from flying_vines.simulation.phlosar.firmware import Firmware
 from flying_vines.simulation.phlosar.mishaps import PLACES, Filled, StuckAt
 from flying_vines.vehicle.triggers import Trigger
@@ -436,7 +436,7 @@ class AnyFlight(RuleBasedStateMachine):
         if self.rc_lost:
             self.flight.return_rc()
         else:
-            how = LOSSES[self.flight.autopilot.receiver.source][-1 if jumps else 0]
+            how = LOSSES[self.flight.autopilot.rc.source][-1 if jumps else 0]
             # On ArduPilot, nobody sees a preset that does not change the throttle.
             unseen = self.flight.setup.autopilot == "ardupilot" or preset_us is None
             self.flight.lose_rc(how, None if unseen else {SWITCH: preset_us or 0})

@@ -56,7 +56,7 @@ NEEDS = {
 """The programs that a command needs while it runs."""
 AROUND = {
     "phlosar": "fake phlosar --link phlosar",
-    "autopilot": "fake autopilot --to 127.0.0.1:14540 --listen tcpin:127.0.0.1:5760",
+    "autopilot": "fake autopilot --to 127.0.0.1:14540",
     "ardupilot": "fake autopilot --to 127.0.0.1:14541 --gcs 127.0.0.1:14550",
     "px4": "fake autopilot --kind px4 --to 127.0.0.1:14541 --gcs 127.0.0.1:14550",
     "service": "run --config around.toml",
@@ -70,7 +70,7 @@ BY_DEFAULT = {
     "link": "--config around.toml",
 }
 """Options for the addresses of this stage, if the page gives none."""
-FIXED = re.compile(r"\b(14540|14541|14550|8017|5760)\b")
+FIXED = re.compile(r"\b(14540|14541|14550|8017)\b")
 """Ports that may be used by other tests at the same time."""
 WRITES = ("--out", "--write-rig", "-o", ">", "init", "download")
 """The next word is a file that is written, and need not exist."""
@@ -168,6 +168,7 @@ class Stage:
         """The text with the addresses of this stage."""
         text = re.sub(r"usb:16c0:0483|serial:/dev/ttyACM0", f"serial:{self.folder}/phlosar", text)
         text = re.sub(r"(?<!\S)/tmp/phlosar", "another-phlosar", text)
+        text = text.replace("tcp:127.0.0.1:5760", "udpin:0.0.0.0:14550")
         text = re.sub(r"http://[\w.]+:8017", "http://127.0.0.1:8017", text)
         return FIXED.sub(lambda port: self._ports.setdefault(port[0], str(free_port())), text)
 

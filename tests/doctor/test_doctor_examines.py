@@ -40,7 +40,7 @@ from flying_vines.doctor.finding import DoctorFinding, may_fly
 from flying_vines.doctor.vehicle_probe import SwitchFacts
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.autopilot.port import COMPANION
+from flying_vines.simulation.autopilot.links import COMPANION
 from flying_vines.simulation.phlosar.firmware import Firmware
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec

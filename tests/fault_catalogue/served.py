@@ -17,8 +17,7 @@ from waiting import until
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.record.reader import FlightLog, LogError
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.simulation.autopilot_server import AutopilotServer
-from flying_vines.simulation.ground_station import GroundStation
+from flying_vines.simulation.autopilot_server import AutopilotServer, GroundStation
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 
 from .black_box import BlackBox

@@ -21,8 +21,7 @@ from firmware_link.protocol import (
 )
 from flying_vines.simulation.phlosar import FirmwareBuildError, core_library
 from flying_vines.simulation.phlosar.core_library import TARGETS
-from flying_vines.simulation.phlosar.firmware import Firmware, setting_rows
-from flying_vines.simulation.phlosar.regulator import SAFE, Regulator
+from flying_vines.simulation.phlosar.firmware import SAFE, Firmware, Regulator, setting_rows
 
 from .golden_run import Part, difference, on_host, read
 

@@ -14,7 +14,7 @@ from flying_vines.files import bounded
 from flying_vines.identification.case import CaseError, RecordedRun, read_case
 from flying_vines.physics.rig import Rig, load_rig
 from flying_vines.simulation.scenario import csv_text, load_scenario, simulate, write_case
-from flying_vines.simulation.scenario.run_kinds import BendsRun, DischargeRun, OpeningsRun, Valves
+from flying_vines.simulation.scenario.scenario import BendsRun, DischargeRun, OpeningsRun, Valves
 
 RIG = "[reservoir]\nvolume_L = 2.0\n[cv]\nvolume_L = 0.5\n"
 HEADER = "time_s,command_kPa,evp_opening,dvp_opening,solenoid,cv_pressure_kPa,reservoir_pressure_kPa"

@@ -44,7 +44,7 @@ from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.effects import catalogue, cause_named, causes_of
 from flying_vines.physics.rig import ControlVolume, Rig, Sensors, Venturi, load_rig
 from flying_vines.simulation.scenario import load_scenario, parse_scenario, simulate, simulate_scenario
-from flying_vines.simulation.scenario.run_kinds import BendsRun, ProfileRun, RunKind, StepsRun
+from flying_vines.simulation.scenario.scenario import BendsRun, ProfileRun, RunKind, StepsRun
 
 HALF = Rig(cv=ControlVolume(0.5), venturi=Venturi(rated_supply_kPa=900.0))
 """Below the Venturi's rated supply everything is proportional to pressure: a gain g of one sensor looks like

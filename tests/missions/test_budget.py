@@ -25,7 +25,7 @@ from flying_vines.config import config as configuration
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.rig import Rig
-from flying_vines.simulation.mission_flight import fly, with_flight
+from flying_vines.simulation.simulated_world import fly, with_flight
 from flying_vines.supply import nominal
 from flying_vines.vehicle.mission.storage import AutopilotKind
 from missions.budget import PlannedBend, budget

@@ -157,7 +157,7 @@ async def test_values_texts_and_acknowledgements_of_the_vine_come_through_the_au
         refusal = await first_of(queue, lambda m: m.component == COMPANION and m.name == "STATUSTEXT")
         assert refusal.fields["text"].startswith("Vine: ")
         flight.autopilot.takeoff(8.0)
-        await until(lambda: flight.autopilot.height_m > 7.0, "in the air")
+        await until(lambda: flight.autopilot.flight.height_m > 7.0, "in the air")
         await until(lambda: flight.service.core.snapshot(flight.service.now).altitude_m > 7.0, "it knows")
         assert await peer.command(BEND_TO, 30.0, component=COMPANION) == 0
         await until(lambda: flight.decided("command")[-1].safety == "accepted", "its decision is told")

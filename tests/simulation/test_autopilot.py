@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Sequence
+from itertools import chain
 from typing import Any
 
 import pytest
@@ -18,6 +19,7 @@ from autopilot_world import (
     flown,
     home,
     item,
+    meeting,
     plan,
     rc_health,
     upload,
@@ -189,19 +191,6 @@ def test_only_ardupilot_takes_an_item_from_another_link(kind: AutopilotKind, tak
     assert [ack.type for ack in world.gcs.of("MISSION_ACK")] == ([0] if takes else [])
 
 
-def test_px4_reports_a_mission_id_that_changes_with_the_mission() -> None:
-    world = World(FakeAutopilot("px4"))
-    world.companion.hello()
-    world.on(1.5)
-    world.autopilot.set_mission([item(0, 22, 0, 0, 0, 0, 0, 0, 10)])
-    world.on(0.5)
-    world.autopilot.set_mission([item(0, 22, 0, 0, 0, 0, 0, 0, 20)])
-    world.on(0.5)
-    payloads = [frame[10:-2] for frame in world.companion.frames if frame[7:10] == b"\x2a\x00\x00"]
-    ids = changes(int.from_bytes(payload.ljust(18, b"\0")[6:10], "little") for payload in payloads)
-    assert ids[0] == 0 and len(set(ids)) == 3
-
-
 # PX4
 
 
@@ -227,7 +216,7 @@ def test_px4_stops_rc_channels_when_rc_is_lost_and_flies_on() -> None:
     world.autopilot.lose_rc()
     world.on(3.0)
     assert world.companion.of("RC_CHANNELS") == []
-    assert world.autopilot.mode_name == "TAKEOFF"
+    assert world.autopilot.mode.name == "TAKEOFF"
     world.autopilot.set_rc(9, 2000)
     world.autopilot.return_rc()
     world.on(0.1)
@@ -291,13 +280,15 @@ def test_ardupilot_does_not_report_another_mission_of_the_same_length() -> None:
 
 
 def test_px4_reports_another_mission_by_its_id() -> None:
-    world = World(FakeAutopilot("px4", mission=px4_plan((187, 0.4), (93, 9))))
+    world = World(FakeAutopilot("px4"))
     world.request_streams()
     world.on(1.0)
-    world.autopilot.replace_mission(px4_plan((187, 0.1), (93, 9)))
-    world.on(1.0)
-    ids = changes(bytes(message.get_msgbuf())[16:20] for message in world.companion.of("MISSION_CURRENT"))
-    assert len(ids) == 2
+    for opening in (0.4, 0.1):
+        world.autopilot.replace_mission(px4_plan((187, opening), (93, 9)))
+        world.on(1.0)
+    payloads = [bytes(m.get_msgbuf())[10:-2] for m in world.companion.of("MISSION_CURRENT")]
+    ids = changes(payload.ljust(18, b"\0")[6:10] for payload in payloads)
+    assert ids[0] == bytes(4) and len(set(ids)) == 3
     assert world.autopilot.items[1].params[0] == pytest.approx(0.1)
 
 
@@ -384,9 +375,7 @@ def test_px4_ignores_a_command_for_an_unknown_component() -> None:
     ],
 )
 def test_which_acknowledgements_reach_the_ground_station(to: tuple[int, int], arrives: bool) -> None:
-    world = World(FakeAutopilot("ardupilot"))
-    world.gcs.hello()
-    world.companion.hello()
+    world = meeting(FakeAutopilot("ardupilot"))
     world.companion.say(mavlink.MAVLink_command_ack_message(31010, 0, 0, 0, *to))
     world.on(0.1)
     assert bool(world.gcs.of("COMMAND_ACK")) is arrives
@@ -394,10 +383,7 @@ def test_which_acknowledgements_reach_the_ground_station(to: tuple[int, int], ar
 
 @pytest.mark.parametrize("kind", ["ardupilot", "px4"])
 def test_named_values_and_texts_reach_the_ground_station_unchanged(kind: AutopilotKind) -> None:
-    world = World(FakeAutopilot(kind))
-    world.gcs.hello()
-    world.companion.hello()
-    world.on(0.02)
+    world = meeting(FakeAutopilot(kind))
     world.companion.say(mavlink.MAVLink_named_value_float_message(1, b"VINE_BEND", 40.0))
     world.companion.say(mavlink.MAVLink_statustext_message(6, b"vine bent"))
     world.on(0.1)
@@ -458,6 +444,8 @@ def test_a_reboot_sends_nothing_and_then_knows_no_link() -> None:
     world.on(5.0)
     assert world.companion.frames[0][4] == 0
     assert {message.get_type() for _, message in world.companion.received} == {"HEARTBEAT"}
+    world.gcs.command(183, 9, 1900, to=(1, 191))
+    assert len(world.autopilot.performed) == 1, "the companion's route is forgotten"
     world.request_streams()
     world.on(1.0)
     assert world.companion.of("RC_CHANNELS")[0].time_boot_ms < before_ms
@@ -479,11 +467,11 @@ def test_interrupted_links_carry_nothing_either_way_and_the_gap_shows() -> None:
     last = world.companion.frames[-1][4]
     world.companion.forget()
     world.autopilot.mute(3.0)
-    world.companion.command(512, 148)
+    world.companion.command(183, 9, 1900)
     world.on(2.9)
     assert world.companion.frames == []
     world.on(1.0)
-    assert world.companion.of("COMMAND_ACK") == []
+    assert world.companion.of("COMMAND_ACK") == world.autopilot.performed == []
     assert (world.companion.frames[0][4] - last) % 256 > 20
 
 
@@ -517,7 +505,7 @@ def test_parameters_of_ardupilot_hide_a_loss(parameters: dict[str, float], how: 
     world.request_streams()
     world.autopilot.lose_rc(how)
     world.on(3.0)
-    assert world.autopilot.reports_rc_loss is told
+    assert world.autopilot.rc.reports_loss is told
     assert bool(world.companion.texts()) is told
     assert rc_health(world.companion.of("SYS_STATUS")[-1]) is not told
 
@@ -530,6 +518,15 @@ def test_ardupilot_may_ignore_overrides() -> None:
     assert {message.chan9_raw for message in world.companion.of("RC_CHANNELS")} == {1000}
 
 
+def test_a_joystick_gives_no_channels_also_after_a_loss() -> None:
+    world = World(FakeAutopilot("px4", receiver="joystick"))
+    world.request_streams()
+    world.autopilot.lose_rc()
+    world.autopilot.return_rc()
+    world.on(1.0)
+    assert world.companion.of("RC_CHANNELS") == []
+
+
 def test_stimuli_that_make_no_sense_are_refused() -> None:
     autopilot = FakeAutopilot("ardupilot")
     stimuli: list[Callable[[], None]] = [
@@ -538,7 +535,7 @@ def test_stimuli_that_make_no_sense_are_refused() -> None:
         lambda: autopilot.set_rc(1, -1),
         lambda: autopilot.set_current(1),
         lambda: autopilot.lose_rc("silent"),
-        lambda: autopilot.set_parameter("NONSENSE", 1.0),
+        lambda: autopilot.parameters.change("NONSENSE", 1.0),
     ]
     for nonsense in stimuli:
         with pytest.raises(ValueError):
@@ -552,7 +549,7 @@ def test_auto_without_a_mission_is_refused() -> None:
     world.gcs.command(176, 1, 3)
     world.on(0.1)
     assert world.gcs.of("COMMAND_ACK")[0].result == 4
-    assert world.autopilot.mode_name == "STABILIZE"
+    assert world.autopilot.mode.name == "STABILIZE"
 
 
 @pytest.mark.parametrize("kind", ["ardupilot", "px4"])
@@ -564,7 +561,7 @@ def test_a_ground_station_flies_it_by_command(kind: AutopilotKind) -> None:
     world.gcs.command(400, 1)
     world.gcs.command(22, 0, 0, 0, 0, 0, 0, 10)
     world.on(8.0)
-    assert world.autopilot.height_m == pytest.approx(10.0)
+    assert world.autopilot.flight.height_m == pytest.approx(10.0)
     world.gcs.command(21)
     world.on(15.0)
     assert not world.autopilot.armed
@@ -630,49 +627,41 @@ def test_damaged_frames_raise_no_error(kind: AutopilotKind, damage: list[tuple[i
 
 BYTES = st.integers(0, 255)
 COMMANDS = st.sampled_from([16, 20, 21, 22, 93, 112, 115, 176, 177, 183, 187, 211, 217, 224, 300, 400, 511])
-MORE_COMMANDS = st.one_of(
-    COMMANDS, st.sampled_from([512, 246, 530, 2000, 42600, 42702]), st.integers(0, 65535)
-)
+MORE_COMMANDS = st.one_of(COMMANDS, st.sampled_from([512, 246, 530, 2000, 42600, 42702]), UINT16)
+INT32 = st.integers(-(2**31), 2**31 - 1)
 ADDRESS = st.sampled_from([(0, 0), (1, 0), (1, 1), (1, 191), (255, 190)])
 SEVEN = st.tuples(FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS, FLOATS)
+PARAMETERS = st.sampled_from([b"", b"_HASH_CHECK", b"SYSID_MYGCS", b"MAV_1_FORWARD", b"RC_OVERRIDE_TIME"])
+FLAT = st.tuples
+"""Fields of a message in order; a tuple among them is several fields."""
+MESSAGES: dict[Any, st.SearchStrategy[tuple[Any, ...]]] = {
+    mavlink.MAVLink_command_long_message: FLAT(ADDRESS, MORE_COMMANDS, BYTES, SEVEN),
+    mavlink.MAVLink_command_int_message: FLAT(
+        ADDRESS, st.just(3), MORE_COMMANDS, st.just((0, 0)), *[FLOATS] * 4, INT32, INT32, FLOATS
+    ),
+    mavlink.MAVLink_mission_item_message: FLAT(
+        ADDRESS, st.integers(0, 3), st.integers(0, 12), MORE_COMMANDS, st.just((0, 1)), SEVEN
+    ),
+    mavlink.MAVLink_mission_count_message: FLAT(ADDRESS, st.integers(0, 4), BYTES),
+    mavlink.MAVLink_mission_request_message: FLAT(ADDRESS, st.integers(0, 5)),
+    mavlink.MAVLink_request_data_stream_message: FLAT(ADDRESS, BYTES, UINT16, st.just(1)),
+    mavlink.MAVLink_param_set_message: FLAT(ADDRESS, PARAMETERS, FLOATS, BYTES),
+    mavlink.MAVLink_param_request_read_message: FLAT(ADDRESS, st.just(b"X"), st.integers(-5, 40)),
+    mavlink.MAVLink_param_request_list_message: FLAT(ADDRESS),
+    mavlink.MAVLink_rc_channels_override_message: FLAT(ADDRESS, *[UINT16] * 18),
+    mavlink.MAVLink_file_transfer_protocol_message: FLAT(
+        st.just(0), ADDRESS, st.binary(min_size=251, max_size=251)
+    ),
+    mavlink.MAVLink_named_value_float_message: FLAT(st.just(0), st.binary(max_size=10), FLOATS),
+    mavlink.MAVLink_set_mode_message: FLAT(st.just((1, 1)), st.sampled_from([3, 4, 6, 9, 67371008, 0])),
+}
 
 
 @st.composite
 def strange_messages(draw: st.DrawFn) -> Any:
-    to = draw(ADDRESS)
-    which = draw(st.integers(0, 12))
-    if which == 0:
-        return mavlink.MAVLink_command_long_message(*to, draw(MORE_COMMANDS), draw(BYTES), *draw(SEVEN))
-    if which == 1:
-        x, y = draw(st.integers(-(2**31), 2**31 - 1)), draw(st.integers(-(2**31), 2**31 - 1))
-        p1, p2, p3, p4, z, *_ = draw(SEVEN)
-        return mavlink.MAVLink_command_int_message(*to, 3, draw(MORE_COMMANDS), 0, 0, p1, p2, p3, p4, x, y, z)
-    if which == 2:
-        head = (*to, draw(st.integers(0, 3)), draw(st.integers(0, 12)), draw(MORE_COMMANDS), 0, 1)
-        return mavlink.MAVLink_mission_item_message(*head, *draw(SEVEN))
-    if which == 3:
-        return mavlink.MAVLink_mission_count_message(*to, draw(st.integers(0, 4)), mission_type=draw(BYTES))
-    if which == 4:
-        return mavlink.MAVLink_mission_request_message(*to, draw(st.integers(0, 5)))
-    if which == 5:
-        return mavlink.MAVLink_request_data_stream_message(*to, draw(BYTES), draw(st.integers(0, 65535)), 1)
-    if which == 6:
-        name = draw(
-            st.sampled_from([b"", b"_HASH_CHECK", b"SYSID_MYGCS", b"MAV_1_FORWARD", b"RC_OVERRIDE_TIME"])
-        )
-        return mavlink.MAVLink_param_set_message(*to, name, draw(FLOATS), draw(BYTES))
-    if which == 7:
-        return mavlink.MAVLink_param_request_read_message(*to, b"X", draw(st.integers(-5, 40)))
-    if which == 8:
-        return mavlink.MAVLink_param_request_list_message(*to)
-    if which == 9:
-        return mavlink.MAVLink_rc_channels_override_message(*to, *draw(st.tuples(*[UINT16] * 18)))
-    if which == 10:
-        payload = draw(st.binary(min_size=251, max_size=251))
-        return mavlink.MAVLink_file_transfer_protocol_message(0, *to, payload)
-    if which == 11:
-        return mavlink.MAVLink_named_value_float_message(0, draw(st.binary(max_size=10)), draw(FLOATS))
-    return mavlink.MAVLink_set_mode_message(1, 1, draw(st.sampled_from([3, 4, 6, 9, 67371008, 0])))
+    make = draw(st.sampled_from(list(MESSAGES)))
+    parts = (part if isinstance(part, tuple) else (part,) for part in draw(MESSAGES[make]))
+    return make(*chain.from_iterable(parts))
 
 
 @settings(max_examples=examples(250), deadline=None)

@@ -6,7 +6,7 @@ import struct
 from typing import Any
 
 import pytest
-from autopilot_world import LAND, TAKEOFF, World, changes, parameter_bytes, plan
+from autopilot_world import LAND, TAKEOFF, World, changes, meeting, parameter_bytes, plan
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.simulation.autopilot import AutopilotKind, FakeAutopilot
@@ -160,10 +160,7 @@ def test_overrides_clear_the_failsafe_of_a_lost_transmitter() -> None:
 
 def test_px4_forwards_only_two_messages_of_a_burst() -> None:
     for kind, forwarded in (("px4", 2), ("ardupilot", 6)):
-        world = World(FakeAutopilot(kind))  # type: ignore[arg-type]
-        world.gcs.hello()
-        world.companion.hello()
-        world.on(0.1)
+        world = meeting(FakeAutopilot(kind))  # type: ignore[arg-type]
         for number in range(6):
             world.companion.say(mavlink.MAVLink_statustext_message(6, b"%d" % number))
         world.on(0.1)
@@ -196,28 +193,12 @@ def test_px4_forwards_for_a_companion_only_if_set_at_boot() -> None:
 def test_px4_repeats_named_values_as_its_own_with_a_shorter_name() -> None:
     ours, echo = (191, "ABCDEFGHIJ"), (1, "ABCDEFGHI")
     for kind, expected in (("px4", {ours, echo}), ("ardupilot", {ours})):
-        world = World(FakeAutopilot(kind))  # type: ignore[arg-type]
-        world.gcs.hello()
-        world.companion.hello()
-        world.on(0.1)
+        world = meeting(FakeAutopilot(kind))  # type: ignore[arg-type]
         world.companion.say(mavlink.MAVLink_named_value_float_message(1, b"ABCDEFGHIJ", 4.5))
         world.on(3.0)
         values = world.gcs.of("NAMED_VALUE_FLOAT")
         assert {(m.get_srcComponent(), m.name) for m in values} == expected
         assert len(values) == len(expected)
-
-
-@pytest.mark.parametrize(("kind", "arrives"), [("ardupilot", False), ("px4", True)])
-def test_only_px4_forwards_fuel_status(kind: AutopilotKind, arrives: bool) -> None:
-    world = World(FakeAutopilot(kind))
-    world.gcs.hello()
-    world.companion.hello()
-    world.on(0.1)
-    frame = bytearray(b"\xfd\x1a\0\0\x07\x01\xbf\x73\x01\0" + bytes(range(26)))
-    frame += struct.pack("<H", mavlink.x25crc(bytes(frame[1:]) + b"\x0a").crc)
-    world.autopilot.receive(world.t, "companion", bytes(frame))
-    world.on(0.1)
-    assert (bytes(frame) in world.gcs.frames) is arrives
 
 
 # Signing
@@ -248,7 +229,7 @@ def test_with_a_key_unsigned_messages_are_ignored_except_on_usb() -> None:
     hello = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(mavlink.MAVLink(None, 255, 190))
     for link in ("other", "usb"):
         world.autopilot.receive(world.t, link, bytes(hello))
-    ports = world.autopilot._ports
+    ports = world.autopilot._links.ports
     assert (ports["other"].active, ports["usb"].active) == (False, True)
 
 

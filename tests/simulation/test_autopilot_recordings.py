@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -50,6 +51,61 @@ def commands(log: list[Received]) -> list[str]:
     return [str(message) for _, message in log if message.get_type() == "COMMAND_LONG"]
 
 
+View = Callable[[Any], object]
+Script = list[tuple[float, Callable[[], None]]]
+"""Times (s) and stimuli."""
+
+
+def assert_same_changes(fake: list[Received], real: list[Received], views: Mapping[str, View]) -> None:
+    """The same values of these messages in the same order."""
+    for name, view in views.items():
+        seen = [changes(view(m) for _, m in log if m.get_type() == name) for log in (fake, real)]
+        assert seen[0] == seen[1], name
+
+
+def assert_same_times(
+    fake: list[Received], real: list[Received], views: Mapping[str, tuple[View, float]]
+) -> None:
+    """The same values of these messages in the same order, at about the same times: tolerance in s."""
+    for name, (view, tolerance_s) in views.items():
+        seen, expected = timed_changes(fake, name, view), timed_changes(real, name, view)
+        assert expected and [value for _, value in seen] == [value for _, value in expected], name
+        for (fake_s, _), (real_s, _) in zip(seen[1:], expected[1:], strict=True):
+            assert fake_s == pytest.approx(real_s, abs=tolerance_s), name
+
+
+def rc_bits(message: Any) -> tuple[bool, ...]:
+    """Present, enabled, health."""
+    sensors = "present", "enabled", "health"
+    return tuple(bool(getattr(message, f"onboard_control_sensors_{name}") & RC_RECEIVER) for name in sensors)
+
+
+def mission_current(message: Any) -> tuple[int, ...]:
+    return message.seq, message.total, message.mission_state, message.mission_mode
+
+
+def play(world: World, script: Script, until_s: float) -> None:
+    for at_s, stimulus in sorted(script, key=lambda entry: entry[0]):
+        world.to(at_s)
+        stimulus()
+    world.to(until_s)
+
+
+def switch_moves(autopilot: FakeAutopilot, moves: str) -> Script:
+    """Moves as "27.2 1500, 29.3 2000": s and µs."""
+    pairs = (move.split() for move in moves.split(","))
+    return [(float(at_s), partial(autopilot.set_rc, 9, int(us))) for at_s, us in pairs]
+
+
+def outages(autopilot: FakeAutopilot, spans_s: str, *lost: Any) -> Script:
+    """RC losses as "32.3-42.3 50.4-56.4", and the arguments of `lose_rc`."""
+    ends = (span.split("-") for span in spans_s.split())
+    losses = [(float(a), float(b)) for a, b in ends]
+    return [(a, partial(autopilot.lose_rc, *lost)) for a, _ in losses] + [
+        (b, autopilot.return_rc) for _, b in losses
+    ]
+
+
 def test_rc_switch_as_recorded() -> None:
     real = recording("rc_switch")
     world = World(FakeAutopilot("ardupilot"))
@@ -57,34 +113,24 @@ def test_rc_switch_as_recorded() -> None:
     autopilot.set_mode("GUIDED")
     autopilot.set_rc(8, 1800)
     world.to(1.0)
-    offset_s, start_s = 1.0, 0.05
     world.request_streams(STREAMS_HZ | GPS_HZ)
-    script: list[tuple[float, Callable[[], None]]] = [(0.01, lambda: autopilot.takeoff(10.0))]
-    moves = [(10.016, 1500), (14.016, 2000), (18.017, 1500), (21.017, 1000), (24.017, 2000), (28.017, 1000)]
-    moves += [(31.018, 2000), (34.018, 1000), (34.518, 2000), (35.018, 1000), (35.518, 1500), (36.019, 2000)]
-    moves += [(47.025, 1000), (55.036, 1500), (58.036, 2000), (70.048, 1000)]
-    script += [(at_s, lambda us=us: autopilot.set_rc(9, us)) for at_s, us in moves]  # type: ignore[misc]
+    script = switch_moves(
+        autopilot,
+        "10.016 1500, 14.016 2000, 18.017 1500, 21.017 1000, 24.017 2000, 28.017 1000, 31.018 2000,"
+        "34.018 1000, 34.518 2000, 35.018 1000, 35.518 1500, 36.019 2000, 47.025 1000, 55.036 1500,"
+        "58.036 2000, 70.048 1000",
+    )
+    script += outages(autopilot, "39.024-49.030", "frozen") + outages(autopilot, "62.042-67.048", "jump")
     script += [
-        (39.024, lambda: autopilot.lose_rc("frozen")),
-        (49.030, autopilot.return_rc),
-        (53.036, lambda: autopilot.set_mode("GUIDED")),
-        (62.042, lambda: autopilot.lose_rc("jump")),
-        (67.048, autopilot.return_rc),
+        (0.01, partial(autopilot.takeoff, 10.0)),
+        (53.036, partial(autopilot.set_mode, "GUIDED")),
         (72.054, autopilot.land),
     ]
-    for at_s, stimulus in sorted(script, key=lambda entry: entry[0]):
-        world.to(offset_s + start_s + at_s)
-        stimulus()
-    world.to(offset_s + 88.0)
-    fake = [(t - offset_s, message) for t, message in world.companion.received if t >= offset_s]
+    play(world, [(1.05 + at_s, stimulus) for at_s, stimulus in script], 89.0)
+    fake = [(t - 1.0, message) for t, message in world.companion.received if t >= 1.0]
 
-    for name, view, tolerance_s in (("RC_CHANNELS", rc_values, 0.16), ("SYS_STATUS", rc_health, 0.55)):
-        seen, expected = timed_changes(fake, name, view), timed_changes(real, name, view)
-        assert [value for _, value in seen] == [value for _, value in expected]
-        for (fake_s, _), (real_s, _) in zip(seen[1:], expected[1:], strict=True):
-            assert fake_s == pytest.approx(real_s, abs=tolerance_s)
-    modes = [changes(heartbeat(m) for _, m in log if m.get_type() == "HEARTBEAT") for log in (fake, real)]
-    assert modes[0] == modes[1]
+    assert_same_times(fake, real, {"RC_CHANNELS": (rc_values, 0.16), "SYS_STATUS": (rc_health, 0.55)})
+    assert_same_changes(fake, real, {"HEARTBEAT": heartbeat})
     assert mission_events(fake) == mission_events(real)
     assert kinds(fake) == kinds(real)
 
@@ -107,12 +153,11 @@ def test_ardupilot_mission_as_recorded() -> None:
 
     assert mission_events(fake) == mission_events(real)
     assert kinds(fake) == kinds(real)
-    for name, view in (
-        ("MISSION_CURRENT", lambda m: (m.seq, m.mission_state, m.mission_mode)),
-        ("HEARTBEAT", heartbeat),
-    ):
-        seen = [changes(view(m) for _, m in log if m.get_type() == name) for log in (fake, real)]
-        assert seen[0] == seen[1]
+    views: dict[str, View] = {
+        "MISSION_CURRENT": lambda m: (m.seq, m.mission_state, m.mission_mode),
+        "HEARTBEAT": heartbeat,
+    }
+    assert_same_changes(fake, real, views)
     totals = [
         [m.param_value for _, m in log if getattr(m, "param_id", "") == "MIS_TOTAL"] for log in (fake, real)
     ]
@@ -151,8 +196,7 @@ def test_px4_mission_as_recorded() -> None:
 
     assert commands(fake) == commands(real)
     assert kinds(fake) - {"COMMAND_ACK"} == kinds(real)
-    beats = [changes(heartbeat(m) for _, m in log if m.get_type() == "HEARTBEAT") for log in (fake, real)]
-    assert beats[0] == beats[1]
+    assert_same_changes(fake, real, {"HEARTBEAT": heartbeat})
     reached = [
         changes(m.seq for _, m in log if m.get_type() == "MISSION_ITEM_REACHED") for log in (fake, real)
     ]
@@ -191,119 +235,62 @@ def px4_mission() -> list[MissionItem]:
     return sorted(items, key=lambda each: each.seq)
 
 
-def rc_bits(message: Any) -> tuple[bool, ...]:
-    """Present, enabled, health."""
-    sensors = "present", "enabled", "health"
-    return tuple(bool(getattr(message, f"onboard_control_sensors_{name}") & RC_RECEIVER) for name in sensors)
-
-
-def assert_same_radio(
-    fake: list[Received], real: list[Received], rc_s: float, bits_s: float, view: Callable[[Any], object]
-) -> None:
-    """The same channels and RC bits in the same order, at about the same times."""
-    for name, look, tolerance_s in (("RC_CHANNELS", view, rc_s), ("SYS_STATUS", rc_bits, bits_s)):
-        seen, expected = timed_changes(fake, name, look), timed_changes(real, name, look)
-        assert expected and [value for _, value in seen] == [value for _, value in expected], name
-        for (fake_s, _), (real_s, _) in zip(seen[1:], expected[1:], strict=True):
-            assert fake_s == pytest.approx(real_s, abs=tolerance_s), name
-
-
-def play(world: World, script: list[tuple[float, Callable[[], None]]], until_s: float) -> None:
-    for at_s, stimulus in sorted(script, key=lambda entry: entry[0]):
-        world.to(at_s)
-        stimulus()
-    world.to(until_s)
-
-
-def switch_moves(
-    autopilot: FakeAutopilot, moves: list[tuple[float, int]]
-) -> list[tuple[float, Callable[[], None]]]:
-    return [(at_s, lambda us=us: autopilot.set_rc(9, us)) for at_s, us in moves]  # type: ignore[misc]
-
-
 PX4_RC_HZ = {65: 20, 1: 10, 33: 5, 2: 1}
 
 
 def test_px4_sbus_losses_as_recorded() -> None:
     real = recording("px4_sbus_failsafe")
-    low, middle, high = 999, 1499, 1999
     world = World(FakeAutopilot("px4", receiver="sbus", rc_failsafe_mode="HOLD", seed=SBUS_SEED))
     autopilot = world.autopilot
     for channel in range(1, 17):
-        autopilot.set_rc(channel, low if channel == 9 else middle)
+        autopilot.set_rc(channel, 999 if channel == 9 else 1499)
     world.request_streams(PX4_RC_HZ)
-
-    def lose(*, preset: bool) -> Callable[[], None]:
-        return lambda: autopilot.lose_rc("jump" if preset else "frozen", {9: high} if preset else None)
 
     script = switch_moves(
         autopilot,
-        [
-            *((27.2, middle), (27.81, low), (29.32, high), (37.0, low), (48.33, middle), (48.93, low)),
-            *((61.43, middle), (62.04, low), (74.73, middle), (75.33, low), (76.85, high), (85.0, low)),
-            *((95.87, middle), (96.48, low), (108.99, middle), (109.6, low)),
-        ],
+        "27.2 1499, 27.81 999, 29.32 1999, 37 999, 48.33 1499, 48.93 999, 61.43 1499, 62.04 999,"
+        "74.73 1499, 75.33 999, 76.85 1999, 85 999, 95.87 1499, 96.48 999, 108.99 1499, 109.6 999",
     )
-    losses = [(32.25, 42.32, False), (50.44, 56.43, True), (63.55, 63.76, True), (66.24, 66.64, True)]
-    losses += [(69.17, 70.18, True), (79.8, 89.82, False), (97.94, 103.95, True), (111.06, 111.26, True)]
-    losses += [(113.78, 114.19, True), (116.76, 117.72, True)]
-    for lost_s, back_s, preset in losses:
-        script += [(lost_s, lose(preset=preset)), (back_s, autopilot.return_rc)]
-    script += [(4.9, lambda: autopilot.takeoff(25.0)), (25.5, lambda: autopilot.set_mode("HOLD"))]
+    script += outages(autopilot, "32.25-42.32 79.8-89.82", "frozen")
+    presets_s = "50.44-56.43 63.55-63.76 66.24-66.64 69.17-70.18 97.94-103.95 111.06-111.26 113.78-114.19"
+    script += outages(autopilot, f"{presets_s} 116.76-117.72", "jump", {9: 1999})
+    script += [(4.9, partial(autopilot.takeoff, 25.0)), (25.5, partial(autopilot.set_mode, "HOLD"))]
     play(world, script, 120.3)
-    assert_same_radio(world.companion.received, [h for h in real if h[0] < 120.3], 0.16, 0.6, rc_values)
-    status = [
-        changes(m.system_status for t, m in log if t < 119.0 and m.get_type() == "HEARTBEAT")
-        for log in (world.companion.received, real)
-    ]
-    assert status[0] == status[1]
+    fake, until_120 = world.companion.received, [h for h in real if h[0] < 120.3]
+    assert_same_times(fake, until_120, {"RC_CHANNELS": (rc_values, 0.16), "SYS_STATUS": (rc_bits, 0.6)})
+    fake, until_119 = ([entry for entry in log if entry[0] < 119.0] for log in (fake, real))
+    assert_same_changes(fake, until_119, {"HEARTBEAT": lambda m: m.system_status})
 
 
 def test_px4_crsf_losses_as_recorded() -> None:
     # The companion's process paused at 4.4 s.
     real = [entry for entry in recording("px4_crsf_loss") if entry[0] >= 6.0]
-    low, high = 1012, 1988
     world = World(FakeAutopilot("px4", receiver="crsf", rc_failsafe_mode="HOLD", seed=CRSF_SEED))
     autopilot = world.autopilot
     for channel in range(1, 17):
-        autopilot.set_rc(channel, low if channel == 9 else 1500)
+        autopilot.set_rc(channel, 1012 if channel == 9 else 1500)
     world.request_streams(PX4_RC_HZ)
     script = switch_moves(
         autopilot,
-        [
-            *(
-                (26.41, 1500),
-                (26.98, low),
-                (28.54, high),
-                (36.0, low),
-                (47.5, 1500),
-                (48.16, low),
-                (52.0, high),
-            ),
-            *((56.83, 1500), (57.44, low), (60.97, 1500), (61.54, low), (63.04, high), (70.0, low)),
-            *((82.08, 1500), (82.68, low), (86.0, high)),
-        ],
+        "26.41 1500, 26.98 1012, 28.54 1988, 36 1012, 47.5 1500, 48.16 1012, 52 1988, 56.83 1500,"
+        "57.44 1012, 60.97 1500, 61.54 1012, 63.04 1988, 70 1012, 82.08 1500, 82.68 1012, 86 1988",
     )
-    for lost_s, back_s in ((31.52, 41.51), (49.65, 53.85), (66.05, 76.08), (84.18, 88.4)):
-        script += [(lost_s, autopilot.lose_rc), (back_s, autopilot.return_rc)]
-    script += [(6.1, lambda: autopilot.takeoff(25.0)), (24.6, lambda: autopilot.set_mode("HOLD"))]
+    script += outages(autopilot, "31.52-41.51 49.65-53.85 66.05-76.08 84.18-88.4")
+    script += [(6.1, partial(autopilot.takeoff, 25.0)), (24.6, partial(autopilot.set_mode, "HOLD"))]
     play(world, script, 90.0)
     until_90 = [h for h in real if h[0] < 90.0]
     fake = [h for h in world.companion.received if h[0] >= 6.0]
 
-    def values(message: Any) -> tuple[int, ...]:
-        return rc_values(message)[:-1]
-
     # Chance decides if the first frame after a loss lacks its rssi, so it is tested separately.
-    assert_same_radio(fake, until_90, 0.2, 0.6, values)
-    for log in (fake, until_90):
-        shown = [rssi for _, rssi in timed_changes(log, "RC_CHANNELS", lambda m: m.rssi)]
-        assert shown == [61, 255] * 4 + [61]
-    gone = [
-        [t for t, rssi in timed_changes(h, "RC_CHANNELS", lambda m: m.rssi) if rssi == 255]
-        for h in (fake, until_90)
-    ]
-    assert gone[0] == pytest.approx(gone[1], abs=0.16)
+    views: dict[str, tuple[View, float]] = {
+        "RC_CHANNELS": (lambda m: rc_values(m)[:-1], 0.2),
+        "SYS_STATUS": (rc_bits, 0.6),
+    }
+    assert_same_times(fake, until_90, views)
+    rssi = [timed_changes(log, "RC_CHANNELS", lambda m: m.rssi) for log in (fake, until_90)]
+    assert [value for _, value in rssi[0]] == [value for _, value in rssi[1]] == [61, 255] * 4 + [61]
+    gone_s = [[t for t, value in log if value == 255] for log in rssi]
+    assert gone_s[0] == pytest.approx(gone_s[1], abs=0.16)
 
 
 def test_ardupilot_losses_reported_and_hidden_as_recorded() -> None:
@@ -324,45 +311,23 @@ def test_ardupilot_losses_reported_and_hidden_as_recorded() -> None:
     world.companion.forget()
     script = switch_moves(
         autopilot,
-        [
-            *(
-                (4.37, 1000),
-                (9.0, 1500),
-                (14.97, 1000),
-                (19.0, 2000),
-                (23.52, 1000),
-                (29.43, 2000),
-                (32.42, 1000),
-            ),
-            *((38.58, 2000), (41.63, 1000), (46.0, 2000), (52.17, 1000)),
-        ],
+        "4.37 1000, 9 1500, 14.97 1000, 19 2000, 23.52 1000, 29.43 2000, 32.42 1000, 38.58 2000,"
+        "41.63 1000, 46 2000, 52.17 1000",
     )
-    script += [
-        (at_s, lambda how=how: autopilot.lose_rc(how))  # type: ignore[misc]
-        for at_s, how in (
-            (6.87, "jump"),
-            (17.44, "frozen"),
-            (26.02, "frozen"),
-            (34.91, "frozen"),
-            (44.13, "frozen"),
-        )
-    ]
-    script += [(at_s, autopilot.return_rc) for at_s in (0.36, 10.92, 20.5, 29.07, 37.95, 48.17)]
-    script += [(41.59, lambda: autopilot.set_parameter("FS_THR_ENABLE", 0.0))]
+    script += outages(autopilot, "6.87-10.92", "jump")
+    script += outages(autopilot, "17.44-20.5 26.02-29.07 34.91-37.95 44.13-48.17", "frozen")
+    script += [(0.36, autopilot.return_rc)]
+    script += [(41.59, partial(autopilot.parameters.change, "FS_THR_ENABLE", 0.0))]
     play(world, [(offset_s + at_s, stimulus) for at_s, stimulus in script], offset_s + 54.0)
     fake = [(t - offset_s, message) for t, message in world.companion.received]
     until_54 = [h for h in real if h[0] < 54.0]
-    assert_same_radio(fake, until_54, 0.16, 0.3, rc_values)
+    assert_same_times(fake, until_54, {"RC_CHANNELS": (rc_values, 0.16), "SYS_STATUS": (rc_bits, 0.3)})
+    for log in (fake, until_54):
+        told = [(m.param_id, m.param_value) for _, m in log if m.get_type() == "PARAM_VALUE"]
+        told = [(name, value) for name, value in told if not name.startswith(("SIM_", "STAT_"))]
+        assert told == [("FS_THR_ENABLE", 0.0)]
     texts = [[m.text for _, m in log if m.get_type() == "STATUSTEXT"] for log in (fake, until_54)]
     assert texts[0] == texts[1]
-    told = [
-        [(m.param_id, m.param_value) for _, m in log if m.get_type() == "PARAM_VALUE"]
-        for log in (fake, until_54)
-    ]
-    told[1] = [(name, value) for name, value in told[1] if not name.startswith(("SIM_", "STAT_"))]
-    assert (
-        [pair for pair in told[0] if not pair[0].startswith("STAT_")] == told[1] == [("FS_THR_ENABLE", 0.0)]
-    )
 
 
 def test_an_override_that_expires_and_a_link_that_stalls_as_recorded() -> None:
@@ -381,7 +346,7 @@ def test_an_override_that_expires_and_a_link_that_stalls_as_recorded() -> None:
     def override() -> None:
         world.gcs.say(mavlink.MAVLink_rc_channels_override_message(1, 1, *(65535,) * 8, 1000, *(0,) * 9))
 
-    script = switch_moves(autopilot, [(48.88, 2000), (61.42, 1000)])
+    script = switch_moves(autopilot, "48.88 2000, 61.42 1000")
     script += [(52.37 + 0.2 * step, override) for step in range(21)]
     script += [
         (63.42, lambda: autopilot.replace_mission(items)),
@@ -406,15 +371,8 @@ def test_an_override_that_expires_and_a_link_that_stalls_as_recorded() -> None:
             if 67.4 < t < 79.2 and m.get_type() in ("STATUSTEXT", "MISSION_ITEM_REACHED")
         ]
         first = ["Mission: 1 Delay", "Delaying 4 sec"]
-        held_back = [
-            1,
-            "Mission: 2 Scripting",
-            "Mission: 3 Delay",
-            "Delaying 4 sec",
-            3,
-            "Mission: 4 Scripting",
-        ]
-        assert [what for _, what in late][:10] == first + first + held_back
+        held_back = [1, "Mission: 2 Scripting", "Mission: 3 Delay", "Delaying 4 sec", 3]
+        assert [what for _, what in late][:10] == [*first, *first, *held_back, "Mission: 4 Scripting"]
         assert all(t == pytest.approx(67.5, abs=0.1) for t, _ in late[:4])
         assert all(t == pytest.approx(79.06, abs=0.1) for t, _ in late[4:])
         # The messages that arrived with it show its age.
@@ -467,15 +425,9 @@ def test_px4_mission_with_overrides_and_a_pause_as_recorded() -> None:
 
     assert kinds(fake) - {"COMMAND_ACK"} == kinds(real)
     assert commands(fake) == commands(real)
-    for name, view in (
-        ("HEARTBEAT", heartbeat),
-        ("RC_CHANNELS", rc_values),
-        ("MISSION_CURRENT", lambda m: (m.seq, m.total, m.mission_state, m.mission_mode)),
-        ("EXTENDED_SYS_STATE", lambda m: m.landed_state),
-        ("SYS_STATUS", rc_health),
-    ):
-        seen = [changes(view(m) for _, m in log if m.get_type() == name) for log in (fake, real)]
-        assert seen[0] == seen[1], name
+    views: dict[str, View] = {"HEARTBEAT": heartbeat, "RC_CHANNELS": rc_values, "SYS_STATUS": rc_health}
+    views |= {"MISSION_CURRENT": mission_current, "EXTENDED_SYS_STATE": lambda m: m.landed_state}
+    assert_same_changes(fake, real, views)
     gaps_s = [
         max(b - a for a, b in pairwise(t for t, m in log if m.get_type() == "RC_CHANNELS"))
         for log in (fake, real)
@@ -502,37 +454,19 @@ def test_two_reboots_as_recorded() -> None:
     world.autopilot.set_rc(8, 1800)
     world.autopilot.set_rc(9, 1500)
     fake = world.companion.received
-    script: list[tuple[float, Callable[[], None]]] = [
-        (0.05, lambda: world.request_streams(streams_hz)),
-        (12.05, lambda: world.autopilot.set_rc(9, 2000)),
-        (20.05, lambda: world.gcs.command(246, 1)),
-        (20.5, world.companion.hello),
-        (22.0, world.companion.hello),
-        (30.1, lambda: world.request_streams(streams_hz)),
-        (45.1, lambda: world.autopilot.set_rc(9, 1000)),
-        (50.1, lambda: world.gcs.command(246, 1)),
-        (52.0, world.companion.hello),
-        (54.14, lambda: world.request_streams(streams_hz)),
-    ]
-    for at_s, stimulus in script:
-        world.to(at_s)
-        stimulus()
-    world.to(64.5)
+    script = switch_moves(world.autopilot, "12.05 2000, 45.1 1000")
+    script += [(at_s, partial(world.gcs.command, 246, 1)) for at_s in (20.05, 50.1)]
+    script += [(at_s, world.companion.hello) for at_s in (20.5, 22.0, 52.0)]
+    script += [(at_s, partial(world.request_streams, streams_hz)) for at_s in (0.05, 30.1, 54.14)]
+    play(world, script, 64.5)
 
     assert kinds(fake) == kinds(real)
     # Streams must be requested again: nobody is known until the companion sends and requests them.
     for since_s, until_s in ((21.0, 30.0), (51.0, 54.0)):
         spontaneous = kinds(fake, since_s, until_s), kinds(real, since_s, until_s)
         assert spontaneous[0] == spontaneous[1] - {"PARAM_VALUE"}
-    for name, view, tolerance_s in (
-        ("HEARTBEAT", heartbeat, 1.1),
-        ("RC_CHANNELS", rc_values, 0.16),
-        ("MISSION_CURRENT", lambda m: (m.seq, m.total, m.mission_state, m.mission_mode), 1.1),
-    ):
-        seen, expected = timed_changes(fake, name, view), timed_changes(real, name, view)
-        assert [value for _, value in seen] == [value for _, value in expected]
-        for (fake_s, _), (real_s, _) in zip(seen[1:], expected[1:], strict=True):
-            assert fake_s == pytest.approx(real_s, abs=tolerance_s)
+    views: dict[str, tuple[View, float]] = {"HEARTBEAT": (heartbeat, 1.1), "RC_CHANNELS": (rc_values, 0.16)}
+    assert_same_times(fake, real, views | {"MISSION_CURRENT": (mission_current, 1.1)})
     for log in (fake, real):
         falls = [
             (before.time_boot_ms, after.time_boot_ms)
@@ -541,21 +475,13 @@ def test_two_reboots_as_recorded() -> None:
         ]
         assert len(falls) == 2
         assert [after for _, after in falls] == pytest.approx([8850, 2800], abs=1200)
-        assert [t for t, _ in gaps(log, 1.2)] == pytest.approx([20.05, 50.1], abs=0.1)
-        assert [seconds for _, seconds in gaps(log, 1.2)] == pytest.approx([1.26, 1.26], abs=0.1)
-        assert [m.get_seq() for m in after_gaps(log, 1.2)] == [0, 0]
+        silences = [(a, b - a, m.get_seq()) for (a, _), (b, m) in pairwise(log) if b - a > 1.2]
+        assert [t for t, _, _ in silences] == pytest.approx([20.05, 50.1], abs=0.1)
+        assert [seconds for _, seconds, _ in silences] == pytest.approx([1.26, 1.26], abs=0.1)
+        assert [seq for _, _, seq in silences] == [0, 0]
         ready = [t for t, m in log if m.get_type() == "STATUSTEXT" and m.text == "ArduPilot Ready"]
         assert ready == pytest.approx([22.71, 52.76], abs=0.1)
         assert len([m for _, m in log if m.get_type() == "COMMAND_ACK" and m.result == 0]) == 24
-
-
-def gaps(log: list[Received], longer_than_s: float) -> list[tuple[float, float]]:
-    """The start and length of silences."""
-    return [(a, b - a) for (a, _), (b, _) in pairwise(log) if b - a > longer_than_s]
-
-
-def after_gaps(log: list[Received], longer_than_s: float) -> list[Any]:
-    return [message for (a, _), (b, message) in pairwise(log) if b - a > longer_than_s]
 
 
 @pytest.mark.parametrize(

@@ -17,8 +17,8 @@ from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI,
 from flying_vines.physics.plant.simulator import Simulator
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.rig import ControlVolume, Rig
+from flying_vines.simulation.phlosar.firmware import SAFE, Regulator
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
-from flying_vines.simulation.phlosar.regulator import SAFE, Regulator
 
 np = pytest.importorskip("numpy")
 pytest.importorskip("numba")

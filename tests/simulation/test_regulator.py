@@ -19,7 +19,7 @@ from flying_vines.physics.plant.simulator import TICK_S, Simulator
 from flying_vines.physics.plant.true_rig import likely_sensors
 from flying_vines.physics.plant.volume import Pouch
 from flying_vines.physics.rig import ControlVolume, Rig
-from flying_vines.simulation.phlosar.regulator import Regulator, Tuning
+from flying_vines.simulation.phlosar.firmware import Regulator, Tuning
 
 BEND_KPA = 20.7
 

@@ -23,9 +23,7 @@ from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mavlink.recorded_time import recorded_times
 from flying_vines.vehicle.mavlink.tlog import TlogReader
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.mission_cache import item_of
 from flying_vines.vehicle.notice import Notice
-from missions.waypoints import read_waypoints
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "recordings"
 FRAMES = sorted(path.stem for path in RECORDINGS.glob("*.tlog"))
@@ -361,19 +359,6 @@ def test_the_json_of_a_decision() -> None:
     assert set(first) == {"t", "trigger", "what", "intent", "safety", "reason", "setpoint_kPa"}
     assert first["trigger"] == "switch"
     assert first["what"] == {"channel": 9, "position": 1, "from": 0}
-
-
-def test_a_waypoints_file_gives_the_items_of_the_download() -> None:
-    codec = MavlinkCodec(1, 191)
-    frames = TlogReader(RECORDINGS / "ardupilot_vine_mission.tlog").frames()
-    messages = [message for _, frame in frames for message in codec.decode(frame)]
-    downloaded = {m.seq: item_of(m) for m in messages if m.get_type() == "MISSION_ITEM_INT"}
-    mission = read_waypoints(RECORDINGS / "ardupilot_vine_mission.waypoints")
-    assert [item.seq for item in mission] == sorted(downloaded)
-    for item in mission:
-        other = downloaded[item.seq]
-        assert (item.command, item.frame) == (other.command, other.frame)
-        assert item.params == pytest.approx(other.params, rel=1e-8)
 
 
 @pytest.mark.long

@@ -10,7 +10,7 @@ import pytest
 
 from flying_vines.physics.plant.true_rig import true_rig_from
 from flying_vines.simulation.scenario import ScenarioError, load_scenario, parse_scenario
-from flying_vines.simulation.scenario.run_kinds import (
+from flying_vines.simulation.scenario.scenario import (
     BendsRun,
     ChirpRun,
     DischargeRun,
@@ -19,8 +19,8 @@ from flying_vines.simulation.scenario.run_kinds import (
     ProfileRun,
     SineRun,
     StepsRun,
+    examples,
 )
-from flying_vines.simulation.scenario.scenario import examples
 
 EVERY_KIND = """
 [[runs]]
@@ -96,6 +96,9 @@ RUN = "[[runs]]\n"
 BENDS = RUN + 'kind = "bends"\ncycles = 1\n'
 SINE = RUN + 'kind = "sine"\nduration_s = 1\nfrequency_Hz = 1\nhigh_kPa = 10\n'
 PRBS = RUN + 'kind = "prbs"\nduration_s = 1\n'
+STEPS = RUN + 'kind = "steps"\npressures_kPa = [1, 2]\n'
+OPENINGS = RUN + 'kind = "openings"\nvalves = [{ for_s = 1, '
+PROFILE = RUN + 'kind = "profile"\nsegments = ['
 
 
 @pytest.mark.parametrize(
@@ -126,31 +129,24 @@ PRBS = RUN + 'kind = "prbs"\nduration_s = 1\n'
         (PRBS + "levels_kPa = [0, 2]\nmin_hold_s = 2", "runs[0].max_hold_s: must not be below min_hold_s"),
         (PRBS + "levels_kPa = [0, 2]\nmin_hold_s = 0.01", "runs[0].min_hold_s: is shorter than a sample"),
         (
-            RUN + 'kind = "steps"\npressures_kPa = [1, 2]\nhold_s = [1]',
+            STEPS + "hold_s = [1]",
             "runs[0].hold_s: 1 times for 2 pressures; give one time, or one per pressure",
         ),
+        (OPENINGS + "env = 1 }]", "runs[0].valves[0].env: unknown key; did you mean 'evp'?"),
         (
-            RUN + 'kind = "openings"\nvalves = [{ for_s = 1, env = 1 }]',
-            "runs[0].valves[0].env: unknown key; did you mean 'evp'?",
-        ),
-        (
-            RUN
-            + 'kind = "profile"\nrepeat = 1000\nsegments = ['
-            + '{ kind = "hold", for_s = 1 },' * 11
-            + "]",
+            PROFILE + '{ kind = "hold", for_s = 1 },' * 11 + "]\nrepeat = 1000",
             "runs[0].repeat: makes a profile of more than 10000 segments",
         ),
         (
-            RUN + 'kind = "profile"\nsegments = [{ kind = "step", to_deg = 3 }]',
+            PROFILE + '{ kind = "step", to_deg = 3 }]',
             "runs[0].segments[0].to_deg: a scenario has no bend curve; give kPa",
         ),
         (
-            RUN
-            + 'kind = "profile"\nsegments = [{ kind = "hold", for_s = 1 }, { kind = "step", to_kPa = -3 }]',
+            PROFILE + '{ kind = "hold", for_s = 1 }, { kind = "step", to_kPa = -3 }]',
             "runs[0].segments[1].to_kPa: -3 is outside 0…150 kPa",
         ),
         (
-            RUN + 'kind = "profile"\nsegments = [{ kind = "profile", name = "x" }]',
+            PROFILE + '{ kind = "profile", name = "x" }]',
             "runs[0].segments[0].kind: must be one of step, ramp, hold, sine, not 'profile'",
         ),
     ],

@@ -22,7 +22,7 @@ def test_lines_fly_the_vehicle() -> None:
         assert obey(autopilot, line) == ""
     autopilot.advance(10.0)
     assert autopilot.armed
-    assert autopilot.height_m == pytest.approx(10.0)
+    assert autopilot.flight.height_m == pytest.approx(10.0)
     obey(autopilot, "land")
     autopilot.advance(40.0)
     assert not autopilot.armed

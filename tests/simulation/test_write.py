@@ -12,7 +12,7 @@ from matplotlib import pyplot as plt
 from flying_vines.physics.rig import ControlVolume, Pump, Rig, load_rig
 from flying_vines.simulation.scenario import csv_text, simulate
 from flying_vines.simulation.scenario.picture import draw_runs
-from flying_vines.simulation.scenario.run_kinds import BendsRun, DischargeRun, OpeningsRun, Valves
+from flying_vines.simulation.scenario.scenario import BendsRun, DischargeRun, OpeningsRun, Valves
 
 RIG = """[reservoir]
 volume_L = 2.0

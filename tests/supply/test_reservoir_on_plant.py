@@ -23,7 +23,7 @@ from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI,
 from flying_vines.physics.plant.volume import Compliant, Pouch
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig
 from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
-from flying_vines.simulation.phlosar.regulator import Tuning
+from flying_vines.simulation.phlosar.firmware import Tuning
 from flying_vines.supply import CyclesLeft, ReservoirEstimate, TelemetryReader, nominal
 
 BELIEVED = PneumaticsConfig(reservoir_volume_L=1.0, cv_volume_L=0.25)

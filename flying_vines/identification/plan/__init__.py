@@ -42,8 +42,7 @@ from flying_vines.physics.cause import Cause, Values
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.effects import causes_of
 from flying_vines.physics.rig import Rig
-from flying_vines.simulation.scenario.run_kinds import RunKind
-from flying_vines.simulation.scenario.scenario import Scenario
+from flying_vines.simulation.scenario.scenario import RunKind, Scenario
 
 MINUTES = 3.0
 SPENT_KPA = 100.0

@@ -32,11 +32,15 @@ from flying_vines.physics.plant.rates import Floats, conditions
 from flying_vines.physics.plant.tick import runge_kutta
 from flying_vines.physics.rig import ControlVolume, Rig
 from flying_vines.simulation.phlosar.closed_loop import regulator_step
-from flying_vines.simulation.phlosar.regulator import Regulator
-from flying_vines.simulation.scenario.command import command_of, valves_of
-from flying_vines.simulation.scenario.regulation import FASTEST_KPA_PER_S, tuning_for
-from flying_vines.simulation.scenario.run import OPENING_DIGITS
-from flying_vines.simulation.scenario.run_kinds import (
+from flying_vines.simulation.phlosar.firmware import Regulator
+from flying_vines.simulation.scenario.run import (
+    FASTEST_KPA_PER_S,
+    OPENING_DIGITS,
+    command_of,
+    tuning_for,
+    valves_of,
+)
+from flying_vines.simulation.scenario.scenario import (
     FIRMWARE_HZ,
     MOST_KPA,
     OpeningsRun,

@@ -21,7 +21,7 @@ from flying_vines.identification.plan.choose import SETTLED
 from flying_vines.identification.recording import counted
 from flying_vines.identification.verdict import NONE
 from flying_vines.plots.style import BLUE, RED, finish
-from flying_vines.simulation.scenario.run_kinds import ProfileRun
+from flying_vines.simulation.scenario.scenario import ProfileRun
 
 _NAMED = 2
 _WORST = 8

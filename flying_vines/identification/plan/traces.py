@@ -36,7 +36,7 @@ from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, Parameter, Values
 from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.rig import Rig, number
-from flying_vines.simulation.scenario.run_kinds import RunKind
+from flying_vines.simulation.scenario.scenario import RunKind
 
 Causes = Sequence[tuple[Cause, Values]]
 

@@ -39,11 +39,14 @@ _UNEXPECTED = b"WPM: REJ. CMD: Req. WP was unexpected\t"
 _MISMATCH = b"REJ. MIS ITEM: partner id mismatch\t"
 
 
+_Address = tuple[int, int]
+"""System and component."""
+
+
 @dataclass(slots=True)
 class _Upload:
     link: str
-    system: int
-    component: int
+    sender: _Address
     count: int
     deadline_s: float
     entry: ScheduledCallback | None = None
@@ -54,7 +57,7 @@ class _Upload:
 class _Download:
     """A download from PX4: its receiver, the next item, and the time of the last request."""
 
-    partner: tuple[int, int]
+    partner: _Address
     next_seq: int
     requested_s: float
 
@@ -95,7 +98,7 @@ class MissionStorage:
     def replace(self, link: str, items: Sequence[MissionItem]) -> None:
         """Simulate an upload by another sender on `link`. Raises `MissionRefused` if an item is refused."""
         stored = self._all_stored(items)
-        upload = _Upload(link, 0, 0, len(stored), math.inf)
+        upload = _Upload(link, (0, 0), len(stored), math.inf)
         if self._kind == "ardupilot":
             if len(self.items) > len(stored):
                 del self.items[len(stored) :]
@@ -104,7 +107,7 @@ class MissionStorage:
                 self._scheduler.after((item.seq + 1) * _WRITE_PERIOD_S, partial(self._write, item))
         else:
             self._incoming = stored
-        self._scheduler.after((len(stored) + 1) * _WRITE_PERIOD_S, lambda: self._finish(upload))
+        self._scheduler.after((len(stored) + 1) * _WRITE_PERIOD_S, partial(self._finish, upload))
 
     def reboot(self) -> None:
         self._upload = self._download = None
@@ -121,21 +124,21 @@ class MissionStorage:
             case "MISSION_ITEM" | "MISSION_ITEM_INT":
                 self._take(link, message)
             case "MISSION_REQUEST_LIST":
-                self._download = _Download(_reply(message), 0, self._scheduler.now_s)
-                self._send(link, mavlink.MAVLink_mission_count_message(*_reply(message), len(self.items)))
+                self._download = _Download(_sender(message), 0, self._scheduler.now_s)
+                self._send(link, mavlink.MAVLink_mission_count_message(*_sender(message), len(self.items)))
             case "MISSION_REQUEST" | "MISSION_REQUEST_INT":
                 if self._kind == "ardupilot" or self._is_expected(link, message):
                     self._give(link, message)
             case "MISSION_CLEAR_ALL":
                 self.items = []
                 self._change()
-                self._ack(link, *_reply(message), ACCEPTED)
+                self._ack(link, _sender(message), ACCEPTED)
             case "MISSION_ACK":
                 self._handle_ack(link, message)
 
     def _handle_other_type(self, link: str, message: Any) -> None:
         """Fences and rally points: there are none, and none can be stored."""
-        to, kind = _reply(message), message.mission_type
+        to, kind = _sender(message), message.mission_type
         if message.get_type() == "MISSION_REQUEST_LIST":
             self._send(link, mavlink.MAVLink_mission_count_message(*to, 0, mission_type=kind))
         elif message.get_type() == "MISSION_COUNT":
@@ -148,61 +151,58 @@ class MissionStorage:
         self.mission_id = zlib.crc32(repr(self.items).encode()) if self.items else 0
         self._changed()
 
-    def _ack(self, link: str, system: int, component: int, result: int) -> None:
-        self._send(link, mavlink.MAVLink_mission_ack_message(system, component, result))
+    def _ack(self, link: str, to: _Address, result: int) -> None:
+        self._send(link, mavlink.MAVLink_mission_ack_message(*to, result))
 
     def _begin(self, link: str, message: Any, has_space: bool) -> None:
-        system, component = _reply(message)
+        sender = _sender(message)
         if self._upload is not None and not self._is_uploader(self._upload, link, message):
-            self._ack(link, system, component, DENIED if self._kind == "ardupilot" else ERROR)
+            self._ack(link, sender, DENIED if self._kind == "ardupilot" else ERROR)
             return
         if message.count > CAPACITY or not has_space:
-            self._ack(link, system, component, NO_SPACE)
+            self._ack(link, sender, NO_SPACE)
             return
         self._stop()
         if self._kind == "ardupilot" and len(self.items) > message.count:
             del self.items[message.count :]
             self._change()
         self._incoming = []
-        self._upload = _Upload(link, system, component, message.count, self._scheduler.now_s + _GIVE_UP_S)
-        if message.count == 0:
-            self._finish(self._upload)
-        else:
-            self._request_item()
+        deadline_s = self._scheduler.now_s + _GIVE_UP_S
+        self._upload = upload = _Upload(link, sender, message.count, deadline_s)
+        self._request_or_finish(upload)
 
     def _handle_ack(self, link: str, message: Any) -> None:
         """The uploader may cancel. ArduPilot ignores the cancellation and continues its requests."""
-        upload = self._upload
-        if upload is None or self._kind == "ardupilot" or message.type != CANCELLED:
-            return
-        if self._is_uploader(upload, link, message):
+        cancels = self._kind == "px4" and message.type == CANCELLED
+        if cancels and self._upload is not None and self._is_uploader(self._upload, link, message):
             self._stop()
 
     def _is_uploader(self, upload: _Upload, link: str, message: Any) -> bool:
         """True if the sender of this message is the one that uploads. ArduPilot does not look at the link."""
         same_link = self._kind == "ardupilot" or upload.link == link
-        return same_link and (upload.system, upload.component) == _reply(message)
+        return same_link and upload.sender == _sender(message)
 
-    def _request_item(self) -> None:
-        upload = self._upload
-        if upload is None:
-            return
-        to = upload.system, upload.component, upload.next_seq
-        if self._kind == "ardupilot":
-            self._send(upload.link, mavlink.MAVLink_mission_request_message(*to))
+    def _request_or_finish(self, upload: _Upload) -> None:
+        if upload.next_seq == upload.count:
+            self._finish(upload)
         else:
-            self._send(upload.link, mavlink.MAVLink_mission_request_int_message(*to))
-        upload.entry = self._scheduler.after(_REQUEST_AGAIN_S, self._request_again)
+            self._request_item(upload)
 
-    def _request_again(self) -> None:
-        upload = self._upload
-        if upload is None:
-            return
+    def _request_item(self, upload: _Upload) -> None:
+        make = (
+            mavlink.MAVLink_mission_request_message
+            if self._kind == "ardupilot"
+            else mavlink.MAVLink_mission_request_int_message
+        )
+        self._send(upload.link, make(*upload.sender, upload.next_seq))
+        upload.entry = self._scheduler.after(_REQUEST_AGAIN_S, partial(self._request_again, upload))
+
+    def _request_again(self, upload: _Upload) -> None:
         if self._scheduler.now_s >= upload.deadline_s:
             self._stop()
-            self._ack(upload.link, upload.system, upload.component, CANCELLED)
+            self._ack(upload.link, upload.sender, CANCELLED)
         else:
-            self._request_item()
+            self._request_item(upload)
 
     def _stop(self) -> None:
         if self._upload is not None and self._upload.entry is not None:
@@ -212,7 +212,7 @@ class MissionStorage:
     def _take(self, link: str, message: Any) -> None:
         upload = self._upload
         if upload is None:
-            self._ack(link, *_reply(message), ERROR)
+            self._ack(link, _sender(message), ERROR)
             return
         uploader = self._is_uploader(upload, link, message)
         if self._kind == "px4" and not uploader:
@@ -221,26 +221,23 @@ class MissionStorage:
         # ArduPilot answers on the upload's link, wherever the item came from.
         if message.seq != upload.next_seq:
             if message.seq > upload.next_seq:
-                self._ack(upload.link, *_reply(message), INVALID_SEQUENCE)
+                self._ack(upload.link, _sender(message), INVALID_SEQUENCE)
             return
         if not uploader:
-            self._ack(upload.link, *_reply(message), DENIED)
+            self._ack(upload.link, _sender(message), DENIED)
             return
         try:
             item = self._stored(item_of(message))
         except MissionRefused as refused:
             self._stop()
-            self._ack(upload.link, upload.system, upload.component, refused.result)
+            self._ack(upload.link, upload.sender, refused.result)
             return
         self._write(item)
         upload.next_seq += 1
         upload.deadline_s = self._scheduler.now_s + _GIVE_UP_S
         if upload.entry is not None:
             upload.entry.cancel()
-        if upload.next_seq == upload.count:
-            self._finish(upload)
-        else:
-            self._request_item()
+        self._request_or_finish(upload)
 
     def _write(self, item: MissionItem) -> None:
         if self._kind == "px4":
@@ -260,7 +257,7 @@ class MissionStorage:
         else:
             # ArduPilot sends this text only to the uploader.
             self._send(upload.link, mavlink.MAVLink_statustext_message(_INFO, b"Flight plan received"))
-        self._ack(upload.link, upload.system, upload.component, ACCEPTED)
+        self._ack(upload.link, upload.sender, ACCEPTED)
 
     def _all_stored(self, items: Sequence[MissionItem]) -> list[MissionItem]:
         return [self._stored(replace(item, seq=seq)) for seq, item in enumerate(items)]
@@ -281,7 +278,7 @@ class MissionStorage:
         if (
             transfer is None
             or now_s - transfer.requested_s > _TRANSFER_S
-            or transfer.partner != _reply(message)
+            or transfer.partner != _sender(message)
         ):
             return False
         transfer.requested_s = now_s
@@ -289,15 +286,15 @@ class MissionStorage:
             transfer.next_seq += 1
         elif message.seq != transfer.next_seq - 1:
             self._download = None
-            self._ack(link, *_reply(message), ERROR)
+            self._ack(link, _sender(message), ERROR)
             self._send(link, mavlink.MAVLink_statustext_message(_CRITICAL, _UNEXPECTED))
             return False
         return True
 
     def _give(self, link: str, message: Any) -> None:
-        to = _reply(message)
+        to = _sender(message)
         if message.seq >= len(self.items):
-            self._ack(link, *to, INVALID_SEQUENCE)
+            self._ack(link, to, INVALID_SEQUENCE)
             return
         item = self.items[message.seq]
         p1, p2, p3, p4, x, y, z = item.params
@@ -310,7 +307,7 @@ class MissionStorage:
         self._send(link, reply)
 
 
-def _reply(message: Any) -> tuple[int, int]:
+def _sender(message: Any) -> tuple[int, int]:
     return message.get_srcSystem(), message.get_srcComponent()
 
 

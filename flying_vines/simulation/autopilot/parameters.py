@@ -1,4 +1,7 @@
-"""A small set of parameters, in the encoding of the autopilot's kind."""
+"""A small set of parameters, in the encoding of the autopilot's kind, and no files.
+
+Ground stations first request the parameters as a file, by MAVLink FTP.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import math
 import struct
 import zlib
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -13,62 +17,44 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.simulation.autopilot.scheduler import ScheduledCallback, Scheduler
 from flying_vines.vehicle.mission.storage import AutopilotKind
 
-HASH_CHECK = "_HASH_CHECK"
-NO_INDEX = 65535
+_HASH_CHECK = "_HASH_CHECK"
+_NO_INDEX = 65535
 
 _INT8, _INT16, _UINT32, _INT32, _REAL32 = 2, 4, 5, 6, 9
 _PACE_S = 0.01
 
-_TYPES: dict[AutopilotKind, dict[str, int]] = {
+_TABLES: dict[AutopilotKind, dict[str, tuple[int, float]]] = {
     "ardupilot": {
-        "SYSID_THISMAV": _INT16,
-        "SYSID_MYGCS": _INT16,
-        "SERIAL1_PROTOCOL": _INT8,
-        "SERIAL1_BAUD": _INT32,
-        "SERIAL2_PROTOCOL": _INT8,
-        "SERIAL2_BAUD": _INT32,
-        "SCR_ENABLE": _INT8,
-        "CAM1_TYPE": _INT8,
-        "FS_THR_ENABLE": _INT8,
-        "RC_FS_TIMEOUT": _REAL32,
-        "RC_OPTIONS": _INT32,
-        "RC_OVERRIDE_TIME": _REAL32,
-        "MIS_TOTAL": _INT16,
-        "STAT_BOOTCNT": _INT16,
-        "STAT_RUNTIME": _INT32,
+        "SYSID_THISMAV": (_INT16, 0.0),
+        "SYSID_MYGCS": (_INT16, 255.0),
+        "SERIAL1_PROTOCOL": (_INT8, 2.0),
+        "SERIAL1_BAUD": (_INT32, 57.0),
+        "SERIAL2_PROTOCOL": (_INT8, 2.0),
+        "SERIAL2_BAUD": (_INT32, 57.0),
+        "SCR_ENABLE": (_INT8, 0.0),
+        "CAM1_TYPE": (_INT8, 0.0),
+        "FS_THR_ENABLE": (_INT8, 1.0),
+        "RC_FS_TIMEOUT": (_REAL32, 1.0),
+        "RC_OPTIONS": (_INT32, 32.0),
+        "RC_OVERRIDE_TIME": (_REAL32, 3.0),
+        "MIS_TOTAL": (_INT16, 0.0),
+        "STAT_BOOTCNT": (_INT16, 1.0),
+        "STAT_RUNTIME": (_INT32, 0.0),
     },
     "px4": {
-        "COM_RC_IN_MODE": _INT32,
-        "COM_RC_LOSS_T": _REAL32,
-        "MAV_0_FORWARD": _INT32,
-        "MAV_1_CONFIG": _INT32,
-        "MAV_1_FORWARD": _INT32,
-        "MAV_1_MODE": _INT32,
-        "MAV_SYS_ID": _INT32,
-        "MIS_COMMAND_TOUT": _REAL32,
-        "NAV_RCL_ACT": _INT32,
-        "SYS_AUTOSTART": _INT32,
+        "COM_RC_IN_MODE": (_INT32, 0.0),
+        "COM_RC_LOSS_T": (_REAL32, 0.5),
+        "MAV_0_FORWARD": (_INT32, 1.0),
+        "MAV_1_CONFIG": (_INT32, 102.0),
+        "MAV_1_FORWARD": (_INT32, 1.0),
+        "MAV_1_MODE": (_INT32, 2.0),
+        "MAV_SYS_ID": (_INT32, 0.0),
+        "MIS_COMMAND_TOUT": (_REAL32, 0.0),
+        "NAV_RCL_ACT": (_INT32, 2.0),
+        "SYS_AUTOSTART": (_INT32, 4001.0),
     },
 }
-_FACTORY = {
-    "SYSID_MYGCS": 255.0,
-    "SERIAL1_PROTOCOL": 2.0,
-    "SERIAL1_BAUD": 57.0,
-    "SERIAL2_PROTOCOL": 2.0,
-    "SERIAL2_BAUD": 57.0,
-    "FS_THR_ENABLE": 1.0,
-    "RC_FS_TIMEOUT": 1.0,
-    "RC_OPTIONS": 32.0,
-    "RC_OVERRIDE_TIME": 3.0,
-    "STAT_BOOTCNT": 1.0,
-    "COM_RC_LOSS_T": 0.5,
-    "MAV_0_FORWARD": 1.0,
-    "MAV_1_CONFIG": 102.0,
-    "MAV_1_FORWARD": 1.0,
-    "MAV_1_MODE": 2.0,
-    "NAV_RCL_ACT": 2.0,
-    "SYS_AUTOSTART": 4001.0,
-}
+"""Types and factory values by name."""
 _READ_ONLY = {"SYSID_THISMAV", "MAV_SYS_ID", "MIS_TOTAL", "STAT_BOOTCNT", "STAT_RUNTIME"}
 """Only the autopilot changes these. The answer to PARAM_SET is their old value."""
 
@@ -112,9 +98,10 @@ class ParameterServer:
     ) -> None:
         """`values` replace factory values; `send` sends to one link, `tell` and `say` (a text) to all."""
         self._kind = kind
-        self._types = _TYPES[kind]
-        self._values = {name: float(values.get(name, _FACTORY.get(name, 0.0))) for name in self._types}
-        self._names = list(self._types)
+        table = _TABLES[kind]
+        self._types = {name: type_ for name, (type_, _) in table.items()}
+        self._values = {name: float(values.get(name, factory)) for name, (_, factory) in table.items()}
+        self._names = list(table)
         self._scheduler = scheduler
         self._send = send
         self._tell = tell
@@ -129,7 +116,7 @@ class ParameterServer:
         if name not in self._values:
             raise ValueError(f"the simulated {self._kind} has no parameter {name}")
         self._values[name] = value
-        self._tell(self._message(name, NO_INDEX))
+        self._tell(self._message(name, _NO_INDEX))
 
     def reboot(self) -> None:
         """Values survive; running list transfers end."""
@@ -138,7 +125,7 @@ class ParameterServer:
             self._values["STAT_BOOTCNT"] += 1
 
     def handle(self, link: str, message: Any) -> None:
-        """PARAM_REQUEST_LIST, PARAM_REQUEST_READ or PARAM_SET for the autopilot."""
+        """A message of the parameter protocol for the autopilot."""
         match message.get_type():
             case "PARAM_REQUEST_LIST":
                 self._begin(link)
@@ -151,12 +138,15 @@ class ParameterServer:
         self._stop(link)
         if self._kind == "px4":
             self._send(link, self._hash())
-        self._lists[link] = self._scheduler.after(_PACE_S, lambda: self._go_on(link, 0))
+        self._continue_list(link, 0)
 
-    def _go_on(self, link: str, index: int) -> None:
+    def _continue_list(self, link: str, index: int) -> None:
+        self._lists[link] = self._scheduler.after(_PACE_S, partial(self._send_listed, link, index))
+
+    def _send_listed(self, link: str, index: int) -> None:
         self._send(link, self._message(self._names[index], index))
         if index + 1 < len(self._names):
-            self._lists[link] = self._scheduler.after(_PACE_S, lambda: self._go_on(link, index + 1))
+            self._continue_list(link, index + 1)
         else:
             del self._lists[link]
 
@@ -171,7 +161,7 @@ class ParameterServer:
             if message.param_index < len(self._names):
                 name = self._names[message.param_index]
                 self._send(link, self._message(name, message.param_index))
-        elif name == HASH_CHECK and self._kind == "px4":
+        elif name == _HASH_CHECK and self._kind == "px4":
             self._send(link, self._hash())
         elif name in self._values:
             self._send(link, self._message(name, self._names.index(name)))
@@ -180,7 +170,7 @@ class ParameterServer:
 
     def _set(self, link: str, message: Any) -> None:
         name = message.param_id
-        if name == HASH_CHECK and self._kind == "px4":
+        if name == _HASH_CHECK and self._kind == "px4":
             self._stop(link)  # the ground station has these parameters in its cache
             return
         if name not in self._values:
@@ -189,7 +179,7 @@ class ParameterServer:
         value = self._sent(message)
         if math.isfinite(value) and name not in _READ_ONLY:
             self._values[name] = value
-        self._tell(self._message(name, NO_INDEX if self._kind == "ardupilot" else self._names.index(name)))
+        self._tell(self._message(name, _NO_INDEX if self._kind == "ardupilot" else self._names.index(name)))
 
     def _sent(self, message: Any) -> float:
         value = float(message.param_value)
@@ -220,4 +210,35 @@ class ParameterServer:
         for name in sorted(self._names):
             crc = zlib.crc32(self._bytes(name), zlib.crc32(name.encode(), crc))
         raw = (crc ^ 0xFFFFFFFF).to_bytes(4, "little")
-        return _RawValue(HASH_CHECK, raw, _UINT32, len(self._names), NO_INDEX)
+        return _RawValue(_HASH_CHECK, raw, _UINT32, len(self._names), _NO_INDEX)
+
+
+_TERMINATE, _LIST, _RESET, _ACK, _NAK = 1, 3, 2, 128, 129
+_END_OF_FILE, _UNKNOWN_COMMAND, _NOT_FOUND = 6, 7, 10
+_FOR_A_FILE = {4, 6, 8, 9, 10, 11, 12, 13, 14, 15}
+_HEADER_BYTES, _PAYLOAD_BYTES = 12, 251
+
+
+def answer_file_request(message: Any) -> Any | None:
+    """The answer of an autopilot without files to a FILE_TRANSFER_PROTOCOL request; None for other messages.
+
+    Every request is answered, so that no client waits.
+    """
+    request = bytes(message.payload)
+    operation = request[3]
+    if operation in (0, _ACK, _NAK):
+        return None
+    if operation in (_TERMINATE, _RESET):
+        result, data = _ACK, b""
+    else:
+        result = _NAK
+        if operation == _LIST:
+            data = bytes([_END_OF_FILE])
+        else:
+            data = bytes([_NOT_FOUND if operation in _FOR_A_FILE else _UNKNOWN_COMMAND])
+    sequence = (int.from_bytes(request[:2], "little") + 1) % 65536
+    head = sequence.to_bytes(2, "little") + bytes([request[2], result, len(data), operation, 0, 0])
+    payload = (head.ljust(_HEADER_BYTES, b"\0") + data).ljust(_PAYLOAD_BYTES, b"\0")
+    return mavlink.MAVLink_file_transfer_protocol_message(
+        0, message.get_srcSystem(), message.get_srcComponent(), payload
+    )

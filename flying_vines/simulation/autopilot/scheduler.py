@@ -9,9 +9,12 @@ from dataclasses import dataclass
 
 @dataclass(slots=True)
 class ScheduledCallback:
-    """One scheduled callback; `cancel` removes it."""
+    """One scheduled callback, or a repeated one; `cancel` removes it."""
 
     callback: Callable[[], None]
+    begin_s: float
+    interval_s: float = 0.0
+    count: int = 0
     cancelled: bool = False
 
     def cancel(self) -> None:
@@ -31,13 +34,25 @@ class Scheduler:
         self._entries = 0
 
     def at(self, t_s: float, callback: Callable[[], None]) -> ScheduledCallback:
-        entry = ScheduledCallback(callback)
-        self._entries += 1
-        heapq.heappush(self._heap, (t_s, self._entries, entry))
-        return entry
+        return self._schedule(ScheduledCallback(callback, t_s))
 
     def after(self, delay_s: float, callback: Callable[[], None]) -> ScheduledCallback:
         return self.at(self.now_s + delay_s, callback)
+
+    def every(
+        self, interval_s: float, callback: Callable[[], None], begin_s: float | None = None
+    ) -> ScheduledCallback:
+        """Call at `begin_s` (default: one interval from now), and then every `interval_s`."""
+        if begin_s is None:
+            return self._schedule(ScheduledCallback(callback, self.now_s, interval_s, 1))
+        return self._schedule(ScheduledCallback(callback, begin_s, interval_s))
+
+    def _schedule(self, entry: ScheduledCallback) -> ScheduledCallback:
+        # Computed from a count, so that rounding errors do not add up.
+        due_s = entry.begin_s + entry.count * entry.interval_s
+        self._entries += 1
+        heapq.heappush(self._heap, (due_s, self._entries, entry))
+        return entry
 
     def run_until(self, t_s: float) -> None:
         """Run everything due up to and including `t_s`; a time in the past changes nothing."""
@@ -46,6 +61,9 @@ class Scheduler:
             if entry.cancelled:
                 continue
             self.now_s = max(self.now_s, due_s)
+            if entry.interval_s:
+                entry.count += 1
+                self._schedule(entry)
             entry.callback()
         self.now_s = max(self.now_s, t_s)
 

@@ -31,7 +31,7 @@ from flying_vines.physics.plant.sensors import Sensor, Transfer, rested
 from flying_vines.physics.plant.simulator import TICK_S
 from flying_vines.physics.plant.tick import memory_at_rest, tick
 from flying_vines.simulation.phlosar.core_library import load
-from flying_vines.simulation.phlosar.regulator import SAFE, Regulator, Tuning
+from flying_vines.simulation.phlosar.firmware import SAFE, Regulator, Tuning
 
 regulator_begin = external(load().phlosar_regulator_begin, "void(intp, f8)")
 regulator_step = external(load().phlosar_regulator_step, "void(intp, f8, f8, f8, f8, voidptr)")

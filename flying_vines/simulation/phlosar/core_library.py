@@ -186,17 +186,8 @@ def compile_to(path: Path, command: Sequence[str], files: Sequence[Path]) -> Non
 
 def prebuild(target: str, path: Path) -> None:
     """Build the library for a target with the compiler of the package `ziglang`."""
-    zig = (
-        sys.executable,
-        "-m",
-        "ziglang",
-        "c++",
-        "-target",
-        f"{target}.{_OLDEST_GLIBC}",
-        "-nostdlib++",
-        "-s",
-    )
-    compile_to(path, (*zig, *_flags()), library_files())
+    zig = (sys.executable, "-m", "ziglang", "c++", "-target", f"{target}.{_OLDEST_GLIBC}")
+    compile_to(path, (*zig, "-nostdlib++", "-s", *_flags()), library_files())
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""Runs the C++ core of the real firmware on this computer.
+"""Runs the C++ core of the real firmware on this computer: all of it (`Firmware`), or its `Regulator` alone.
 
 Only the board is simulated: pressures become converter counts, and duty cycles become valve openings (EVP:
-inflation valve, DVP: the Venturi's supply valve).
+inflation valve, DVP: the Venturi's supply valve). The core's `regulator.h` describes the regulator and its
+tuning.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import ctypes
 import math
 from collections.abc import Mapping
 from functools import cache
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from firmware_link.protocol import Fault, Mode
 from flying_vines.physics.baseline import Inputs
@@ -26,7 +27,10 @@ _SUPPLY_COUNTS = 59578
 """5 V through a 0.6 divider into a 3.3 V converter."""
 _OUTPUT_BYTES = 1024
 
+SAFE = Inputs(0.0, 0.0, True)
+"""Inflation valve shut, outlet open, Venturi off."""
 Settings = Mapping[str, float]
+Tuning = Mapping[str, float]
 
 
 class SettingRow(NamedTuple):
@@ -47,6 +51,27 @@ def setting_rows() -> dict[str, SettingRow]:
         found = row.contents
         rows[found.name.decode()] = SettingRow(len(rows), found.standard, found.least, found.most)
     return rows
+
+
+class Board(Protocol):
+    """A board with firmware. Call `step` at 1 kHz; the other methods at any time."""
+
+    @property
+    def mode(self) -> Mode: ...
+
+    @property
+    def faults(self) -> Fault: ...
+
+    @property
+    def number(self) -> int: ...
+
+    def receive(self, data: bytes) -> None: ...
+
+    def take_output(self) -> bytes: ...
+
+    def step(self, now_us: int, cv_kPa: float, reservoir_kPa: float) -> Inputs: ...
+
+    def reset(self, *, watchdog: bool = False) -> None: ...
 
 
 class Firmware:
@@ -173,3 +198,54 @@ def _counts(kPa: float, span_kPa: float, supply: float) -> int:
         return 0 if not kPa > 0.0 else _FULL_SCALE
     counts = round((0.1 + 0.8 * kPa / span_kPa) * supply)
     return min(_FULL_SCALE, max(0, counts))
+
+
+@cache
+def _standard() -> dict[str, float]:
+    library = load()
+    values = (ctypes.c_double * library.phlosar_tuning_count())()
+    library.phlosar_standard_tuning(values)
+    names = [library.phlosar_tuning_name(index).decode() for index in range(len(values))]
+    return dict(zip(names, values, strict=True))
+
+
+def standard_tuning() -> dict[str, float]:
+    """The standard tuning. It suits vines of 0.05 to 1 L and supplies of 100 to 690 kPa."""
+    return dict(_standard())
+
+
+class Regulator:
+    """One regulator, in double precision. Call `step` every millisecond with the present pressures.
+
+    `tuning` has the values that differ from the standard; raises `ValueError` for an unknown name. `address`
+    is for loops compiled by numba: see `closed_loop`.
+    """
+
+    def __init__(self, tuning: Tuning | None = None, *, cv_kPa: float = 0.0) -> None:
+        self.tuning = standard_tuning() | dict(tuning or {})
+        if unknown := self.tuning.keys() - _standard().keys():
+            raise ValueError(f"the regulator has no tuning value {', '.join(sorted(unknown))}")
+        self._library = load()
+        self._memory = ctypes.create_string_buffer(self._library.phlosar_regulator_size())
+        self.address = ctypes.addressof(self._memory)
+        self._outputs = (ctypes.c_double * 4)()
+        values = (ctypes.c_double * len(self.tuning))(*self.tuning.values())
+        self._library.phlosar_regulator_start(self.address, values)
+        self.begin(cv_kPa)
+
+    @property
+    def setpoint_kPa(self) -> float:
+        """The setpoint of the last step, on its way to the target."""
+        return self._outputs[3]
+
+    def begin(self, cv_kPa: float) -> None:
+        """Start at the measured pressure, so that the setpoint does not jump."""
+        self._library.phlosar_regulator_begin(self.address, cv_kPa)
+
+    def step(self, target_kPa: float, rate_kPa_per_s: float, cv_kPa: float, reservoir_kPa: float) -> Inputs:
+        """Valve commands for the next millisecond; the setpoint moves to the target at this rate."""
+        outputs = self._outputs
+        self._library.phlosar_regulator_step(
+            self.address, target_kPa, rate_kPa_per_s, cv_kPa, reservoir_kPa, outputs
+        )
+        return Inputs(outputs[0], outputs[1], outputs[2] > 0.0)

@@ -26,8 +26,7 @@ from flying_vines.physics.plant.sensors import Sensor, reading, rested
 from flying_vines.physics.plant.simulator import TICK_S, Simulator
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.rig import Rig
-from flying_vines.simulation.phlosar.board import Board
-from flying_vines.simulation.phlosar.firmware import Firmware, Settings
+from flying_vines.simulation.phlosar.firmware import SAFE, Board, Firmware, Settings
 from flying_vines.simulation.phlosar.mishaps import (
     OPEN_SHARE,
     SHORTED_SHARE,
@@ -45,7 +44,6 @@ from flying_vines.simulation.phlosar.mishaps import (
     check_place,
     with_mishaps,
 )
-from flying_vines.simulation.phlosar.regulator import SAFE
 
 STEP_US = round(TICK_S * 1e6)
 _UNPOWERED = Inputs(0.0, 0.0, False)

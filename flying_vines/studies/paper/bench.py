@@ -21,7 +21,7 @@ from flying_vines.physics.plant.simulator import TICK_S
 from flying_vines.physics.plant.true_rig import likely_sensors
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig, Sensors
 from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
-from flying_vines.simulation.phlosar.regulator import Tuning
+from flying_vines.simulation.phlosar.firmware import Tuning
 
 AT_ONCE_KPA_PER_S = 1e6
 """Setpoint rate, so fast that a step stays a step."""
