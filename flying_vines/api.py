@@ -19,9 +19,8 @@ if TYPE_CHECKING:
     from flying_vines.identification.plan import plan, recommend
     from flying_vines.identification.report import write_report
     from flying_vines.identification.verdict import extended_rig
-    from flying_vines.physics.cause import Cause, Parameter
+    from flying_vines.physics.cause import Cause, Parameter, read_causes
     from flying_vines.physics.effects import add_causes, causes_of
-    from flying_vines.physics.own_causes import read_causes
     from flying_vines.physics.plant.leak import curve_of
     from flying_vines.physics.plant.true_rig import load_true_rig as load_rig
     from flying_vines.physics.plant.true_rig import true_rig_text as rig_text
@@ -44,7 +43,7 @@ _MODULES = {
     "Cause": "physics.cause:Cause",
     "Parameter": "physics.cause:Parameter",
     "curve_of": "physics.plant.leak:curve_of",
-    "read_causes": "physics.own_causes:read_causes",
+    "read_causes": "physics.cause:read_causes",
     "extended_rig": "identification.verdict:extended_rig",
     "write_report": "identification.report:write_report",
     "plan": "identification.plan:plan",

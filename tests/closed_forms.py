@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from flying_vines.physics.constants import ALPHA_KPA, GAMMA, STANDARD_PRESSURE_KPA
+from flying_vines.physics.gas import ALPHA_KPA, GAMMA, STANDARD_PRESSURE_KPA
 
 
 def choked_time_constant_s(volume_L: float, sonic_conductance_SL_per_s_kPa: float) -> float:

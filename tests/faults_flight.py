@@ -33,8 +33,8 @@ from flying_vines.simulation.phlosar.mishaps import Hanging, Kinked, MishapKind,
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
+from flying_vines.vehicle.mission.item import AutopilotKind as AutopilotKind
 from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.storage import AutopilotKind as AutopilotKind
 from flying_vines.vehicle.notice import Notice
 from flying_vines.vine.curve import BendCurve
 

@@ -12,8 +12,7 @@ from random_mishaps import draw_mishap
 
 from flying_vines.simulation.autopilot.rc_input import LOSSES, RcLoss, RcSource
 from flying_vines.simulation.phlosar.mishaps import Hole, StuckAt
-from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind, MissionItem
 
 TAKE_OFF_S = 1.5
 IN_THE_AIR_S = 4.5

@@ -8,8 +8,7 @@ from pathlib import Path
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config
 from flying_vines.supply import nominal
-from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind, MissionItem
 from missions.build import build
 from missions.home import SIMULATOR_HOME, Home, home_of
 from missions.mission import parse, planned_home

@@ -13,8 +13,7 @@ from flying_vines.simulation.autopilot import AutopilotKind, FakeAutopilot
 from flying_vines.simulation.autopilot.links import COMPANION
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
-from flying_vines.vehicle.mission.execution import same_numbers
-from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.item import MissionItem, same_numbers
 from flying_vines.vehicle.triggers import Rules, Trigger
 from flying_vines.vehicle.vehicle import Vehicle
 

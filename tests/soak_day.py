@@ -15,8 +15,7 @@ from flying_vines.config.config import ITEM_COMMANDS
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mission.item import LAND, TAKEOFF, WAYPOINT, MissionItem
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import LAND, TAKEOFF, WAYPOINT, AutopilotKind, MissionItem
 
 LOOK_S = 0.1
 SETTLED_AFTER_S = 2.5

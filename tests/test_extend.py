@@ -36,7 +36,7 @@ from flying_vines.simulation.autopilot import AutopilotKind, FakeAutopilot
 from flying_vines.simulation.autopilot.links import COMPANION
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
-from flying_vines.vehicle.own_triggers import own_triggers
+from flying_vines.vehicle.triggers import own_triggers
 from flying_vines.vine.profile import Sine, flatten
 
 ROOT = Path(__file__).parents[1]

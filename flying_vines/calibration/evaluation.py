@@ -21,7 +21,7 @@ from flying_vines.calibration.plan import CalibrationPlan
 from flying_vines.calibration.readings import Readings, noise_kPa
 from flying_vines.files.extras import lacks
 from flying_vines.physics.arrays import Array
-from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
+from flying_vines.physics.gas import STANDARD_PRESSURE_KPA
 
 MAX_WANDER = 4.0
 """Maximum standard deviation of the block means of a steady pressure, relative to the one that noise alone

@@ -26,8 +26,8 @@ from scipy.optimize import least_squares
 from flying_vines.calibration.findings import Estimate
 from flying_vines.calibration.readings import Readings, smooth
 from flying_vines.physics.arrays import Array, BoolArray
-from flying_vines.physics.constants import GAMMA, STANDARD_PRESSURE_KPA
-from flying_vines.physics.plant.wall import Wall, heat_capacity_J_per_K
+from flying_vines.physics.gas import GAMMA, STANDARD_PRESSURE_KPA
+from flying_vines.physics.plant.volume import Wall, heat_capacity_J_per_K
 from flying_vines.supply.rig_prior import Prior, bottle_wall
 
 BIN_S = 0.2

@@ -48,8 +48,7 @@ from flying_vines.simulation.simulated_world import SimulatedWorld
 from flying_vines.supply import RigPrior
 from flying_vines.vehicle.component.parameters import Parameters
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
-from flying_vines.vehicle.mavlink.signing import Signing
-from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampFile
+from flying_vines.vehicle.mavlink.signing import Signing, SigningKeyError, TimestampFile
 from flying_vines.vehicle.notice import Severity
 from flying_vines.vine.curve import BendCurve
 from flying_vines.vine.intent import Intent

@@ -32,7 +32,7 @@ from flying_vines.calibration.readings import Readings, noise_kPa, smooth
 from flying_vines.calibration.reservoir_balance import Balance, binned, fit_balance
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics.arrays import Array
-from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.gas import ALPHA_KPA
 from flying_vines.supply.rig_prior import Prior
 
 SMOOTHED_S = 0.05

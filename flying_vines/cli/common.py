@@ -66,9 +66,8 @@ def fail(sentences: str) -> NoReturn:
 def add_own_causes(paths: Sequence[Path]) -> None:
     """Add the causes of these files to the catalogue."""
     if paths:
-        from flying_vines.physics.cause import CauseError
+        from flying_vines.physics.cause import CauseError, read_causes
         from flying_vines.physics.effects import add_causes
-        from flying_vines.physics.own_causes import read_causes
 
         with file_errors(None, CauseError):
             for path in paths:

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from flying_vines.config.config import Config
-    from flying_vines.vehicle.mission.item import MissionItem
-    from flying_vines.vehicle.mission.storage import AutopilotKind
+    from flying_vines.vehicle.mission.item import AutopilotKind, MissionItem
     from missions.home import Home
     from missions.report import Report
 

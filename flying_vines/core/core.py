@@ -41,7 +41,7 @@ from flying_vines.core.events import (
     ToVehicle,
     VehicleMessage,
 )
-from flying_vines.core.instability import STABLE_AFTER_S, Lateness, OwnLines, Restarts
+from flying_vines.core.instability import STABLE_AFTER_S, Lateness, LinkLoss, OwnLines, Restarts
 from flying_vines.core.isolated_parts import IsolatedParts
 from flying_vines.core.pending_bend import PendingBend, PendingBendTracker, source
 from flying_vines.core.request_lines import RequestLines
@@ -53,7 +53,6 @@ from flying_vines.supply import Features, RigPrior, nominal
 from flying_vines.vehicle.clock import LATE_S
 from flying_vines.vehicle.component.parameters import Changed
 from flying_vines.vehicle.component.telemetry import VALUE_NAMES
-from flying_vines.vehicle.link_loss import LinkLoss
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.notice import Notice, Severity

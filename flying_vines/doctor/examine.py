@@ -14,7 +14,7 @@ from flying_vines.doctor.configuration import ServiceConfiguration
 from flying_vines.doctor.finding import DoctorFinding
 from flying_vines.doctor.processes import Process
 from flying_vines.doctor.vehicle_probe import TICK_S, SwitchFacts, VehicleWatch
-from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampFile
+from flying_vines.vehicle.mavlink.signing import SigningKeyError, TimestampFile
 
 MOVING_S = 20.0
 """Time for the user to move the switch through all its positions."""

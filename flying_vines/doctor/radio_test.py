@@ -17,7 +17,6 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.config.config import Config, ReceiverFailsafe
 from flying_vines.vehicle.autopilots import of_heartbeat
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.radio.radio_parameters import RadioParameters
 from flying_vines.vehicle.radio.rc import (
     CHANNELS,
     JUMP_US,
@@ -27,6 +26,7 @@ from flying_vines.vehicle.radio.rc import (
     NO_SIGNAL,
     RC_BIT,
     RadioLink,
+    RadioParameters,
 )
 from flying_vines.vehicle.radio.switch import BOUNDARIES_US
 

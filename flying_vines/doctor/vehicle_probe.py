@@ -18,7 +18,7 @@ from flying_vines.config.address import Address
 from flying_vines.config.config import Config
 from flying_vines.core.core import LISTEN_FIRST_S
 from flying_vines.service.host_clock import synchronised
-from flying_vines.vehicle.component.duplicate_id import DuplicateIdDetector
+from flying_vines.vehicle.component.component import DuplicateIdDetector
 from flying_vines.vehicle.component.telemetry import Heartbeat
 from flying_vines.vehicle.component.transmit_queue import TransmitQueue
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
@@ -26,12 +26,11 @@ from flying_vines.vehicle.mavlink.link import buffered_frames, open_link, unread
 from flying_vines.vehicle.mavlink.signing import RefusedFrames, Signing
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.mission.mission_cache import MissionCache
-from flying_vines.vehicle.own_triggers import messages_of, own_triggers
-from flying_vines.vehicle.radio.radio_parameters import RadioParameters
-from flying_vines.vehicle.radio.rc import RadioLink
+from flying_vines.vehicle.radio.rc import RadioLink, RadioParameters
 from flying_vines.vehicle.radio.switch import MovedUnseen, SwitchMove, SwitchReader, SwitchReady
 from flying_vines.vehicle.state import Ambiguous, VehicleState
 from flying_vines.vehicle.streams import Streams, Wanted
+from flying_vines.vehicle.triggers import messages_of, own_triggers
 
 SETTLE_S = 1.5
 """Time from the first heartbeat until the requested streams have their rate."""

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flying_vines.physics.arrays import Array
-from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
+from flying_vines.physics.gas import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.exponential_integrator import exponential_runge_kutta, tubing_per_s
 from flying_vines.physics.plant.numbers import PlantNumbers, ValveNumbers

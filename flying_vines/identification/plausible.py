@@ -23,7 +23,7 @@ from flying_vines.identification.importing.units import parse_unit
 from flying_vines.identification.noise import resolution
 from flying_vines.identification.recording import CaseError, RecordedRun
 from flying_vines.physics.arrays import Array, BoolArray
-from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA
+from flying_vines.physics.gas import ALPHA_KPA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.rig import Rig
 
 _MAX_OFFSET_KPA = 25.0

@@ -18,7 +18,7 @@ from flying_vines.identification.model import NOT_INLINED, Sensors, run
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, ModelReadings, Values
 from flying_vines.physics.compiler import compiled, record
-from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.gas import ALPHA_KPA
 from flying_vines.physics.plant.commands import Commands, followed, steps_of, together
 from flying_vines.physics.plant.compiled import batch, weather_at
 from flying_vines.physics.plant.effects import Effects

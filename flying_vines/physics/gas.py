@@ -1,4 +1,4 @@
-"""The gas of a rig: its ratio of specific heats and its molar mass.
+"""The gas of a rig: its ratio of specific heats and its molar mass; constants of air and its standard state.
 
 One gas fills the whole rig. Ambient air that flows back into the rig counts as the same gas.
 """
@@ -9,7 +9,13 @@ from dataclasses import dataclass
 from math import sqrt
 from typing import NamedTuple
 
-from flying_vines.physics.constants import GAMMA
+GAMMA = 1.4
+"""c_p / c_v of dry air."""
+STANDARD_PRESSURE_KPA = 101.325
+STANDARD_TEMPERATURE_K = 293.15
+ALPHA_KPA = STANDARD_PRESSURE_KPA
+"""α = ρ Rᵤ T / M: the pressure that a standard litre of air adds to a volume of one litre. By the gas law, α
+equals the standard pressure."""
 
 
 class GasProperties(NamedTuple):

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, TypeVar
 
-from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA, STANDARD_TEMPERATURE_K
+from flying_vines.physics.gas import ALPHA_KPA, STANDARD_PRESSURE_KPA, STANDARD_TEMPERATURE_K
 
 if TYPE_CHECKING:
     import numpy as np

@@ -12,8 +12,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_type_hints
 import msgspec
 
 from flying_vines.files.toml_text import OneLineError, parsed, place, range_of, read_text
-from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
-from flying_vines.physics.gas import Gas
+from flying_vines.physics.gas import STANDARD_PRESSURE_KPA, Gas
 
 # Generous: a hundred times what rigs have, and more. Beyond them arithmetic overflows, or a unit is wrong.
 ReservoirVolume = Annotated[float, msgspec.Meta(ge=0.001, le=1000)]

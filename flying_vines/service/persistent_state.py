@@ -18,8 +18,7 @@ from flying_vines.config.config import Config
 from flying_vines.files.bounded import read_bytes
 from flying_vines.gateway import page_token
 from flying_vines.vehicle.component import parameter_file
-from flying_vines.vehicle.mavlink.signing import Signing
-from flying_vines.vehicle.mavlink.signing_key import TimestampFile, read_key
+from flying_vines.vehicle.mavlink.signing import Signing, TimestampFile, read_key
 
 DISARMED = """\
 The pneumatics were disarmed: the vine does not bend while this file exists.

@@ -47,10 +47,9 @@ from flying_vines.vehicle.component import parameter_file
 from flying_vines.vehicle.mavlink import handled_messages
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mavlink.link import open_link, unread_from
-from flying_vines.vehicle.mavlink.signing import Signing
-from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampFile
+from flying_vines.vehicle.mavlink.signing import Signing, SigningKeyError, TimestampFile
 from flying_vines.vehicle.notice import Severity
-from flying_vines.vehicle.own_triggers import messages_of, own_triggers
+from flying_vines.vehicle.triggers import messages_of, own_triggers
 from flying_vines.vine.intent import Asker, Intent
 
 FLUSH_S = 0.3

@@ -21,8 +21,7 @@ from flying_vines.service.persistent_state import PersistentState
 from flying_vines.service.service import line_to
 from flying_vines.supply.rig_file_prior import RigFilePrior, load_rig_file_prior
 from flying_vines.vehicle.component.parameter_file import ParameterFileError, ignored_in
-from flying_vines.vehicle.mavlink.signing import Signing
-from flying_vines.vehicle.mavlink.signing_key import SigningKeyError
+from flying_vines.vehicle.mavlink.signing import Signing, SigningKeyError
 
 RIG, SIGNING_KEY, PARAMETERS = "pneumatics.rig", "vehicle.signing_key", "parameters"
 """Keys of `read_inputs`' problems."""

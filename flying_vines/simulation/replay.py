@@ -38,7 +38,7 @@ from flying_vines.record.topics import (
 from flying_vines.simulation.simulated_world import SimulatedWorld
 from flying_vines.supply import RigPrior
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
-from flying_vines.vehicle.mavlink.recorded_time import recorded_times
+from flying_vines.vehicle.mavlink.tlog import recorded_times
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.state import is_autopilot
 

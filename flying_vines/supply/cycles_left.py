@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.physics import paper
-from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
+from flying_vines.physics.gas import STANDARD_TEMPERATURE_K
 from flying_vines.supply.air_use import TRACE, AirUse, ObservedInflation
 from flying_vines.supply.min_supply import SupplyCost, fillable, min_supply_kPa
 from flying_vines.supply.reservoir_filter import (

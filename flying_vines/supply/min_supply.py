@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.gas import ALPHA_KPA
 from flying_vines.supply.air_use import ObservedInflation, driving_kPa, tolerance_kPa
 from flying_vines.supply.rig_prior import AMBIENT_KPA, RigPrior
 

@@ -20,8 +20,8 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
-from flying_vines.physics.plant.wall import COOLING_K, heat_capacity_J_per_K
+from flying_vines.physics.gas import STANDARD_TEMPERATURE_K
+from flying_vines.physics.plant.volume import COOLING_K, heat_capacity_J_per_K
 from flying_vines.supply.rig_prior import AMBIENT_KPA, RigPrior
 
 X, GAS, WALL, RISE, FLAT, VENTURI, LEAK, CV_LEAK, WARMTH = range(9)

@@ -17,14 +17,13 @@ from typing import Any
 import msgspec
 
 from flying_vines.config.config import PneumaticsConfig
-from flying_vines.physics.constants import ALPHA_KPA, GAMMA
+from flying_vines.physics.gas import ALPHA_KPA, GAMMA
 from flying_vines.physics.plant.flow import FlowLaw, Ohm, flow_SL_per_s
 from flying_vines.physics.plant.leak import Curve, LeakLaw, leak_of, leak_SL_per_s
 from flying_vines.physics.plant.plant import Plant, Setup
 from flying_vines.physics.plant.true_rig import TrueRig, true_rig_from
 from flying_vines.physics.plant.valve_response import ValveMotion
-from flying_vines.physics.plant.volume import Pouch
-from flying_vines.physics.plant.wall import Wall, heat_capacity_J_per_K
+from flying_vines.physics.plant.volume import Pouch, Wall, heat_capacity_J_per_K
 from flying_vines.physics.rig import Rig, RigError, read_rig
 from flying_vines.supply.rig_prior import AMBIENT_KPA, MIN_RISE_SHARE, Prior, RigPrior, nominal
 

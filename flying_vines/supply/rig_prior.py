@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from flying_vines.config.config import PneumaticsConfig
-from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA
+from flying_vines.physics.gas import ALPHA_KPA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.plant.flow import FlowLaw, Iso6358
-from flying_vines.physics.plant.wall import Wall
+from flying_vines.physics.plant.volume import Wall
 from flying_vines.physics.rig import ControlVolume, Dvp, Evp, Reservoir, Rig
 
 AMBIENT_KPA = STANDARD_PRESSURE_KPA

@@ -9,8 +9,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.autopilots.autopilot import MissionWatch
 from flying_vines.vehicle.clock import LATE_S
-from flying_vines.vehicle.component.command_ack import acknowledgement
 from flying_vines.vehicle.component.senders import Sender
+from flying_vines.vehicle.component.transmit_queue import acknowledgement
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.repeats import PX4_REPEAT_S, STATION_REPEAT_S, Repeats
 from flying_vines.vehicle.triggers import Rules, Trigger, direct_intent

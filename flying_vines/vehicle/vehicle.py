@@ -6,24 +6,21 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 
 from flying_vines.config.config import Config
-from flying_vines.vehicle.clock import Mark
+from flying_vines.vehicle.clock import Mark, TimesyncRequests
 from flying_vines.vehicle.commands import CommandReceiver
 from flying_vines.vehicle.component import Component
 from flying_vines.vehicle.component.parameters import Changed
-from flying_vines.vehicle.component.timesync import TimesyncRequests
 from flying_vines.vehicle.mavlink import handled_messages as handled
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mission.execution import Execution
-from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.item import Execution, MissionItem
 from flying_vines.vehicle.mission.mission_cache import MissionCache
 from flying_vines.vehicle.notice import Notice, Severity
-from flying_vines.vehicle.own_triggers import messages_of, own_triggers
 from flying_vines.vehicle.radio.pilot import Pilot, Straightened
 from flying_vines.vehicle.radio.rc import RadioLink
 from flying_vines.vehicle.radio.switch import SwitchReader
 from flying_vines.vehicle.state import Ambiguous, AutopilotFound, OtherComponent, OtherHeard, VehicleState
 from flying_vines.vehicle.streams import Streams
-from flying_vines.vehicle.triggers import Rules, Trigger
+from flying_vines.vehicle.triggers import Rules, Trigger, messages_of, own_triggers
 from flying_vines.vine.intent import VentVine
 
 VehicleOutput = Trigger | Notice | Straightened | Changed | MavlinkMessage

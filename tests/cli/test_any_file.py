@@ -22,7 +22,7 @@ from flying_vines.physics.plant.true_rig import TrueRig, true_rig_text
 from flying_vines.physics.rig import Rig
 from flying_vines.record.reader import FlightLog, flights_in
 from flying_vines.service.starting import read_inputs
-from flying_vines.vehicle.mavlink.signing_key import read_key
+from flying_vines.vehicle.mavlink.signing import read_key
 from missions.waypoints import read_waypoints
 
 EDITORS = {

@@ -14,8 +14,7 @@ from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot.rc_input import RcSource
 from flying_vines.simulation.phlosar.mishaps import Reset
 from flying_vines.simulation.simulated_world import SimulatedFlight
-from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind, MissionItem
 from flying_vines.vehicle.notice import Notice
 from flying_vines.vehicle.triggers import Trigger
 from flying_vines.vine.intent import (

@@ -11,8 +11,8 @@ from examples import examples
 from flying_vines.core.events import Action, VehicleMessage
 from flying_vines.core.safety import ARMED_CONFIRMED_S
 from flying_vines.simulation.simulated_world import SimulatedFlight
-from flying_vines.vehicle.arm_state import CONFLICT_S
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
+from flying_vines.vehicle.state import CONFLICT_S
 
 from .flights import (
     HIGH,

@@ -45,8 +45,7 @@ from flying_vines.simulation.phlosar.firmware import Firmware
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mavlink.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S
-from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind, MissionItem
 
 pytestmark = real_time
 

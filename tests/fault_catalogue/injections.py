@@ -32,7 +32,7 @@ from flying_vines.simulation.phlosar.mishaps import (
 )
 from flying_vines.simulation.simulated_world import Wire, perfect
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
-from flying_vines.vehicle.mission.storage import AutopilotKind as AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind as AutopilotKind
 
 from .watched import RESTED_S, Watched
 

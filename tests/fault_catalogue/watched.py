@@ -15,7 +15,7 @@ from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.phlosar.phlosar import SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind
 
 from .black_box import STEP_S, BlackBox
 

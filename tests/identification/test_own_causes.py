@@ -14,10 +14,10 @@ from flying_vines.config.config import default_text
 from flying_vines.identification.case import read_case
 from flying_vines.identification.diagnose import diagnose
 from flying_vines.identification.verdict import extended_rig
-from flying_vines.physics import effects, own_causes
-from flying_vines.physics.cause import CauseError
+from flying_vines.physics import cause as own_causes
+from flying_vines.physics import effects
+from flying_vines.physics.cause import CauseError, read_causes
 from flying_vines.physics.effects import add_causes, catalogue, cause_named
-from flying_vines.physics.own_causes import read_causes
 from flying_vines.physics.plant.true_rig import load_true_rig, true_rig_text
 from flying_vines.physics.rig import RigError
 

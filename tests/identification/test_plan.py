@@ -40,8 +40,8 @@ from flying_vines.identification.plan.traces import (
 )
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, Parameter
-from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.effects import catalogue, cause_named, causes_of
+from flying_vines.physics.gas import ALPHA_KPA
 from flying_vines.physics.rig import ControlVolume, Rig, Sensors, Venturi, load_rig
 from flying_vines.simulation.scenario import load_scenario, parse_scenario, simulate, simulate_scenario
 from flying_vines.simulation.scenario.scenario import BendsRun, ProfileRun, RunKind, StepsRun

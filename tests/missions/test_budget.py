@@ -27,7 +27,7 @@ from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.rig import Rig
 from flying_vines.simulation.simulated_world import fly, with_flight
 from flying_vines.supply import nominal
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind
 from missions.budget import PlannedBend, budget
 from missions.home import SIMULATOR_HOME, Home
 from missions.report import as_json, review

@@ -29,7 +29,7 @@ from examples import examples
 from flying_vines.config import config as configuration
 from flying_vines.config.config import Config, ItemConfig
 from flying_vines.vehicle.autopilots import AUTOPILOTS
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind
 from flying_vines.vehicle.triggers import Rules
 from flying_vines.vine.intent import BendTo, Intent, StartProfile
 from missions.item_for_intent import described, item_for_intent, over_the_wire

@@ -30,8 +30,7 @@ from mission_building import (
 
 from flying_vines.config import config as configuration
 from flying_vines.config.config import ItemConfig
-from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind, MissionItem
 
 JUMP, CONDITION, LOITER_UNLIMITED = 177, 112, 17
 NAN = math.nan

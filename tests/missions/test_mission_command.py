@@ -12,7 +12,7 @@ from command_line import run
 from mission_building import EXAMPLES, HEAD, KINDS, waypoint
 
 from flying_vines.simulation.autopilot import FakeAutopilot
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind
 from missions.files import load_items
 
 Captured = pytest.CaptureFixture[str]

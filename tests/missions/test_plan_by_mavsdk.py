@@ -11,8 +11,7 @@ from waiting import MAX_WAIT_S
 
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer
-from flying_vines.vehicle.mission.item import has_place
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind, has_place
 from missions.files import load_items
 from missions.item_for_intent import over_the_wire
 from missions.link import vehicle

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mission_building import HEAD, KINDS, built, items, waypoint
 
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind
 from missions.files import load_items
 from missions.home import SIMULATOR_HOME
 from missions.mission import MissionError

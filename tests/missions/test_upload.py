@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from flying_vines.vehicle.autopilots import AUTOPILOTS
-from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.storage import AutopilotKind, Params
+from flying_vines.vehicle.mission.item import AutopilotKind, MissionItem, Params
 from missions.files import load_items
 from missions.item_for_intent import over_the_wire
 from missions.mission import MissionError

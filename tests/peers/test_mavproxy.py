@@ -29,9 +29,8 @@ from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot_server import AutopilotServer
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 from flying_vines.vehicle.component.parameter_table import SETTINGS
-from flying_vines.vehicle.mavlink.signing import Signing
-from flying_vines.vehicle.mavlink.signing_key import read_key
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mavlink.signing import Signing, read_key
+from flying_vines.vehicle.mission.item import AutopilotKind
 from peers.mavproxy import HOW_TO_INSTALL, MavProxy, installed, mavproxy
 
 pytestmark = [

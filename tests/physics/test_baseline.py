@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flying_vines.physics.baseline import BaselineFlows, BaselineState, Inputs, derivatives, flows, step
-from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.gas import ALPHA_KPA
 from flying_vines.physics.rig import ControlVolume, Rig
 
 RIG = Rig()

@@ -11,16 +11,22 @@ import pytest
 from closed_forms import adiabatic_choked_discharge_kPa_abs, choked_time_constant_s, polytropic_temperature_K
 
 from flying_vines.physics.baseline import Inputs
-from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.effects import setup
-from flying_vines.physics.gas import AIR, GASES, Gas, nozzle_critical_ratio, sonic_conductance_ratio
+from flying_vines.physics.gas import (
+    AIR,
+    ALPHA_KPA,
+    GASES,
+    Gas,
+    nozzle_critical_ratio,
+    sonic_conductance_ratio,
+)
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358, flow_SL_per_s
 from flying_vines.physics.plant.leak import orifice
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.simulator import Simulator
 from flying_vines.physics.plant.true_rig import true_rig_from, true_rig_text
-from flying_vines.physics.plant.wall import Wall
+from flying_vines.physics.plant.volume import Wall
 from flying_vines.physics.rig import ControlVolume, Rig, RigError, rig_from
 
 OPEN = Inputs(1.0, 0.0, False)

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flying_vines.physics import paper
-from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.gas import ALPHA_KPA
 from flying_vines.studies.paper import data
 from flying_vines.studies.paper.data import condition, curve, stated
 

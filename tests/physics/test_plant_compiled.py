@@ -24,8 +24,7 @@ from flying_vines.physics.plant.simulator import SHUT, Simulator
 from flying_vines.physics.plant.tick import _MAX_STEP, tick
 from flying_vines.physics.plant.valve_response import ValveMotion, dead_zone
 from flying_vines.physics.plant.venturi import Ejector
-from flying_vines.physics.plant.volume import Compliant, Pouch
-from flying_vines.physics.plant.wall import Wall
+from flying_vines.physics.plant.volume import Compliant, Pouch, Wall
 from flying_vines.physics.rig import ControlVolume, Hose, Pump, Reservoir, Rig
 
 np = pytest.importorskip("numpy")
@@ -289,7 +288,7 @@ def test_compiled_code_is_cached_under_a_digest_of_its_sources(
     assert compiler._cache_folder(tick) != folder
     # A constant of a called function is a part of the cache key.
     before = compiler._cache_folder(tick)
-    monkeypatch.setattr("flying_vines.physics.plant.wall._PER_K", 0.0)
+    monkeypatch.setattr("flying_vines.physics.plant.volume._PER_K", 0.0)
     assert compiler._cache_folder(tick) != before
     # So is the name of a module: cached code of a renamed module cannot be loaded.
     monkeypatch.setattr(dead_zone, "__module__", "flying_vines.physics.plant.motion")

@@ -20,8 +20,7 @@ from flying_vines.physics.plant.rates import conditions, rates
 from flying_vines.physics.plant.simulator import TICK_S, Simulator
 from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
 from flying_vines.physics.plant.venturi import Ejector
-from flying_vines.physics.plant.volume import Compliant, Pouch
-from flying_vines.physics.plant.wall import Wall
+from flying_vines.physics.plant.volume import Compliant, Pouch, Wall
 from flying_vines.physics.rig import ControlVolume, Hose, Reservoir, Rig
 
 R_J_PER_KG_K = 287.05

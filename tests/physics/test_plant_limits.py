@@ -15,13 +15,12 @@ from hypothesis import strategies as st
 from examples import examples
 from flying_vines.physics import baseline
 from flying_vines.physics.baseline import Inputs
-from flying_vines.physics.constants import GAMMA
+from flying_vines.physics.gas import GAMMA
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Iso6358
 from flying_vines.physics.plant.plant import Plant, air_SL, at_rest
 from flying_vines.physics.plant.simulator import Simulator
-from flying_vines.physics.plant.volume import Pouch
-from flying_vines.physics.plant.wall import Wall
+from flying_vines.physics.plant.volume import Pouch, Wall
 from flying_vines.physics.rig import ControlVolume, Evp, Reservoir, Rig
 
 volumes = st.floats(0.05, 10.0)

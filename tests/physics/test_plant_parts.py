@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from plant_flows import flows
 
 from flying_vines.physics.baseline import Inputs
-from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.gas import ALPHA_KPA
 from flying_vines.physics.plant.ambient import (
     Climb,
     Recorded,

@@ -9,15 +9,15 @@ from dataclasses import replace
 import pytest
 
 from flying_vines.physics.baseline import BaselineState, Inputs, step
-from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.effects import setup
+from flying_vines.physics.gas import ALPHA_KPA
 from flying_vines.physics.plant.ambient import Recorded
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Ohm
 from flying_vines.physics.plant.plant import Plant, at_rest
 from flying_vines.physics.plant.simulator import Simulator
 from flying_vines.physics.plant.true_rig import true_rig_from, true_rig_text
-from flying_vines.physics.plant.wall import Wall
+from flying_vines.physics.plant.volume import Wall
 from flying_vines.physics.rig import ControlVolume, Hose, Pump, Rig, RigError, Solenoid, rig_from
 
 PUMPED = Rig(cv=ControlVolume(0.2), pump=Pump(0.05, 40.0))

@@ -49,7 +49,7 @@ from flying_vines.record.recorder import Recorder
 from flying_vines.record.schema import Schema
 from flying_vines.record.topics import TOPICS, encoded, entry_of_event
 from flying_vines.simulation.replay import replay_flight
-from flying_vines.vehicle.component.identity import ProtocolVersion
+from flying_vines.vehicle.component.requests import ProtocolVersion
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mavlink.tlog import TlogReader
 from flying_vines.vehicle.notice import Notice, Severity

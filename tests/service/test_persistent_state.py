@@ -26,8 +26,7 @@ from flying_vines.service.starting import read_inputs
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.vehicle.component import parameter_file
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
-from flying_vines.vehicle.mavlink.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S, Signing
-from flying_vines.vehicle.mavlink.signing_key import TimestampFile
+from flying_vines.vehicle.mavlink.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S, Signing, TimestampFile
 from flying_vines.vehicle.notice import Notice
 
 pytestmark = real_time

@@ -7,7 +7,7 @@ from required_programs import needs_compiler
 from soak import Outcome, Sample, simulated
 from soak_day import BUTTONS, Tally, bend
 
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind
 
 pytestmark = pytest.mark.long
 

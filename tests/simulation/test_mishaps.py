@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from random import Random
 from statistics import pstdev
@@ -16,8 +17,7 @@ from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.flow import Ohm, flow_SL_per_s
 from flying_vines.physics.plant.true_rig import TrueRig
-from flying_vines.physics.plant.volume import Pouch
-from flying_vines.physics.plant.wall import Wall
+from flying_vines.physics.plant.volume import Pouch, Wall
 from flying_vines.physics.rig import ControlVolume, Rig, Sensors
 from flying_vines.simulation.phlosar import mishaps
 from flying_vines.simulation.phlosar.firmware import SAFE
@@ -114,7 +114,7 @@ def test_a_stuck_sensor_reads_what_it_read_last(place: str, column: int, span_kP
         (Gain(0.0), lambda kPa, ms, span_kPa: 0.0),
         (Glitching(77.0, every_ms=200.0), lambda kPa, ms, span_kPa: kPa if ms % 200 else 77.0),
     ],
-    ids=repr,
+    ids=lambda value: "reads" if inspect.isfunction(value) else repr(value),
 )
 def test_a_sensor_may_be_wrong(
     place: str, column: int, span_kPa: float, kind: SensorMishap, wrong_kPa: Callable[..., float]

@@ -20,8 +20,7 @@ from flying_vines.config import config
 from flying_vines.core.events import Action, Decision, ToFirmware, ToVehicle
 from flying_vines.simulation.replay import as_json, replay
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
-from flying_vines.vehicle.mavlink.recorded_time import recorded_times
-from flying_vines.vehicle.mavlink.tlog import TlogReader
+from flying_vines.vehicle.mavlink.tlog import TlogReader, recorded_times
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.notice import Notice
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from flying_vines.physics import baseline
 from flying_vines.physics.baseline import BaselineState, Inputs
-from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.gas import ALPHA_KPA
 from flying_vines.physics.plant.true_rig import TrueRig
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig, Sensors
 from flying_vines.simulation.scenario import (

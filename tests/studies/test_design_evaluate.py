@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flying_vines.physics import paper
-from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.gas import ALPHA_KPA
 from flying_vines.studies.design import Evaluation, PartsChoice, Robot, catalogue, demonstration, evaluate
 from flying_vines.studies.design.parts import PositiveNumber
 from flying_vines.studies.design.show import notes

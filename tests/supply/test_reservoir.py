@@ -14,7 +14,7 @@ from examples import examples
 from firmware_link.protocol import Fault, Mode, Telemetry
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.true_rig import TrueRig
-from flying_vines.physics.plant.wall import Wall
+from flying_vines.physics.plant.volume import Wall
 from flying_vines.supply import ReservoirEstimate, RigPrior, TelemetryReader, nominal
 from flying_vines.supply.reservoir_filter import LEAK, RISE, ReservoirFilter, Spent
 from flying_vines.supply.rig_file_prior import prior_of

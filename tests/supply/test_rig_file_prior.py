@@ -25,8 +25,7 @@ from flying_vines.physics.effects import catalogue
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.plant import at_rest
 from flying_vines.physics.plant.true_rig import TrueRig, load_true_rig, true_rig_text
-from flying_vines.physics.plant.volume import Pouch
-from flying_vines.physics.plant.wall import Wall
+from flying_vines.physics.plant.volume import Pouch, Wall
 from flying_vines.physics.rig import ControlVolume, Reservoir, Rig, RigError
 from flying_vines.simulation.phlosar.closed_loop import SetpointChange, closed_loop
 from flying_vines.simulation.scenario import parse_scenario, simulate_scenario, write_case

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from flying_vines.vehicle.arm_state import CONFLICT_S, REARMED_S, TWO_CLOCKS_S, ArmState, Clocks
+from flying_vines.vehicle.state import CONFLICT_S, REARMED_S, TWO_CLOCKS_S, ArmState, Clocks
 
 PERIOD_S = 1.0
 

@@ -16,9 +16,8 @@ from flying_vines.vehicle.clock import AutopilotClock
 from flying_vines.vehicle.commands import CommandReceiver
 from flying_vines.vehicle.component.senders import Sender
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.item import AutopilotKind, MissionItem
 from flying_vines.vehicle.mission.mission_cache import MissionCache
-from flying_vines.vehicle.mission.storage import AutopilotKind
 from flying_vines.vehicle.repeats import MAX_COMMANDS, MAX_DELAY_DIFFERENCE_S, PX4_REPEAT_S
 from flying_vines.vehicle.triggers import Rules, Trigger
 from flying_vines.vine.intent import (

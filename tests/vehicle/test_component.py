@@ -35,7 +35,7 @@ from flying_vines.vehicle.component.texts import (
     Texts,
 )
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind
 from flying_vines.vehicle.notice import Notice, Severity
 from flying_vines.vehicle.state import VehicleState
 

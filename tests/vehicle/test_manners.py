@@ -15,7 +15,7 @@ import flying_vines
 from examples import examples
 from flying_vines.config import config
 from flying_vines.vehicle.component import Component
-from flying_vines.vehicle.component.duplicate_id import REPORT_AGAIN_S, WITHIN_S, DuplicateIdDetector
+from flying_vines.vehicle.component.component import REPORT_AGAIN_S, WITHIN_S, DuplicateIdDetector
 from flying_vines.vehicle.component.parameter_table import SETTINGS
 from flying_vines.vehicle.component.texts import MAX_TEXT_LENGTH, harmless
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage

@@ -14,17 +14,16 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from examples import examples
 from flying_vines.config.config import ITEM_COMMANDS
-from flying_vines.vehicle.autopilots.ardupilot_mission import (
+from flying_vines.vehicle.autopilots.ardupilot import (
     ASK_AGAIN_S,
     GIVE_UP_S,
     WAIT_FOR_TEXT_S,
     ArduPilotWatch,
 )
-from flying_vines.vehicle.autopilots.px4_mission import Px4Watch
+from flying_vines.vehicle.autopilots.px4 import Px4Watch
 from flying_vines.vehicle.clock import BACKLOG_S, LATE_S, AutopilotClock
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
-from flying_vines.vehicle.mission.execution import Execution
-from flying_vines.vehicle.mission.item import MissionItem
+from flying_vines.vehicle.mission.item import Execution, MissionItem
 from flying_vines.vehicle.mission.mission_cache import MAX_ITEMS, MissionCache
 
 WP, TAKEOFF, LAND, DELAY, SCRIPT, GRIPPER, WINCH = 16, 22, 21, 93, 217, 211, 42600

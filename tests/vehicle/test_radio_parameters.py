@@ -7,8 +7,8 @@ from param_value import param_value
 
 from flying_vines.vehicle.autopilots import AUTOPILOTS, OTHER
 from flying_vines.vehicle.autopilots.autopilot import Autopilot
-from flying_vines.vehicle.mission.storage import AutopilotKind
-from flying_vines.vehicle.radio.radio_parameters import MAX_ATTEMPTS, RadioParameters
+from flying_vines.vehicle.mission.item import AutopilotKind
+from flying_vines.vehicle.radio.rc import MAX_ATTEMPTS, RadioParameters
 
 ARDUPILOT = AUTOPILOTS["ardupilot"]
 

@@ -13,11 +13,15 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from flying_vines.vehicle.component.identity import ProtocolVersion, autopilot_version, packed_version
-from flying_vines.vehicle.component.requests import Requests
+from flying_vines.vehicle.clock import Timesync
+from flying_vines.vehicle.component.requests import (
+    ProtocolVersion,
+    Requests,
+    autopilot_version,
+    packed_version,
+)
 from flying_vines.vehicle.component.senders import Sender
 from flying_vines.vehicle.component.telemetry import Heartbeat, NamedValues
-from flying_vines.vehicle.component.timesync import Timesync
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
 
 ACCEPTED, DENIED, UNSUPPORTED = 0, 2, 3

@@ -11,8 +11,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from examples import examples
-from flying_vines.vehicle.mavlink.signing import UNITS_PER_S, UNIX_TIME_OF_ZERO_S, Signing, SigningMemory
-from flying_vines.vehicle.mavlink.signing_key import SigningKeyError, TimestampFile, read_key
+from flying_vines.vehicle.mavlink.signing import (
+    UNITS_PER_S,
+    UNIX_TIME_OF_ZERO_S,
+    Signing,
+    SigningKeyError,
+    SigningMemory,
+    TimestampFile,
+    read_key,
+)
 
 KEY = bytes(range(32))
 

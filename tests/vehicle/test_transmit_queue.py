@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from examples import examples
-from flying_vines.vehicle.component.command_ack import acknowledgement
-from flying_vines.vehicle.component.identity import autopilot_version
-from flying_vines.vehicle.component.transmit_queue import MAX_WAITING, TransmitQueue
+from flying_vines.vehicle.component.requests import autopilot_version
+from flying_vines.vehicle.component.transmit_queue import MAX_WAITING, TransmitQueue, acknowledgement
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 
 TICK_S = 0.02

@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 from flying_vines.identification.importing.answers_file import Answers
 from flying_vines.identification.noise import MIN_KPA, measured_noise, rounded_noise, rounding_step
 from flying_vines.physics.arrays import Array
-from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.gas import ALPHA_KPA
 from flying_vines.physics.rig import Pump, rig_from
 
 PRESSURES = {"cv_pressure": "cv", "reservoir_pressure": "reservoir"}

@@ -35,7 +35,7 @@ from flying_vines.identification.importing.units import parse_unit, psi_instead
 from flying_vines.identification.noise import is_spike
 from flying_vines.identification.recording import CaseError, counted, has_header
 from flying_vines.physics.arrays import Array
-from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
+from flying_vines.physics.gas import STANDARD_PRESSURE_KPA
 
 _CASE_COLUMNS = {
     "time": "time_s",

@@ -12,7 +12,7 @@ import numpy as np
 from flying_vines.identification.noise import without_spikes
 from flying_vines.identification.recording import CaseError
 from flying_vines.physics.arrays import Array
-from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
+from flying_vines.physics.gas import STANDARD_PRESSURE_KPA
 from flying_vines.physics.plant.flow import Iso6358, flow_SL_per_s
 
 Quantity = Literal["time", "pressure", "opening", "temperature", "volume", "raw"]

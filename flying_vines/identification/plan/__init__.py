@@ -39,8 +39,8 @@ from flying_vines.identification.search import Progress, silent
 from flying_vines.identification.verdict import NONE
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, Values
-from flying_vines.physics.constants import ALPHA_KPA
 from flying_vines.physics.effects import causes_of
+from flying_vines.physics.gas import ALPHA_KPA
 from flying_vines.physics.rig import Rig
 from flying_vines.simulation.scenario.scenario import RunKind, Scenario
 

@@ -31,7 +31,7 @@ from flying_vines.identification.plan.library import nominal_run
 from flying_vines.identification.plan.traces import CandidatePart, Layout
 from flying_vines.identification.simulate import Simulation
 from flying_vines.physics.arrays import Array
-from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.gas import ALPHA_KPA
 
 SETTLED = 25.0
 """Δχ² from which two causes count as separated: five standard deviations, as for a claim of the diagnosis."""

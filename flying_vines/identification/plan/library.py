@@ -22,7 +22,7 @@ import numpy as np
 from flying_vines.identification.recording import RecordedRun
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.compiler import compiled, record
-from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.gas import ALPHA_KPA
 from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.compiled import floats_of
 from flying_vines.physics.plant.loops import NOT_INLINED

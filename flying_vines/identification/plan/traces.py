@@ -34,7 +34,7 @@ from flying_vines.identification.recording import RecordedRun
 from flying_vines.identification.simulate import Simulation, prior_std, rig_number_keys
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, Parameter, Values
-from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.gas import ALPHA_KPA
 from flying_vines.physics.rig import Rig, number
 from flying_vines.simulation.scenario.scenario import RunKind
 

@@ -12,8 +12,7 @@ from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules
 
-from flying_vines.physics.cause import Cause, CauseError
-from flying_vines.physics.own_causes import installed_causes
+from flying_vines.physics.cause import Cause, CauseError, installed_causes
 from flying_vines.physics.plant.plant import Setup, perfect
 from flying_vines.physics.rig import Rig
 

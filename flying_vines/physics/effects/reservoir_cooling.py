@@ -11,7 +11,7 @@ from functools import partial
 
 from flying_vines.physics.cause import Cause, Parameter
 from flying_vines.physics.plant.plant import Setup
-from flying_vines.physics.plant.wall import Wall
+from flying_vines.physics.plant.volume import Wall
 
 
 def apply(base: Setup, time_constant_s: float) -> Setup:

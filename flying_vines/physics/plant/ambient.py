@@ -9,7 +9,7 @@ from bisect import bisect_right
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from flying_vines.physics.constants import STANDARD_PRESSURE_KPA, STANDARD_TEMPERATURE_K
+from flying_vines.physics.gas import STANDARD_PRESSURE_KPA, STANDARD_TEMPERATURE_K
 
 
 class Air(NamedTuple):

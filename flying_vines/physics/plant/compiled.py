@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from flying_vines.physics.baseline import Inputs
 from flying_vines.physics.compiler import compiled, record
-from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
+from flying_vines.physics.gas import STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import HIGHEST_KPA, LOWEST_KPA, Ambient, Climb, Recorded, Steady
 from flying_vines.physics.plant.loops import COLUMNS, NOT_INLINED, Table, run_openings
 from flying_vines.physics.plant.numbers import numbers_of

@@ -22,8 +22,7 @@ from flying_vines.physics.plant.valve_response import (
     ValveMotion,
 )
 from flying_vines.physics.plant.venturi import COVAL_VR09, Ejector
-from flying_vines.physics.plant.volume import Pouch, Shape
-from flying_vines.physics.plant.wall import PET_BOTTLE_2L, Wall
+from flying_vines.physics.plant.volume import PET_BOTTLE_2L, Pouch, Shape, Wall
 from flying_vines.physics.rig import Hose
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from math import exp
 
-from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.gas import ALPHA_KPA
 from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.numbers import PlantNumbers
 from flying_vines.physics.plant.plant import Held

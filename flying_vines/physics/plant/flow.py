@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from math import sqrt
 from typing import NamedTuple
 
-from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
-from flying_vines.physics.gas import AIR, GasProperties, sonic_conductance_ratio
+from flying_vines.physics.gas import AIR, STANDARD_PRESSURE_KPA, GasProperties, sonic_conductance_ratio
 from flying_vines.physics.rig import Pump
 
 

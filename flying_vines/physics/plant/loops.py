@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
+from flying_vines.physics.gas import STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air, air_between
 from flying_vines.physics.plant.numbers import PlantNumbers
 from flying_vines.physics.plant.plant import Conditions

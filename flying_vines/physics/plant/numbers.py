@@ -8,15 +8,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
-from flying_vines.physics.gas import GasProperties
+from flying_vines.physics.gas import ALPHA_KPA, STANDARD_TEMPERATURE_K, GasProperties
 from flying_vines.physics.plant.flow import FlowLaw, Ohm, Opening, pump_law
 from flying_vines.physics.plant.leak import TOP_KPA, Leak, leak_of
 from flying_vines.physics.plant.plant import Plant
 from flying_vines.physics.plant.valve_response import Coil, ValveMotion, ticks
 from flying_vines.physics.plant.venturi import Ejector, Suction
-from flying_vines.physics.plant.volume import Chamber
-from flying_vines.physics.plant.wall import Heat
+from flying_vines.physics.plant.volume import Chamber, Heat
 
 
 class ValveNumbers(NamedTuple):

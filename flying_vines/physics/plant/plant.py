@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
 
-from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
+from flying_vines.physics.gas import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Ambient, Steady
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.sensors import Sensor

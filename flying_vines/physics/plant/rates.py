@@ -16,15 +16,14 @@ These are plain functions over tuples of numbers, so that `compiled` can compile
 
 from __future__ import annotations
 
-from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
+from flying_vines.physics.gas import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.flow import flow_SL_per_s
 from flying_vines.physics.plant.leak import leak_SL_per_s
 from flying_vines.physics.plant.numbers import PlantNumbers
 from flying_vines.physics.plant.plant import Conditions, Held
 from flying_vines.physics.plant.venturi import outlet_SL_per_s, supply
-from flying_vines.physics.plant.volume import pressure_and_volume
-from flying_vines.physics.plant.wall import heat_kPa_L_per_s, wall_K_per_s
+from flying_vines.physics.plant.volume import heat_kPa_L_per_s, pressure_and_volume, wall_K_per_s
 
 Floats = tuple[float, ...]
 """The numbers of a state, without names."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 
 from flying_vines.physics.baseline import Inputs
-from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
+from flying_vines.physics.gas import STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Steady, air_at, air_between
 from flying_vines.physics.plant.numbers import PlantNumbers, numbers_of
 from flying_vines.physics.plant.plant import Conditions, Held, Plant, State, at_rest

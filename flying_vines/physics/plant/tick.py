@@ -10,7 +10,7 @@ from __future__ import annotations
 from math import ceil
 from typing import NamedTuple
 
-from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
+from flying_vines.physics.gas import STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import Air
 from flying_vines.physics.plant.numbers import PlantNumbers, ValveNumbers
 from flying_vines.physics.plant.plant import Held

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import exp, expm1
 
-from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
+from flying_vines.physics.gas import STANDARD_TEMPERATURE_K
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,6 @@ It behaves as real autopilots did in recordings, including their quirks. Its tes
 
 from flying_vines.simulation.autopilot.autopilot import FakeAutopilot
 from flying_vines.simulation.autopilot.rc_input import RcLoss, RcSource
-from flying_vines.vehicle.mission.storage import AutopilotKind, MissionRefused
+from flying_vines.vehicle.mission.item import AutopilotKind, MissionRefused
 
 __all__ = ["AutopilotKind", "FakeAutopilot", "MissionRefused", "RcLoss", "RcSource"]

@@ -13,7 +13,7 @@ from flying_vines.simulation.autopilot.flight import FlightMode, mode_named, mod
 from flying_vines.simulation.autopilot.links import Port
 from flying_vines.simulation.autopilot.parameters import answer_file_request
 from flying_vines.vehicle.mission import item as mission_item
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind
 
 _NO_SPACE_S = 0.5
 _FASTEST_STREAM_S = 0.0025

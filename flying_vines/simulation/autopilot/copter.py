@@ -34,8 +34,7 @@ from flying_vines.simulation.autopilot.rc_input import (
 )
 from flying_vines.simulation.autopilot.scheduler import ScheduledCallback, Scheduler
 from flying_vines.vehicle.mission import item as mission_item
-from flying_vines.vehicle.mission.item import MissionItem
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind, MissionItem
 from missions.home import SIMULATOR_HOME, Home
 
 _TICK_S = 0.02

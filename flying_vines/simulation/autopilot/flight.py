@@ -18,9 +18,9 @@ from flying_vines.vehicle.mission.item import (
     TAKEOFF,
     VTOL_LAND,
     VTOL_TAKEOFF,
+    AutopilotKind,
     MissionItem,
 )
-from flying_vines.vehicle.mission.storage import AutopilotKind
 from missions.home import (
     CRUISE_M_S,
     FLARE_HEIGHT_M,

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.simulation.autopilot.scheduler import ScheduledCallback, Scheduler
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind
 
 COMPANION, GCS, USB = "companion", "gcs", "usb"
 """Names of links."""

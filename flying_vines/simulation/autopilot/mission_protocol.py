@@ -14,9 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from flying_vines.simulation.autopilot.scheduler import ScheduledCallback, Scheduler
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.autopilots.ardupilot import whole_centimetres
-from flying_vines.vehicle.mission.item import MissionItem, has_place
-from flying_vines.vehicle.mission.mission_cache import item_of
-from flying_vines.vehicle.mission.storage import (
+from flying_vines.vehicle.mission.item import (
     ACCEPTED,
     CANCELLED,
     CAPACITY,
@@ -25,8 +23,11 @@ from flying_vines.vehicle.mission.storage import (
     INVALID_SEQUENCE,
     NO_SPACE,
     AutopilotKind,
+    MissionItem,
     MissionRefused,
+    has_place,
 )
+from flying_vines.vehicle.mission.mission_cache import item_of
 from missions.home import Home
 
 _REQUEST_AGAIN_S = 1.0

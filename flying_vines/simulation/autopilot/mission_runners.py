@@ -20,13 +20,14 @@ from flying_vines.vehicle.mission.item import (
     CONDITION_DISTANCE,
     CONDITION_YAW,
     DELAY,
+    JUMP,
     LAND,
     RETURN,
+    Jumps,
     MissionItem,
+    Params,
     is_nav,
 )
-from flying_vines.vehicle.mission.jumps import JUMP, Jumps
-from flying_vines.vehicle.mission.storage import Params
 
 _NO_MISSION, _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE = 1, 2, 3, 4, 5
 

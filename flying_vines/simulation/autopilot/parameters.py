@@ -15,7 +15,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.simulation.autopilot.scheduler import ScheduledCallback, Scheduler
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind
 
 _HASH_CHECK = "_HASH_CHECK"
 _NO_INDEX = 65535

@@ -15,7 +15,7 @@ from flying_vines.simulation.autopilot.links import COMPANION, Port, PortStream
 from flying_vines.simulation.autopilot.mission_runners import MissionStatus
 from flying_vines.simulation.autopilot.rc_input import RcInput
 from flying_vines.simulation.autopilot.scheduler import Scheduler
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind
 from missions.home import CRUISE_M_S, Home
 
 HEARTBEAT, SYS_STATUS, SYSTEM_TIME, GPS_RAW_INT, ATTITUDE, GLOBAL_POSITION_INT = 0, 1, 2, 24, 30, 33

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flying_vines.physics.compiler import compiled, external, record
-from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
+from flying_vines.physics.gas import STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.ambient import air_between
 from flying_vines.physics.plant.compiled import (
     CompiledRun,

@@ -11,7 +11,7 @@ from dataclasses import MISSING, dataclass, fields
 from math import inf, isfinite, pi
 from typing import Any, NamedTuple
 
-from flying_vines.physics.constants import ALPHA_KPA, STANDARD_PRESSURE_KPA
+from flying_vines.physics.gas import ALPHA_KPA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.plant.flow import Iso6358, Ohm, Opening, flow_SL_per_s
 from flying_vines.physics.plant.leak import Leak
 from flying_vines.physics.plant.numbers import PlantNumbers, ValveNumbers

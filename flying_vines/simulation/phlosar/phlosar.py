@@ -18,7 +18,7 @@ from pathlib import Path
 from time import monotonic
 
 from flying_vines.physics.baseline import Inputs
-from flying_vines.physics.constants import ALPHA_KPA, STANDARD_TEMPERATURE_K
+from flying_vines.physics.gas import ALPHA_KPA, STANDARD_TEMPERATURE_K
 from flying_vines.physics.plant.effects import Effects
 from flying_vines.physics.plant.numbers import PlantNumbers
 from flying_vines.physics.plant.plant import Conditions, State, at_rest

@@ -20,7 +20,7 @@ import numpy as np
 
 from flying_vines.physics.arrays import Array, BoolArray
 from flying_vines.physics.baseline import Inputs
-from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.gas import ALPHA_KPA
 from flying_vines.physics.plant.plant import Conditions, Setup, at_rest
 from flying_vines.physics.plant.sensors import read, rested
 from flying_vines.physics.plant.simulator import TICK_S, Simulator

@@ -12,7 +12,7 @@ from msgspec import Meta
 from flying_vines.config.config import ConfigError
 from flying_vines.files.toml_text import converted, read_text
 from flying_vines.physics import paper
-from flying_vines.physics.constants import STANDARD_PRESSURE_KPA
+from flying_vines.physics.gas import STANDARD_PRESSURE_KPA
 
 # The bounds keep every result finite.
 PositiveFloat = Annotated[float, Meta(ge=1e-6, le=1e6)]

@@ -10,7 +10,7 @@ import numpy as np
 from flying_vines.physics import paper
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.baseline import Inputs
-from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.gas import ALPHA_KPA
 from flying_vines.physics.plant.compiled import replay
 from flying_vines.physics.plant.flow import Iso6358
 from flying_vines.physics.plant.plant import Plant, at_rest

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from flying_vines.physics import paper
-from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.gas import ALPHA_KPA
 from flying_vines.studies.paper.compare import (
     BAND,
     HIGH_RESISTANCE,

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from flying_vines.config.config import ChecksConfig
-from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.gas import ALPHA_KPA
 from flying_vines.physics.plant.flow import Opening
-from flying_vines.physics.plant.wall import Wall
+from flying_vines.physics.plant.volume import Wall
 from flying_vines.supply import Features, RigPrior
 from flying_vines.supply.air_use import driving_kPa
 from flying_vines.supply.rig_prior import AMBIENT_KPA, MIN_RISE_SHARE, conductance_SL_per_s_kPa

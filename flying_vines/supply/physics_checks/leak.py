@@ -6,7 +6,7 @@ reservoir shows a leak: its pressure falls faster while the vine is held than wh
 
 from __future__ import annotations
 
-from flying_vines.physics.constants import ALPHA_KPA
+from flying_vines.physics.gas import ALPHA_KPA
 from flying_vines.supply.physics_checks.expected import Expected
 from flying_vines.supply.telemetry_features import Features
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from flying_vines.physics.constants import GAMMA
+from flying_vines.physics.gas import GAMMA
 from flying_vines.supply.physics_checks.expected import Expected
 from flying_vines.supply.telemetry_features import Features
 

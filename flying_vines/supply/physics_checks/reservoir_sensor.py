@@ -13,8 +13,8 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
-from flying_vines.physics.constants import GAMMA, STANDARD_TEMPERATURE_K
-from flying_vines.physics.plant.wall import COOLING_K, heat_capacity_J_per_K
+from flying_vines.physics.gas import GAMMA, STANDARD_TEMPERATURE_K
+from flying_vines.physics.plant.volume import COOLING_K, heat_capacity_J_per_K
 from flying_vines.supply.physics_checks.expected import Expected
 from flying_vines.supply.reservoir_filter import MAX_WARMTH
 from flying_vines.supply.rig_prior import AMBIENT_KPA

@@ -5,7 +5,7 @@ from __future__ import annotations
 from flying_vines.vehicle.autopilots.ardupilot import ArduPilot
 from flying_vines.vehicle.autopilots.autopilot import Autopilot
 from flying_vines.vehicle.autopilots.px4 import Px4
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind
 
 AUTOPILOTS: dict[AutopilotKind, Autopilot] = {"ardupilot": ArduPilot(), "px4": Px4()}
 OTHER = Autopilot()

@@ -13,8 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.clock import AutopilotClock
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mission.execution import Execution
-from flying_vines.vehicle.mission.item import MissionItem, is_nav
+from flying_vines.vehicle.mission.item import Execution, MissionItem, is_nav
 from flying_vines.vehicle.mission.mission_cache import MissionCache
 
 LOSS_SHOWN_WITHIN_S = 2.0

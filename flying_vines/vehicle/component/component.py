@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config.config import Config
-from flying_vines.vehicle.component.duplicate_id import DuplicateIdDetector
 from flying_vines.vehicle.component.parameters import ParameterOutput, Parameters
 from flying_vines.vehicle.component.requests import Requests
 from flying_vines.vehicle.component.senders import Sender, Senders
@@ -128,3 +129,32 @@ class Component:
     def leaving(self, t: float) -> list[MavlinkMessage]:
         """The queued messages that may leave now."""
         return self._queue.due(t)
+
+
+MIN_MESSAGES = 2
+WITHIN_S = 5.0
+REPORT_AGAIN_S = 60.0
+
+
+class DuplicateIdDetector:
+    """Detects another program with our system and component id: their messages repeat.
+
+    Ground stations and autopilots cannot distinguish the two programs, and send commands to both. 191 is the
+    usual component id of companion computers. (If a router sends our own frames back, the codec drops them.)
+    """
+
+    def __init__(self, component_id: int) -> None:
+        self._component_id = component_id
+        self._received_at: deque[float] = deque(maxlen=MIN_MESSAGES)
+        self._reported_at = -math.inf
+
+    def received(self, t: float) -> list[Notice]:
+        """A message from our own address that we did not send."""
+        self._received_at.append(t)
+        if len(self._received_at) < MIN_MESSAGES or t - self._received_at[0] > WITHIN_S:
+            return []
+        if t - self._reported_at < REPORT_AGAIN_S:
+            return []
+        self._reported_at = t
+        text = f"Vine: another program has component id {self._component_id}: set vehicle.component_id"
+        return [Notice(t, Severity.ERROR, text)]

@@ -8,8 +8,7 @@ from collections.abc import Mapping, Sequence
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
-from flying_vines.vehicle.mission.execution import same_numbers
-from flying_vines.vehicle.mission.item import MissionItem, has_place, is_nav
+from flying_vines.vehicle.mission.item import MissionItem, has_place, is_nav, same_numbers
 
 RETRY_S = 0.8
 MAX_ATTEMPTS = 6

@@ -13,8 +13,7 @@ from flying_vines.config.config import Config
 from flying_vines.vehicle.autopilots.autopilot import Autopilot
 from flying_vines.vehicle.mavlink.codec import MavlinkMessage
 from flying_vines.vehicle.notice import Notice, Severity
-from flying_vines.vehicle.radio.radio_parameters import RadioParameters
-from flying_vines.vehicle.radio.rc import RadioLink
+from flying_vines.vehicle.radio.rc import RadioLink, RadioParameters
 from flying_vines.vehicle.radio.switch import MovedUnseen, SwitchMove, SwitchReader
 from flying_vines.vehicle.triggers import Rules, Trigger
 
