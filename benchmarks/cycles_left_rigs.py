@@ -16,8 +16,7 @@ from flying_vines.physics.plant.flow import Iso6358, Ohm
 from flying_vines.physics.plant.plant import Plant
 from flying_vines.physics.plant.sensors import HONEYWELL_15BAR, HONEYWELL_30PSI, Adc, Sensor
 from flying_vines.physics.plant.valve_response import SolenoidTiming, ValveMotion
-from flying_vines.physics.plant.volume import Compliant, Pouch, Shape
-from flying_vines.physics.plant.wall import Wall
+from flying_vines.physics.plant.volume import Compliant, Pouch, Shape, Wall
 from flying_vines.physics.rig import ControlVolume, Hose, Reservoir, Rig
 from flying_vines.simulation.phlosar.firmware import Tuning
 

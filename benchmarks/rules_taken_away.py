@@ -85,7 +85,10 @@ MODULES = (
     Module("flying_vines/core/request_lines.py", ("tests/core/test_request_lines.py",)),
     Module(
         "flying_vines/core/instability.py",
-        ("tests/core/test_instability.py", "tests/core/test_known.py", "tests/core/test_core_board.py"),
+        (
+            *("tests/core/test_instability.py", "tests/core/test_known.py", "tests/core/test_core_board.py"),
+            "tests/core/test_core_link_loss.py",
+        ),
     ),
     Module("flying_vines/vehicle/component/texts.py", ("tests/vehicle/test_component.py",), ("say", "due")),
     Module(
@@ -136,11 +139,10 @@ MODULES = (
         ("tests/vehicle/test_requests.py", "tests/core/test_core_senders.py"),
         ("period_s",),
     ),
-    Module("flying_vines/vehicle/arm_state.py", ("tests/vehicle/test_arm_state.py",)),
     Module(
         "flying_vines/vehicle/state.py",
-        ("tests/vehicle/test_state.py", "tests/core/test_core_spoofed.py"),
-        ("altitude_m", "_note_altitude"),
+        ("tests/vehicle/test_arm_state.py", "tests/vehicle/test_state.py", "tests/core/test_core_spoofed.py"),
+        ("altitude_m", "_note_altitude", "stamp", "handle", "armed_s", "in_conflict"),
     ),
     Module(
         "flying_vines/config/config.py",
@@ -152,6 +154,7 @@ MODULES = (
         "flying_vines/vehicle/clock.py",
         (
             "tests/vehicle/test_clock.py",
+            "tests/vehicle/test_requests.py",
             "tests/core/test_core_late.py",
             "tests/fault_catalogue/test_radio_truth.py",
         ),

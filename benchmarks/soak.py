@@ -50,7 +50,7 @@ from flying_vines.simulation.autopilot_server import COMPONENT_ID, SYSTEM_ID, Au
 from flying_vines.simulation.phlosar.phlosar import PtyPhlosar, SimulatedPhlosar
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind
 
 HOUR_S = 3600.0
 REAL_TIME_SAMPLES_S = 300.0

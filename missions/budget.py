@@ -14,7 +14,7 @@ from typing import NamedTuple
 from flying_vines.config.config import Config
 from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.safety import Ruling, Safety, SafetyInputs
-from flying_vines.physics.constants import STANDARD_TEMPERATURE_K
+from flying_vines.physics.gas import STANDARD_TEMPERATURE_K
 from flying_vines.supply import CyclesLeft, ReservoirEstimate, RigPrior
 from flying_vines.supply.air_use import BLOCK_S, FLAT_KPA
 from flying_vines.supply.cycles_left import READING_SD_KPA, Z90

@@ -14,13 +14,14 @@ from flying_vines.vehicle.mission.item import (
     DELAY,
     GLOBAL_FRAME,
     LAND,
+    MISSION_FRAME,
     RETURN,
     SPEED,
     TAKEOFF,
     WAYPOINT,
+    AutopilotKind,
     MissionItem,
 )
-from flying_vines.vehicle.mission.storage import MISSION_FRAME, AutopilotKind
 from flying_vines.vine.intent import BendTo, Intent, StartProfile
 from missions.home import Home
 from missions.item_for_intent import item_for_intent, suggestion

@@ -14,32 +14,31 @@ from typing import Literal
 
 from flying_vines.config.config import Config
 from flying_vines.vehicle.autopilots import AUTOPILOTS
-from flying_vines.vehicle.mission.execution import same_numbers
 from flying_vines.vehicle.mission.item import (
     ABOVE_HOME_FRAME,
+    CAPACITY,
     CONDITION_DELAY,
     CONDITION_DISTANCE,
     CONDITION_YAW,
     DELAY,
+    FOR_EVER,
+    INVALID_PARAM1,
+    JUMP,
     LAND,
     LOITER_UNLIMITED,
+    MISSION_FRAME,
     RETURN,
     SPEED,
     TAKEOFF,
+    UNSUPPORTED_FRAME,
     VTOL_LAND,
     VTOL_TAKEOFF,
     WAYPOINT,
-    MissionItem,
-    has_place,
-)
-from flying_vines.vehicle.mission.jumps import FOR_EVER, JUMP
-from flying_vines.vehicle.mission.storage import (
-    CAPACITY,
-    INVALID_PARAM1,
-    MISSION_FRAME,
-    UNSUPPORTED_FRAME,
     AutopilotKind,
+    MissionItem,
     MissionRefused,
+    has_place,
+    same_numbers,
 )
 from flying_vines.vehicle.triggers import Rules
 from flying_vines.vine.intent import BendTo

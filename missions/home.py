@@ -11,8 +11,14 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from flying_vines.vehicle.autopilots import AUTOPILOTS
-from flying_vines.vehicle.mission.item import GLOBAL_FRAMES, TAKEOFF, WAYPOINT, MissionItem, has_place
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import (
+    GLOBAL_FRAMES,
+    TAKEOFF,
+    WAYPOINT,
+    AutopilotKind,
+    MissionItem,
+    has_place,
+)
 
 CRUISE_M_S = 5.0
 VERTICAL_M_S = 2.5

@@ -11,8 +11,16 @@ from dataclasses import replace
 
 from flying_vines.config.config import ITEM_COMMANDS, Config, ItemConfig, param_index
 from flying_vines.vehicle.autopilots import AUTOPILOTS
-from flying_vines.vehicle.mission.item import MissionItem, has_place, is_nav
-from flying_vines.vehicle.mission.storage import MISSION_FRAME, AutopilotKind, MissionRefused, Params, f32
+from flying_vines.vehicle.mission.item import (
+    MISSION_FRAME,
+    AutopilotKind,
+    MissionItem,
+    MissionRefused,
+    Params,
+    f32,
+    has_place,
+    is_nav,
+)
 from flying_vines.vehicle.triggers import NAME_OF_COMMAND, Rules
 from flying_vines.vine.intent import BendTo, Intent, StartProfile
 

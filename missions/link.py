@@ -16,8 +16,7 @@ from firmware_link.find import BoardNotFoundError, UsbBoard
 from flying_vines.config.address import DEFAULT_BAUD, SerialAddress, parse_address
 from flying_vines.files.extras import install_command
 from flying_vines.vehicle.autopilots import AUTOPILOTS
-from flying_vines.vehicle.mission.item import MissionItem, has_place
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind, MissionItem, has_place
 
 FOUND_WITHIN_S = 10.0
 HEARTBEAT_WITHIN_S = 3.0

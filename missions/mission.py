@@ -9,7 +9,7 @@ import msgspec
 from msgspec import Meta
 
 from flying_vines.files.toml_text import converted, one_line, read_text
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import AutopilotKind
 from missions.home import SIMULATOR_HOME, Home
 
 Height = Annotated[float, Meta(gt=0, le=1000)]

@@ -20,9 +20,16 @@ from msgspec import Meta
 from flying_vines.files.bounded import MB
 from flying_vines.files.toml_text import OneLineError, dotted, explained, read_text
 from flying_vines.vehicle.autopilots import AUTOPILOTS
-from flying_vines.vehicle.mission.item import GLOBAL_FRAME, MAX_NUMBER, WAYPOINT, MissionItem, has_place
-from flying_vines.vehicle.mission.jumps import JUMP
-from flying_vines.vehicle.mission.storage import MISSION_FRAME, AutopilotKind
+from flying_vines.vehicle.mission.item import (
+    GLOBAL_FRAME,
+    JUMP,
+    MAX_NUMBER,
+    MISSION_FRAME,
+    WAYPOINT,
+    AutopilotKind,
+    MissionItem,
+    has_place,
+)
 from missions.home import CRUISE_M_S, Home, home_of
 
 PLAN_BYTES = 8 * MB

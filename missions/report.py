@@ -14,8 +14,7 @@ from flying_vines.config.config import Config
 from flying_vines.core.events import Decision
 from flying_vines.supply import RigPrior
 from flying_vines.vehicle.autopilots import AUTOPILOTS
-from flying_vines.vehicle.mission.item import DELAY, SPEED, WAYPOINT, MissionItem
-from flying_vines.vehicle.mission.storage import AutopilotKind
+from flying_vines.vehicle.mission.item import DELAY, SPEED, WAYPOINT, AutopilotKind, MissionItem
 from missions.budget import AirBudget, PlannedBend, Range, budget
 from missions.checks import CheckedMission, MissionFinding, check, name_of
 from missions.home import Home

@@ -15,7 +15,9 @@ from dataclasses import dataclass
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import (
     DELAY,
+    FOR_EVER,
     GLOBAL_FRAMES,
+    JUMP,
     LAND,
     LOITER_TIME,
     LOITER_TURNS,
@@ -28,11 +30,11 @@ from flying_vines.vehicle.mission.item import (
     VTOL_LAND,
     VTOL_TAKEOFF,
     WAYPOINT,
+    AutopilotKind,
+    Jumps,
     MissionItem,
     has_place,
 )
-from flying_vines.vehicle.mission.jumps import FOR_EVER, JUMP, Jumps
-from flying_vines.vehicle.mission.storage import AutopilotKind
 from missions.home import CRUISE_M_S, FLARE_HEIGHT_M, TOUCHDOWN_M_S, VERTICAL_M_S, Home
 
 MAX_STEPS = 1000

@@ -11,8 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from flying_vines.vehicle.autopilots import AUTOPILOTS
-from flying_vines.vehicle.mission.item import LAND, RETURN, MissionItem
-from flying_vines.vehicle.mission.storage import AutopilotKind, MissionRefused
+from flying_vines.vehicle.mission.item import LAND, RETURN, AutopilotKind, MissionItem, MissionRefused
 from missions.checks import name_of
 from missions.files import load_items
 from missions.home import home_fits

@@ -319,7 +319,6 @@ def test_the_command_on_a_rig_without_control_volume(
     [
         (["--plan", "{rig}", "--minutes", "nan"], "minutes"),
         (["--plan", "{rig}", "--air-SL", "-1"], "air_SL"),
-        (["--plan", "{rig}", "--most-kPa", "500"], "most_kPa"),
         (["--plan", "{rig}.nowhere"], "nowhere"),
         (["--plan"], "CASE"),
         (["--plan", "{rig}", "--rig", "{rig}"], "--rig"),

@@ -247,7 +247,7 @@ _FILE = re.compile(r"\d{15}(?: \d{3})?\n(?:\d{3} \d{3} \d{3} \d{15}\n)*")
 """First line: our timestamp and link id. Then each stream's link id, system, component and last timestamp.
 Earlier versions saved only the first number. All numbers have a fixed length, so that a cut file is
 detected."""
-_MAX_TIMESTAMP = 2**48 - 1 - AHEAD_AFTER_RESTART
+_MAX_SAVED = 2**48 - 1 - AHEAD_AFTER_RESTART
 
 
 class SigningKeyError(Exception):
@@ -300,7 +300,7 @@ class TimestampFile:
             return SigningMemory(), self._clock_alone("damaged")
         (timestamp, *link_id), *lines = (tuple(map(int, line.split())) for line in text.splitlines())
         streams = tuple(((link, system, component), at) for link, system, component, at in lines)
-        if max(timestamp, *(at for _, at in streams), 0) > _MAX_TIMESTAMP:
+        if max(timestamp, *(at for _, at in streams), 0) > _MAX_SAVED:
             return SigningMemory(), self._clock_alone("damaged")
         return SigningMemory(timestamp + AHEAD_AFTER_RESTART, link_id[0] if link_id else None, streams), ""
 
