@@ -136,7 +136,7 @@ def _effects(dice: random.Random, shape: Shape | None, reservoir_L: float, cv_L:
     """The effects of a real rig, each with random numbers."""
     likely = likely_effects()
     size = (reservoir_L / 2.0) ** (2.0 / 3.0)
-    bottle = Wall(
+    reservoir = Wall(
         conductance_W_per_K=size * dice.uniform(0.6, 1.5),
         capacity_J_per_K=size * dice.uniform(45.0, 84.0),
         outer_conductance_W_per_K=size * dice.uniform(0.5, 2.0),
@@ -151,7 +151,7 @@ def _effects(dice: random.Random, shape: Shape | None, reservoir_L: float, cv_L:
         evp_law=_valve(dice, EVP, 0.85, 1.15),
         dvp_law=_valve(dice, DVP, 0.85, 1.15),
         solenoid_law=_valve(dice, SOLENOID, 0.6, 2.0),
-        reservoir_wall=bottle,
+        reservoir_wall=reservoir,
         cv_wall=cv_wall,
         evp_motion=_motion(dice, 0.005, 0.020),
         dvp_motion=_motion(dice, 0.010, 0.030),

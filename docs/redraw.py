@@ -132,7 +132,7 @@ def page(folder: Path, browser: Browser) -> None:
         phone.evaluate("document.querySelector('#vent small').remove()")
         phone.wait_for_function("() => Number(document.querySelector('#bend').textContent) > 55")
         phone.screenshot(path=folder / "page-phone.png")
-        flight.wait_for("bottle loss → vent")
+        flight.wait_for("reservoir loss → vent")
         flight.wait_for("refused")
         laptop.wait_for_timeout(500)
         laptop.screenshot(path=folder / "page-desktop.png")
@@ -264,7 +264,7 @@ def doctor(folder: Path, browser: Browser) -> None:
 
 
 PAPER = ("discharge", "inflation", "frequency", "sine", "cycles")
-CALIBRATION = ("levels", "valve", "bottle", "angle")
+CALIBRATION = ("levels", "valve", "reservoir", "angle")
 MEASURED = {
     "leak": "leaking_chambers/Ultimaker_020.csv",
     "plenum": "plenum_discharge/*.csv",

@@ -285,7 +285,7 @@ def _ruled(case: CheckedMission) -> Iterator[MissionFinding]:
         elif ruling.verdict == "limited":
             yield case.warning(item, f"limited {ruling.reason}")
         if bend.doubt:
-            yield case.warning(item, f"may be refused, if the bottle is at its low estimate: {bend.doubt}")
+            yield case.warning(item, f"may be refused, if the reservoir is at its low estimate: {bend.doubt}")
 
 
 def _advice(case: CheckedMission, bend: PlannedBend) -> str:
@@ -293,7 +293,7 @@ def _advice(case: CheckedMission, bend: PlannedBend) -> str:
         return f"; {BEND_LESS}" if isinstance(bend.intent, BendTo) else ""
     if bend.step.height_m < case.config.interlocks.min_altitude_m:
         return "; fly higher there (interlocks.min_altitude_m)"
-    return "; fill the bottle more, or remove earlier bends"
+    return "; fill the reservoir more, or remove earlier bends"
 
 
 def _overtaken(case: CheckedMission) -> Iterator[MissionFinding]:
@@ -325,7 +325,7 @@ def _bent(case: CheckedMission) -> Iterator[MissionFinding]:
 def _reserve(case: CheckedMission) -> Iterator[MissionFinding]:
     for bend in case.budget.bends:
         if bend.low_at_s is not None:
-            low = f"the bottle falls below the reserve {bend.low_at_s:.0f} s after take-off, and safety vents"
+            low = f"the reservoir is below the reserve {bend.low_at_s:.0f} s after take-off, and safety vents"
             yield case.error(bend.step.item, f"{low}; fill it more, or bend less")
 
 

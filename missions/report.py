@@ -30,7 +30,7 @@ _HEADINGS = (
     "height\nm",
     "peak\nkPa",
     "air\nkPa",
-    "bottle\nkPa",
+    "reservoir\nkPa",
     "90 %\nkPa",
     "cycles\nleft",
 )
@@ -214,7 +214,7 @@ def _cells(row: _Row) -> Iterator[str | Text]:
 
 def _summary(budget: AirBudget) -> Text:
     begins, ends = budget.begins, budget.ends
-    text = f"Bottle {begins.expected:.0f} → {ends.expected:.0f} kPa gauge ({ends.low:.0f}…{ends.high:.0f})"
+    text = f"Reservoir {begins.expected:.0f} → {ends.expected:.0f} kPa gauge ({ends.low:.0f}…{ends.high:.0f})"
     cycles = budget.bends[-1].cycles if budget.bends else None
     if cycles is not None:
         text += f"; {cycles.expected:.0f} cycles left ({cycles.low:.0f}…{cycles.high:.0f})"
@@ -222,7 +222,7 @@ def _summary(budget: AirBudget) -> Text:
 
 
 def _flown(flight: FlightResult, differences: Sequence[str]) -> Text:
-    air = f"bottle {flight.begins_kPa:.0f} → {flight.ends_kPa:.0f} kPa"
+    air = f"reservoir {flight.begins_kPa:.0f} → {flight.ends_kPa:.0f} kPa"
     text = f"Flown in simulation: {len(flight.decisions)} vine items in {flight.length_s:.0f} s, {air}"
     text += f"; {flight.speed:.0f} times real time."
     if not differences:
@@ -245,7 +245,7 @@ def _differences(budget: AirBudget, flight: FlightResult) -> Iterator[str]:
     spent = flight.begins_kPa - flight.ends_kPa
     least, most = budget.begins.low - budget.ends.high, budget.begins.high - budget.ends.low
     if not least <= spent <= most:
-        yield f"the bottle lost {spent:.1f} kPa, not {max(0.0, least):.1f}…{most:.1f}"
+        yield f"the reservoir lost {spent:.1f} kPa, not {max(0.0, least):.1f}…{most:.1f}"
     if not flight.landed:
         yield f"the vehicle had not landed after {flight.length_s:.0f} s"
 

@@ -852,7 +852,7 @@ class MonitoredFlight:
         # A stopped companion notices nothing; then the dead-man vents.
         self._watch("telemetry lost", deaf, config.losses.telemetry_s + 0.1 + DEAD_MAN_S)
         low = self.phlosar.reservoir_kPa < config.interlocks.reserve_kPa
-        self._watch("bottle low", low and self.phlosar.mishaps.reservoir_sensor is None, 3.0)
+        self._watch("reservoir low", low and self.phlosar.mishaps.reservoir_sensor is None, 3.0)
         self._note_items()
         self._write_down()
 
@@ -876,7 +876,7 @@ class MonitoredFlight:
             return
         self._moving, self._written_s = moving, self.now_s
         valves = f"EVP {drive.evp:.2f}, DVP {drive.dvp:.0f}, outlet {'open' if drive.solenoid else 'shut'}"
-        pressures = f"vine {self.phlosar.cv_kPa:5.1f} kPa, bottle {self.phlosar.reservoir_kPa:3.0f} kPa"
+        pressures = f"vine {self.phlosar.cv_kPa:5.1f} kPa, reservoir {self.phlosar.reservoir_kPa:3.0f} kPa"
         self.note(f"        {pressures}, {valves}")
 
     def _watch(self, name: str, holds: bool, within_s: float) -> None:

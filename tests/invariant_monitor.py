@@ -35,7 +35,7 @@ AFTER_EXCUSE_S = 1.0
 """Time to recover after an excuse: a vine above the limit must be vented."""
 SURELY_BEYOND = 0.11
 """Share of a sensor's span, on both sides: readings beyond it mean a broken wire."""
-OVER_BY_KPA, BOTTLE_OVER_BY_KPA = 0.5, 3.0
+OVER_BY_KPA, RESERVOIR_OVER_BY_KPA = 0.5, 3.0
 """A reading this far above a limit is above it for the firmware too, in spite of converter and rounding."""
 HELD_WITHIN_KPA = 0.01
 AT_REST_AFTER_S = 0.1
@@ -313,7 +313,7 @@ class InvariantMonitor:
         board = self._rules.firmware
         if (
             cv_kPa > board["cv_limit_kPa"] + OVER_BY_KPA
-            or reservoir_kPa > board["reservoir_limit_kPa"] + BOTTLE_OVER_BY_KPA
+            or reservoir_kPa > board["reservoir_limit_kPa"] + RESERVOIR_OVER_BY_KPA
             or cv_kPa < -SURELY_BEYOND * board["cv_span_kPa"]
             or reservoir_kPa < -SURELY_BEYOND * board["reservoir_span_kPa"]
         ):
@@ -321,7 +321,9 @@ class InvariantMonitor:
             if self._refused_steps >= SURELY_SEEN_STEPS:
                 self._latch("reading")
             if self._refused_steps > SAFE_WITHIN_STEPS and not safe:
-                what = f"vine reads {cv_kPa:.1f} kPa, bottle {reservoir_kPa:.0f} kPa, and the valves are open"
+                what = (
+                    f"vine reads {cv_kPa:.1f} kPa, reservoir {reservoir_kPa:.0f} kPa, and the valves are open"
+                )
                 self._call(t, "firmware's limits", what)
         else:
             self._refused_steps = 0

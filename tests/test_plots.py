@@ -113,11 +113,14 @@ def test_a_long_reason_is_cut_between_words(tmp_path: Path, monkeypatch: pytest.
 
     monkeypatch.setattr(Axes, "text", note)
     said = [snapshot(0.1 * i, 0.0) for i in range(10)]
-    for reason in ("not filling: valve, hose or actuator", "the bottle loses more and more air since then"):
+    for reason in (
+        "not filling: valve, hose or actuator",
+        "the reservoir loses more and more air since then",
+    ):
         said.append(decision(0.5) | {"trigger": "failsafe", "intent": "vent", "reason": reason})
     draw_flight(written(said, tmp_path / "flight.mcap"), tmp_path / "flight.png", "made up")
     assert "failsafe: vent\nnot filling: valve, hose or actuator" in labels
-    assert "failsafe: vent\nthe bottle loses more and more air since …" in labels
+    assert "failsafe: vent\nthe reservoir loses more and more air …" in labels
 
 
 @pytest.mark.parametrize("angle_deg", [-90.0, 0.0, 60.0, 170.0])

@@ -227,9 +227,9 @@ class Calibrator:
     def _run_stage(self, stage: Stage) -> Generator[None]:
         match stage.name:
             case "empty":
-                yield from self._enter("Let all air out of the bottle, leave it open, and press Enter")
+                yield from self._enter("Let all air out of the reservoir, leave it open, and press Enter")
                 yield from self._rest_and_read(stage)
-                yield from self._enter("Close the bottle, fill it, and press Enter")
+                yield from self._enter("Close the reservoir, fill it, and press Enter")
                 self._first_row = len(self._buffer)
             case "zero":
                 yield from self._wait(SETTLE_S)
@@ -315,9 +315,7 @@ class Calibrator:
                 return
             if not self._air_lasts(sum(move.air_kPa for move in stage.again)):
                 self._out.append(
-                    Message(
-                        f"{stage.title}: not precise enough, but the bottle has too little air for a repeat"
-                    )
+                    Message(f"{stage.title}: not precise enough, and the reservoir has no air for a repeat")
                 )
                 return
             self._doing = f"{stage.does}, again"
@@ -426,7 +424,7 @@ class Calibrator:
         if not self._air_lasts(air_kPa):
             assert self._snapshot is not None
             has_kPa, needs_kPa = self._snapshot.reservoir_kPa, self._needed_kPa(air_kPa)
-            raise _Stopped(f"the bottle holds {has_kPa:.0f} kPa, but {needs_kPa:.0f} are needed: fill it")
+            raise _Stopped(f"the reservoir holds {has_kPa:.0f} kPa, but {needs_kPa:.0f} are needed: fill it")
 
     # Ending.
 

@@ -30,7 +30,7 @@ BLOCKS = 10
 MIN_CV_ZERO_KPA = 0.05
 """Smaller zeros are not proposed."""
 MIN_RESERVOIR_ZERO_KPA = 1.0
-UNSTEADY = "the reading changed: do not touch the vine, and open the bottle fully"
+UNSTEADY = "the reading changed: do not touch the vine, and open the reservoir fully"
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,8 @@ class StageRecording:
                 assert litres is not None
                 return vine_air.vessel_volume(self._vine, litres)
         vine = self._vine
-        found = Findings((self._reservoir_volume,)).renewed_by(vine_air.bottle_leak(vine))
-        if self.stage != "bottle_leak":
+        found = Findings((self._reservoir_volume,)).renewed_by(vine_air.reservoir_leak(vine))
+        if self.stage != "reservoir_leak":
             found = found.renewed_by(vine_air.volumes(vine)).renewed_by(vine_air.vine_leak(vine))
         if self.stage in ("vine_leak", "valve"):
             found = found.renewed_by(valve.outlet(self._less_zero, vine))
@@ -98,7 +98,7 @@ class StageRecording:
     def _reservoir_volume(self) -> MeasuredQuantity:
         """As measured, given, or assumed."""
         found = self.findings.get("reservoir_volume_L")
-        known, given_L = self.plan.user_config.pneumatics, self.plan.request.bottle_volume_L
+        known, given_L = self.plan.user_config.pneumatics, self.plan.request.reservoir_volume_L
         return found or vine_air.reservoir_volume(known, given_L)
 
     @property
@@ -132,7 +132,7 @@ def cv_zero(vented: Readings) -> Findings:
         (
             finding.measured(zero, "" if steady else UNSTEADY),
             _noise("cv_noise_kPa", "vine's sensor, noise", vented.cv_kPa),
-            _noise("reservoir_noise_kPa", "bottle's sensor, noise", vented.reservoir_kPa),
+            _noise("reservoir_noise_kPa", "reservoir's sensor, noise", vented.reservoir_kPa),
         ),
         proposals,
         () if steady else (f"Zero: {UNSTEADY}",),
@@ -143,12 +143,12 @@ def cv_zero(vented: Readings) -> Findings:
 def reservoir_zero(empty: Readings) -> Findings:
     """Zero of the reservoir's sensor, from readings of the open, empty reservoir."""
     zero, steady = mean_at_rest(empty.reservoir_kPa)
-    finding = MeasuredQuantity("reservoir_zero_kPa", "bottle's sensor at no pressure", "kPa", assumed=0.0)
+    finding = MeasuredQuantity("reservoir_zero_kPa", "reservoir's sensor at no pressure", "kPa", assumed=0.0)
     if not steady:
         return Findings((finding.unknown(UNSTEADY),))
     proposals: tuple[SettingProposal, ...] = ()
     if abs(zero.value) > max(MIN_RESERVOIR_ZERO_KPA, 2.0 * zero.sd):
-        why = f"the empty bottle reads {zero.value:+.1f} kPa"
+        why = f"the empty reservoir reads {zero.value:+.1f} kPa"
         proposals = (SettingProposal("reservoir_zero_kPa", round(-zero.value, 2), True, why),)
     return Findings((finding.measured(zero),), proposals)
 

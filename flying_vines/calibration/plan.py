@@ -19,12 +19,12 @@ from flying_vines.vine.profile import HoldFor, PressureProfile, Ramp, Segment, S
 if TYPE_CHECKING:
     from flying_vines.identification.bend_curve import Pairs
 
-STAGES = ("empty", "zero", "bottle_leak", "vessel", "levels", "vine_leak", "valve", "angle")
+STAGES = ("empty", "zero", "reservoir_leak", "vessel", "levels", "vine_leak", "valve", "angle")
 """In the order in which they run."""
 SETTLE_S = 1.0
 ZERO_S = 5.0
 EMPTY_S = 3.0
-BOTTLE_LEAK_S = 30.0
+RESERVOIR_LEAK_S = 30.0
 VINE_LEAK_S = 30.0
 LEVELS = 3
 # The pressure rises in steps ROUNDS times. A stage repeats its movements until its result is precise enough,
@@ -61,8 +61,8 @@ class CalibrationRequest:
 
     only: tuple[str, ...] = ()
     """Names of stages; empty: all that apply."""
-    bottle_empty: bool = False
-    bottle_volume_L: float | None = None
+    reservoir_empty: bool = False
+    reservoir_volume_L: float | None = None
     vessel_L: float | None = None
     angles: Pairs | None = None
     asks_angles: bool = True
@@ -146,7 +146,7 @@ class CalibrationPlan:
         air = f"{self.air_kPa:.0f}"
         if self.max_air_kPa > 1.2 * self.air_kPa:
             air += f" to {self.max_air_kPa:.0f}"
-        return f"takes {minutes} and about {air} kPa of the bottle"
+        return f"takes {minutes} and about {air} kPa of the reservoir"
 
 
 def plan(config: Config, request: CalibrationRequest) -> CalibrationPlan:
@@ -201,15 +201,15 @@ def _check(request: CalibrationRequest) -> None:
             near = difflib.get_close_matches(name, STAGES, n=1)
             did = f"; did you mean '{near[0]}'?" if near else f": give some of {', '.join(STAGES)}"
             raise ValueError(f"there is no stage '{name}'{did}")
-    for what, litres in (("bottle", request.bottle_volume_L), ("vessel", request.vessel_L)):
+    for what, litres in (("reservoir", request.reservoir_volume_L), ("vessel", request.vessel_L)):
         if litres is not None and not 0.01 <= litres <= 50.0:
             raise ValueError(f"a {what} of {litres:g} L: give its volume in litres, 0.01 to 50")
-    if request.bottle_volume_L is not None and request.vessel_L is not None:
-        raise ValueError("give the bottle's volume or a vessel's, not both")
+    if request.reservoir_volume_L is not None and request.vessel_L is not None:
+        raise ValueError("give the reservoir's volume or a vessel's, not both")
     if "vessel" in request.only and request.vessel_L is None:
         raise ValueError("the stage 'vessel' needs the vessel's volume (--vessel-L)")
-    if "empty" in request.only and not request.bottle_empty:
-        raise ValueError("the stage 'empty' needs an empty, open bottle (--reservoir-empty)")
+    if "empty" in request.only and not request.reservoir_empty:
+        raise ValueError("the stage 'empty' needs an empty, open reservoir (--reservoir-empty)")
     if "angle" in request.only and request.angles is None and not request.asks_angles:
         raise ValueError("the stage 'angle' needs a person who answers, or earlier pairs (--angles)")
 
@@ -270,18 +270,18 @@ def _stages(
         air_kPa = sum(move.air_kPa for move in movements)
         return Stage(name, title, does, seconds, air_kPa, rest_s, tuple(movements), tuple(again), max_repeats)
 
-    if request.bottle_empty and wanted("empty"):
-        does = "read the bottle's sensor while it is empty and open; then you fill it"
-        yield Stage("empty", "Bottle's zero", does, EMPTY_S, rest_s=EMPTY_S)
+    if request.reservoir_empty and wanted("empty"):
+        does = "read the reservoir's sensor while it is empty and open; then you fill it"
+        yield Stage("empty", "Reservoir's zero", does, EMPTY_S, rest_s=EMPTY_S)
     # All later stages need the zero.
     yield Stage("zero", "Zero", "read the vented vine's sensor", SETTLE_S + ZERO_S, rest_s=SETTLE_S + ZERO_S)
-    if wanted("bottle_leak"):
-        does = "watch the bottle while no air is used"
-        yield Stage("bottle_leak", "Bottle's leak", does, BOTTLE_LEAK_S, rest_s=BOTTLE_LEAK_S)
+    if wanted("reservoir_leak"):
+        does = "watch the reservoir while no air is used"
+        yield Stage("reservoir_leak", "Reservoir's leak", does, RESERVOIR_LEAK_S, rest_s=RESERVOIR_LEAK_S)
     if request.vessel_L is not None and wanted("vessel"):
-        does = f"fill a vessel of {request.vessel_L:g} L in place of the vine: the bottle's volume"
+        does = f"fill a vessel of {request.vessel_L:g} L in place of the vine: the reservoir's volume"
         vessel = movement("calibrate-vessel", request.vessel_L / config.pneumatics.cv_volume_L)
-        yield moving("vessel", "Bottle's volume", does, [vessel] * ROUNDS, rest_s=SETTLE_S + ZERO_S)
+        yield moving("vessel", "Reservoir's volume", does, [vessel] * ROUNDS, rest_s=SETTLE_S + ZERO_S)
     if wanted("levels"):
         does = "raise the pressure in steps: air for each pressure"
         step = movement("calibrate-levels")

@@ -11,8 +11,8 @@ temperature:
     dϑ_w/dt = b (ϑ − ϑ_w) − c ϑ_w                           a, b, c: `Wall.rates`
 
 The model is linear in the θ_j, in P_0 and in both temperatures at the start. It is nonlinear in the two
-conductances and the heat capacity of the wall; the usual values of a bottle are their prior. All parameters
-are fitted together to means over `BIN_S`.
+conductances and the heat capacity of the wall; the usual values of a reservoir are their prior. All
+parameters are fitted together to means over `BIN_S`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from flying_vines.calibration.readings import Readings, smooth
 from flying_vines.physics.arrays import Array, BoolArray
 from flying_vines.physics.gas import GAMMA, STANDARD_PRESSURE_KPA
 from flying_vines.physics.plant.volume import Wall, heat_capacity_J_per_K
-from flying_vines.supply.rig_prior import Prior, bottle_wall
+from flying_vines.supply.rig_prior import Prior, pet_wall
 
 BIN_S = 0.2
 BLOCK = 25
@@ -125,7 +125,7 @@ def fit_balance(
     # Smoothed: this pressure is a factor of the model. With its noise, the model would fit the same noise in
     # the readings.
     read_kPa = np.maximum(smooth(bins.reservoir_kPa, BLOCK), 0.0) + ambient_kPa
-    wall = bottle_wall(reservoir_L)
+    wall = pet_wall(reservoir_L)
     usual = heat = np.log([wall.conductance_W_per_K, wall.capacity_J_per_K, wall.outer_conductance_W_per_K])
     ratio = np.ones_like(read_kPa)
     for _ in range(_ROUNDS):

@@ -57,7 +57,7 @@ STEP_S = 0.02
 LAST_VENT_S = 5.0
 """Maximum time to wait for the vent that ends a calibration, also an interrupted one."""
 READY = (
-    "The vine will bend: propellers off, nobody near it, nothing in its way, the bottle full.\n"
+    "The vine will bend: propellers off, nobody near it, nothing in its way, the reservoir full.\n"
     "Press Enter to begin. Ctrl-C ends the calibration at any time and vents the vine."
 )
 RATE = "telemetry_Hz"
@@ -401,7 +401,7 @@ async def calibrate_simulated(
     phlosar = SimulatedPhlosar(
         load_true_rig(rig) if rig else None,
         {RATE: EVERY_STEP_HZ},
-        reservoir_kPa=0.0 if request.bottle_empty else prepared.pneumatics.full_kPa,
+        reservoir_kPa=0.0 if request.reservoir_empty else prepared.pneumatics.full_kPa,
     )
     stopped = asyncio.Event()
     on_stop_signals(stopped.set)

@@ -73,8 +73,8 @@ class CalibrationTerminal:
     def introduce(self, plan: CalibrationPlan) -> None:
         """Show the stages with their time and air."""
         table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
-        for name in ("stage", "", "time", "bottle"):
-            table.add_column(name, justify="right" if name in ("time", "bottle") else "left")
+        for name in ("stage", "", "time", "reservoir"):
+            table.add_column(name, justify="right" if name in ("time", "reservoir") else "left")
         for stage in plan.stages:
             air = f"{stage.air_kPa:.0f} kPa" if stage.air_kPa >= 0.5 else "–"
             table.add_row(stage.name, stage.does, _duration(stage.seconds), air)

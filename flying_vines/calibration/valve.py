@@ -211,7 +211,7 @@ def inflation_valve(readings: Readings, vine: VineAir) -> Findings:
     """Start, gain and resistance of the valve, and the dead band to set in the firmware."""
     p, known = vine.known.pneumatics, vine.known
     start = MeasuredQuantity("evp_start", "inflation valve, start", "opening")
-    gain = MeasuredQuantity("evp_gain_SL_per_s", "inflation valve's gain, full bottle", "SL/s per opening")
+    gain = MeasuredQuantity("evp_gain_SL_per_s", "inflation valve's gain, full reservoir", "SL/s per opening")
     full = configured("evp_flow_resistance_kPa_s_per_SL", "inflation valve, fully open", "kPa·s/SL", p)
     fit = fit_valve(readings, vine)
     if isinstance(fit, str):

@@ -173,7 +173,7 @@ def _columns(readings: Readings, top_kPa: float) -> dict[str, Array]:
             name = "refill" if inflated_before else "pouch"
             steps[name][fill.start : fill.start + len(filling)] = filling / filling.sum()
             inflated_before = True
-    steps["bottle_leak"] = np.maximum(readings.reservoir_kPa, 0.0) * dt_s
+    steps["reservoir_leak"] = np.maximum(readings.reservoir_kPa, 0.0) * dt_s
     steps["leak_offset"] = dt_s
     if np.any(readings.dvp > 0.0):
         steps["venturi"] = readings.dvp * np.maximum(readings.reservoir_kPa, 0.0) * dt_s
@@ -186,7 +186,7 @@ def _columns(readings: Readings, top_kPa: float) -> dict[str, Array]:
 
 def reservoir_volume(known: PneumaticsConfig, given_L: float | None = None) -> MeasuredQuantity:
     """The reservoir's volume as the person gave it; otherwise the configuration's number is used."""
-    found = configured("reservoir_volume_L", "bottle's volume", "L", known)
+    found = configured("reservoir_volume_L", "reservoir's volume", "L", known)
     if given_L is not None:
         return found.measured(Estimate(given_L, GIVEN_VOLUME_SD * given_L), "as you gave it")
     return found.unknown("from the configuration; an error scales all volumes, and all resistances inversely")
@@ -197,7 +197,7 @@ def vessel_volume(vessel: VineAir, vessel_L: float) -> Findings:
     found = reservoir_volume(vessel.known.pneumatics)
     ratio = vessel.balance.values["volume"]
     if ratio.low <= 0.0:
-        return Findings((found.unknown("the bottle's pressure did not fall when the vessel was filled"),))
+        return Findings((found.unknown("the reservoir's pressure did not fall when the vessel was filled"),))
     value = vessel_L / ratio.value
     sd = value * hypot(ratio.sd / ratio.value, GAIN_SD, VESSEL_SD)
     return Findings((found.measured(Estimate(value, sd), f"with a vessel of {vessel_L:g} L"),))
@@ -206,13 +206,15 @@ def vessel_volume(vessel: VineAir, vessel_L: float) -> Findings:
 # Findings.
 
 
-def bottle_leak(vine: VineAir) -> Findings:
+def reservoir_leak(vine: VineAir) -> Findings:
     """Leak of the reservoir, at its mean pressure."""
     bins = vine.balance.bins
     at_kPa = float(np.mean(bins.reservoir_kPa))
-    rate = vine.balance.weighted_sum({"bottle_leak": at_kPa, "leak_offset": 1.0})
-    speed = MeasuredQuantity("bottle_leak_kPa_per_s", "bottle's leak", "kPa/s")
-    resistance = MeasuredQuantity("bottle_leak_kPa_s_per_SL", "bottle's leak, as a resistance", "kPa·s/SL")
+    rate = vine.balance.weighted_sum({"reservoir_leak": at_kPa, "leak_offset": 1.0})
+    speed = MeasuredQuantity("reservoir_leak_kPa_per_s", "reservoir's leak", "kPa/s")
+    resistance = MeasuredQuantity(
+        "reservoir_leak_kPa_s_per_SL", "reservoir's leak, as a resistance", "kPa·s/SL"
+    )
     flow = rate.times(vine.SL_per_kPa, vine.known.flow_sd(at_kPa))
     findings = (
         speed.measured(rate, f"at {at_kPa:.0f} kPa", minimum=0.0),
@@ -221,10 +223,10 @@ def bottle_leak(vine: VineAir) -> Findings:
     read = bins.reservoir_kPa - vine.balance.cold_kPa
     unused_kPa = vine.balance.without(*bins.columns)
     chart = Chart(
-        "bottle",
-        "The bottle's pressure",
+        "reservoir",
+        "The reservoir's pressure",
         "time, s",
-        "bottle, kPa",
+        "reservoir, kPa",
         (
             Series("readings", "points", bins.t_s, bins.reservoir_kPa),
             Series("fitted", "line", bins.t_s, vine.balance.fitted_kPa),

@@ -113,8 +113,8 @@ def _run(arguments: argparse.Namespace) -> int:
         raise CalibrateError("no terminal to ask whether the vine may bend: give --yes")
     request = CalibrationRequest(
         only=arguments.only,
-        bottle_empty=arguments.reservoir_empty,
-        bottle_volume_L=arguments.reservoir_volume_L,
+        reservoir_empty=arguments.reservoir_empty,
+        reservoir_volume_L=arguments.reservoir_volume_L,
         vessel_L=arguments.vessel_L,
         angles=_pairs(arguments.angles) if arguments.angles else None,
         asks_angles=interactive or fake,

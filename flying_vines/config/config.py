@@ -274,9 +274,9 @@ class ChecksConfig(_Table, frozen=True):
     sudden_fall: CheckLevel = "fault"
     vine_sensor: CheckLevel = "fault"
     vine_zero: CheckLevel = "fault"
-    bottle_loss: CheckLevel = "fault"
-    bottle_sensor: CheckLevel = "warn"
-    bottle_hot: CheckLevel = "warn"
+    reservoir_loss: CheckLevel = "fault"
+    reservoir_sensor: CheckLevel = "warn"
+    reservoir_hot: CheckLevel = "warn"
     vine_leak: CheckLevel = "warn"
     unsteady: CheckLevel = "warn"
     own: dict[str, CheckLevel] = {}
@@ -396,12 +396,14 @@ def parse(text: str, source: str, recorded: bool = False) -> Config:
     open, and a switch on any channel.
     """
     raw = parsed(text, source, ConfigError)
-    for *tables, old in OLD_SETTINGS:
+    for *tables, old in (*OLD_SETTINGS, *RENAMED):
         table: Any = raw
         for name in tables:
             table = table.get(name) if isinstance(table, dict) else None
-        if isinstance(table, dict):
-            table.pop(old, None)
+        if isinstance(table, dict) and old in table:
+            value, new = table.pop(old), RENAMED.get((*tables, old))
+            if new is not None:
+                table.setdefault(new, value)
     try:
         inside: Key = ()
         for name, profile in _profiles_of(raw):
@@ -434,6 +436,22 @@ OLD_SETTINGS: dict[Key, str] = {
     ("mqtt", "asked_within_s"): "it is always 5 s",
 }
 """Settings of earlier versions, which are ignored, and why."""
+RENAMED: dict[Key, str] = {
+    ("checks", "bottle_loss"): "reservoir_loss",
+    ("checks", "bottle_sensor"): "reservoir_sensor",
+    ("checks", "bottle_hot"): "reservoir_hot",
+}
+"""Settings that had another name in earlier versions, and their last names now. Both names are read."""
+
+
+def renamed(text: str, source: str) -> list[str]:
+    """A line for each setting that the text names as earlier versions did."""
+    present = lines_of_keys(text)
+    return [
+        located(text, source, key, f"is called {new} now: rename it")
+        for key, new in RENAMED.items()
+        if key in present
+    ]
 
 
 def ignored(text: str, source: str, old: Mapping[Key, str]) -> list[str]:

@@ -95,7 +95,7 @@ _NEVER_FLOODS = (*_BY_PILOT_OR_SAFETY, "mission_item")
 
 _SENSOR_TEXTS = {
     "cv_kPa": "vine sensor reads",
-    "reservoir_kPa": "bottle sensor reads",
+    "reservoir_kPa": "reservoir sensor reads",
     "setpoint_kPa": "{actuator} setpoint is",
 }
 """By telemetry field: the start of the text about an impossible value."""

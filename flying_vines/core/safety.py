@@ -32,9 +32,9 @@ INTERNAL_ERROR = "internal error: restart the service"
 FAULT_SENTENCES = {
     Fault.DEAD_MAN: "dead-man timer ran out",
     Fault.CV_OVERPRESSURE: "over-pressure in the vine",
-    Fault.RESERVOIR_OVERPRESSURE: "over-pressure in the bottle",
+    Fault.RESERVOIR_OVERPRESSURE: "over-pressure in the reservoir",
     Fault.CV_SENSOR: "vine pressure sensor",
-    Fault.RESERVOIR_SENSOR: "bottle pressure sensor",
+    Fault.RESERVOIR_SENSOR: "reservoir pressure sensor",
     Fault.WATCHDOG_RESET: "watchdog reset",
     Fault.SETTINGS: "stored settings damaged (set and store them: flying-vines link --set)",
     Fault.SUPPLY: "sensors' 5 V supply",
@@ -271,7 +271,7 @@ class Safety:
         left_kPa = now.reservoir_kPa - motion.top_kPa
         if left_kPa < air.floor_kPa:
             return Ruling(
-                "limited", f"slower: bottle at {now.reservoir_kPa:.0f} kPa", left_kPa / air.floor_kPa
+                "limited", f"slower: reservoir at {now.reservoir_kPa:.0f} kPa", left_kPa / air.floor_kPa
             )
         return Ruling("accepted")
 
@@ -297,7 +297,7 @@ class Safety:
                 return f"at {now.altitude_m:.1f} m, below {self._interlocks.min_altitude_m:g} m"
         least_kPa = needed_kPa(motion.top_kPa, air.spending_kPa, self._interlocks)
         if not now.reservoir_kPa >= least_kPa:
-            return f"bottle at {now.reservoir_kPa:.0f} kPa, needs {least_kPa:.0f}"
+            return f"reservoir at {now.reservoir_kPa:.0f} kPa, needs {least_kPa:.0f}"
         return None
 
     def _on_bench(self, now: SafetyInputs) -> bool:
@@ -356,7 +356,7 @@ class Safety:
 
     def _reservoir(self, now: SafetyInputs) -> str | None:
         if now.reservoir_kPa < self._interlocks.reserve_kPa:
-            return f"bottle low: {now.reservoir_kPa:.0f} kPa"
+            return f"reservoir low: {now.reservoir_kPa:.0f} kPa"
         return None
 
     def _deaf(self, now: SafetyInputs) -> str | None:

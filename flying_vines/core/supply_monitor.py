@@ -45,7 +45,7 @@ FORGOTTEN = -1.0
 KEEP_EVERY_S = 10.0
 """Minimum interval between two writes of the learned air to disk."""
 
-SENSOR = "bottle_sensor"
+SENSOR = "reservoir_sensor"
 """While this check finds something, the cycles left are unknown."""
 
 NO_AIR_NEEDED = AirNeeded(0.0, 0.0)
@@ -95,7 +95,7 @@ class SupplyMonitor:
         run = self._parts.run
         none: list[PhysicsFinding] = []
         if self.has_reservoir:
-            run(t, "bottle estimate", lambda: self.reservoir.update(features), None, needed=True)
+            run(t, "reservoir estimate", lambda: self.reservoir.update(features), None, needed=True)
         found = run(t, "physics checks", lambda: self._checks.take(features), none, needed=True)
         for name, checks in self._own_checks.items():
             needed = self._own_levels[name] == "fault"
@@ -135,7 +135,7 @@ class SupplyMonitor:
         if not self.has_reservoir:
             return NO_AIR_NEEDED
         needed = partial(self.reservoir.air_needed, rise_kPa, rate_kPa_per_s)
-        return self._parts.run(t, "bottle estimate", needed, AIR_UNKNOWN, needed=True)
+        return self._parts.run(t, "reservoir estimate", needed, AIR_UNKNOWN, needed=True)
 
     def tick(
         self, t: float, faults: Container[str], low_reservoir_cycles: float
@@ -183,7 +183,7 @@ class SupplyMonitor:
             return ""
         if cycles.expected < threshold and not self._low_warned:
             self._low_warned = True
-            return f"bottle low, {self.reservoir.reservoir_kPa:.0f} kPa, {cycles}"
+            return f"reservoir low, {self.reservoir.reservoir_kPa:.0f} kPa, {cycles}"
         if cycles.expected > 1.5 * threshold + 1:
             self._low_warned = False
         return ""

@@ -104,6 +104,7 @@ def read_inputs(
             raise NotADirectoryError(0, "is not a folder", str(folder))
     parameters, disarmed = dict[str, float](), True
     ignored = configuration.ignored(text, str(path), configuration.OLD_SETTINGS)
+    ignored += configuration.renamed(text, str(path))
     with named(PARAMETERS, ParameterFileError):
         parameters = state.read_parameters(config)
         ignored += ignored_in(state.parameters)

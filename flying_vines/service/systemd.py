@@ -73,7 +73,7 @@ def status_line(snapshot: Snapshot) -> str:
         f"{snapshot.actuator} {snapshot.firmware}",
     ]
     if math.isfinite(snapshot.reservoir_kPa):
-        parts.append(f"bottle {snapshot.reservoir_kPa:.0f} kPa")
+        parts.append(f"reservoir {snapshot.reservoir_kPa:.0f} kPa")
     if snapshot.safe_state:
         parts.append(f"SAFE: {', '.join(snapshot.safe_state.values())}")
     parts.extend(snapshot.unstable.values())

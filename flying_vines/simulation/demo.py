@@ -237,16 +237,16 @@ SCRIPT = (
     DemoStep(20.0, "... and to the middle", _switch(MIDDLE), (_switched(1), _bends_to(30.0))),
     DemoStep(
         21.5,
-        "The bottle gets a hole",
-        lambda w: w.phlosar.inject("bottle", LEAK),
-        (_lost("bottle_loss", 2.0), _vented(2.5), _pilot_reads("bottle loses", 2.0)),
+        "The reservoir gets a hole",
+        lambda w: w.phlosar.inject("reservoir", LEAK),
+        (_lost("reservoir_loss", 2.0), _vented(2.5), _pilot_reads("reservoir loses", 2.0)),
     ),
     DemoStep(24.0, "Switch down", _switch(LOW), (_switched(0),)),
     DemoStep(
         25.0,
         "Switch up with an empty reservoir",
         _switch(HIGH),
-        (_switched(2, "refused", "bottle"), _pilot_reads("refused bend-full", 1.0), _stays_vented(3.0)),
+        (_switched(2, "refused", "reservoir"), _pilot_reads("refused bend-full", 1.0), _stays_vented(3.0)),
     ),
     DemoStep(
         25.8,
@@ -368,7 +368,7 @@ async def _direct(
                 step.act(world)
             world.snapshot = service.core.snapshot(now)
             if world.phlosar.reservoir_kPa < EMPTY_KPA:
-                world.phlosar.mishaps.bottle = None
+                world.phlosar.mishaps.reservoir = None
             for outcome in outcomes:
                 outcome.update(world, now)
             if screen:

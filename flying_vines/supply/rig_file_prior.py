@@ -68,7 +68,7 @@ class RigFilePrior:
     def summary(self) -> str:
         """The basis of the cycles left, in one line."""
         p = self.prior.pneumatics
-        text = f"bottle {p.reservoir_volume_L:.3g} L, vine {p.cv_volume_L:.3g} L"
+        text = f"reservoir {p.reservoir_volume_L:.3g} L, vine {p.cv_volume_L:.3g} L"
         for what, names in (("used for cycles left", self.used), ("unused", self.unused)):
             text += f"; {what}: {', '.join(names)}" if names else ""
         return text

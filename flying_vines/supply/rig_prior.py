@@ -102,7 +102,7 @@ def conductance_SL_per_s_kPa(flow_resistance_kPa_s_per_SL: float, at_kPa: float)
     return at_kPa / flow_resistance_kPa_s_per_SL / (at_kPa + AMBIENT_KPA)
 
 
-def bottle_wall(volume_L: float) -> Wall:
+def pet_wall(volume_L: float) -> Wall:
     """The wall of a PET bottle of this size.
 
     For 2 L, natural convection inside gives 0.6 to 1.4 W/K, and 45 to 70 g of PET store 65 J/K.
@@ -130,7 +130,7 @@ def nominal(p: PneumaticsConfig) -> RigPrior:
         venturi=Prior(VENTURI_SHARE * venturi, VENTURI_SHARE_SD * venturi),
         leak=Prior(3e-4, 1.5e-3),
         cv_leak=Prior(0.0, 1.5e-3),
-        wall=bottle_wall(p.reservoir_volume_L),
+        wall=pet_wall(p.reservoir_volume_L),
         warmth_sd=0.4,
         evp_law=Iso6358(
             conductance_SL_per_s_kPa(p.evp_flow_resistance_kPa_s_per_SL, p.full_kPa),

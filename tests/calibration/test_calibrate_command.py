@@ -92,7 +92,7 @@ def findings_in(folder: Path) -> dict[str, dict[str, Any]]:
         ("cv_volume_L", 0.4, 0.05),
         ("pouch_air_SL", 0.0, 0.0),
         ("vine_leak_kPa_s_per_SL", 5e3, 0.05),
-        ("bottle_leak_kPa_s_per_SL", 2e5, 0.1),
+        ("reservoir_leak_kPa_s_per_SL", 2e5, 0.1),
     ],
 )
 def test_the_hidden_values_are_found(

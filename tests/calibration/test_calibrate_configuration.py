@@ -40,7 +40,7 @@ FOUND = Findings(
         ),
         MeasuredQuantity("vine_leak", "the vine's leak", "kPa·s/SL", note="none seen"),
         MeasuredQuantity(
-            "reservoir_volume_L", "the bottle's", "L", note="believed", key="pneumatics.reservoir_volume_L"
+            "reservoir_volume_L", "the reservoir's", "L", note="believed", key="pneumatics.reservoir_volume_L"
         ),
         MeasuredQuantity(
             "dvp", "unsure", "", 600.0, 100.0, 1100.0, key="pneumatics.dvp_flow_resistance_kPa_s_per_SL"

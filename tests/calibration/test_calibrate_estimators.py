@@ -328,8 +328,8 @@ def test_the_measured_zero_of_the_reservoirs_sensor_is_used() -> None:
     zero_found = reservoir_zero(replace(still, reservoir_kPa=still.reservoir_kPa - 600.0 + zero_kPa))
 
     def leak(findings: Findings) -> MeasuredQuantity:
-        result = recorded("bottle_leak", readings, findings, bottle_volume_L=RESERVOIR_L)
-        return next(found for found in result.findings if found.name == "bottle_leak_kPa_s_per_SL")
+        result = recorded("reservoir_leak", readings, findings, reservoir_volume_L=RESERVOIR_L)
+        return next(found for found in result.findings if found.name == "reservoir_leak_kPa_s_per_SL")
 
     known, unknown = leak(Findings().renewed_by(zero_found)), leak(Findings())
     assert known.value is not None and known.low is not None and known.high is not None

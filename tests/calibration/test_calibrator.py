@@ -34,7 +34,7 @@ def stages_of(world: PaperWorld | CoreWorld) -> list[str]:
 
 
 def test_goes_through_all_stages_in_order_and_ends_vented() -> None:
-    world = PaperWorld(plan(CONFIG, CalibrationRequest(bottle_empty=True, vessel_L=0.5)))
+    world = PaperWorld(plan(CONFIG, CalibrationRequest(reservoir_empty=True, vessel_L=0.5)))
     world.run()
     assert world.ended is not None and world.ended.outcome == "done"
     assert stages_of(world) == list(STAGES)
@@ -84,7 +84,7 @@ def test_the_last_request_is_always_to_vent(after: int, how: str) -> None:
         world.snapshot = replace(world.snapshot, safe_state={"overpressure": "vine at 40.0 kPa, limit 25"})
     elif how == "failsafe":
         world.carry_out(
-            calibrator.take(Decision(world.now, "failsafe", {}, "vent", "accepted", "bottle low", 0.0))
+            calibrator.take(Decision(world.now, "failsafe", {}, "vent", "accepted", "reservoir low", 0.0))
         )
     elif how == "page":
         world.carry_out(calibrator.take(Decision(world.now, "page", {}, "vent", "accepted", "", 0.0)))
@@ -115,7 +115,7 @@ def test_too_little_air_is_refused_before_anything_moves() -> None:
     world = PaperWorld(plan(CONFIG, BLIND), reservoir_kPa=70.0)
     world.run()
     assert world.ended is not None and world.ended.outcome == "refused"
-    assert "the bottle holds 70 kPa, but " in world.ended.sentence
+    assert "the reservoir holds 70 kPa, but " in world.ended.sentence
     assert not any(isinstance(intent, StartProfile) for intent in world.asked)
 
 
@@ -158,7 +158,7 @@ def test_an_armed_vehicle_is_not_calibrated() -> None:
 def test_nobody_to_swap_the_hose_ends_it() -> None:
     world = PaperWorld(plan(CONFIG, replace(BLIND, vessel_L=0.5)), person=lambda question: None)
     world.run()
-    assert world.ended is not None and world.ended.sentence == "Bottle's volume: nobody answered"
+    assert world.ended is not None and world.ended.sentence == "Reservoir's volume: nobody answered"
 
 
 def test_without_an_answer_for_the_angle_the_vine_is_vented() -> None:
@@ -195,7 +195,7 @@ def test_a_failed_evaluation_ends_only_its_stage() -> None:
         def evaluate(self, task: EvaluationTask) -> object:
             return ZeroDivisionError("nothing there")
 
-    world = Broken(plan(CONFIG, replace(BLIND, only=("bottle_leak",))))
+    world = Broken(plan(CONFIG, replace(BLIND, only=("reservoir_leak",))))
     world.run()
     assert world.ended is not None and world.ended.outcome == "done"
     assert any("could not be evaluated: nothing there" in text for text in world.sentences())
@@ -222,7 +222,7 @@ def test_the_core_carries_out_its_requests(measured: CoreWorld) -> None:
     volume = measured.calibrator.findings.get("cv_volume_L")
     assert volume is not None and volume.value is not None and volume.low is not None
     assert volume.value == pytest.approx(0.1, rel=0.35)
-    assert {chart.name for chart in measured.calibrator.findings.charts} >= {"zero", "bottle", "levels"}
+    assert {chart.name for chart in measured.calibrator.findings.charts} >= {"zero", "reservoir", "levels"}
 
 
 def test_interrupted_while_the_vine_is_bent_it_is_vented() -> None:
@@ -240,11 +240,11 @@ def test_interrupted_while_the_vine_is_bent_it_is_vented() -> None:
     ("stage", "place", "kind", "begins_s", "says"),
     [
         ("zero", "cv_sensor", Shorted(), 4.0, "pressure sensor"),
-        ("bottle_leak", "bottle", Hole(4.0), 15.0, "bottle loses"),
+        ("reservoir_leak", "reservoir", Hole(4.0), 15.0, "reservoir loses"),
         ("levels", "cv_sensor", Shorted(), 12.0, "pressure sensor"),
         ("levels", "hose", HoseOff(), 5.0, "not filling"),
         ("vine_leak", "actuator", Hole(4.0), 15.0, "not filling"),
-        ("valve", "reservoir_sensor", Shorted(), 13.0, "bottle pressure sensor"),
+        ("valve", "reservoir_sensor", Shorted(), 13.0, "reservoir pressure sensor"),
     ],
 )
 def test_a_fault_ends_it_vented_with_its_sentence(

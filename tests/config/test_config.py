@@ -589,3 +589,10 @@ def test_settings_of_an_earlier_version_are_ignored_with_a_line(before: str, aft
     (line,) = config.ignored(old, "my.toml", config.OLD_SETTINGS)
     assert re.match(r"my\.toml:\d+: [a-z_.]+: is ignored, delete it: ", line)
     assert not config.ignored(text, "my.toml", config.OLD_SETTINGS)
+
+
+def test_a_setting_is_read_by_the_name_of_an_earlier_version_and_a_line_says_the_new_one() -> None:
+    old = config.default_text().replace('reservoir_loss = "fault"', 'bottle_loss = "warn"')
+    assert config.parse(old, "test").checks.reservoir_loss == "warn"
+    (line,) = config.renamed(old, "my.toml")
+    assert re.fullmatch(r"my\.toml:\d+: checks\.bottle_loss: is called reservoir_loss now: rename it", line)

@@ -23,7 +23,7 @@ from .flights import HIGH, LOW, airborne, assert_vented, bent, decisions, notice
 ABSURD = [1e30, 1e20, 1e12, 1e9, 5e3, -1e3, -1e9, -1e30, math.nan, math.inf, -math.inf]
 TEXTS = {
     "cv_kPa": "Vine: vine sensor reads ",
-    "reservoir_kPa": "Vine: bottle sensor reads ",
+    "reservoir_kPa": "Vine: reservoir sensor reads ",
     "setpoint_kPa": "Vine: phloSAR setpoint is ",
 }
 

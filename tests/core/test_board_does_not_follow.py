@@ -268,7 +268,7 @@ def test_normal_bends_give_no_warning(
     for position in (HIGH, 1500, HIGH, LOW, HIGH):
         flight.autopilot.set_rc(9, position)
         actions += run_for(flight, 4.0)
-    assert [w.text for w in warnings(actions) if "bottle low" not in w.text] == []
+    assert [w.text for w in warnings(actions) if "reservoir low" not in w.text] == []
     assert [d.safety for d in decisions(actions) if d.safety == "refused"] == []
 
 

@@ -106,7 +106,7 @@ def test_the_first_setpoint_is_sent_with_the_trigger_and_is_above_zero() -> None
     assert sent[0].target_kPa > 0.5
 
 
-def test_a_weak_bottle_bends_the_vine_slower() -> None:
+def test_a_weak_reservoir_bends_the_vine_slower() -> None:
     flight = airborne(phlosar=SimulatedPhlosar(reservoir_kPa=110.0))
     flight.autopilot.set_rc(9, HIGH)
     actions = run_for(flight, 2.0)
@@ -243,7 +243,7 @@ def test_after_an_autopilot_reboot_the_streams_are_requested_again() -> None:
 def test_a_second_fault_of_the_firmware_is_told_and_named_while_the_first_lasts() -> None:
     flight = airborne()
     flight.phlosar.fill(850.0)
-    first = "firmware fault: over-pressure in the bottle"
+    first = "firmware fault: over-pressure in the reservoir"
     assert f"Vine: {first}, vented" in shown(run_for(flight, 2.0))
     flight.phlosar.mishaps.cv_sensor = Open()
     told = shown(run_for(flight, 1.5))
@@ -317,19 +317,19 @@ def test_a_latched_loss_of_air_outlasts_a_restart_until_a_person_clears_it() -> 
     assert [d.safety for d in decisions(run_for(flight, 1.0))] == ["accepted"]
 
 
-def test_an_empty_bottle_vents_refuses_and_is_reported() -> None:
-    flight = bent(conf=configured(checks=config.ChecksConfig(bottle_loss="warn")))
-    flight.phlosar.mishaps.bottle = Hole(bore_mm=4.0)
+def test_an_empty_reservoir_vents_refuses_and_is_reported() -> None:
+    flight = bent(conf=configured(checks=config.ChecksConfig(reservoir_loss="warn")))
+    flight.phlosar.mishaps.reservoir = Hole(bore_mm=4.0)
     actions = run_for(flight, 4.0)
     assert any("kPa/s too much" in text for text in notices(actions))
     assert [d.what for d in decisions(actions)] == [{"loss": "reservoir"}]
-    assert any("bottle low" in text and "cycles left" in text for text in notices(actions))
+    assert any("reservoir low" in text and "cycles left" in text for text in notices(actions))
     assert_vented(flight)
     flight.autopilot.set_rc(9, LOW)
     run_for(flight, 1.0)
     flight.autopilot.set_rc(9, MIDDLE)
     (refused,) = decisions(run_for(flight, 1.0))
-    assert "bottle at" in refused.reason
+    assert "reservoir at" in refused.reason
 
 
 def test_a_valve_that_stays_shut_is_a_latched_fault_that_a_person_clears() -> None:
@@ -338,7 +338,7 @@ def test_a_valve_that_stays_shut_is_a_latched_fault_that_a_person_clears() -> No
     flight.autopilot.set_rc(9, HIGH)
     actions = run_for(flight, 3.0)
     assert [d.what.get("loss") for d in decisions(actions)] == [None, "filling"]
-    assert "Vine: not filling, bottle loses no air: valve, vented" in notices(actions)
+    assert "Vine: not filling, reservoir loses no air: valve, vented" in notices(actions)
     assert_vented(flight)
     left = flight.core.snapshot(flight.world.now).cycles
     assert left is not None
@@ -349,7 +349,7 @@ def test_a_valve_that_stays_shut_is_a_latched_fault_that_a_person_clears() -> No
     (refused,) = decisions(ground_command(flight, mavlink.MAV_CMD_USER_2, 20.0))
     assert "not filling" in refused.reason
     flight.autopilot.set_rc(9, LOW)
-    assert "Vine: cleared: not filling, bottle loses no air: valve" in notices(run_for(flight, 1.0))
+    assert "Vine: cleared: not filling, reservoir loses no air: valve" in notices(run_for(flight, 1.0))
     flight.autopilot.set_rc(9, HIGH)
     assert [d.safety for d in decisions(run_for(flight, 2.0))] == ["accepted"]
     assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
@@ -370,14 +370,14 @@ def test_a_vine_that_does_not_vent_cannot_be_cleared() -> None:
     assert_vented(flight)
 
 
-def test_a_hot_bottle_is_reported_and_counted_and_the_vine_continues() -> None:
+def test_a_hot_reservoir_is_reported_and_counted_and_the_vine_continues() -> None:
     flight = bent()
     flight.phlosar.fill(745.0)
     actions = run_for(flight, 2.0)
     assert decisions(actions) == []
     assert sum("hot or overfilled" in text for text in notices(actions)) == 1
     # Nobody fills the reservoir of an armed vehicle, so its sensor is in doubt, too.
-    assert flight.core.snapshot(flight.world.now).findings == {"bottle_hot": 1, "bottle_sensor": 1}
+    assert flight.core.snapshot(flight.world.now).findings == {"reservoir_hot": 1, "reservoir_sensor": 1}
     assert flight.phlosar.cv_kPa == pytest.approx(20.7, abs=1.0)
 
 
@@ -655,7 +655,7 @@ def test_a_new_leak_is_stored_even_without_a_bend() -> None:
             flight.autopilot.set_rc(9, pulse_us)
             run_for(flight, 3.0)
     run_for(flight, 15.0)
-    flight.phlosar.inject("bottle", Hole(0.1))
+    flight.phlosar.inject("reservoir", Hole(0.1))
     actions = run_for(flight, 60.0)
     assert any("the leak has changed" in text for text in notices(actions))
     stored = [action for action in actions if isinstance(action, KeepLearned)]

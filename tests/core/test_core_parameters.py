@@ -75,7 +75,7 @@ def test_limits_reach_safety() -> None:
     field = Field()
     assert field.set("VINE_RESERVE_KPA", 2000.0) == 2000.0
     refused = field.bend(30.0)
-    assert refused.safety == "refused" and "bottle at" in refused.reason
+    assert refused.safety == "refused" and "reservoir at" in refused.reason
 
 
 def test_a_profile_that_a_parameter_makes_too_strong_is_clipped_and_reported() -> None:

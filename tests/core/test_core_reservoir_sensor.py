@@ -63,7 +63,7 @@ def test_a_jump_up_in_flight_makes_the_cycles_unknown_everywhere() -> None:
 
 def test_a_refill_of_an_armed_vehicle_is_no_refill() -> None:
     flight = aloft(400.0)
-    flight.phlosar.inject("bottle", Filled(680.0))
+    flight.phlosar.inject("reservoir", Filled(680.0))
     assert RISES in notices(run_for(flight, 3.0))
     assert cycles(flight) is None
 

@@ -325,7 +325,7 @@ def cut_while_bending(flight: MonitoredFlight) -> None:
 
 def overfill(flight: MonitoredFlight) -> None:
     bent(flight)
-    flight.inject("bottle", Filled(800.0))
+    flight.inject("reservoir", Filled(800.0))
     flight.run(0.5)
 
 
@@ -391,7 +391,7 @@ def test_a_limit_that_is_too_high_is_seen_at_the_vine() -> None:
     """The true pressure is above the firmware's limit. The repair of an intact part does not excuse this."""
     flight = MonitoredFlight(Setup(), board=Firmware({"cv_limit_kPa": 60.0}))
     bent(flight)
-    flight.heal("bottle")
+    flight.heal("reservoir")
     flight.phlosar.mishaps.evp = StuckAt(1.0)
     flight.phlosar.mishaps.solenoid = StuckAt(0.0)
     flight.run(0.5)

@@ -115,8 +115,8 @@ def test_a_lost_altitude_vents_a_bent_vine() -> None:
         ({"altitude_m": 1.9}, "below 2 m"),
         ({"autopilot_age_s": None}, "no autopilot"),
         ({"firmware_ready": False, "firmware_was_ready": False}, "not connected"),
-        ({"reservoir_kPa": 64.0}, "bottle at 64 kPa, needs 65"),
-        ({"reservoir_kPa": math.nan}, "bottle at nan"),
+        ({"reservoir_kPa": 64.0}, "reservoir at 64 kPa, needs 65"),
+        ({"reservoir_kPa": math.nan}, "reservoir at nan"),
     ],
 )
 def test_interlocks_refuse_with_a_reason(change: dict[str, object], reason: str) -> None:
@@ -136,7 +136,7 @@ def test_bench_mode_needs_no_flight() -> None:
     assert machine.watch(0.1, but(bench, moving=True)) == []
 
 
-def test_a_weak_bottle_bends_slower() -> None:
+def test_a_weak_reservoir_bends_slower() -> None:
     ruling = safety().judge(BEND, AIR, but(FLYING, reservoir_kPa=80.0))
     assert ruling.verdict == "limited"
     assert ruling.rate_scale == pytest.approx((80.0 - 20.0) / 120.0)

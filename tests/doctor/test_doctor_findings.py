@@ -177,7 +177,7 @@ HOME, WAYPOINT, SCRIPT = (16, 0.0, 0.0), (16, 0.0, 0.0), 217
 
 CASES: list[tuple[FindingText, list[DoctorFinding]]] = [
     (configuration_check.GOOD, of_configuration()),
-    (configuration_check.RIG_READ, of_configuration(rig="rig.toml", rig_summary="bottle 2 L")),
+    (configuration_check.RIG_READ, of_configuration(rig="rig.toml", rig_summary="reservoir 2 L")),
     (configuration_check.BAD_RIG, of_configuration(rig="rig.toml", rig_problem="rig.toml:3: no such cause")),
     (configuration_check.KEY, of_configuration(signing_key="vine.key")),
     (

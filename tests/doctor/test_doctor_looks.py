@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from bottle_bench import DEMONSTRATION, Bench
+from reservoir_bench import DEMONSTRATION, Bench
 from serial.tools.list_ports_common import ListPortInfo
 from waiting import MAX_WAIT_S
 

@@ -283,8 +283,8 @@ def wave(flight: Watched, seconds: float) -> None:
         flight.run(1.0)
 
 
-def new_bottle(flight: Watched) -> None:
-    flight.phlosar.inject("bottle", None)
+def new_reservoir(flight: Watched) -> None:
+    flight.phlosar.inject("reservoir", None)
     flight.phlosar.fill(690.0)
 
 
@@ -337,10 +337,12 @@ INJECTIONS: dict[str, Injection] = {
     "vine_sensor_shorted": hardware("cv_sensor", Shorted()),
     "vine_sensor_noisy": hardware("cv_sensor", Noisy(5.0)),
     "vine_sensor_glitches": hardware("cv_sensor", Glitching(200.0, 100.0)),
-    "bottle_sensor_stuck": hardware("reservoir_sensor", Stuck(), lasts_s=12.0, during=wave, repair=nothing),
-    "bottle_sensor_drifts": hardware("reservoir_sensor", Drifting(-20.0), "held"),
-    "bottle_sensor_open": hardware("reservoir_sensor", Open()),
-    "bottle_sensor_shorted": hardware("reservoir_sensor", Shorted()),
+    "reservoir_sensor_stuck": hardware(
+        "reservoir_sensor", Stuck(), lasts_s=12.0, during=wave, repair=nothing
+    ),
+    "reservoir_sensor_drifts": hardware("reservoir_sensor", Drifting(-20.0), "held"),
+    "reservoir_sensor_open": hardware("reservoir_sensor", Open()),
+    "reservoir_sensor_shorted": hardware("reservoir_sensor", Shorted()),
     "evp_stuck_open": hardware("evp", StuckAt(1.0)),
     "evp_stuck_open_vented": hardware("evp", StuckAt(1.0), "vented"),
     "evp_stuck_ajar": hardware("evp", StuckAt(0.3), "held", 10.0),
@@ -357,12 +359,12 @@ INJECTIONS: dict[str, Injection] = {
     "actuator_burst": hardware("actuator", Hole(5.0)),
     "actuator_burst_held": hardware("actuator", Hole(5.0), "held"),
     "actuator_leaks": hardware("actuator", Hole(0.5), "held", 12.0, rested_s=12.0),
-    "bottle_leaks": hardware("bottle", Hole(0.5), "held", 10.0),
-    "bottle_bursts": hardware("bottle", Hole(5.0), "held", repair=new_bottle),
-    "bottle_low": Injection(
+    "reservoir_leaks": hardware("reservoir", Hole(0.5), "held", 10.0),
+    "reservoir_bursts": hardware("reservoir", Hole(5.0), "held", repair=new_reservoir),
+    "reservoir_low": Injection(
         nothing, lambda f: f.phlosar.fill(690.0), phase="vented", during=bend, reservoir_kPa=58.0
     ),
-    "bottle_emptied": Injection(lambda f: f.phlosar.fill(30.0), lambda f: f.phlosar.fill(690.0)),
-    "bottle_over_pressure": Injection(lambda f: f.phlosar.fill(800.0), lambda f: f.phlosar.fill(690.0)),
-    "bottle_hot": Injection(lambda f: f.phlosar.heat_reservoir(40.0), lambda f: f.phlosar.fill(690.0)),
+    "reservoir_emptied": Injection(lambda f: f.phlosar.fill(30.0), lambda f: f.phlosar.fill(690.0)),
+    "reservoir_over_pressure": Injection(lambda f: f.phlosar.fill(800.0), lambda f: f.phlosar.fill(690.0)),
+    "reservoir_hot": Injection(lambda f: f.phlosar.heat_reservoir(40.0), lambda f: f.phlosar.fill(690.0)),
 }

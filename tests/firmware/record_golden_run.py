@@ -266,8 +266,8 @@ def inflation() -> World:
     return world
 
 
-def weak_bottle() -> World:
-    world = World("weak bottle", reservoir_kPa=95.0)
+def weak_reservoir() -> World:
+    world = World("weak reservoir", reservoir_kPa=95.0)
     world.greet()
     world.hold(15.0, 600)
     world.hold(3.0, 300)
@@ -591,7 +591,7 @@ def random_mess() -> World:
 
 def main() -> None:
     parts = (
-        *(handshake, settings, inflation, weak_bottle, dead_man, overpressure, sensors, supply),
+        *(handshake, settings, inflation, weak_reservoir, dead_man, overpressure, sensors, supply),
         *(broken_frames, strange_setpoints, slow_port, telemetry_at_1000_hz, busy_line, late_steps),
         *(watchdog, stored_settings, random_mess),
     )

@@ -135,7 +135,7 @@ NAMES = {
     "evp_opening": ("EVP", "inflation valve", "Pump duty", "fill_valve"),
     "solenoid": ("vent", "Outlet state", "exhaust_valve", "solenoid"),
     "cv_pressure": ("Actuator pressure", "P_chamber", "cv pressure", "Kammerdruck", "feedback"),
-    "reservoir_pressure": ("Tank pressure", "P_supply", "reservoir", "Bottle press.", "upstream pressure"),
+    "reservoir_pressure": ("Tank pressure", "P_supply", "reservoir", "Reservoir press.", "upstream pressure"),
 }
 PRESSURE_UNITS = ("kPa", "psi", "bar", "mbar", "hPa", "Pa", "MPa", "cmH2O", "mmHg")
 OPENING_UNITS = {"%": 100.0, "0-255": 255.0, "0-1": 1.0, "0-1023": 1023.0}

@@ -283,7 +283,7 @@ def test_a_discharge_has_one_channel(tmp_path: Path) -> None:
     leaking_kPa = 600.0 * np.exp(-time_s / 25.0) + np.random.default_rng(1).normal(0.0, 1.0, len(time_s))
     rows = "\n".join(f"{t:.2f},{p:.2f}" for t, p in zip(time_s, leaking_kPa, strict=True))
     (tmp_path / "rig.toml").write_text("[sensors]\nreservoir_noise_std_kPa = 1.0\n")
-    (tmp_path / "bottle.csv").write_text(f"time_s,reservoir_pressure_kPa\n{rows}\n")
+    (tmp_path / "reservoir.csv").write_text(f"time_s,reservoir_pressure_kPa\n{rows}\n")
     seen = diagnosed(read_case(tmp_path), "evp_restriction", "reservoir_leak", "cv_leak")
     report = page_of(seen)
     assert {"evp_restriction", "reservoir_leak"} & {seen.verdict.cause, *seen.verdict.indistinguishable}

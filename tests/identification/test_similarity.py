@@ -59,7 +59,7 @@ def test_a_cause_that_nothing_shows_has_no_trace(tmp_path: Path) -> None:
     time_s = np.arange(0.0, 6.0, 0.1)
     rows = "\n".join(f"{t:.2f},{600.0 - 3.0 * t:.2f}" for t in time_s)
     (tmp_path / "rig.toml").write_text("")
-    (tmp_path / "bottle.csv").write_text(f"time_s,reservoir_pressure_kPa\n{rows}\n")
+    (tmp_path / "reservoir.csv").write_text(f"time_s,reservoir_pressure_kPa\n{rows}\n")
     alike = found(read_case(tmp_path), BY_NAME["cv_leak"], BY_NAME["reservoir_leak"])
     assert alike.seen[0] == 0.0 and alike.cosine[0, 1] == 0.0
     assert alike.seen[1] > 0.0

@@ -126,10 +126,10 @@ def test_the_status_is_reported_when_it_changes_and_not_more_than_once_a_second(
     for tenth in range(50):
         manager.snapshot(replace(snapshot, t=tenth / 10, reservoir_kPa=690.0 - (tenth if tenth < 25 else 25)))
     assert [status.split("; ")[3] for status in listener.received()] == [
-        "bottle 690 kPa",
-        "bottle 680 kPa",
-        "bottle 670 kPa",
-        "bottle 665 kPa",
+        "reservoir 690 kPa",
+        "reservoir 680 kPa",
+        "reservoir 670 kPa",
+        "reservoir 665 kPa",
     ]
 
 

@@ -131,7 +131,7 @@ def test_the_service_flies_as_the_budget_predicts(kind: AutopilotKind) -> None:
     assert budget.ends.low < report.flight_result.ends_kPa < budget.ends.high
     otherwise = replace(report.flight_result, ran=(), ends_kPa=300.0, landed=False)
     said = " ".join(replace(report, flight_result=otherwise).differences)
-    assert "items [] ran, not" in said and "the bottle lost" in said and "had not landed" in said
+    assert "items [] ran, not" in said and "the reservoir lost" in said and "had not landed" in said
     found = as_json(report)["trial"]
     assert found["items"] == [bend.step.item.seq for bend in report.budget.bends]
 
@@ -139,7 +139,7 @@ def test_the_service_flies_as_the_budget_predicts(kind: AutopilotKind) -> None:
 @pytest.mark.parametrize(
     ("reservoir_kPa", "verdict"), [pytest.param(48.0, "refused", marks=pytest.mark.long), (70.0, "limited")]
 )
-def test_a_low_bottle_is_judged_as_the_service_judges_it(reservoir_kPa: float, verdict: str) -> None:
+def test_a_low_reservoir_is_judged_as_the_service_judges_it(reservoir_kPa: float, verdict: str) -> None:
     given = built(SHORT, "px4")
     report = reviewed(given, "px4", reservoir_kPa=reservoir_kPa)
     flown = fly(given, CONFIG, "px4", SIMULATOR_HOME["px4"], reservoir_kPa, report.timeline.length_s, IDEAL)

@@ -213,12 +213,12 @@ def test_a_bend_with_too_little_air_is_refused_with_this_reason() -> None:
     given = built(HEAD + waypoint("{ bend_deg = 50 }, { profile = 'straight' }"), "px4")
     report = reviewed(given, "px4", reservoir_kPa=50.0)
     text = finding_texts(report)[0]
-    assert "refused: bottle at 50 kPa, needs " in text and "fill the bottle more" in text
+    assert "refused: reservoir at 50 kPa, needs " in text and "fill the reservoir more" in text
     waved = built(HEAD + waypoint("{ profile = 'wave' }, { bend_deg = 50 }, { profile = 'straight' }"), "px4")
     doubtful = reviewed(waved, "px4", reservoir_kPa=80.0)
     assert finding_texts(doubtful) == []
     assert any(
-        "may be refused, if the bottle is at its low estimate: bottle at" in text
+        "may be refused, if the reservoir is at its low estimate: reservoir at" in text
         for text in finding_texts(doubtful, "warning")
     )
 

@@ -49,7 +49,7 @@ def test_air_comes_back_through_a_venturi_at_rest_only() -> None:
 
 
 def test_discharge_to_atmosphere_is_the_papers_exponential() -> None:
-    """P_r = P_r0 exp(−t/τ), τ = R_v V_r / α; the paper's 2 L bottle at its flow resistance: τ = 40.3 s."""
+    """P_r = P_r0 exp(−t/τ), τ = R_v V_r / α; the paper's 2 L reservoir at its flow resistance: τ = 40.3 s."""
     rig = dataclasses.replace(
         RIG, cv=None, evp=dataclasses.replace(RIG.evp, flow_resistance_kPa_s_per_SL=20.1535 * ALPHA_KPA)
     )

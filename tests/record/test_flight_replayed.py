@@ -126,7 +126,7 @@ def test_a_shutdown_is_in_the_log_and_comes_out_the_same(
     recorder.close()
     log = FlightLog(recorder.folder)
     (error,) = log.entries((topic_of(InternalError),))
-    assert error.fields["part"] == "bottle estimate" and "failing" in error.fields["trace"]
+    assert error.fields["part"] == "reservoir estimate" and "failing" in error.fields["trace"]
     again = replay_flight(log)
     assert not again.differences and again.decisions[-1].what == {"loss": "internal_error"}
 

@@ -244,14 +244,14 @@ def test_a_slow_leak_comes_beside_the_rigs_own(own: Ohm | None) -> None:
     assert phlosar.state.vented_SL == pytest.approx(0.1 * out_SL_per_s, rel=0.01)
 
 
-def test_a_hole_in_the_bottle_empties_it_as_in_the_textbook() -> None:
+def test_a_hole_in_the_reservoir_empties_it_as_in_the_textbook() -> None:
     phlosar, _ = rigged(SHUT, Effects())
-    phlosar.mishaps.bottle = Hole(2.0)
+    phlosar.mishaps.reservoir = Hole(2.0)
     phlosar.advance(1.0)
     tau_s = choked_time_constant_s(2.0, Hole(2.0).opening.conductance_SL_per_s_kPa)
     left_kPa_abs = isothermal_choked_discharge_kPa_abs(690.0 + AMBIENT_KPA, 1.0, tau_s)
     assert phlosar.reservoir_kPa + AMBIENT_KPA == pytest.approx(left_kPa_abs, rel=1e-3)
-    phlosar.mishaps.bottle = None
+    phlosar.mishaps.reservoir = None
     kept_kPa = phlosar.reservoir_kPa
     phlosar.advance(2.0)
     assert phlosar.reservoir_kPa == kept_kPa
@@ -296,20 +296,20 @@ def test_half_a_kink_slows_it(effects: Effects | None) -> None:
 
 
 @likely_and_ideal
-def test_a_bottle_may_be_filled_and_emptied(effects: Effects | None) -> None:
+def test_a_reservoir_may_be_filled_and_emptied(effects: Effects | None) -> None:
     phlosar, _ = rigged(SHUT, effects)
-    phlosar.inject("bottle", Filled(800.0))
+    phlosar.inject("reservoir", Filled(800.0))
     assert phlosar.reservoir_kPa == pytest.approx(800.0)
-    phlosar.inject("bottle", Filled(0.0))
+    phlosar.inject("reservoir", Filled(0.0))
     phlosar.advance(0.1)
     assert phlosar.reservoir_kPa == pytest.approx(0.0, abs=0.1)
     assert phlosar.mishaps == Mishaps()
 
 
 @pytest.mark.parametrize("effects", [None, Effects(), WARM], ids=["likely", "ideal", "warm"])
-def test_a_bottle_in_the_sun_has_more_pressure(effects: Effects | None) -> None:
+def test_a_reservoir_in_the_sun_has_more_pressure(effects: Effects | None) -> None:
     phlosar, _ = rigged(SHUT, effects)
-    phlosar.inject("bottle", Heated(30.0))
+    phlosar.inject("reservoir", Heated(30.0))
     warm_kPa_abs = (690.0 + AMBIENT_KPA) * (1.0 + 30.0 / 293.15)
     assert phlosar.reservoir_kPa + AMBIENT_KPA == pytest.approx(warm_kPa_abs)
     phlosar.advance(5.0)
@@ -463,7 +463,7 @@ def test_a_rig_without_a_vine_has_nothing_to_burst() -> None:
     [
         ("wing", Stuck(), "wing is not a place"),
         ("evp", Stuck(), r"evp cannot have Stuck\(\)"),
-        ("bottle", HoseOff(), r"bottle cannot have HoseOff\(\)"),
+        ("reservoir", HoseOff(), r"reservoir cannot have HoseOff\(\)"),
     ],
 )
 def test_a_fault_at_an_impossible_place_is_refused(place: str, kind: MishapKind, sentence: str) -> None:

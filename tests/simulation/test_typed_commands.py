@@ -56,9 +56,9 @@ def test_lines_inject_faults_and_end_them(line: str, place: str, kind: MishapKin
         assert phlosar.mishaps == Mishaps()
 
 
-def test_lines_fill_the_bottle() -> None:
+def test_lines_fill_the_reservoir() -> None:
     phlosar = SimulatedPhlosar(effects=Effects())
-    assert inject_typed(phlosar, "bottle filled 300") == inject_typed(phlosar, "") == ""
+    assert inject_typed(phlosar, "reservoir filled 300") == inject_typed(phlosar, "") == ""
     assert phlosar.reservoir_kPa == pytest.approx(300.0)
 
 

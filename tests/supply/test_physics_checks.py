@@ -85,16 +85,16 @@ class Flying:
         return self.found[before:]
 
 
-def likely(cv_volume_L: float = 0.1, bottle_kPa: float = 690.0) -> SimulatedPhlosar:
-    return SimulatedPhlosar(Rig(cv=ControlVolume(cv_volume_L)), reservoir_kPa=bottle_kPa)
+def likely(cv_volume_L: float = 0.1, reservoir_kPa: float = 690.0) -> SimulatedPhlosar:
+    return SimulatedPhlosar(Rig(cv=ControlVolume(cv_volume_L)), reservoir_kPa=reservoir_kPa)
 
 
 @pytest.mark.parametrize("believed_share", [0.5, pytest.param(1.0, marks=pytest.mark.long), 2.0])
-@pytest.mark.parametrize(("cv_volume_L", "bottle_kPa"), [(0.05, 690.0), (0.1, 120.0), (1.0, 600.0)])
+@pytest.mark.parametrize(("cv_volume_L", "reservoir_kPa"), [(0.05, 690.0), (0.1, 120.0), (1.0, 600.0)])
 def test_a_healthy_rig_has_no_false_fault(
-    cv_volume_L: float, bottle_kPa: float, believed_share: float
+    cv_volume_L: float, reservoir_kPa: float, believed_share: float
 ) -> None:
-    flying = Flying(likely(cv_volume_L, bottle_kPa), checks_of(believed_share * cv_volume_L))
+    flying = Flying(likely(cv_volume_L, reservoir_kPa), checks_of(believed_share * cv_volume_L))
     flying.run(2.0, None)
     for target_kPa in (TOP_KPA, 8.0, TOP_KPA, 0.0, TOP_KPA, None):
         flying.run(1.5, target_kPa)
@@ -111,13 +111,13 @@ MISHAPS: Sequence[tuple[str, MishapKind, str, str, float]] = (
     ("actuator", Hole(4.0), HOLD, "filling", 0.8),
     ("cv_sensor", Gain(0.0), HOLD, "filling", 0.8),
     ("solenoid", StuckAt(0.0), RELEASE, "venting", 3.0),
-    ("evp", StuckAt(1.0), REST, "bottle_loss", 1.5),
-    ("dvp", StuckAt(1.0), HOLD, "bottle_loss", 1.5),
-    ("bottle", Hole(4.0), HOLD, "bottle_loss", 0.6),
+    ("evp", StuckAt(1.0), REST, "reservoir_loss", 1.5),
+    ("dvp", StuckAt(1.0), HOLD, "reservoir_loss", 1.5),
+    ("reservoir", Hole(4.0), HOLD, "reservoir_loss", 0.6),
     ("cv_sensor", Drifting(-1.0), REST, "vine_zero", 5.5),
     ("cv_sensor", Noisy(5.0), REST, "unsteady", 1.0),
     ("reservoir_sensor", Noisy(20.0), REST, "unsteady", 1.5),
-    ("bottle", Filled(750.0), REST, "bottle_hot", 1.5),
+    ("reservoir", Filled(750.0), REST, "reservoir_hot", 1.5),
     ("actuator", Hole(0.6), HOLD, "vine_leak", 10.0),
 )
 
@@ -187,7 +187,7 @@ def test_readings_that_are_the_same_by_chance_are_no_stuck_sensor() -> None:
     assert [finding.name for message in messages for finding in checks.watch(message)] == []
 
 
-def test_a_bottle_sensor_that_is_stuck_is_found_within_eight_bends() -> None:
+def test_a_reservoir_sensor_that_is_stuck_is_found_within_eight_bends() -> None:
     flying = Flying(likely(), checks_of())
     flying.run(2.0, None)
     flying.phlosar.mishaps.reservoir_sensor = Stuck()
@@ -195,13 +195,13 @@ def test_a_bottle_sensor_that_is_stuck_is_found_within_eight_bends() -> None:
         flying.run(1.0, TOP_KPA)
         flying.run(1.0, None)
     ((at_s, finding),) = flying.found
-    assert (finding.name, finding.level) == ("bottle_sensor", "warn")
-    assert at_s > 4.0, "one bend of this vine moves the bottle by less than its sensor tells apart"
+    assert (finding.name, finding.level) == ("reservoir_sensor", "warn")
+    assert at_s > 4.0, "one bend of this vine moves the reservoir by less than its sensor tells apart"
 
 
 def test_the_sentence_names_where_the_air_went() -> None:
     for place, kind, sentence in (
-        ("evp", StuckAt(0.0), "not filling, bottle loses no air: valve"),
+        ("evp", StuckAt(0.0), "not filling, reservoir loses no air: valve"),
         ("hose", HoseOff(), "not filling, air is lost: hose or actuator"),
     ):
         flying = Flying(likely(0.3), checks_of(0.3))
@@ -219,7 +219,7 @@ def test_an_inflation_valve_stuck_open_is_distinguished_from_a_shut_outlet() -> 
         flying.phlosar.inject(place, kind)
         found = [finding for _, finding in flying.run(4.0, None)]
         sentences[place] = next(finding.sentence for finding in found if finding.name == "venting")
-    assert sentences["evp"] == "not venting, valve stuck open: close the bottle"
+    assert sentences["evp"] == "not venting, valve stuck open: close the reservoir"
     assert sentences["solenoid"] == "not venting: outlet, line or sensor"
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from itertools import combinations
 
 import pytest
-from bottle_bench import DEMONSTRATION, Bench
+from reservoir_bench import DEMONSTRATION, Bench
 
 from firmware_link.protocol import Mode
 from flying_vines.supply import CyclesLeft, ReportedCycles, ReservoirEstimate, nominal

@@ -6,9 +6,9 @@ import math
 
 import msgspec
 import pytest
-from bottle_bench import DEMONSTRATION, Bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reservoir_bench import DEMONSTRATION, Bench
 
 from examples import examples
 from firmware_link.protocol import Fault, Mode, Telemetry
@@ -70,7 +70,7 @@ def _unused() -> Bench:
     return bench
 
 
-def test_a_burst_and_the_bottle_that_recovers_from_it_change_little() -> None:
+def test_a_burst_and_the_reservoir_that_recovers_from_it_change_little() -> None:
     bench = Bench(cost_kPa=2.07)
     bench.rest(5.0)
     bench.bend(12, hold_s=0.2, rest_s=0.15)
@@ -223,7 +223,7 @@ def test_nothing_is_known_before_the_first_reading() -> None:
     assert math.isnan(estimate.reservoir_kPa)
 
 
-def test_a_sensor_whose_zero_is_low_does_not_hide_the_bottle() -> None:
+def test_a_sensor_whose_zero_is_low_does_not_hide_the_reservoir() -> None:
     reader, estimate = TelemetryReader(nominal(DEMONSTRATION)), ReservoirEstimate(nominal(DEMONSTRATION))
     for i in range(100):
         message = Telemetry(0, Mode.VENT, Fault.NONE, 0, 0.0, -2.5, 600.0, 0.0, 0.0, True)

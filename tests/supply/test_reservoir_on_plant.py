@@ -110,7 +110,7 @@ def test_an_early_prediction_holds(flight: Flight) -> None:
         # The later cycles are only counted, for the true number.
         if cycle <= 15:
             estimate.update(reader.read(t, telemetry))
-    assert missed == 3, "the bottle lasted too long for this test"
+    assert missed == 3, "the reservoir lasted too long for this test"
     total = cycle - missed
     assert total > 25
     for after, within in ((5, 0.15), (15, 0.1)):

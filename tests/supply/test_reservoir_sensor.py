@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 
 import pytest
-from bottle_bench import Bench
+from reservoir_bench import Bench
 
 from flying_vines.config.config import PneumaticsConfig
 from flying_vines.supply import ReportedCycles
@@ -202,7 +202,7 @@ def test_the_finding_outlasts_gaps_in_telemetry() -> None:
     bench.t += 5.0
     bench.rest(0.5)
     assert bench.in_doubt
-    assert bench.checks.counts["bottle_sensor"] == 1
+    assert bench.checks.counts["reservoir_sensor"] == 1
 
 
 def test_the_account_continues_over_a_gap() -> None:

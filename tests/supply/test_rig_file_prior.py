@@ -178,7 +178,7 @@ def errors(there: TrueRig, priors: tuple[RigPrior, ...]) -> list[tuple[float, ..
         best_kPa = max(best_kPa, telemetry.cv_kPa)
         for reader, estimate in zip(readers, estimates, strict=True) if cycle < 5 else ():
             estimate.update(reader.read(t, telemetry))
-    assert missed == 3, "the bottle lasted too long for this test"
+    assert missed == 3, "the reservoir lasted too long for this test"
     total = cycle - missed
     assert total > 25
     return [tuple(abs(math.log(n / (total - cycle))) for n in left) for cycle, left in predicted.items()]

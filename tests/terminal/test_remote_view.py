@@ -61,10 +61,10 @@ async def showing(bench: Bench) -> AsyncIterator[None]:
 
 
 async def test_on_a_pipe_an_event_is_a_line(bench: Bench) -> None:
-    bench.happen(Notice(5.0, Severity.WARNING, "Vine: bottle low"))
+    bench.happen(Notice(5.0, Severity.WARNING, "Vine: reservoir low"))
     bench.happen(Decision(6.0, "page", {}, "bend-half", "refused", "not armed", 0.0))
     out, err = await watch("--url", bench.url, "--seconds", "0.8", status=0)
-    assert "   0.00  Vine: bottle low" in out
+    assert "   0.00  Vine: reservoir low" in out
     assert "   1.00  page → bend-half: refused (not armed)" in out
     assert "link: open" in out
     assert not err

@@ -232,7 +232,7 @@ def test_the_same_text_is_sent_again_only_after_a_while() -> None:
     received = []
     for i in range(1000):
         t = i * TICK_S
-        ours.say(Notice(t, Severity.WARNING, "Vine: bottle low"))
+        ours.say(Notice(t, Severity.WARNING, "Vine: reservoir low"))
         received += [t for m in ours.due(t, 0, {}, 4) if m.get_type() == "STATUSTEXT"]
     assert len(received) == 4
     assert all(gap_s >= SAME_AGAIN_S - 1e-9 for gap_s in gaps_s(received))

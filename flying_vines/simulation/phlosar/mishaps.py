@@ -26,7 +26,7 @@ WATCHDOG_MS = 256
 """The watchdog resets a hanging board after this time."""
 _SONIC_SL_PER_S_KPA_MM2 = 1.27e-3
 """Choked flow of air at 20 °C per mm² of a sharp-edged hole (discharge coefficient 0.65). Assumption."""
-_FULL_BOTTLE_KPA = 690.0
+_FULL_RESERVOIR_KPA = 690.0
 _BENT_VINE_KPA = 20.0
 
 
@@ -182,22 +182,22 @@ class Kinked:
 
 @dataclass(frozen=True)
 class Filled:
-    """The bottle is filled or emptied to this pressure at once."""
+    """The reservoir is filled or emptied to this pressure at once."""
 
     kPa: float
 
     def __post_init__(self) -> None:
-        _check(self.kPa >= 0.0, "a bottle's pressure must not be below ambient")
+        _check(self.kPa >= 0.0, "a reservoir's pressure must not be below ambient")
 
 
 @dataclass(frozen=True)
 class Heated:
-    """Bottle and air become warmer by this temperature at once."""
+    """Reservoir and air become warmer by this temperature at once."""
 
     kelvin: float
 
     def __post_init__(self) -> None:
-        _check(self.kelvin > -100.0, "a bottle must not be cooled by 100 K or more")
+        _check(self.kelvin > -100.0, "a reservoir must not be cooled by 100 K or more")
 
 
 # The board.
@@ -254,7 +254,7 @@ class Mishaps:
     venturi: Blocked | None = None
     hose: HoseOff | Kinked | None = None
     actuator: Hole | None = None
-    bottle: Hole | None = None
+    reservoir: Hole | None = None
     board: Unpowered | Hanging | None = None
 
 
@@ -277,7 +277,7 @@ PLACES: Mapping[str, Mapping[str, type[Any]]] = {
     "venturi": {"blocked": Blocked},
     "hose": {"off": HoseOff, "kinked": Kinked},
     "actuator": {"hole": Hole},
-    "bottle": {"hole": Hole, "filled": Filled, "heated": Heated},
+    "reservoir": {"hole": Hole, "filled": Filled, "heated": Heated},
     "board": {"unpowered": Unpowered, "hanging": Hanging, "reset": Reset, "watchdog": WatchdogReset},
 }
 """The possible mishaps of each place, by their typed words."""
@@ -321,8 +321,8 @@ _HOSE_BORE = Hole(4.0)
 def with_mishaps(healthy: PlantNumbers, mishaps: Mishaps) -> PlantNumbers:
     """The plant's numbers with these mishaps."""
     numbers = healthy._replace(evp=_stuck(healthy.evp, mishaps.evp), dvp=_stuck(healthy.dvp, mishaps.dvp))
-    if mishaps.bottle is not None:
-        leak = _with_hole(healthy.reservoir_leak, mishaps.bottle.opening, _FULL_BOTTLE_KPA)
+    if mishaps.reservoir is not None:
+        leak = _with_hole(healthy.reservoir_leak, mishaps.reservoir.opening, _FULL_RESERVOIR_KPA)
         through = healthy.evp.law.steepest_SL_per_s_kPa + healthy.dvp.law.steepest_SL_per_s_kPa
         quickest_per_s = (
             healthy.gamma * ALPHA_KPA * healthy.reservoir_per_L * (through + leak.steepest_SL_per_s_kPa)

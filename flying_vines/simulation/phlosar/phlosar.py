@@ -1,6 +1,6 @@
 """A simulated phloSAR: firmware, detailed plant, sensors, hardware failures (mishaps), and a serial port.
 
-The phloSAR has a bottle, valves, a Venturi and a Teensy. EVP: inflation valve. DVP: the Venturi's supply
+The phloSAR has a reservoir, valves, a Venturi and a Teensy. EVP: inflation valve. DVP: the Venturi's supply
 valve.
 """
 
@@ -168,7 +168,7 @@ class SimulatedPhlosar:
         )
 
     def heat_reservoir(self, kelvin: float) -> None:
-        """Heat bottle and gas by `kelvin`.
+        """Heat reservoir and gas by `kelvin`.
 
         The gas of an isothermal model cannot be heated. This model gets air instead, so that the pressure
         rises by the same amount.

@@ -23,10 +23,10 @@ BRIDGING = ("filling", "below_setpoint")
 """These checks count only air that certainly went in, or could go in, so they continue over a gap. All others
 restart at each gap: twice a second if a fifth of 10 Hz telemetry is lost."""
 
-ENDURING = ("bottle_sensor",)
+ENDURING = ("reservoir_sensor",)
 """These checks keep an account of the whole flight, also over long gaps. Their findings stay."""
 
-AIR_LOSSES = ("filling", "sudden_fall", "bottle_loss")
+AIR_LOSSES = ("filling", "sudden_fall", "reservoir_loss")
 """After one of these faults no air is left for a bend."""
 
 FindingSeverity = Literal["fault", "warn"]
@@ -58,9 +58,9 @@ CHECKS: dict[str, Callable[[Expected], Check]] = {
     "sudden_fall": lambda _: SuddenFall(),
     "vine_sensor": StuckVineSensor,
     "vine_zero": Zero,
-    "bottle_loss": ReservoirLoss,
-    "bottle_sensor": ReservoirSensor,
-    "bottle_hot": Hot,
+    "reservoir_loss": ReservoirLoss,
+    "reservoir_sensor": ReservoirSensor,
+    "reservoir_hot": Hot,
     "vine_leak": VineLeak,
     "unsteady": lambda _: Unsteady(),
 }

@@ -65,7 +65,7 @@ class Filling:
         if fall_kPa < MIN_FALL_KPA:
             return "not filling: valve, hose or actuator"
         if self._reservoir_kPa - now.telemetry.reservoir_kPa < 0.3 * fall_kPa:
-            return "not filling, bottle loses no air: valve"
+            return "not filling, reservoir loses no air: valve"
         return "not filling, air is lost: hose or actuator"
 
 

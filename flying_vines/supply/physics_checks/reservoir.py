@@ -65,7 +65,7 @@ class ReservoirLoss:
             expected_kPa = GAMMA * self._rig.reservoir_fall_kPa(outflow_SL - before_SL)
             lost_kPa = before_kPa - kPa - expected_kPa
             if lost_kPa > MARGIN_KPA + self._noise_kPa + SHARE_OF_EVP * open_kPa_per_s * seconds:
-                return f"bottle loses {lost_kPa / seconds:.0f} kPa/s too much"
+                return f"reservoir loses {lost_kPa / seconds:.0f} kPa/s too much"
         return None
 
 
@@ -80,4 +80,4 @@ class Hot:
         self._high_s = self._high_s + now.device_dt_s if now.telemetry.reservoir_kPa > self._max_kPa else 0.0
         if self._high_s < HIGH_S:
             return None
-        return f"bottle at {now.telemetry.reservoir_kPa:.0f} kPa: hot or overfilled"
+        return f"reservoir at {now.telemetry.reservoir_kPa:.0f} kPa: hot or overfilled"

@@ -51,5 +51,5 @@ class VentingCheck:
         open_valve_SL = self._waited_s * self._rig.open_evp_SL_per_s(now.telemetry.reservoir_kPa)
         fall_kPa = self._rig.reservoir_fall_kPa(open_valve_SL)
         if self._reservoir_kPa - now.telemetry.reservoir_kPa > fall_kPa / 3.0:
-            return "not venting, valve stuck open: close the bottle"
+            return "not venting, valve stuck open: close the reservoir"
         return "not venting: outlet, line or sensor"

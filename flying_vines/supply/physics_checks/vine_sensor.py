@@ -119,4 +119,4 @@ class Unsteady:
     def _sentence(self) -> str | None:
         if self._vine_kPa > VINE_UNSTEADY_KPA:
             return "vine sensor unsteady"
-        return "bottle sensor unsteady" if self._reservoir_kPa > RESERVOIR_UNSTEADY_KPA else None
+        return "reservoir sensor unsteady" if self._reservoir_kPa > RESERVOIR_UNSTEADY_KPA else None

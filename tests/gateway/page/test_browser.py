@@ -276,7 +276,7 @@ PLENTY = CyclesLeft(1234.0, 1000.0, 1500.0, 3.0, 9.0, 80.0, 15.0, 1.2, 600.0, 45
 FAULTS = {
     "firmware_fault": "firmware fault: dead-man timer ran out, over-pressure in the vine, watchdog reset",
     "rc": "RC lost: the receiver hears no transmitter",
-    "bottle_loss": "bottle loses 22 kPa/s too much",
+    "reservoir_loss": "reservoir loses 22 kPa/s too much",
 }
 STATES = {
     "bent": snapshot(doing="bend-full", command_kPa=20.0, cv_kPa=20.1, bend_deg=58.0, cycles=PLENTY),

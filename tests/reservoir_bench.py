@@ -36,7 +36,7 @@ class Bench:
         self.reader = TelemetryReader(prior)
         self.estimate = ReservoirEstimate(prior)
         self.sensor = ReservoirSensor(expected(prior, limits), self.estimate)
-        self.checks = PhysicsChecks(prior, limits, CHECKS | {"bottle_sensor": lambda _: self.sensor})
+        self.checks = PhysicsChecks(prior, limits, CHECKS | {"reservoir_sensor": lambda _: self.sensor})
         self.lie: Callable[[float], float] = lambda reading_kPa: reading_kPa
         self.armed = True
         self.t = 0.0
@@ -50,7 +50,7 @@ class Bench:
 
     @property
     def in_doubt(self) -> str:
-        finding = self.checks.present.get("bottle_sensor")
+        finding = self.checks.present.get("reservoir_sensor")
         return finding.sentence if finding else ""
 
     def left(self) -> CyclesLeft:
