@@ -31,7 +31,7 @@ LONGEST_COUNT_EVERY_S = 60.0
 MAX_CONDITIONS = 64
 """Texts from outside are conditions, too. If there are more, the oldest is forgotten."""
 
-LATE_S = 0.2
+LATE_S = 0.25
 """A tick that comes so much late counts as late: the computer is too busy."""
 LATE_FOR_S = 2.0
 """After a late tick, the computer counts as busy for this time."""

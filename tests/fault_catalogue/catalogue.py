@@ -550,7 +550,7 @@ BOARD = (
         "board_restarts_often",
         "it restarts ten times a second",
         "its clock went back; then counted, every 10 s",
-        "unstable: 50 losses in 5 s",
+        "50 losses in 5 s",
         Cleared.PERSON,
         10,
         1,
