@@ -89,7 +89,7 @@ class OwnLines:
         # A loss with another text is the same loss: a silent link that then comes late, for example.
         is_same = not changed and notice.text != condition.latest.text
         # How often a text came matters only if it reports a problem.
-        is_same |= not notice.condition and notice.severity > Severity.WARNING
+        is_same |= notice.severity > Severity.WARNING
         condition.losses += not notice.ended and not is_same
         condition.latest = notice
         if at_once or (changed and condition.losses == 1):

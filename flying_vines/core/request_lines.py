@@ -43,14 +43,12 @@ class _Period:
         self.latest = line
         return False
 
-    def count(self, t: float, source: str) -> Notice | None:
-        """The notice about the lines that were not shown; None if all were."""
-        if self.latest is None:
-            return None
-        text = self.latest.text
+    def count(self, latest: Notice, t: float, source: str) -> Notice:
+        """The notice about the lines that were not shown; `latest` is the last of them."""
+        text = latest.text
         if self.total > 1:
             text += f" (one of {self.total} from {source})" if self.mixed else f" ({self.total} times)"
-        return replace(self.latest, t=t, text=text, of_decision=False)
+        return replace(latest, t=t, text=text, of_decision=False)
 
 
 class RequestLines:
@@ -73,12 +71,11 @@ class RequestLines:
         for source, period in list(self._periods.items()):
             if t < period.ends_at:
                 continue
-            count = period.count(t, source)
-            if count is None or period.latest is None:
+            if (latest := period.latest) is None:
                 del self._periods[source]
                 continue
-            counts.append(count)
+            counts.append(period.count(latest, t, source))
             lasts_s = min(LONGEST_PERIOD_S, 2.0 * period.lasts_s)
             # A line that was counted is not new in the next period.
-            self._periods[source] = _Period(t + lasts_s, lasts_s, {period.latest.text})
+            self._periods[source] = _Period(t + lasts_s, lasts_s, {latest.text})
         return counts

@@ -281,3 +281,14 @@ def test_messages_from_before_a_command_say_nothing_about_it() -> None:
     assert mode.mismatch_s(Mode.VENT) == 0.0
     mode.note(10.2, 10.2, regulates, Mode.VENT)
     assert mode.mismatch_s(Mode.VENT) == pytest.approx(0.2)
+
+
+def test_a_setpoint_that_stops_half_way_is_found_a_second_later() -> None:
+    compared = BoardSetpoint()
+    for tick in range(110):
+        t = tick * TICK_S
+        compared.command(t, TOP_KPA)
+        compared.note(t, min(10.0 * t, 12.0), 10.0)
+        if t < 1.9:
+            assert compared.wrong is None
+    assert compared.wrong is not None

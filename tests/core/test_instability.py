@@ -98,9 +98,29 @@ def test_the_same_text_again_and_again_is_counted() -> None:
     lines = OwnLines()
     notices = [Notice(0.02 * i, Severity.WARNING, "Vine: cannot write the log") for i in range(50)]
     assert [lines.take(notice) for notice in notices] == [True] + 49 * [False]
+    assert lines.unstable(1.0) == {}, "it is no link"
     (counted,) = lines.due(1.0 + STABLE_AFTER_S)
     assert counted.text == "Vine: cannot write the log (50 times in 1 s)"
-    assert lines.unstable(1.0) == {}, "it is no link"
+    again = {
+        tick: Notice(tick * TICK_S, Severity.WARNING, "Vine: cannot write the log") for tick in range(130)
+    }
+    assert [text for _, text in shown(again, 12.9)][1:] == ["Vine: cannot write the log (101 times in 10 s)"]
+
+
+def test_a_text_that_comes_rarely_is_told_each_time() -> None:
+    rare = {tick: Notice(tick * TICK_S, Severity.WARNING, "Vine: no air") for tick in range(0, 600, 60)}
+    assert [text for _, text in shown(rare, 80.0)] == 10 * ["Vine: no air"]
+
+
+def test_a_condition_that_is_stable_again_is_forgotten() -> None:
+    lines = OwnLines()
+    for notice in flapping(1, 10).values():
+        lines.take(notice)
+    assert lines.unstable(0.9 + STABLE_AFTER_S - TICK_S)
+    assert not lines.unstable(0.9 + STABLE_AFTER_S)
+    lines.due(0.9 + STABLE_AFTER_S)
+    lines.due(0.9 + FORGOTTEN_AFTER_S)
+    assert lines._conditions == {}
 
 
 def test_another_loss_of_the_same_name_is_told_within_a_second() -> None:
@@ -153,6 +173,7 @@ def test_only_problems_are_counted() -> None:
 def test_the_same_end_is_told_once() -> None:
     lines = OwnLines()
     assert [lines.take(notice) for notice in (lost(0.0), back(0.1), back(0.2))] == [True, True, False]
+    assert not lines.take(replace(back(0.3), text="Vine: RC is off and not in use"))
     assert lines.due(COUNT_EVERY_S) == []
 
 

@@ -59,6 +59,19 @@ LOSSES: dict[str, dict[str, object]] = {
 }
 
 
+def test_a_board_that_never_answered_is_no_loss() -> None:
+    machine = safety()
+    assert machine.watch(0.0, but(FLYING, firmware_ready=False, firmware_was_ready=False)) == []
+
+
+def test_a_second_firmware_fault_is_told_and_repeats_no_other_loss() -> None:
+    machine = safety()
+    lost = but(BENT, rc_problem="no RC_CHANNELS for 1 s", faults=Fault.DEAD_MAN)
+    assert {change.name for change in machine.watch(1.0, lost)} == {"rc", "firmware_fault"}
+    more = but(lost, faults=Fault.DEAD_MAN | Fault.CV_SENSOR)
+    assert [change.name for change in machine.watch(2.0, more)] == ["firmware_fault"]
+
+
 @pytest.mark.parametrize("name", LOSSES)
 def test_each_loss_vents_once_refuses_and_ends(name: str) -> None:
     machine = safety()

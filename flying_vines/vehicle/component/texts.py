@@ -128,7 +128,7 @@ class Texts:
         if not self._sending:
             first = self._waiting[0]
             if not first.urgent and t - first.since > MAX_WAIT_S:
-                self._waiting = [w for w in self._waiting if w.urgent or t - w.since <= MAX_WAIT_S]
+                del self._waiting[0]
                 return []
             if not self._budget.take(t, 0 if first.urgent else RESERVED):
                 return []
