@@ -43,6 +43,7 @@ RECORD_TO, RUN_ONLY = "RULES_RECORD_TO", "RULES_RUN_ONLY"
 
 CORE_TESTS = (
     "tests/core/test_safety.py",
+    "tests/core/test_vine_motion.py",
     "tests/core/test_core_board.py",
     "tests/core/test_board_does_not_follow.py",
     "tests/core/test_core_on_bench.py",

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from flying_vines.config.config import Config
+from flying_vines.core.events import Decision
 from flying_vines.core.motion_planner import MotionPlanner
 from flying_vines.core.safety import Ruling, Safety, SafetyInputs
 from flying_vines.physics.gas import STANDARD_TEMPERATURE_K
@@ -19,6 +20,7 @@ from flying_vines.supply import CyclesLeft, ReservoirEstimate, RigPrior
 from flying_vines.supply.air_use import BLOCK_S, FLAT_KPA
 from flying_vines.supply.cycles_left import READING_SD_KPA, Z90
 from flying_vines.supply.reservoir_filter import GAS, ReservoirFilter, Spent, X
+from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.triggers import Rules
 from flying_vines.vine.intent import Intent
 from flying_vines.vine.motion import Motion
@@ -74,6 +76,30 @@ class AirBudget:
     length_s: float
     bent_at_end: PlannedBend | None
     """The bend that still lasts when the landing begins or the mission ends; None if the vine is straight."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlightResult:
+    """The result of one flight; pressures are gauge."""
+
+    ran: tuple[MissionItem, ...]
+    """The vine items that the autopilot ran, in order."""
+    decisions: tuple[Decision, ...]
+    """The service's decisions about them."""
+    begins_kPa: float
+    ends_kPa: float
+    length_s: float
+    """Simulated time from the start of the mission to the landing, or until the flight was stopped."""
+    landed: bool
+    flown_s: float
+    """`length_s` and the time on the ground before it."""
+    took_s: float
+    """Real time on this computer."""
+
+    @property
+    def speed(self) -> float:
+        """Simulated time divided by real time."""
+        return self.flown_s / max(1e-9, self.took_s)
 
 
 def budget(plan: Timeline, config: Config, prior: RigPrior, reservoir_kPa: float) -> AirBudget:

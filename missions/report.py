@@ -11,11 +11,10 @@ from rich.table import Table
 from rich.text import Text
 
 from flying_vines.config.config import Config
-from flying_vines.core.events import Decision
 from flying_vines.supply import RigPrior
 from flying_vines.vehicle.autopilots import AUTOPILOTS
 from flying_vines.vehicle.mission.item import DELAY, SPEED, WAYPOINT, AutopilotKind, MissionItem
-from missions.budget import AirBudget, PlannedBend, Range, budget
+from missions.budget import AirBudget, FlightResult, PlannedBend, Range, budget
 from missions.checks import CheckedMission, MissionFinding, check, name_of
 from missions.home import Home
 from missions.item_for_intent import described
@@ -34,30 +33,6 @@ _HEADINGS = (
     "90 %\nkPa",
     "cycles\nleft",
 )
-
-
-@dataclass(frozen=True, slots=True)
-class FlightResult:
-    """The result of one flight; pressures are gauge."""
-
-    ran: tuple[MissionItem, ...]
-    """The vine items that the autopilot ran, in order."""
-    decisions: tuple[Decision, ...]
-    """The service's decisions about them."""
-    begins_kPa: float
-    ends_kPa: float
-    length_s: float
-    """Simulated time from the start of the mission to the landing, or until the flight was stopped."""
-    landed: bool
-    flown_s: float
-    """`length_s` and the time on the ground before it."""
-    took_s: float
-    """Real time on this computer."""
-
-    @property
-    def speed(self) -> float:
-        """Simulated time divided by real time."""
-        return self.flown_s / max(1e-9, self.took_s)
 
 
 @dataclass(frozen=True, slots=True)

@@ -722,7 +722,7 @@ class Core:
         may_be_ours = change.name in _BUSY_CAUSES or bool(dead)
         busy = self._lateness.problem(t)
         line, reason = None, change.reason
-        if busy and may_be_ours and not self._link_loss.covers(change.name):
+        if busy and may_be_ours and not is_restart and not self._link_loss.covers(change.name):
             self._excused[change.name] = (t, change, response)
             reason = f"{busy}; {reason}"
             line = Notice(t, Severity.WARNING, f"Vine: {busy}, {response}", condition=COMPUTER)

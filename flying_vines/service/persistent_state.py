@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 
 from flying_vines.config import on_disk
-from flying_vines.config.config import Config
+from flying_vines.config.config import RENAMED, Config
 from flying_vines.files.bounded import read_bytes
 from flying_vines.gateway import page_token
 from flying_vines.vehicle.component import parameter_file
@@ -108,7 +108,8 @@ class PersistentState:
     def read_latched(self) -> dict[str, str]:
         """The faults that nobody has cleared."""
         try:
-            return msgspec.json.decode(read_bytes(self.latched, MAX_LATCHED_BYTES), type=dict[str, str])
+            stored = msgspec.json.decode(read_bytes(self.latched, MAX_LATCHED_BYTES), type=dict[str, str])
+            return {RENAMED.get(("checks", name), name): why for name, why in stored.items()}
         except FileNotFoundError:
             return {}
         except (OSError, ValueError, RecursionError):

@@ -33,8 +33,9 @@ from flying_vines.supply import RigPrior, nominal_rig
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.mission.item import MissionItem
 from flying_vines.vehicle.triggers import Rules
+from missions.budget import FlightResult
 from missions.home import Home
-from missions.report import FlightResult, Report
+from missions.report import Report
 
 BUFFER_BYTES = 4095
 """Size of a serial port's input buffer on Linux. Bytes that do not fit are lost."""

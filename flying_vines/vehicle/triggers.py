@@ -1,4 +1,4 @@
-"""Turns triggers (switch, mission items, commands) into intents, by the tables of the configuration."""
+"""Turns triggers (switch, mission items, commands, conditions of packages) into intents, by the tables."""
 
 from __future__ import annotations
 

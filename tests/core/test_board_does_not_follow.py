@@ -292,3 +292,12 @@ def test_a_setpoint_that_stops_half_way_is_found_a_second_later() -> None:
         if t < 1.9:
             assert compared.wrong is None
     assert compared.wrong is not None
+
+
+def test_a_board_that_follows_a_ramp_late_is_not_wrong() -> None:
+    compared = BoardSetpoint()
+    for tick in range(120):
+        t = tick * TICK_S
+        compared.command(t, 8.0 * t)
+        compared.note(t, 8.0 * max(0.0, t - 0.9 * SETPOINT_DELAY_S), 20.0)
+        assert compared.wrong is None

@@ -233,6 +233,8 @@ def test_a_damaged_file_of_latched_faults_is_a_latched_fault(tmp_path: Path) -> 
     assert state.read_latched() == {}
     state.store_latched({"filling": "not filling: …"})
     assert state.read_latched() == {"filling": "not filling: …"}
+    state.store_latched({"bottle_loss": "as earlier versions named it"})
+    assert state.read_latched() == {"reservoir_loss": "as earlier versions named it"}
     for damaged in (b"", b"[1]", b"\xff{", b'{"filling": "' + b"x" * 300_000 + b'"}'):
         state.latched.write_bytes(damaged)
         assert state.read_latched() == UNREADABLE
