@@ -99,7 +99,7 @@ MODULES = (
     Module("flying_vines/core/vine_motion.py", CORE_TESTS),
     Module(
         "flying_vines/core/core.py",
-        CORE_TESTS,
+        (*CORE_TESTS, "tests/test_extend.py"),
         (
             *("_decide", "_outdated", "_carry_out_without_air", "_hold", "_clear_faults"),
             *("_on_firmware_link", "_note_rc_use", "_conditions", "_enter", "_leave", "_drive"),

@@ -10,11 +10,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from flying_vines.config import config
 from flying_vines.config.config import InterlocksConfig
-from flying_vines.core.events import Action, Decision, KeepDisarmed, StoredState, VehicleMessage
+from flying_vines.core.events import Action, Asked, Decision, KeepDisarmed, StoredState, VehicleMessage
 from flying_vines.simulation.autopilot import FakeAutopilot
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec
 from flying_vines.vehicle.notice import Notice
+from flying_vines.vine.intent import DisarmPneumatics
 
 BEND, STOP, MORE = 31011, 31013, 31014
 VENT, HOLD, DISARM, ARM = 0, 1, 2, 3
@@ -111,3 +112,9 @@ def test_the_pilot_reads_who_disarmed_the_pneumatics_once(sender: tuple[int, int
     told = [a.text for a in bench.actions if isinstance(a, Notice) and "disarmed" in a.text]
     assert told == [f"Vine: pneumatics disarmed by {sender[0]}/{sender[1]}"]
     assert bench.flight.core.snapshot(bench.flight.world.now).waiting is None
+
+
+def test_the_pilot_reads_that_the_page_disarmed_the_pneumatics() -> None:
+    flight = Bench().flight
+    actions = flight.feed(Asked(flight.world.now, "page", DisarmPneumatics()))
+    assert "Vine: pneumatics disarmed by the page" in [a.text for a in actions if isinstance(a, Notice)]

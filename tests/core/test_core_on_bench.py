@@ -58,6 +58,7 @@ def test_arming_ends_bench_mode_and_vents() -> None:
 def test_bench_mode_ends_on_request() -> None:
     flight = bent_on_the_bench()
     assert ask(flight, StopBench()).safety == "accepted"
+    assert flight.core.snapshot(flight.world.now).waiting is None
     run_for(flight, 1.0)
     assert vented(flight)
     assert ask(flight, BendTo(30.0)).safety == "refused"

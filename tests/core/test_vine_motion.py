@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from firmware_link import host as fw
+from firmware_link.protocol import Fault, Mode, Telemetry
 from flying_vines.config import config
 from flying_vines.core.vine_motion import STRAIGHTENS_WITHIN_S, VineMotion
 from flying_vines.vine.intent import SetPressure
@@ -52,3 +53,14 @@ def test_a_bend_does_not_end_by_itself() -> None:
     vine = straightening(0.2)
     vine.motion = vine.plan(0.0, SetPressure(10.0))
     assert vine.ended(1e6) is None
+
+
+def test_the_setpoint_of_a_board_that_vents_is_not_compared() -> None:
+    vine = VineMotion(config.default(), Board(0.0), 0.02)
+    vine.motion = vine.plan(0.0, SetPressure(10.0))
+    for tick in range(200):
+        t = 0.02 * tick
+        vine.command(t)
+        vine.note(t, t, Telemetry(tick, Mode.VENT, Fault.NONE, 1, 0.0, 0.0, 690.0, 0.0, 0.0, True))
+    assert vine.wrong_setpoint_kPa is None
+    assert vine.mode_mismatch_s > 0.3
