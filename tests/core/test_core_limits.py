@@ -13,6 +13,8 @@ from flying_vines.config import config
 from flying_vines.core.events import Action, VehicleMessage
 from flying_vines.simulation.simulated_world import SimulatedFlight
 from flying_vines.vehicle.mavlink.codec import MavlinkCodec, MavlinkMessage
+from flying_vines.vehicle.triggers import Trigger
+from flying_vines.vine.intent import SetPressure
 
 from .flights import HIGH, LOW, airborne, answers, assert_vented, bent, configured, notices, run_for
 
@@ -263,3 +265,16 @@ def test_a_hold_of_a_lost_rc_cannot_be_prolonged() -> None:
     assert any("RC lost" in text for text in notices(actions))
     run_for(flight, 2.0)
     assert not is_bent(flight)
+
+
+def test_a_bend_that_is_cut_short_by_a_straightening_teaches_the_estimate_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    flight, cuts = airborne(), list[str]()
+    monkeypatch.setattr(flight.core._supply.reservoir, "cut_off", lambda: cuts.append("cut"))
+    t = flight.world.now
+    for later_s, kPa in ((0.0, 15.0), (0.05, 0.0), (0.1, 15.0)):
+        flight.core._decide(
+            t + later_s, Trigger(t + later_s, "command", {}, SetPressure(kPa), by_person=True)
+        )
+    assert cuts == ["cut"], "a new bend instead of a running one is one longer bend"
