@@ -276,7 +276,7 @@ def test_a_rig_file_stands_in_for_what_the_log_lacks(leaky: Path, tmp_path: Path
 
 
 def test_an_invalid_rig_in_the_log_is_refused(leaky: Path, tmp_path: Path) -> None:
-    reservoir = msgspec.json.encode({"t": 0.0, "believed": {"reservoir": {}}})
-    rewritten(leaky, tmp_path / MCAP, lambda entry: reservoir if entry.topic == "start" else entry.data)
-    with pytest.raises(CaseError, match="unknown table 'reservoir'"):
+    start = msgspec.json.encode({"t": 0.0, "believed": {"tank": {}}})
+    rewritten(leaky, tmp_path / MCAP, lambda entry: start if entry.topic == "start" else entry.data)
+    with pytest.raises(CaseError, match="unknown table 'tank'"):
         read_flight(tmp_path)

@@ -88,7 +88,7 @@ def test_tolerances_may_be_written_as_dotted_keys(path: Path) -> None:
             "[sensors]\ntank_noise_std_kPa = 1",
             "use sensors.cv_noise_std_kPa, sensors.reservoir_noise",
         ),
-        ("[reservoir]\nvolume_L = 2.0", "unknown table 'reservoir' of a rig: use reservoir, cv, "),
+        ("[tank]\nvolume_L = 2.0", "unknown table 'tank' of a rig: use reservoir, cv, "),
         ("[resevoir]", "did you mean reservoir?"),
         ("reservoir = 2.0", "reservoir must be a table: write [reservoir], and its keys on the lines below."),
         ("tolerance_percent = 2.0", "tolerance_percent must be a table"),

@@ -277,7 +277,7 @@ def test_a_reader_of_the_nominal_rig_does_not_get_the_true_one(tmp_path: Path) -
             "effects: a pouch's flat volume must be",
         ),
         ("[reservoir]\nvolume_L = 0", "reservoir.volume_L must be a number from 0.001 to 1000, not 0."),
-        ("[reservoir]", "unknown table 'reservoir' of a rig"),
+        ("[tank]", "unknown table 'tank' of a rig"),
     ],
 )
 def test_an_error_gives_one_line(text: str, says: str, tmp_path: Path) -> None:
