@@ -88,7 +88,6 @@ MODULES = (
     Module(
         "flying_vines/core/instability.py",
         ("tests/core/test_instability.py", "tests/core/test_known.py", "tests/core/test_core_board.py"),
-        ("count", "take", "due", "unstable", "note", "looping", "tick", "problem"),
     ),
     Module("flying_vines/vehicle/component/texts.py", ("tests/vehicle/test_component.py",), ("say", "due")),
     Module(

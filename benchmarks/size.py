@@ -20,6 +20,10 @@ from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+
+from module_imports import imported, module_name
+
 ROOT = Path(__file__).resolve().parents[1]
 PRODUCT = ("flying_vines", "firmware_link", "missions")
 SMALL_LINES = 100
@@ -90,23 +94,11 @@ def numbers(source: str) -> int:
 
 def importers(product: Sources) -> Counter[str]:
     """How many other modules import each module, by its dotted name."""
-    names = {_name(path) for path in product}
+    names = {module_name(path) for path in product}
     count: Counter[str] = Counter()
     for path, source in product.items():
-        found = set()
-        for node in ast.walk(ast.parse(source)):
-            if isinstance(node, ast.Import):
-                found |= {alias.name for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and node.module:
-                inner = {f"{node.module}.{alias.name}" for alias in node.names}
-                found |= inner & names or {node.module}
-        count.update((found & names) - {_name(path)})
+        count.update(imported(source, names) - {module_name(path)})
     return count
-
-
-def _name(path: PurePosixPath) -> str:
-    parts = path.with_suffix("").parts
-    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
 def figures(sources: Sources) -> dict[str, int]:
@@ -114,7 +106,7 @@ def figures(sources: Sources) -> dict[str, int]:
     modules = {path: text for path, text in product.items() if path.name != "__init__.py"}
     lines = {path: len(text.splitlines()) for path, text in product.items()}
     imported = importers(product)
-    small = [path for path in modules if lines[path] <= SMALL_LINES and imported[_name(path)] == 1]
+    small = [path for path in modules if lines[path] <= SMALL_LINES and imported[module_name(path)] == 1]
 
     def lines_in(folder: str) -> int:
         return sum(len(text.splitlines()) for path, text in sources.items() if path.parts[0] == folder)

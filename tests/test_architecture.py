@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import ast
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
+from module_imports import imported, module_name
 
 ROOT = Path(__file__).parents[1]
 LEVELS = (
@@ -33,33 +33,18 @@ LAB = {"simulation", "identification", "calibration", "studies"}
 LEVEL = {room: level for level, rooms in enumerate(LEVELS) for room in rooms}
 
 
-def modules_of(path: Path, root: Path) -> str:
-    parts = path.relative_to(root).with_suffix("").parts
-    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-
-
 def room_of(module: str) -> str:
     package, _, rest = module.partition(".")
     return rest.partition(".")[0] if package == "flying_vines" else package
 
 
-def imported(source: str, names: set[str]) -> set[str]:
-    """Modules among `names` that the source imports, anywhere in it."""
-    found = set()
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            assert node.module is not None
-            for alias in node.names:
-                inner = f"{node.module}.{alias.name}"
-                found.add(inner if inner in names else node.module)
-    return found & names
-
-
 def read(root: Path) -> dict[str, set[str]]:
     folders = ("flying_vines", "firmware_link", "missions")
-    paths = {modules_of(path, root): path for folder in folders for path in (root / folder).rglob("*.py")}
+    paths = {
+        module_name(path.relative_to(root)): path
+        for folder in folders
+        for path in (root / folder).rglob("*.py")
+    }
     return {
         name: imported(path.read_text(encoding="utf-8"), set(paths) - {"flying_vines"})
         for name, path in paths.items()

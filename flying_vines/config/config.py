@@ -446,22 +446,17 @@ RENAMED: dict[Key, str] = {
 
 def renamed(text: str, source: str) -> list[str]:
     """A line for each setting that the text names as earlier versions did."""
-    present = lines_of_keys(text)
-    return [
-        located(text, source, key, f"is called {new} now: rename it")
-        for key, new in RENAMED.items()
-        if key in present
-    ]
+    return _remarks(text, source, {key: f"is called {new} now: rename it" for key, new in RENAMED.items()})
 
 
 def ignored(text: str, source: str, old: Mapping[Key, str]) -> list[str]:
     """A line for each of these settings that the text of a TOML file has."""
+    return _remarks(text, source, {key: f"is ignored, delete it: {why}" for key, why in old.items()})
+
+
+def _remarks(text: str, source: str, remarks: Mapping[Key, str]) -> list[str]:
     present = lines_of_keys(text)
-    return [
-        located(text, source, key, f"is ignored, delete it: {why}")
-        for key, why in old.items()
-        if key in present
-    ]
+    return [located(text, source, key, remark) for key, remark in remarks.items() if key in present]
 
 
 def _profiles_of(raw: dict[str, Any]) -> list[tuple[str, Any]]:

@@ -41,8 +41,9 @@ from flying_vines.core.events import (
     ToVehicle,
     VehicleMessage,
 )
-from flying_vines.core.instability import STABLE_AFTER_S, Lateness, LinkLoss, OwnLines, Restarts
+from flying_vines.core.instability import STABLE_AFTER_S, Lateness, OwnLines, Restarts
 from flying_vines.core.isolated_parts import IsolatedParts
+from flying_vines.core.link_loss import LinkLoss
 from flying_vines.core.pending_bend import PendingBend, PendingBendTracker, source
 from flying_vines.core.request_lines import RequestLines
 from flying_vines.core.safety import BOARD_SETTINGS, LossEnded, ResponseNeeded, Ruling, Safety, SafetyInputs

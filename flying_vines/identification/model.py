@@ -174,7 +174,7 @@ def _smooth(numbers: PlantNumbers, air: Air, state: Floats, held: Held, h: float
     return not (evp_moves or dvp_moves)
 
 
-class Sensors(NamedTuple):
+class SensorPair(NamedTuple):
     """The numbers of both sensors."""
 
     cv: Transfer
@@ -237,7 +237,7 @@ def _started(
 
 def _over_samples(
     numbers: PlantNumbers,
-    sensors: Sensors,
+    sensors: SensorPair,
     air: Air,
     state: Floats,
     seen: Seen,
@@ -282,7 +282,7 @@ def _over_samples(
 
 def _in_steps(
     numbers: PlantNumbers,
-    sensors: Sensors,
+    sensors: SensorPair,
     air: Air,
     state: Floats,
     seen: Seen,
@@ -339,7 +339,7 @@ NOT_INLINED = (gas_after, runge_kutta, exponential_runge_kutta, rates, condition
 
 def run(
     numbers: PlantNumbers,
-    sensors: Sensors,
+    sensors: SensorPair,
     time_s: Array,
     switch_s: Array,
     openings: Array,

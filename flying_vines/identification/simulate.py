@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flying_vines.identification.case import Case, RecordedRun
-from flying_vines.identification.model import NOT_INLINED, Sensors, run
+from flying_vines.identification.model import NOT_INLINED, SensorPair, run
 from flying_vines.physics.arrays import Array
 from flying_vines.physics.cause import Cause, ModelReadings, Values
 from flying_vines.physics.compiler import compiled, record
@@ -198,7 +198,7 @@ class Simulation:
         smooth_s = 2.0 ** floor(log2(min(MAX_SMOOTH_S, shut_s)))
         longest_s = min(MAX_STEP_S, shut_s), min(MAX_STEP_S, open_s), smooth_s
         drifting = setup.cv_sensor.numbers, setup.reservoir_sensor.numbers
-        steady = record(Sensors(_steady(setup.cv_sensor), _steady(setup.reservoir_sensor)))
+        steady = record(SensorPair(_steady(setup.cv_sensor), _steady(setup.reservoir_sensor)))
         return CompiledRig(record(numbers), steady, effects, drifting, longest_s)
 
 

@@ -22,7 +22,8 @@ SupplyPressure = Annotated[float, msgspec.Meta(ge=1, le=10_000)]
 Noise = Annotated[float, msgspec.Meta(ge=0, le=1000)]
 Percent = Annotated[float, msgspec.Meta(ge=0, le=10_000)]
 Vessel = Literal["cv", "reservoir"]
-"""The control volume, or the reservoir."""
+VESSELS: dict[Vessel, str] = {"cv": "control volume", "reservoir": "reservoir"}
+"""What each is called."""
 R = TypeVar("R")
 _AIR = Gas()
 

@@ -28,7 +28,7 @@ RIG, SIGNING_KEY, PARAMETERS = "pneumatics.rig", "vehicle.signing_key", "paramet
 
 
 @dataclass(frozen=True, slots=True)
-class RunInputs:
+class StartInputs:
     """The configuration and the files that it names."""
 
     text: str
@@ -62,7 +62,7 @@ class RunInputs:
 
 def read_inputs(
     path: Path, rig: Path | None = None, broker_files: bool = False, problems: dict[str, str] | None = None
-) -> RunInputs:
+) -> StartInputs:
     """Raises `ConfigError` with file, line and key.
 
     Args:
@@ -118,7 +118,7 @@ def read_inputs(
         with named("page.token_file", page_token.PageTokenError):
             if config.page.needs_token and state.page_token.exists():
                 page_token.read(state.page_token)
-    return RunInputs(text, config, known, state, stored, signing, ignored, clock_problem)
+    return StartInputs(text, config, known, state, stored, signing, ignored, clock_problem)
 
 
 def check_plugins(config: Config, config_file: Path | None = None) -> None:

@@ -8,9 +8,7 @@ from functools import partial
 
 from flying_vines.physics.cause import Cause, Parameter
 from flying_vines.physics.plant.plant import Setup
-from flying_vines.physics.rig import Vessel
-
-TITLE: dict[Vessel, str] = {"cv": "control volume", "reservoir": "reservoir"}
+from flying_vines.physics.rig import VESSELS, Vessel
 
 
 def _apply_gain(vessel: Vessel, base: Setup, gain: float) -> Setup:
@@ -33,7 +31,7 @@ def _gain(vessel: Vessel, experiment: str) -> Cause:
     source = "3.3 V in place of 5 V on a ratiometric sensor: 0.66, or 1.5; a voltage divider: about 10 %"
     return Cause(
         name=f"{vessel}_sensor_gain",
-        what=f"The {TITLE[vessel]}'s sensor has a wrong scale.",
+        what=f"The {VESSELS[vessel]}'s sensor has a wrong scale.",
         parameters=(
             Parameter("gain", low=0.6, high=1.6, seeds=(1.0,), neutral=1.0, logarithmic=True, source=source),
         ),
@@ -58,7 +56,7 @@ def _either_way(name: str, vessel: Vessel, most: float, of_largest: float, sourc
 def _offset(vessel: Vessel, most_kPa: float, source: str, experiment: str) -> Cause:
     return Cause(
         name=f"{vessel}_sensor_offset",
-        what=f"The {TITLE[vessel]}'s sensor is off by a constant.",
+        what=f"The {VESSELS[vessel]}'s sensor is off by a constant.",
         parameters=(_either_way("offset_kPa", vessel, most_kPa, 0.3, source),),
         experiment=experiment,
         apply=partial(_apply_offset, vessel),
@@ -69,7 +67,7 @@ def _offset(vessel: Vessel, most_kPa: float, source: str, experiment: str) -> Ca
 def _drift(vessel: Vessel, most_kPa_per_min: float, of_largest: float, source: str, experiment: str) -> Cause:
     return Cause(
         name=f"{vessel}_sensor_drift",
-        what=f"The {TITLE[vessel]}'s sensor drifts.",
+        what=f"The {VESSELS[vessel]}'s sensor drifts.",
         parameters=(_either_way("rate_kPa_per_min", vessel, most_kPa_per_min, of_largest, source),),
         experiment=experiment,
         apply=partial(_apply_drift, vessel),

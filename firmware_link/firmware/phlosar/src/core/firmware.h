@@ -174,10 +174,11 @@ private:
     // Steps of relief that are not yet regained.
     uint16_t relief_steps_ = 0;
     uint16_t regained_steps_ = 0;
-    // Since the Venturi was last off: its steps, the vine's lowest pressure, and whether it has risen from there.
-    uint16_t venturi_steps_ = 0;
+    // Steps for which the Venturi stays off, and the filtered pressure from which its rise counts.
     uint16_t low_supply_steps_ = 0;
     Real steady_cv_kPa_ = 0;
+    // Since the Venturi was last off: its steps, the vine's lowest pressure, and whether it has risen from there.
+    uint16_t venturi_steps_ = 0;
     Real venturi_lowest_kPa_ = 0;
     Frequent venturi_raises_;
 
